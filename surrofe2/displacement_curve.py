@@ -1,0 +1,57 @@
+"""Displacement of the watched point over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class DisplacementCurve:
+    """t: (m,) µs, increasing; displacement: (m, 2) µm."""
+
+    t: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.t.ndim != 1 or self.displacement.shape != (self.t.size, 2):
+            raise InputError(
+                f"displacement curve: t {self.t.shape} and displacement "
+                f"{self.displacement.shape}; they must be (m,) and (m, 2)"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class CurveDifference:
+    """Difference of two curves, relative to the largest displacement of the reference."""
+
+    largest: float
+    rms: float
+    at_time: float
+
+
+def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
+    """How far `curve` is from `reference` at the reference's times they both cover.
+
+    Displacement vectors are compared by their Euclidean distance; `curve` is interpolated
+    linearly where its times differ.
+    """
+    within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
+    if not within.any():
+        raise InputError("displacement curves: no common time; they must overlap")
+    t = reference.t[within]
+    there = reference.displacement[within]
+    here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
+    distance = np.linalg.norm(here - there, axis=1)
+    scale = np.linalg.norm(there, axis=1).max()
+    if scale == 0.0:
+        raise InputError("displacement curves: the reference does not move; nothing to compare to")
+    return CurveDifference(
+        largest=float(distance.max() / scale),
+        rms=float(np.sqrt(np.mean(distance**2)) / scale),
+        at_time=float(t[distance.argmax()]),
+    )

@@ -1,0 +1,119 @@
+"""Every constant of the particle model of a plant cell, with unit and source."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from surrofe2.errors import InputError
+from surrofe2.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
+
+_PAPER = "Ghysels et al. 2009, TW 550"
+
+
+def _constant(default: Any, unit: str, source: str, *, may_be_zero: bool = False) -> Any:
+    return field(
+        default=default, metadata={"unit": unit, "source": source, "may_be_zero": may_be_zero}
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellParameters:
+    """One square plant cell: walls of bonded particles around SPH fluid.
+
+    The wall rest length is not among them: it follows from zero stress at F = I.
+    """
+
+    cell_side: float = _constant(25.0, LENGTH, f"{_PAPER}, section 6")
+    wall_springs_per_side: int = _constant(10, NONE, f"{_PAPER}, section 6: 11 particles a side")
+    fluid_particles_per_side: int = _constant(4, NONE, f"{_PAPER}, section 6: 16 SPH particles")
+    fluid_particle_mass: float = _constant(
+        2.7, MASS, f"{_PAPER}, section 6, as printed; water fills 0.27 (preset `water`)"
+    )
+    wall_particle_mass: float = _constant(0.5, MASS, f"{_PAPER}, section 6")
+    wall_stiffness: float = _constant(4000.0, STIFFNESS, f"{_PAPER}, section 6 (eq. 1)")
+    repulsion_strength: float = _constant(
+        5e5, f"{FORCE} {LENGTH}⁶", f"{_PAPER}, section 6 (eq. 2)"
+    )
+    repulsion_cutoff: float = _constant(10.0, LENGTH, f"{_PAPER}, section 6 (eq. 2)")
+    smoothing_length: float = _constant(5.5, LENGTH, f"{_PAPER}, section 6 (eq. 5)")
+    sound_speed: float = _constant(
+        50.0, VELOCITY, f"{_PAPER}, section 6 (eq. 9), where it is printed in µm/s"
+    )
+    viscosity: float = _constant(
+        0.1, f"{MASS}/{TIME}", f"{_PAPER}, section 6: 1e-2 Pa s times 10 µm (eq. 8)",
+        may_be_zero=True,
+    )
+    wall_damping_ratio: float = _constant(
+        1.0, NONE, f"{_PAPER}, section 6: critical (eq. 1)", may_be_zero=True
+    )
+    contact_damping_ratio: float = _constant(
+        1.0, NONE, f"{_PAPER}, section 2.1: critical (eq. 2)", may_be_zero=True
+    )
+    tissue_thickness: float = _constant(
+        10.0, LENGTH, f"{_PAPER}, section 6; turns 2D stress into MPa"
+    )
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            _check_number(f"cell.{item.name}", value, item.metadata["may_be_zero"])
+            if item.type == "float":
+                object.__setattr__(self, item.name, float(value))
+        for name, least in (("wall_springs_per_side", 4), ("fluid_particles_per_side", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise InputError(f"cell.{name}: {value}; it must be an integer of at least {least}")
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> CellParameters:
+        """The parameters called `name` ("printed" or "water"), with single fields changed."""
+        if name not in PRESETS:
+            raise InputError(f"cell.preset: {name!r}; it must be one of {', '.join(PRESETS)}")
+        known = {item.name for item in fields(cls)}
+        for key in changes:
+            if key not in known:
+                raise InputError(f"cell.{key}: unknown; known are {', '.join(sorted(known))}")
+        return replace(PRESETS[name], **changes)
+
+    @property
+    def mass(self) -> float:
+        """Mass of one cell in a tissue, shared wall particles counted once, ng."""
+        walls = 2 * self.wall_springs_per_side - 1
+        return (
+            walls * self.wall_particle_mass
+            + self.fluid_particles_per_side**2 * self.fluid_particle_mass
+        )
+
+    @property
+    def density(self) -> float:
+        """Macroscopic density: mass per reference area, ng/µm² (section 6.2)."""
+        return self.mass / self.cell_side**2
+
+    @property
+    def fingerprint(self) -> str:
+        """16 hexadecimal digits that two equal sets of parameters share and no others."""
+        text = json.dumps({k: repr(v) for k, v in sorted(asdict(self).items())})
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields by name, for files."""
+        return asdict(self)
+
+
+def _check_number(name: str, value: Any, may_be_zero: bool) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{name}: {value!r}; it must be a number")
+    if not np.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
+        allowed = "at least 0" if may_be_zero else "positive"
+        raise InputError(f"{name}: {value}; it must be {allowed} and finite")
+
+
+PRESETS = {
+    "printed": CellParameters(),
+    "water": CellParameters(fluid_particle_mass=0.27),
+}

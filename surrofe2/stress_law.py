@@ -1,0 +1,136 @@
+"""The hinge: (F, Ḟ) in, Cauchy stress out, for all points at once.
+
+Representative volume elements, surrogates, caches and analytic laws all implement `StressLaw`;
+the macro scale knows nothing else of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """Why a point has no stress; 0 where it has one."""
+
+    OK = 0
+    NOT_CONVERGED = 1
+    UNSTABLE = 2
+    OUT_OF_RANGE = 3
+    NOT_FINITE = 4
+    LIST_TOO_SHORT = 5
+
+
+_SENTENCES = {
+    Status.OK: "the stress is valid",
+    Status.NOT_CONVERGED: "the RVE solve did not converge; load in smaller steps or raise the "
+    "iteration limit",
+    Status.UNSTABLE: "the RVE equilibrium is unstable; the deformation is beyond what this cell "
+    "bears homogeneously",
+    Status.OUT_OF_RANGE: "the deformation or its rate is outside the range of the surrogate's "
+    "data; use the cached law or train on a wider range",
+    Status.NOT_FINITE: "the stress came out as NaN or infinite",
+    Status.LIST_TOO_SHORT: "particles moved farther than the pair list covers; the deformation is "
+    "beyond the supported range",
+}
+
+
+def describe(status: int) -> str:
+    """The sentence behind a status code of `StressResponse.status`."""
+    return _SENTENCES[Status(int(status))]
+
+
+@dataclass(frozen=True, slots=True)
+class StressResponse:
+    """What a stress law answers for n points.
+
+    Attributes:
+        stress: (n, 2, 2) Cauchy stress in µN/µm; NaN where `status` is not 0.
+        status: (n,) int8 codes of `Status`.
+        state: warm start (or history) for the next call; opaque to everyone but its law.
+        effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
+    """
+
+    stress: Array
+    status: NDArray[np.int8]
+    state: Any = None
+    effort: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """What a stress law says of an accepted time step.
+
+    Attributes:
+        status: (n,) int8 codes; a law may check here what is too dear for every trial.
+        state: the state to carry into the next step.
+    """
+
+    status: NDArray[np.int8]
+    state: Any = None
+
+
+class StressLaw(Protocol):
+    """A constitutive law σ(F, Ḟ) for tissue.
+
+    `respond` is pure: asked twice, the same answer. `state` is a warm start or a history that
+    only the time loop commits, by `accept` at the end of a step it keeps.
+    """
+
+    @property
+    def density(self) -> float:
+        """Mass per reference area, ng/µm²."""
+
+    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+        """Stress at n points.
+
+        Args:
+            F: (n, 2, 2) deformation gradient, det F > 0.
+            F_dot: (n, 2, 2) its material rate, 1/µs.
+            state: what an earlier answer or acceptance for the same n points carried, or None.
+
+        Raises:
+            InputError: wrong shape, not finite, or det F ≤ 0.
+        """
+
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        """Commit the answer `response` that was given at (F, F_dot), the end of a kept step."""
+
+
+def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:
+    """(F, F_dot) as contiguous float64 arrays of shape (n, 2, 2), or an InputError."""
+    F = _as_tensors("F", F)
+    F_dot = _as_tensors("F_dot", F_dot)
+    if F.shape != F_dot.shape:
+        raise InputError(
+            f"F_dot: shape {F_dot.shape} does not match the shape {F.shape} of F; "
+            "both must be (n, 2, 2)"
+        )
+    det = F[:, 0, 0] * F[:, 1, 1] - F[:, 0, 1] * F[:, 1, 0]
+    if det.size and det.min() <= 0.0:
+        point = int(det.argmin())
+        raise InputError(f"F: det F = {det[point]:.6g} at point {point}; it must be positive")
+    return F, F_dot
+
+
+def _as_tensors(name: str, value: Any) -> Array:
+    try:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: not an array of numbers; it must be (n, 2, 2)") from None
+    if array.ndim != 3 or array.shape[1:] != (2, 2):
+        raise InputError(f"{name}: shape {np.shape(value)}; it must be (n, 2, 2)")
+    finite = np.isfinite(array)
+    if not finite.all():
+        point = int(np.argwhere(~finite)[0, 0])
+        raise InputError(f"{name}: not finite at point {point}; every entry must be a number")
+    return array

@@ -1,0 +1,35 @@
+"""The one system of units: micrometre, microsecond, nanogram.
+
+=====================  ==============  =========================
+quantity               unit            in SI
+=====================  ==============  =========================
+length                 µm              1e-6 m
+time                   µs              1e-6 s
+mass                   ng              1e-12 kg
+velocity               µm/µs           1 m/s
+acceleration           µm/µs²          1e6 m/s²
+force                  µN              1e-6 N
+stiffness              µN/µm           1 N/m
+2D stress              µN/µm           1 N/m
+2D mass density        ng/µm²          1 kg/m²
+energy                 µN·µm = pJ      1e-12 J
+2D dynamic viscosity   ng/µs           1e-6 kg/s
+deformation gradient   1               1
+rate of deformation    1/µs            1e6 1/s
+=====================  ==============  =========================
+
+A 2D stress divided by the tissue thickness in µm is a 3D stress in MPa (µN/µm² = MPa).
+"""
+
+LENGTH = "µm"
+TIME = "µs"
+MASS = "ng"
+VELOCITY = "µm/µs"
+ACCELERATION = "µm/µs²"
+FORCE = "µN"
+STIFFNESS = "µN/µm"
+STRESS = "µN/µm"
+DENSITY = "ng/µm²"
+ENERGY = "pJ"
+RATE = "1/µs"
+NONE = "1"
