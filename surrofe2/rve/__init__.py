@@ -1,1 +1,7 @@
-"""surrofe2."""
+"""Representative volume elements: (F, Ḟ) in, stress out."""
+
+from surrofe2.rve.rve_law import RveLaw
+from surrofe2.rve.rve_state import RveState
+from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings
+
+__all__ = ["INITIALISATIONS", "SOLVERS", "RveLaw", "RveSettings", "RveState"]

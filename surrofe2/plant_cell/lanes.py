@@ -1,0 +1,104 @@
+"""How kernels are compiled and how their arrays lie: plant cells as SIMD lanes.
+
+Structure of arrays, cells last. Cells of one topology share the pair lists, so the innermost
+loop runs over cells with neither gather nor branch::
+
+    x[axis, particle, lane]     axis 0, 1     particle: own 0..n-1, then images     lane: a cell
+
+Stored arrays come in tiles of `TILE` cells, ``(tiles, …, TILE)``; a kernel that works on several
+tiles at once copies them into one workspace with more lanes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.plant_cell.geometry import Patch
+from surrofe2.plant_cell.parameters import CellParameters
+
+TILE = 8
+FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
+
+kernel = numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+pair_law = numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+parallel_kernel = numba.njit(cache=True, error_model="numpy", fastmath=FAST, parallel=True)
+
+
+class Constants(NamedTuple):
+    """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng)."""
+
+    wall_stiffness: float
+    rest_length: float
+    wall_damping: float
+    repulsion: float
+    cutoff: float
+    contact_damping: float
+    smoothing_length: float
+    fluid_mass: float
+    sound_speed_squared: float
+    viscosity: float
+
+
+class Topology(NamedTuple):
+    """Pair lists of a `Patch` for kernels."""
+
+    bonds: NDArray[np.int32]
+    contacts: NDArray[np.int32]
+    fluid_pairs: NDArray[np.int32]
+    owner: NDArray[np.int32]
+    image_offset: NDArray[np.float64]
+    particles: int
+    walls: int
+
+
+def make_constants(cell: CellParameters, rest_length: float) -> Constants:
+    """Constants of eqs. (1), (2), (8), (9) for one set of parameters."""
+    m, k, strength = cell.wall_particle_mass, cell.wall_stiffness, cell.repulsion_strength
+    return Constants(
+        wall_stiffness=k,
+        rest_length=float(rest_length),
+        wall_damping=cell.wall_damping_ratio * 2.0 * np.sqrt(m * k),
+        repulsion=strength,
+        cutoff=cell.repulsion_cutoff,
+        contact_damping=cell.contact_damping_ratio * 2.0 * np.sqrt(6.0 * strength * m),
+        smoothing_length=cell.smoothing_length,
+        fluid_mass=cell.fluid_particle_mass,
+        sound_speed_squared=cell.sound_speed**2,
+        viscosity=cell.viscosity,
+    )
+
+
+def make_topology(patch: Patch) -> Topology:
+    """Kernel form of a patch."""
+    return Topology(
+        bonds=patch.bonds,
+        contacts=patch.contacts,
+        fluid_pairs=patch.fluid_pairs,
+        owner=patch.owner,
+        image_offset=np.ascontiguousarray(patch.shift @ patch.lattice.T),
+        particles=patch.particles,
+        walls=patch.walls,
+    )
+
+
+def tiles_for(points: int) -> int:
+    """Number of tiles that hold `points` cells."""
+    return -(-points // TILE)
+
+
+def pack(values: NDArray[Any]) -> NDArray[Any]:
+    """(n, …) → (tiles, …, TILE); the last tile is filled up with copies of the last point."""
+    n = len(values)
+    count = tiles_for(n)
+    index = np.minimum(np.arange(count * TILE), n - 1).reshape(count, TILE)
+    return np.ascontiguousarray(np.moveaxis(values[index], 1, -1))
+
+
+def unpack(tiles: NDArray[Any], points: int) -> NDArray[Any]:
+    """(tiles, …, TILE) → (n, …); inverse of `pack`."""
+    lanes = np.moveaxis(tiles, -1, 1)
+    return np.ascontiguousarray(lanes.reshape(-1, *lanes.shape[2:])[:points])

@@ -1,0 +1,142 @@
+"""The RVE in its reference state: one periodic plant cell, relaxed, free of stress.
+
+The paper starts "from this cell in its equilibrium state", and its tissue measures an exact
+multiple of the cell: so the wall rest length l₀ follows from σ(I, 0) = 0 with particles relaxed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import root_scalar
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
+from surrofe2.plant_cell.lanes import TILE, Constants, Topology, make_constants, make_topology, pack
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve.constrained_runs import iterate
+from surrofe2.rve.direct import newton
+
+REACHES = (1.2, 1.4, 2.0, 3.0)
+"""Lists of contacts, in cut-offs; the shortest that provably covers a deformation serves."""
+_RELAXED = 1e-10
+_FIRST_GUESS = 0.8
+_SETTLING_STEP, _SETTLED, _SETTLING_LIMIT = 1e-3, 1.0, 200_000
+
+
+@dataclass(frozen=True, slots=True)
+class Factors:
+    """Kept factorisation and slopes of `direct`, in tiles."""
+
+    lu: NDArray[np.float32]
+    slopes: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitCell:
+    """Reference state of an RVE.
+
+    Attributes:
+        position: (n, 2) relaxed reference positions, µm; particle 0 is a wall corner at 0.
+        rest_length: wall rest length l₀, µm, at which the reference is free of stress.
+        patches, topologies: pair lists of rising reach.
+        factors: factorisation at the reference, one tile.
+    """
+
+    cell: CellParameters
+    position: NDArray[np.float64]
+    rest_length: float
+    constants: Constants
+    patches: tuple[Patch, ...]
+    topologies: tuple[Topology, ...]
+    factors: Factors
+
+    @property
+    def area(self) -> float:
+        """Reference area, µm²."""
+        return self.patches[0].area
+
+
+@lru_cache(maxsize=32)
+def make_unit_cell(cell: CellParameters) -> UnitCell:
+    """Relax one square cell at F = I and find the rest length that frees it of stress.
+
+    Raises:
+        InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
+    """
+    spring = cell.cell_side / cell.wall_springs_per_side
+    start = even_positions(cell)
+    patch = square_patch(cell, start, reach=REACHES[-1] * cell.repulsion_cutoff)
+    guess = [_descend(patch, make_constants(cell, _FIRST_GUESS * spring), start)]
+
+    def pressure(relative_length: float) -> float:
+        solution = _relax(patch, make_constants(cell, relative_length * spring), guess[0])
+        guess[0] = solution[0]
+        return float(np.trace(solution[1]))
+
+    found = root_scalar(
+        pressure, method="secant", x0=_FIRST_GUESS, x1=0.95 * _FIRST_GUESS, xtol=1e-14, maxiter=30
+    )
+    if not (found.converged and found.root > 0.0):
+        raise InputError(
+            f"cell: the turgor needs a wall rest length of {found.root:.3g} spring lengths; it "
+            "must be positive: lower fluid_particle_mass or sound_speed, or raise wall_stiffness"
+        )
+    rest_length = float(found.root * spring)
+    constants = make_constants(cell, rest_length)
+    position, _, factors = _relax(patch, constants, guess[0])
+    patches = tuple(
+        square_patch(cell, position, reach=factor * cell.repulsion_cutoff) for factor in REACHES
+    )
+    topologies = tuple(make_topology(p) for p in patches)
+    return UnitCell(cell, position, rest_length, constants, patches, topologies, factors)
+
+
+def _descend(
+    patch: Patch, constants: Constants, start: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Positions (n, 2) into which the particles settle at F = I from `start`, dashpots on."""
+    x = np.ascontiguousarray(np.swapaxes(pack(start[None]), 1, 2))
+    v = np.zeros_like(x)
+    unit = pack(np.eye(2)[None])
+    residual, iterations = np.empty((1, TILE)), np.empty((1, TILE), dtype=np.int32)
+    iterate(
+        unit, np.zeros_like(unit), x, v, patch.mass, make_topology(patch), constants, patch.area,
+        _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT, np.empty((1, 2, 2, TILE)), residual, iterations,
+    )  # fmt: skip
+    if iterations[0, 0] < 0:
+        raise InputError(
+            f"cell: the undeformed cell does not come to rest (mean force {residual[0, 0]:.3g} µN); "
+            "check fluid_particle_mass, wall_stiffness and the damping ratios"
+        )
+    return x[0, :, :, 0].T.copy()
+
+
+def _relax(
+    patch: Patch, constants: Constants, start: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Factors]:
+    """Elastic equilibrium at F = I from `start`: positions (n, 2), stress (2, 2), factors."""
+    z = pack(start[None])
+    z = np.ascontiguousarray(np.swapaxes(z, 1, 2))
+    unit = np.ascontiguousarray(pack(np.eye(2)[None]))
+    still = np.zeros_like(unit)
+    free = 2 * len(start) - 2
+    factors = Factors(
+        lu=np.empty((1, free, free, TILE), dtype=np.float32), slopes=np.empty((1, free, 8, TILE))
+    )
+    stress = np.empty((1, 2, 2, TILE))
+    iterations = np.zeros((1, TILE), dtype=np.int32)
+    stable = np.zeros((1, TILE), dtype=np.bool_)
+    newton(
+        unit, still, z, factors.lu, factors.slopes, np.ones(1, dtype=np.bool_),
+        make_topology(patch), constants, patch.area, _RELAXED, stress, iterations, stable,
+    )  # fmt: skip
+    if iterations[0, 0] < 0 or not stable[0, 0]:
+        raise InputError(
+            "cell: no stable equilibrium of the undeformed cell was found; "
+            "check fluid_particle_mass, wall_stiffness and repulsion_strength"
+        )
+    return z[0, :, :, 0].T.copy(), stress[0, :, :, 0].copy(), factors
