@@ -178,7 +178,7 @@ class _Batch:
         """Summable counts of what the answer cost."""
         return {
             "rve_solves": points,
-            "force_evaluations": int(np.abs(self.iterations).sum()),
+            "force_evaluations": int(np.abs(unpack(self.iterations, points)).sum()),
             "newton_solves": self.newton_solves,
         }
 

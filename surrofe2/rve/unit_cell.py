@@ -23,7 +23,7 @@ from surrofe2.rve.direct import newton
 REACHES = (1.2, 1.4, 2.0, 3.0)
 """Lists of contacts, in cut-offs; the shortest that provably covers a deformation serves."""
 _RELAXED = 1e-10
-_FIRST_GUESS = 0.8
+_FIRST_GUESS = 0.5
 _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT = 1e-3, 1.0, 200_000
 
 
@@ -73,9 +73,9 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
     guess = [_descend(patch, make_constants(cell, _FIRST_GUESS * spring), start)]
 
     def pressure(relative_length: float) -> float:
-        solution = _relax(patch, make_constants(cell, relative_length * spring), guess[0])
-        guess[0] = solution[0]
-        return float(np.trace(solution[1]))
+        constants = make_constants(cell, relative_length * spring)
+        guess[0], stress, _, _ = _relax(patch, constants, guess[0])
+        return float(np.trace(stress))
 
     found = root_scalar(
         pressure, method="secant", x0=_FIRST_GUESS, x1=0.95 * _FIRST_GUESS, xtol=1e-14, maxiter=30
@@ -87,7 +87,12 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
         )
     rest_length = float(found.root * spring)
     constants = make_constants(cell, rest_length)
-    position, _, factors = _relax(patch, constants, guess[0])
+    position, _, factors, stable = _relax(patch, constants, guess[0])
+    if not stable:
+        raise InputError(
+            "cell: the equilibrium of the undeformed cell is unstable; "
+            "check fluid_particle_mass, wall_stiffness and repulsion_strength"
+        )
     patches = tuple(
         square_patch(cell, position, reach=factor * cell.repulsion_cutoff) for factor in REACHES
     )
@@ -117,8 +122,8 @@ def _descend(
 
 def _relax(
     patch: Patch, constants: Constants, start: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Factors]:
-    """Elastic equilibrium at F = I from `start`: positions (n, 2), stress (2, 2), factors."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Factors, bool]:
+    """Elastic equilibrium at F = I: positions (n, 2), stress (2, 2), factors, whether stable."""
     z = pack(start[None])
     z = np.ascontiguousarray(np.swapaxes(z, 1, 2))
     unit = np.ascontiguousarray(pack(np.eye(2)[None]))
@@ -134,9 +139,9 @@ def _relax(
         unit, still, z, factors.lu, factors.slopes, np.ones(1, dtype=np.bool_),
         make_topology(patch), constants, patch.area, _RELAXED, stress, iterations, stable,
     )  # fmt: skip
-    if iterations[0, 0] < 0 or not stable[0, 0]:
+    if iterations[0, 0] < 0:
         raise InputError(
-            "cell: no stable equilibrium of the undeformed cell was found; "
+            "cell: no equilibrium of the undeformed cell was found; "
             "check fluid_particle_mass, wall_stiffness and repulsion_strength"
         )
-    return z[0, :, :, 0].T.copy(), stress[0, :, :, 0].copy(), factors
+    return z[0, :, :, 0].T.copy(), stress[0, :, :, 0].copy(), factors, bool(stable[0, 0])

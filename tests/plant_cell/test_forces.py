@@ -1,0 +1,201 @@
+"""Pair laws and kernels against identities, then against the plain numpy twin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from surrofe2.plant_cell import forces, jacobian
+from surrofe2.plant_cell.geometry import even_positions, square_patch
+from surrofe2.plant_cell.lanes import TILE, kernel, make_constants, make_topology, pack, unpack
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
+from tests.plant_cell.twin import Twin
+
+REST = 1.9
+
+
+def call_kernel(law):
+    """A pair law as a function of arrays, compiled as kernels compile it."""
+
+    @kernel
+    def evaluate(r, h):
+        out = np.empty_like(r)
+        for i in range(r.size):
+            out[i] = law(r[i] / h, h)
+        return out
+
+    return evaluate
+
+
+class Patch:
+    """One cell, in every lane another state: material positions z (TILE, n, 2), F, Ḟ."""
+
+    def __init__(self, preset: str, seed: int = 0, reach: float = 25.0) -> None:
+        rng = np.random.default_rng(seed)
+        self.cell = CellParameters.preset(preset)
+        base = even_positions(self.cell)
+        self.patch = square_patch(self.cell, base, reach=reach)
+        self.topology = make_topology(self.patch)
+        self.constants = make_constants(self.cell, REST)
+        self.twin = Twin(self.cell, REST)
+        self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
+        self.F = np.eye(2) + 0.08 * rng.uniform(-1, 1, (TILE, 2, 2))
+        self.F_dot = 0.01 * rng.uniform(-1, 1, (TILE, 2, 2))
+
+    def local(self, z, tensor):
+        """(2, local, TILE): tensor applied to own particles and images."""
+        everyone = np.concatenate(
+            [z, z[:, self.patch.owner] + self.patch.shift @ self.patch.lattice.T], axis=1
+        )
+        return np.ascontiguousarray(np.einsum("lab,lpb->apl", tensor, everyone))
+
+    def forces(self, z=None, F=None, F_dot=None, fold=True):
+        """(TILE, n, 2)."""
+        z = self.z if z is None else z
+        x = self.local(z, self.F if F is None else F)
+        v = self.local(z, self.F_dot if F_dot is None else F_dot)
+        f = np.zeros_like(x)
+        pairs, fluid = len(self.patch.fluid_pairs), self.patch.particles - self.patch.walls
+        forces.add_forces(
+            x, v, f, self.topology, self.constants, np.empty((pairs, TILE)),
+            np.empty((fluid, TILE)),
+        )  # fmt: skip
+        if fold:
+            forces.fold_images(f, self.topology)
+        return np.moveaxis(f[:, : self.patch.particles], -1, 0).swapaxes(1, 2)
+
+    def energy(self, z, F):
+        energy = np.empty(TILE)
+        forces.elastic_energy(self.local(z, F), self.topology, self.constants, energy)
+        return energy
+
+
+@pytest.fixture(params=["printed", "water"])
+def patch(request):
+    return Patch(request.param)
+
+
+def test_smoothing_kernel_integrates_to_one_and_its_slopes_are_its_derivatives():
+    h = 5.5
+    w, slope, curvature = (call_kernel(law) for law in (spline, spline_slope, spline_curvature))
+    at = lambda law, r: law(np.array([r]), h)[0]  # noqa: E731
+    total, _ = quad(lambda r: 2 * np.pi * r * at(w, r), 0, 2 * h, points=[h])
+    assert total == pytest.approx(1.0, abs=1e-12)
+    r = np.array([0.3, 2.0, 5.0, 6.0, 9.0, 10.9])
+    step = 1e-5
+    np.testing.assert_allclose(slope(r, h), (w(r + step, h) - w(r - step, h)) / (2 * step),
+                               rtol=1e-7, atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(curvature(r, h), (slope(r + step, h) - slope(r - step, h))
+                               / (2 * step), rtol=1e-7, atol=1e-12)  # fmt: skip
+    assert w(np.array([11.0, 12.0]), h).tolist() == [0.0, 0.0]
+
+
+def test_forces_are_those_of_the_twin(patch):
+    f = patch.forces()
+    for lane in range(3):
+        expected, *_ = patch.twin.evaluate(patch.z[lane], patch.F[lane], patch.F_dot[lane])
+        np.testing.assert_allclose(f[lane], expected, rtol=0, atol=1e-10 * abs(expected).max())
+
+
+def test_forces_sum_to_zero(patch):
+    f = patch.forces()
+    assert abs(f.sum(axis=1)).max() < 1e-12 * abs(f).max() * patch.patch.particles
+
+
+def test_force_is_minus_the_gradient_of_the_energy(patch):
+    f = patch.forces(F_dot=np.zeros_like(patch.F_dot))
+    step = 1e-4
+    for i in (0, 1, 5, 12, 19, 25, 34):
+        for axis in range(2):
+            shift = np.zeros_like(patch.z)
+            shift[:, i] = np.linalg.inv(patch.F)[:, :, axis] * step
+            slope = (
+                patch.energy(patch.z + shift, patch.F) - patch.energy(patch.z - shift, patch.F)
+            ) / (2 * step)
+            np.testing.assert_allclose(f[:, i, axis], -slope, rtol=0, atol=1e-6 * abs(f).max())
+
+
+@pytest.mark.parametrize("term", ["bonds", "contacts", "fluid_pairs"])
+def test_each_term_alone_is_a_gradient(patch, term):
+    empty = np.empty((0, 2), dtype=np.int32)
+    others = {"bonds", "contacts", "fluid_pairs"} - {term}
+    patch.topology = patch.topology._replace(**dict.fromkeys(others, empty))
+    if term != "fluid_pairs":
+        patch.constants = patch.constants._replace(sound_speed_squared=0.0)
+    patch.patch = replace(patch.patch, **dict.fromkeys(others, empty))
+    f = patch.forces(F_dot=np.zeros_like(patch.F_dot))
+    step = 1e-4
+    direction = np.random.default_rng(3).normal(size=patch.z.shape)
+    moved = np.einsum("lab,lpb->lpa", patch.F, direction)
+    slope = (
+        patch.energy(patch.z + step * direction, patch.F)
+        - patch.energy(patch.z - step * direction, patch.F)
+    ) / (2 * step)
+    work = (f * moved).sum(axis=(1, 2))
+    assert abs(work).min() > 0
+    np.testing.assert_allclose(-slope, work, rtol=0, atol=1e-6 * abs(work).max())
+
+
+def test_dashpots_only_dissipate(patch):
+    """Power of the velocity-dependent forces in an affine motion, pair by pair the same sign."""
+    moving = patch.forces(fold=False)
+    still = patch.forces(F_dot=np.zeros_like(patch.F_dot), fold=False)
+    assert abs(moving - still).max() > 1e-3
+    for lane in range(TILE):
+        args = patch.z[lane], patch.F[lane]
+        _, _, with_rate = patch.twin.evaluate(*args, patch.F_dot[lane])
+        _, _, without = patch.twin.evaluate(*args, np.zeros((2, 2)))
+        L = patch.F_dot[lane] @ np.linalg.inv(patch.F[lane])
+        assert np.sum((with_rate - without) * L) > 0
+
+
+def test_jacobian_and_load_are_the_derivatives_of_the_forces(patch):
+    z, F, F_dot = patch.z, patch.F, patch.F_dot
+    n = patch.patch.particles
+    J, load = np.empty((2 * n, 2 * n, TILE)), np.empty((2 * n, 8, TILE))
+    L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
+    identity = np.broadcast_to(np.eye(2), F.shape)
+    jacobian.force_jacobian(
+        patch.local(z, F), patch.local(z, F_dot), L, patch.local(z, identity), patch.topology,
+        patch.constants, J, load,
+    )  # fmt: skip
+    step = 1e-6
+    inverse = np.linalg.inv(F)
+    for column in range(0, 2 * n, 3):
+        i, axis = divmod(column, 2)
+        shift = np.zeros_like(z)
+        shift[:, i] = inverse[:, :, axis] * step
+        slope = (patch.forces(z + shift) - patch.forces(z - shift)) / (2 * step)
+        np.testing.assert_allclose(
+            J[:, column].T, slope.reshape(TILE, -1), rtol=0, atol=1e-6 * abs(J).max()
+        )
+    for column in range(8):
+        change = np.zeros((2, 2, 2))
+        change.ravel()[column] = 1e-7
+        up, down = (patch.forces(z, F + s * change[0], F_dot + s * change[1]) for s in (1, -1))
+        slope = (up - down).reshape(TILE, -1) / 2e-7
+        np.testing.assert_allclose(
+            load[:, column].T, slope, rtol=0, atol=1e-6 * abs(load[:, column]).max()
+        )
+
+
+def test_elastic_jacobian_is_symmetric(patch):
+    n = patch.patch.particles
+    J, load = np.empty((2 * n, 2 * n, TILE)), np.empty((2 * n, 8, TILE))
+    identity = np.broadcast_to(np.eye(2), patch.F.shape)
+    x = patch.local(patch.z, patch.F)
+    jacobian.force_jacobian(
+        x, np.zeros_like(x), np.zeros((2, 2, TILE)), patch.local(patch.z, identity),
+        patch.topology, patch.constants, J, load,
+    )  # fmt: skip
+    assert abs(J - J.swapaxes(0, 1)).max() < 1e-12 * abs(J).max()
+
+
+def test_packing_into_tiles_is_undone_by_unpacking():
+    values = np.random.default_rng(0).normal(size=(19, 2, 3))
+    tiles = pack(values)
+    assert tiles.shape == (3, 2, 3, TILE)
+    np.testing.assert_array_equal(unpack(tiles, 19), values)
+    np.testing.assert_array_equal(tiles[2, :, :, 7], values[18])

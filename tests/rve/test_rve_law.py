@@ -1,0 +1,280 @@
+"""What must hold of the RVE's stress: fixed point, symmetries, hyperelasticity, failures."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.stress_law import Status, describe
+from tests.plant_cell.twin import Twin
+
+SPREAD = {"printed": 0.08, "water": 0.04}
+PRESETS = tuple(SPREAD)
+
+
+@cache
+def law(preset, initialisation="constrained-runs", solver="direct", **settings):
+    return RveLaw(CellParameters.preset(preset), initialisation, solver, **settings)
+
+
+def deformations(preset, n=48, seed=0, corners=True):
+    """Random F (entries within SPREAD of I) and Ḟ (within 0.01/µs); some at the range's corners."""
+    rng = np.random.default_rng(seed)
+    F = rng.uniform(-1, 1, (n, 2, 2))
+    if corners:
+        F[: n // 4] = np.sign(F[: n // 4])
+    return np.eye(2) + SPREAD[preset] * F, 0.01 * rng.uniform(-1, 1, (n, 2, 2))
+
+
+def particles(answer, point):
+    """(n, 2) material positions of one point."""
+    tile, lane = divmod(point, 8)
+    return answer.state.z[tile, :, :, lane].T
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_direct_solve_rests_at_the_fixed_point_over_all_images(preset):
+    """Forces and stress by brute force over all images: no pair within a cut-off is missed."""
+    F, F_dot = deformations(preset)
+    answer = law(preset).respond(F, F_dot)
+    assert (answer.status == Status.OK).all()
+    twin = Twin(law(preset).cell, law(preset).rest_length)
+    for point in range(12):
+        f, _, stress = twin.evaluate(particles(answer, point), F[point], F_dot[point])
+        assert np.linalg.norm(f, axis=1).mean() < 1e-8
+        np.testing.assert_allclose(answer.stress[point], stress, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_direct_agrees_with_the_papers_iteration(preset):
+    F, F_dot = deformations(preset, n=4)
+    direct = law(preset).respond(F, F_dot)
+    iterated = law(preset, solver="iterated", stop=1e-8).respond(F, F_dot)
+    assert (iterated.status == Status.OK).all()
+    np.testing.assert_allclose(iterated.stress, direct.stress, rtol=0, atol=1e-6)
+    assert iterated.effort["force_evaluations"] > 1000 * direct.effort["force_evaluations"]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("initialisation", INITIALISATIONS)
+def test_symmetries(preset, initialisation):
+    F, F_dot = deformations(preset)
+    this = law(preset, initialisation)
+    stress = this.respond(F, F_dot).stress
+    c, s = np.cos(0.7), np.sin(0.7)
+    Q = np.array([[c, -s], [s, c]])
+    turned = this.respond(Q @ F, Q @ F_dot).stress
+    np.testing.assert_allclose(turned, Q @ stress @ Q.T, rtol=0, atol=1e-9)
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    for G in (quarter, quarter @ quarter, quarter.T):
+        np.testing.assert_allclose(this.respond(F @ G, F_dot @ G).stress, stress, rtol=0, atol=1e-9)
+    mirror = np.diag([1.0, -1.0])
+    for M in (mirror, -mirror, mirror @ quarter, quarter @ mirror):
+        there = this.respond(M @ F @ M, M @ F_dot @ M).stress
+        np.testing.assert_allclose(there, M @ stress @ M, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_answer_does_not_depend_on_the_warm_start(preset):
+    F, F_dot = deformations(preset)
+    cold = law(preset).respond(F, F_dot)
+    other = law(preset).respond(*deformations(preset, seed=9))
+    near = law(preset).respond(F * 1.002, F_dot * 0.9)
+    for start in (other, near):
+        warm = law(preset).respond(F, F_dot, start.state)
+        assert (warm.status == Status.OK).all()
+        np.testing.assert_allclose(warm.stress, cold.stress, rtol=0, atol=1e-8)
+
+
+def test_respond_is_pure():
+    F, F_dot = deformations("printed", n=11)
+    start = law("printed").respond(F, F_dot)
+    kept = {k: getattr(start.state, k).copy() for k in ("z", "lu", "slopes", "F", "iterations")}
+    far = law("printed").respond(F + 0.03, F_dot, start.state)
+    again = law("printed").respond(F + 0.03, F_dot, start.state)
+    np.testing.assert_array_equal(far.stress, again.stress)
+    assert far.effort["newton_solves"] > 0
+    for name, value in kept.items():
+        np.testing.assert_array_equal(getattr(start.state, name), value)
+
+
+def test_a_point_does_not_feel_its_neighbours_in_the_batch():
+    F, F_dot = deformations("printed", n=21)
+    together = law("printed").respond(F, F_dot).stress
+    alone = np.concatenate(
+        [law("printed").respond(F[i : i + 1], F_dot[i : i + 1]).stress for i in range(21)]
+    )
+    np.testing.assert_allclose(alone, together, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_elastic_stress_is_the_slope_of_the_relaxed_energy(preset):
+    """P = ∂W/∂F, with W the elastic energy per reference area at equilibrium."""
+    this = law(preset, "elastic")
+    twin = Twin(this.cell, this.rest_length)
+    F = deformations(preset, n=3)[0]
+    still = np.zeros((2, 2))
+    step = 1e-5
+
+    def energy(F):
+        answer = this.respond(F[None], still[None])
+        return twin.evaluate(particles(answer, 0), F, still)[1] / 625.0
+
+    for point in range(3):
+        sigma = this.respond(F[point][None], still[None]).stress[0]
+        P = np.linalg.det(F[point]) * sigma @ np.linalg.inv(F[point]).T
+        for a in range(2):
+            for b in range(2):
+                change = np.zeros((2, 2))
+                change[a, b] = step
+                slope = (energy(F[point] + change) - energy(F[point] - change)) / (2 * step)
+                assert P[a, b] == pytest.approx(slope, abs=2e-6 * abs(P).max())
+
+
+def test_constrained_runs_at_rest_is_the_elastic_equilibrium():
+    F, F_dot = deformations("water")
+    still = np.zeros_like(F_dot)
+    np.testing.assert_allclose(
+        law("water").respond(F, still).stress,
+        law("water", "elastic").respond(F, still).stress,
+        rtol=0,
+        atol=1e-8,
+    )
+
+
+def test_cauchy_born_is_the_affine_state_and_stiffer():
+    """Relaxation lowers the stored energy, so the affine shear stress is the larger."""
+    F = np.array([[[1.0, 0.1], [0.0, 1.0]]])
+    still = np.zeros_like(F)
+    this = law("printed", "cauchy-born")
+    stress = this.respond(F, still).stress[0]
+    twin = Twin(this.cell, this.rest_length)
+    _, _, expected = twin.evaluate(this.reference_position, F[0], still[0])
+    np.testing.assert_allclose(stress, expected, rtol=0, atol=1e-9)
+    assert stress[0, 1] > 1.02 * law("printed", "elastic").respond(F, still).stress[0, 0, 1] > 0
+
+
+def test_unstressed_at_rest():
+    F = np.broadcast_to(np.eye(2), (3, 2, 2))
+    for name in INITIALISATIONS:
+        assert abs(law("printed", name).respond(F, np.zeros_like(F)).stress).max() < 1e-9
+
+
+def test_shear_of_the_papers_figure_5_range_is_covered():
+    """F₁₂ up to 0.2: beyond the shortest contact list, which must notice and give way."""
+    F = np.eye(2) + np.array([[[0.0, a], [0.0, 0.0]] for a in (0.1, 0.2, 0.4)])
+    this = law("printed")
+    answer = this.respond(F, np.zeros_like(F))
+    twin = Twin(this.cell, this.rest_length)
+    for point in range(3):
+        f, _, _ = twin.evaluate(particles(answer, point), F[point], np.zeros((2, 2)))
+        assert np.linalg.norm(f, axis=1).mean() < 1e-8
+
+
+def test_unstable_equilibrium_is_reported_and_has_no_stress():
+    """model.md: at stretch 1.3 on one axis the symmetric equilibrium is unstable (`printed`)."""
+    F = np.array([np.eye(2), np.diag([1.35, 1.0]), 1.01 * np.eye(2)])
+    answer = law("printed").respond(F, np.zeros_like(F))
+    assert answer.status[0] == answer.status[2] == Status.OK
+    assert answer.status[1] == Status.UNSTABLE
+    assert "unstable" in describe(answer.status[1])
+    assert np.isnan(answer.stress[1]).all()
+    assert np.isfinite(answer.stress[[0, 2]]).all()
+
+
+def test_accept_finds_an_equilibrium_that_lost_stability_on_the_way():
+    """Stretched in small warm steps, no cold solve looks; accept has to."""
+    this, state, found = law("printed"), None, []
+    for stretch in np.linspace(1.0, 1.4, 81):
+        F = np.array([np.diag([stretch, 1.0])])
+        answer = this.respond(F, np.zeros_like(F), state)
+        accepted = this.accept(F, np.zeros_like(F), answer)
+        found.append(int(accepted.status[0]))
+        state = accepted.state
+        if found[-1] != Status.OK:
+            break
+    assert found[-1] == Status.UNSTABLE
+    assert set(found[:-1]) == {Status.OK}
+    assert 1.1 < stretch < 1.35
+
+
+def test_iteration_that_meets_its_limit_is_reported():
+    F, F_dot = deformations("printed", n=2)
+    this = law("printed", solver="iterated", stop=1e-8, max_iterations=50)
+    answer = this.respond(F, F_dot)
+    assert (answer.status == Status.NOT_CONVERGED).all()
+    assert np.isnan(answer.stress).all()
+
+
+def test_iterated_needs_the_number_of_steps_that_the_paper_reports():
+    """Section 6.1: from F = I to F₁₀ a few thousand steps, an increment of 0.01 hundreds."""
+    this = law("printed", solver="iterated")
+    shear = lambda a: np.array([[[1.0, a], [0.0, 1.0]]])  # noqa: E731
+    rate = np.array([[[0.0, 0.01], [0.0, 0.0]]])
+    far = this.respond(shear(0.1), rate)
+    near = this.respond(shear(0.11), rate, far.state)
+    assert 1000 < far.effort["force_evaluations"] < 10000
+    assert 50 < near.effort["force_evaluations"] < 1000
+
+
+def test_states_of_single_points_can_be_taken_and_put_back():
+    F, F_dot = deformations("printed", n=21)
+    answer = law("printed").respond(F, F_dot)
+    index = np.array([3, 20, 8])
+    part = law("printed").respond(F[index] * 1.001, F_dot[index], answer.state.take(index))
+    assert part.effort["newton_solves"] == 0
+    whole = answer.state.put(index, part.state)
+    np.testing.assert_array_equal(particles_of(whole, 20), particles_of(part.state, 1))
+    np.testing.assert_array_equal(particles_of(whole, 4), particles_of(answer.state, 4))
+
+
+def particles_of(state, point):
+    tile, lane = divmod(point, 8)
+    return state.z[tile, :, :, lane].T
+
+
+@pytest.mark.parametrize(
+    ("F", "F_dot", "message"),
+    [
+        (np.eye(2), np.eye(2), r"F: shape \(2, 2\); it must be \(n, 2, 2\)"),
+        (np.ones((3, 2, 2)), np.zeros((2, 2, 2)), "F_dot: shape"),
+        (np.diag([1.0, -1.0])[None], np.zeros((1, 2, 2)), r"F: det F = -1 at point 0; it must be"),
+        (np.zeros((1, 2, 2)), np.zeros((1, 2, 2)), "F: det F = 0 at point 0; it must be positive"),
+        (np.full((1, 2, 2), np.nan), np.zeros((1, 2, 2)), "F: not finite at point 0"),
+        (np.eye(2)[None], np.full((1, 2, 2), np.inf), "F_dot: not finite at point 0"),
+        ([["a", "b"], ["c", "d"]], np.zeros((1, 2, 2)), "F: not an array of numbers"),
+    ],
+)
+def test_bad_deformations_are_named(F, F_dot, message):
+    with pytest.raises(InputError, match=message) as caught:
+        law("printed").respond(F, F_dot)
+    assert "\n" not in str(caught.value)
+
+
+def test_foreign_state_is_refused():
+    F, F_dot = deformations("printed", n=4)
+    state = law("printed").respond(F, F_dot).state
+    with pytest.raises(InputError, match="state: not a state of an RveLaw for 3 points"):
+        law("printed").respond(F[:3], F_dot[:3], state)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"initialisation": "magic"}, "rve.initialisation: 'magic'; it must be one of"),
+        ({"solver": "guess"}, "rve.solver: 'guess'; it must be one of direct, iterated"),
+        ({"stop": -1.0}, "rve.stop: -1.0; it must be positive"),
+        ({"tolerence": 1e-8}, "rve: unknown setting among tolerence; known are"),
+    ],
+)
+def test_bad_settings_are_named(settings, message):
+    with pytest.raises(InputError, match=message):
+        RveLaw(CellParameters.preset("printed"), **settings)
+
+
+def test_no_points_no_stress():
+    answer = law("printed").respond(np.empty((0, 2, 2)), np.empty((0, 2, 2)))
+    assert answer.stress.shape == (0, 2, 2)
