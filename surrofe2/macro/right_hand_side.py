@@ -1,0 +1,168 @@
+"""The equations of motion as the first-order system that the time integration asks for."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.mesh import Bar
+from surrofe2.stress_law import Status, StressLaw, StressResponse, describe
+
+Array = NDArray[np.float64]
+
+N_STAGES = 6
+
+
+class TrialError(Exception):
+    """A trial state has no stress somewhere; the step that tried it must be shortened."""
+
+    def __init__(self, t: float, point: int, position: Array, F: Array, reason: str) -> None:
+        entries = ", ".join(f"[{row[0]:.6g}, {row[1]:.6g}]" for row in F)
+        super().__init__(
+            f"point {point} at ({position[0]:.6g}, {position[1]:.6g}) µm, t = {t:.6g} µs, "
+            f"F = [{entries}]: {reason}"
+        )
+        self.t = t
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """One right-hand side with everything that was computed on the way.
+
+    Attributes:
+        t: µs.
+        u, v: (n_free, 2) µm and µm/µs.
+        F, F_dot: (n_points, 2, 2); J: (n_points,) det F.
+        response: what the stress law answered.
+        powers: (2,) internal and load power, pJ/µs.
+    """
+
+    t: float
+    u: Array
+    v: Array
+    F: Array
+    F_dot: Array
+    J: Array
+    response: StressResponse
+    powers: Array
+
+
+@dataclass
+class Tally:
+    """What a run has cost so far."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    effort: Counter[str] = field(default_factory=Counter)
+    law_seconds: float = 0.0
+
+
+class RightHandSide:
+    """ẏ = f(t, y) with y = [u, v] of the free nodes: u̇ = v, v̇ = M⁻¹ (load − internal force).
+
+    Calling it changes nothing that a later call depends on: the state of the stress law moves
+    on only in `accept`.
+
+    Attributes:
+        last: the latest evaluation; after a step of Dormand–Prince, that of its end point.
+        recent_powers: (2,) powers of the latest six evaluations: after a step, those of its
+            stages 2 to 7.
+        calls: evaluations since it was last set to 0.
+    """
+
+    def __init__(
+        self, bar: Bar, law: StressLaw, amplitude_at: Callable[[float], float], tally: Tally
+    ) -> None:
+        self.bar = bar
+        self.law = law
+        self.amplitude_at = amplitude_at
+        self.tally = tally
+        self.last: Evaluation | None = None
+        self.recent_powers: deque[Array] = deque(maxlen=N_STAGES)
+        self.calls = 0
+        self._committed: Any = None
+
+    def __call__(self, t: float, y: Array) -> Array:
+        """(4 n_free,) rate of y; raises `TrialError` where there is no stress."""
+        self.calls += 1
+        self.tally.counts["right_hand_sides"] += 1
+        n_free = len(self.bar.free)
+        u, v = y.reshape(2, n_free, 2)
+        F, F_dot, J = deformation_gradient(self.bar, u, v)
+        if not J.min() > 0.0:
+            point = int(np.argmin(J > 0.0))
+            self._fail(t, point, F, f"det F = {J[point]:.6g}; the element is inverted there")
+        response = self._respond(t, F, F_dot)
+        internal = internal_force(self.bar, F, response.stress)
+        load = self.amplitude_at(t) * self.bar.load
+        powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
+        if not np.isfinite(powers[0]):
+            bad = ~np.isfinite(response.stress).all(axis=(1, 2))
+            self._fail(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
+        self.last = Evaluation(t, u, v, F, F_dot, J, response, powers)
+        self.recent_powers.append(powers)
+        rate = np.empty_like(y)
+        rate[: 2 * n_free] = y[2 * n_free :]
+        rate[2 * n_free :] = self.bar.solve_mass(load - internal).ravel()
+        return rate
+
+    def accept(self) -> None:
+        """Let the law commit its latest answer; raises `TrialError` if the law objects."""
+        last = self.evaluation
+        started = perf_counter()
+        acceptance = self.law.accept(last.F, last.F_dot, last.response)
+        self.tally.law_seconds += perf_counter() - started
+        self._check_status(last.t, last.F, acceptance.status)
+        self._committed = acceptance.state
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """The latest evaluation."""
+        if self.last is None:
+            raise InputError("right-hand side: nothing was evaluated yet; call it first")
+        return self.last
+
+    def dissipation_rate(self) -> float:
+        """∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV at the latest evaluation, pJ/µs; NaN without σ(F, 0).
+
+        The power of the stress in excess of the equilibrium stress at the same F, deviator and
+        pressure at their own points, which is the excess internal force times v.
+        """
+        last = self.evaluation
+        still = self._ask(last.F, np.zeros_like(last.F_dot))
+        self.tally.counts["dissipation_points"] += len(last.F)
+        if still.status.any():
+            self.tally.counts["dissipation_failures"] += 1
+            return float("nan")
+        excess = internal_force(self.bar, last.F, last.response.stress - still.stress)
+        return float(np.vdot(excess, last.v))
+
+    def _respond(self, t: float, F: Array, F_dot: Array) -> StressResponse:
+        response = self._ask(F, F_dot)
+        self.tally.counts["stress_calls"] += 1
+        self.tally.counts["stress_points"] += len(F)
+        self._check_status(t, F, response.status)
+        return response
+
+    def _ask(self, F: Array, F_dot: Array) -> StressResponse:
+        started = perf_counter()
+        response = self.law.respond(F, F_dot, self._committed)
+        self.tally.law_seconds += perf_counter() - started
+        for name, value in response.effort.items():
+            self.tally.effort[name] += int(value)
+        return response
+
+    def _check_status(self, t: float, F: Array, status: NDArray[np.int8]) -> None:
+        if status.any():
+            point = int(np.flatnonzero(status)[0])
+            self._fail(t, point, F, describe(status[point]))
+
+    def _fail(self, t: float, point: int, F: Array, reason: str) -> None:
+        raise TrialError(t, point, self.bar.point_position(point), F[point], reason)

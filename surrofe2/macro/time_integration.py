@@ -1,0 +1,156 @@
+"""Dormand–Prince 5(4) steps that a failing stress law can turn back.
+
+scipy's RK45 chooses and tries the steps; it is wrapped, never altered. A trial that has no stress
+leaves it through `TrialError`, before it has moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import RK45
+
+from surrofe2.errors import SimulationError
+from surrofe2.macro.right_hand_side import N_STAGES, Evaluation, RightHandSide, TrialError
+from surrofe2.macro.settings import MacroSettings
+
+Array = NDArray[np.float64]
+
+MAX_HALVINGS = 10
+
+# Where in the step the evaluations of one trial lie: stages 2 to 6, then the end point.
+_TIME_FRACTIONS = (*RK45.C[1:], 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """An accepted step from t_old to t.
+
+    Attributes:
+        y: (n,) state at t.
+        next_step: length proposed for the next step, µs.
+        interpolate: y at a time within the step, fourth order.
+        evaluation: the right-hand side at t. The method's last stage is the first of the next
+            step, so it costs nothing.
+        stage_powers: (7, 2) internal and load power at the seven stages.
+    """
+
+    t_old: float
+    t: float
+    y: Array
+    next_step: float
+    interpolate: Callable[[float], Array]
+    evaluation: Evaluation
+    stage_powers: Array
+
+    def work(self, t: float) -> Array:
+        """(2,) internal and load work from t_old to t, pJ.
+
+        The quadrature that the method itself would use were the work two more components of y
+        without a say in the error control: fifth order at the end of the step, fourth within.
+        """
+        length = self.t - self.t_old
+        theta = (t - self.t_old) / length
+        work: Array = length * (self.stage_powers.T @ RK45.P) @ theta ** np.arange(1, 5)
+        return work
+
+
+class Stepper:
+    """Accepted steps, one after another, from (t, y) to t_end."""
+
+    def __init__(
+        self,
+        right_hand_side: RightHandSide,
+        t: float,
+        y: Array,
+        t_end: float,
+        settings: MacroSettings,
+        first_step: float | None = None,
+    ) -> None:
+        self._right_hand_side = right_hand_side
+        self._settings = settings
+        self._t_end = t_end
+        right_hand_side(t, y)
+        right_hand_side.accept()
+        self.start = right_hand_side.evaluation
+        self._first_powers = self.start.powers
+        self._solver = self._restart(t, y, first_step)
+
+    @property
+    def next_step(self) -> float:
+        """Length proposed for the next step, µs."""
+        return float(self._solver.h_abs)
+
+    def advance(self) -> Step:
+        """The next accepted step.
+
+        Each failed trial halves the length that was tried. After ten halvings in a row
+        `TrialError` is passed on.
+        """
+        for halvings in range(MAX_HALVINGS + 1):
+            try:
+                return self._try_step(after_failure=halvings > 0)
+            except TrialError:
+                self._right_hand_side.tally.counts["failed_trials"] += 1
+                if halvings == MAX_HALVINGS:
+                    raise
+        raise AssertionError("unreachable")
+
+    def _try_step(self, after_failure: bool) -> Step:
+        solver, right_hand_side = self._solver, self._right_hand_side
+        t_old, y_old = solver.t, solver.y
+        right_hand_side.calls = 0
+        try:
+            message = solver.step()
+        except TrialError as failure:
+            self._count_rejected()
+            stage = (right_hand_side.calls - 1) % N_STAGES
+            solver.h_abs = 0.5 * (failure.t - t_old) / _TIME_FRACTIONS[stage]
+            raise
+        self._count_rejected()
+        if solver.status == "failed":
+            raise SimulationError(f"time integration stopped at t = {t_old:.6g} µs: {message}")
+        length = solver.t - t_old
+        try:
+            right_hand_side.accept()
+        except TrialError:
+            self._solver = self._restart(t_old, y_old, 0.5 * length)
+            raise
+        if after_failure:
+            # As after a step of too large an error, do not grow straight back into failure.
+            solver.h_abs = min(solver.h_abs, length)
+        step = Step(
+            t_old=t_old,
+            t=solver.t,
+            y=solver.y,
+            next_step=solver.h_abs,
+            interpolate=solver.dense_output(),
+            evaluation=right_hand_side.evaluation,
+            stage_powers=np.array([self._first_powers, *right_hand_side.recent_powers]),
+        )
+        self._first_powers = step.evaluation.powers
+        right_hand_side.tally.counts["steps"] += 1
+        return step
+
+    def _restart(self, t: float, y: Array, first_step: float | None) -> RK45:
+        """A solver that stands at (t, y); the law's committed state is where it was."""
+        if first_step is not None:
+            first_step = min(first_step, self._t_end - t) or None
+        return RK45(
+            self._right_hand_side,
+            t,
+            y,
+            self._t_end,
+            first_step=first_step,
+            max_step=self._settings.largest_step,
+            atol=self._settings.absolute_tolerance,
+            rtol=self._settings.relative_tolerance,
+        )
+
+    def _count_rejected(self) -> None:
+        """All trials of one step but the last were complete and too inaccurate."""
+        trials = (self._right_hand_side.calls - 1) // N_STAGES
+        self._right_hand_side.tally.counts["rejected_steps"] += trials

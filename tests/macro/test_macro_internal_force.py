@@ -1,0 +1,238 @@
+"""Space alone: kernels against plain twins, patch test, balances, symmetries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import skfem
+
+from surrofe2.load_case import LoadCase
+from surrofe2.macro.internal_force import (
+    deformation_gradient,
+    element_mean_stress,
+    internal_force,
+)
+from surrofe2.macro.kernels import deformation, nodal_forces, widen_extremes
+from surrofe2.macro.mesh import make_bar, make_bar_on, make_mesh
+from surrofe2.macro.right_hand_side import RightHandSide, Tally
+
+from .analytic_laws import KelvinVoigt, determinant
+
+LOAD_CASE = LoadCase(width=30.0, height=20.0, watched=(30.0, 10.0), body_force=(0.3, -0.2))
+
+
+def distorted_bar(rng, elements=(5, 4), density=0.08):
+    """Inner nodes moved at random: elements that are no rectangles."""
+    mesh = make_mesh(LOAD_CASE, elements)
+    nodes = mesh.p.copy()
+    inner = mesh.interior_nodes()
+    nodes[:, inner] += rng.uniform(-0.8, 0.8, (2, inner.size))
+    return make_bar_on(skfem.MeshQuad(nodes, mesh.t), LOAD_CASE, density)
+
+
+def unheld(bar):
+    """The same elements with no node held."""
+    return replace(bar, rows=bar.quads, free=np.arange(len(bar.nodes)))
+
+
+def random_state(bar, rng, size=0.5):
+    u, v = rng.uniform(-size, size, (2, len(bar.free), 2))
+    return u, v
+
+
+def deformation_twin(bar, u, v):
+    nodal_u, nodal_v = (bar.on_all_nodes(field)[bar.quads] for field in (u, v))
+    gradients = bar.quadrature.gradients
+    F = np.eye(2) + np.einsum("eai,eqaj->eqij", nodal_u, gradients)
+    F_dot = np.einsum("eai,eqaj->eqij", nodal_v, gradients)
+    return F.reshape(-1, 2, 2), F_dot.reshape(-1, 2, 2)
+
+
+def internal_force_twin(bar, F, stress):
+    """As it is written: current gradients F⁻ᵀ∇N, current areas det F w, dev and tr/2 apart."""
+    F, stress = F.reshape(-1, 5, 2, 2), stress.reshape(-1, 5, 2, 2)
+    current = np.einsum("eqaj,eqji->eqai", bar.quadrature.gradients, np.linalg.inv(F))
+    area = np.linalg.det(F) * bar.quadrature.weights
+    pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[:, :, None, None] * np.eye(2)
+    nodal = np.einsum("eq,eqij,eqaj->eai", area[:, :4], (stress - pressure)[:, :4], current[:, :4])
+    nodal += np.einsum("e,eij,eaj->eai", area[:, 4], pressure[:, 4], current[:, 4])
+    force = np.zeros_like(bar.nodes)
+    np.add.at(force, bar.quads, nodal)
+    return force[bar.free]
+
+
+def extremes_twin(F, F_dot):
+    U, RT_F_dot = np.empty_like(F), np.empty_like(F)
+    for p in range(len(F)):
+        left, _, right = np.linalg.svd(F[p])
+        R = left @ right
+        U[p], RT_F_dot[p] = R.T @ F[p], R.T @ F_dot[p]
+    values = np.stack([F, F_dot, U, RT_F_dot])
+    return values.min(axis=1), values.max(axis=1)
+
+
+def test_deformation_kernel_agrees_with_its_twin(rng):
+    bar = distorted_bar(rng)
+    u, v = random_state(bar, rng)
+    F, F_dot, J = deformation(bar.rows, bar.quadrature.gradients, u, v)
+    expected_F, expected_rate = deformation_twin(bar, u, v)
+    np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(F_dot, expected_rate, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(J, determinant(expected_F), rtol=0, atol=1e-13)
+
+
+def test_force_kernel_agrees_with_its_twin(rng):
+    bar = distorted_bar(rng)
+    F, _, _ = deformation_gradient(bar, *random_state(bar, rng))
+    stress = rng.normal(size=F.shape)
+    force = nodal_forces(
+        bar.rows, bar.quadrature.gradients, bar.quadrature.weights, F, stress, len(bar.free)
+    )
+    expected = internal_force_twin(bar, F, stress)
+    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-12 * abs(expected).max())
+
+
+def test_extremes_kernel_agrees_with_its_twin(rng):
+    F = np.eye(2) + rng.uniform(-0.4, 0.4, (50, 2, 2))
+    F_dot = rng.normal(size=F.shape)
+    lowest, highest = np.full((4, 2, 2), np.inf), np.full((4, 2, 2), -np.inf)
+    widen_extremes(lowest, highest, F[:20], F_dot[:20])
+    widen_extremes(lowest, highest, F[20:], F_dot[20:])
+    expected_low, expected_high = extremes_twin(F, F_dot)
+    np.testing.assert_allclose(lowest, expected_low, atol=1e-12)
+    np.testing.assert_allclose(highest, expected_high, atol=1e-12)
+
+
+def test_kernels_may_not_assume_that_there_is_no_nan():
+    for kernel in (deformation, nodal_forces, widen_extremes):
+        flags = kernel.targetoptions["fastmath"]
+        assert flags <= {"nsz", "arcp", "contract", "afn", "reassoc"}
+
+
+def test_kernels_keep_nan(rng):
+    """What comes in as NaN must not leave as a number that passes for a deformation."""
+    bar = make_bar(LOAD_CASE, (2, 2), 0.08)
+    u, v = random_state(bar, rng)
+    u[0, 0] = np.nan
+    F, _, J = deformation_gradient(bar, u, v)
+    assert np.isnan(F).any()
+    assert np.isnan(J).any()
+    assert not J.min() > 0.0
+
+
+def test_patch_of_distorted_elements_carries_a_homogeneous_deformation(rng):
+    """u = a x fits the held side: F is the same at all points, inner nodes are in equilibrium,
+    and the right side carries the traction P e₁ (patch test)."""
+    bar, law = distorted_bar(rng), KelvinVoigt()
+    slope, rate = np.array([0.12, -0.2]), np.array([0.05, 0.1])
+    x = bar.nodes[bar.free, :1]
+    F, F_dot, J = deformation_gradient(bar, x * slope, x * rate)
+    expected_F = np.eye(2) + np.outer(slope, [1.0, 0.0])
+    np.testing.assert_allclose(F, np.broadcast_to(expected_F, F.shape), atol=1e-13)
+    stress = law.respond(F, F_dot).stress
+    force = bar.on_all_nodes(internal_force(bar, F, stress))
+
+    # J σ F⁻ᵀ with ∇N summed over the side's nodes gives the traction resultant.
+    P = J[0] * stress[0] @ np.linalg.inv(expected_F).T
+    width, height = LOAD_CASE.width, LOAD_CASE.height
+    scale = abs(P).max() * height
+    inner = (bar.nodes > 0.0).all(axis=1) & (bar.nodes < [width, height]).all(axis=1)
+    np.testing.assert_allclose(force[inner], 0.0, atol=1e-13 * scale)
+    right = bar.nodes[:, 0] == width
+    corners = right & np.isin(bar.nodes[:, 1], [0.0, height])
+    side = force[right & ~corners].sum(axis=0)
+    n_edges = right.sum() - 1
+    np.testing.assert_allclose(side, P[:, 0] * height * (1 - 1 / n_edges), rtol=1e-12)
+    np.testing.assert_allclose(
+        element_mean_stress(bar, J, stress), np.broadcast_to(stress[0], (20, 2, 2)), rtol=1e-12
+    )
+
+
+def test_rotating_unheld_body_feels_no_force(rng):
+    bar, law = unheld(distorted_bar(rng)), KelvinVoigt()
+    c, s, spin = np.cos(0.7), np.sin(0.7), 0.3
+    Q = np.array([[c, -s], [s, c]])
+    x = bar.nodes @ Q.T
+    v = spin * x @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    F, F_dot, _ = deformation_gradient(bar, x - bar.nodes, v)
+    force = internal_force(bar, F, law.respond(F, F_dot).stress)
+    assert abs(force).max() < 1e-12 * law.shear_modulus * LOAD_CASE.height
+    # The same motion does make a force where the law minds: it is not zero for lack of stress.
+    F, F_dot, _ = deformation_gradient(bar, 1.1 * x - bar.nodes, v)
+    assert abs(internal_force(bar, F, law.respond(F, F_dot).stress)).max() > 1.0
+
+
+def test_forces_of_unheld_body_balance_and_their_virial_is_the_stress(rng):
+    """Σ f = 0, and Σ f ⊗ x = Σ_Gauss dv dev σ + Σ_centre dv tr(σ)/2 I, σ unsymmetric."""
+    bar = unheld(distorted_bar(rng))
+    u, v = random_state(bar, rng)
+    F, _, J = deformation_gradient(bar, u, v)
+    stress = rng.normal(size=F.shape)
+    force = internal_force(bar, F, stress)
+    assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).sum()
+    area = (J.reshape(-1, 5) * bar.quadrature.weights)[..., None, None]
+    stress = stress.reshape(-1, 5, 2, 2)
+    pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[..., None, None] * np.eye(2)
+    expected = (area * (stress - pressure))[:, :4].sum(axis=(0, 1)) + (area * pressure)[:, 4].sum(0)
+    np.testing.assert_allclose(force.T @ (bar.nodes + u), expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_load_power_is_kinetic_rate_plus_internal_power(seed):
+    """v·M a + Σ dev σ : L dv + Σ tr(σ)/2 tr L dv = load·v, dev at Gauss points, tr at centres."""
+    rng = np.random.default_rng(seed)
+    bar, law = distorted_bar(rng), KelvinVoigt()
+    u, v = random_state(bar, rng)
+    right_hand_side = RightHandSide(bar, law, lambda t: 0.7, Tally())
+    rate = right_hand_side(0.0, np.concatenate([u.ravel(), v.ravel()]))
+    np.testing.assert_array_equal(rate[: v.size], v.ravel())
+    acceleration = rate[v.size :].reshape(v.shape)
+    kinetic_rate = np.vdot(v, bar.mass @ acceleration)
+    load_power = 0.7 * np.vdot(bar.load, v)
+
+    F, F_dot = deformation_twin(bar, u, v)
+    L = (F_dot @ np.linalg.inv(F)).reshape(-1, 5, 2, 2)
+    stress = law.respond(F, F_dot).stress.reshape(-1, 5, 2, 2)
+    area = determinant(F).reshape(-1, 5) * bar.quadrature.weights
+    trace_L, pressure = (np.trace(A, axis1=2, axis2=3) for A in (L, 0.5 * stress))
+    power = np.einsum("eqij,eqij->eq", stress, L) - pressure * trace_L
+    internal_power = (area * power)[:, :4].sum() + (area * pressure * trace_L)[:, 4].sum()
+
+    scale = abs(kinetic_rate) + abs(internal_power)
+    assert abs(load_power - kinetic_rate - internal_power) < 1e-10 * scale
+    np.testing.assert_allclose(
+        right_hand_side.evaluation.powers, [internal_power, load_power], rtol=1e-10
+    )
+
+
+def test_mass_and_load_are_consistent(rng):
+    """½ v·M v for v = x is ρ H W³/6 exactly, and load·v for v = x is ρ g H W²/2."""
+    bar = distorted_bar(rng, density=0.11)
+    width, height = LOAD_CASE.width, LOAD_CASE.height
+    x = bar.nodes[bar.free, 0]
+    assert 0.5 * x @ bar.mass @ x == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
+    expected = 0.11 * np.array(LOAD_CASE.body_force) * height * width**2 / 2.0
+    np.testing.assert_allclose(x @ bar.load, expected, rtol=1e-12)
+    field = rng.normal(size=(len(bar.free), 2))
+    np.testing.assert_allclose(bar.mass @ bar.solve_mass(field), field, atol=1e-12)
+
+
+def test_watched_point_between_nodes_is_interpolated(rng):
+    bar = make_bar(replace(LOAD_CASE, watched=(13.0, 7.3)), (5, 3), 0.08)
+    x, y = bar.nodes[bar.free].T
+    field = np.stack([2.0 * x + 0.3 * x * y, -x * y], axis=1)
+    expected = [2.0 * 13.0 + 0.3 * 13.0 * 7.3, -13.0 * 7.3]
+    np.testing.assert_allclose(bar.at_watched_point(field), expected, rtol=1e-12)
+
+
+def test_point_position_is_where_the_point_is(rng):
+    bar = distorted_bar(rng)
+    x = bar.nodes[bar.free]
+    F, _, _ = deformation_gradient(bar, np.stack([0.5e-3 * x[:, 0] ** 2, 0 * x[:, 0]], 1), 0 * x)
+    centre = bar.point_position(5 * 7 + 4)
+    np.testing.assert_allclose(centre, bar.nodes[bar.quads[7]].mean(axis=0), rtol=1e-12)
+    gauss = np.array([bar.point_position(5 * 7 + q) for q in range(4)])
+    np.testing.assert_allclose(gauss.mean(axis=0), centre, rtol=1e-12)
+    # Neighbouring elements' order: F₁₁ grows with x, so it ranks points as their positions do.
+    positions = np.array([bar.point_position(p) for p in range(bar.n_points)])
+    assert np.corrcoef(F[:, 0, 0], positions[:, 0])[0, 1] > 0.97

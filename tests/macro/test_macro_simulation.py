@@ -1,0 +1,337 @@
+"""The run around the equations: turned-back steps, ends, resumption, results, settings."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.macro.mesh import make_bar
+from surrofe2.macro.right_hand_side import RightHandSide, Tally
+from surrofe2.macro.time_integration import Stepper
+from surrofe2.stress_law import Status
+
+from .analytic_laws import Failing, KelvinVoigt
+
+LOAD_CASE = LoadCase(
+    width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.25
+)
+SETTINGS = MacroSettings(elements=(2, 3), frames=13)
+
+
+class Stop(KeyboardInterrupt):
+    """Only ours, so that a real interrupt still ends the tests."""
+
+
+class FailsAtQuestions:
+    """Answers NaN with a status at the questions whose number (from 0) is listed."""
+
+    def __init__(self, numbers):
+        self.inner, self.numbers, self.asked = KelvinVoigt(), set(numbers), -1
+        self.density = self.inner.density
+
+    def respond(self, F, F_dot, state=None):
+        self.asked += 1
+        answer = self.inner.respond(F, F_dot, state)
+        if self.asked in self.numbers:
+            answer.status[3] = Status.NOT_CONVERGED
+            answer.stress[3] = np.nan
+        return answer
+
+    def accept(self, F, F_dot, response):
+        return self.inner.accept(F, F_dot, response)
+
+
+def stepper_of(law, first_step=0.4):
+    bar = make_bar(LOAD_CASE, (2, 3), law.density)
+    right_hand_side = RightHandSide(bar, law, LOAD_CASE.amplitude_at, Tally())
+    y = np.zeros(4 * len(bar.free))
+    loose = replace(SETTINGS, absolute_tolerance=1e3)
+    return Stepper(right_hand_side, 0.0, y, 6.0, loose, first_step), right_hand_side.tally
+
+
+def test_step_whose_trial_fails_is_repeated_at_half_its_length():
+    # Questions 0 and 1 are at the start; 2 to 7 are the first step's.
+    for question in (2, 5, 7):
+        stepper, tally = stepper_of(FailsAtQuestions([question]))
+        step = stepper.advance()
+        assert step.t == pytest.approx(0.2, rel=1e-12), question
+        # Having failed, it does not grow at once.
+        assert step.next_step == pytest.approx(0.2, rel=1e-12)
+        assert tally.counts["failed_trials"] == 1
+        assert stepper.advance().t == pytest.approx(0.4, rel=1e-12)
+
+
+def test_unfailing_step_has_its_length_and_grows():
+    stepper, tally = stepper_of(FailsAtQuestions([]))
+    step = stepper.advance()
+    assert step.t == pytest.approx(0.4, rel=1e-12)
+    assert step.next_step > 0.5
+    assert tally.counts["failed_trials"] == 0
+
+
+def test_failing_trials_leave_the_motion_as_it_is():
+    law = KelvinVoigt()
+    settings = replace(SETTINGS, absolute_tolerance=1e-8, relative_tolerance=1e-8)
+    whole = simulate(LOAD_CASE, law, settings)
+    failing = simulate(LOAD_CASE, FailsAtQuestions(range(20, 400, 17)), settings)
+    assert failing.counts["failed_trials"] > 5
+    np.testing.assert_allclose(failing.curve.displacement, whole.curve.displacement, atol=1e-6)
+    for name in ("load", "internal"):
+        np.testing.assert_allclose(
+            failing.energies[name], whole.energies[name], atol=1e-6 * whole.energies["load"].max()
+        )
+
+
+def test_step_whose_end_the_law_refuses_is_taken_back():
+    accepted = []
+
+    def second(F, F_dot):
+        accepted.append(F)
+        return np.full(len(F), len(accepted) == 2)
+
+    stepper, tally = stepper_of(Failing(KelvinVoigt(), refuses=second))
+    plain, _ = stepper_of(KelvinVoigt(), first_step=0.2)
+    step, expected = stepper.advance(), plain.advance()
+    assert tally.counts["failed_trials"] == 1
+    assert step.t_old == 0.0
+    assert step.t == pytest.approx(0.2, rel=1e-12)
+    np.testing.assert_allclose(step.y, expected.y, rtol=1e-10, atol=1e-14)
+    np.testing.assert_allclose(step.work(step.t), expected.work(step.t), rtol=1e-10)
+
+
+def test_refused_steps_leave_the_motion_as_it_is():
+    """The law refuses a few ends of steps once the bar has picked up speed."""
+    law = KelvinVoigt()
+    refused = []
+
+    def too_far(F, F_dot):
+        moving = abs(F_dot).max() > 0.008 and len(refused) < 3
+        if moving:
+            refused.append(True)
+        return np.full(len(F), moving)
+
+    whole = simulate(LOAD_CASE, law, SETTINGS)
+    run = simulate(LOAD_CASE, Failing(law, refuses=too_far), SETTINGS)
+    assert len(refused) == run.counts["failed_trials"] == 3
+    assert run.finished
+    scale = abs(whole.curve.displacement).max()
+    np.testing.assert_allclose(run.curve.displacement, whole.curve.displacement, atol=5e-3 * scale)
+
+
+@pytest.mark.parametrize("role", ["fails", "refuses"])
+def test_ten_halvings_end_the_run_with_what_was_computed(role):
+    def sheared(F, F_dot):
+        return abs(F[:, 1, 0]) > 0.03
+
+    law = Failing(KelvinVoigt(), code=Status.UNSTABLE, **{role: sheared})
+    with pytest.raises(SimulationError, match="10 halvings") as caught:
+        simulate(LOAD_CASE, law, SETTINGS)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in ("point ", "µm, t = ", "F = [[", "unstable"):
+        assert part in message
+    partial = caught.value.partial
+    assert not partial.finished
+    assert partial.counts["failed_trials"] >= 11
+    whole = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS)
+    rows = partial.curve.t.size
+    assert 3 < rows < whole.curve.t.size
+    scale = abs(whole.curve.displacement).max()
+    np.testing.assert_allclose(
+        partial.curve.displacement, whole.curve.displacement[:rows], atol=5e-3 * scale
+    )
+    assert np.isfinite(partial.energies["dissipated"]).all()
+    assert abs(partial.met.F[0][1, 0]) <= 0.03
+
+
+def test_law_that_fails_at_the_start_is_named():
+    law = Failing(KelvinVoigt(), fails=lambda F, F_dot: np.arange(len(F)) == 7)
+    with pytest.raises(SimulationError, match=r"cannot start: point 7 at .* did not converge"):
+        simulate(LOAD_CASE, law, SETTINGS)
+
+
+def test_inverted_element_is_a_failed_trial():
+    """A load so sudden that a step would turn elements inside out."""
+    soft = KelvinVoigt(shear_modulus=1e-3, lame=1e-3, shear_viscosity=0.0, bulk_viscosity=0.0)
+    settings = replace(SETTINGS, absolute_tolerance=1e6, relative_tolerance=1e6)
+    with pytest.raises(SimulationError, match=r"det F = -.*inverted"):
+        simulate(replace(LOAD_CASE, body_force=(-3.0, 0.0)), soft, settings)
+
+
+def test_stress_that_is_not_finite_is_a_failed_trial():
+    class Careless(KelvinVoigt):
+        def stress(self, F, F_dot):
+            stress = super().stress(F, F_dot)
+            stress[abs(F[:, 1, 0]) > 0.01] = np.nan
+            return stress
+
+    with pytest.raises(SimulationError, match="NaN or infinite"):
+        simulate(LOAD_CASE, Careless(), SETTINGS)
+
+
+def test_interrupted_run_resumes_as_if_nothing_had_happened():
+    whole = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS)
+    states = []
+
+    def stop_at(t, duration):
+        assert duration == LOAD_CASE.duration
+        if t > 2.6:
+            raise Stop
+
+    with pytest.raises(Stop):
+        simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, progress=stop_at, checkpoint=states.append)
+    (state,) = states
+    assert 2.6 < state.t < 4.0
+    resumed = simulate(
+        LOAD_CASE, KelvinVoigt(), SETTINGS, resume=MacroState.from_arrays(state.to_arrays())
+    )
+    for name, expected in whole.energies.items():
+        np.testing.assert_allclose(resumed.energies[name], expected, atol=1e-12, err_msg=name)
+    np.testing.assert_array_equal(resumed.curve.t, whole.curve.t)
+    np.testing.assert_allclose(resumed.curve.displacement, whole.curve.displacement, atol=1e-12)
+    for item in fields(whole.frames):
+        np.testing.assert_allclose(
+            getattr(resumed.frames, item.name), getattr(whole.frames, item.name), atol=1e-12
+        )
+    np.testing.assert_allclose(resumed.met.F_dot, whole.met.F_dot, atol=1e-12)
+    assert resumed.counts["steps"] == whole.counts["steps"]
+    assert resumed.counts["stress_points"] > whole.counts["stress_points"]
+    assert resumed.wall_time["total"] > state.wall_time["total"]
+
+
+def test_interrupt_within_the_law_leaves_the_last_whole_step():
+    class Interrupting(KelvinVoigt):
+        asked = 0
+
+        def respond(self, F, F_dot, state=None):
+            self.asked += 1
+            if self.asked == 60:
+                raise Stop
+            return super().respond(F, F_dot, state)
+
+    states = []
+    with pytest.raises(Stop):
+        simulate(LOAD_CASE, Interrupting(), SETTINGS, checkpoint=states.append)
+    resumed = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, resume=states[0])
+    whole = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS)
+    np.testing.assert_allclose(resumed.curve.displacement, whole.curve.displacement, atol=1e-12)
+
+
+def test_checkpoints_come_with_every_step_when_asked_and_seldom_by_default():
+    often, seldom = [], []
+    run = simulate(
+        LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=often.append, checkpoint_interval=0.0
+    )
+    simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=seldom.append)
+    assert len(often) == run.counts["steps"]
+    assert seldom == []
+    assert often[0].output_t.size < often[-1].output_t.size
+    finished = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, resume=often[-1])
+    np.testing.assert_array_equal(finished.curve.displacement, run.curve.displacement)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"width": 61.0}, "mesh"),
+        ({"body_force": (0.0, -0.1)}, "load"),
+        ({"amplitude": ((0.0, 1.0), (1.0, 1.0))}, "amplitude"),
+        ({"output_interval": 0.2}, "output times"),
+    ],
+)
+def test_checkpoint_of_another_run_is_refused(change, name):
+    states = []
+    simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
+    with pytest.raises(MismatchError, match=name):
+        simulate(replace(LOAD_CASE, **change), KelvinVoigt(), SETTINGS, resume=states[8])
+
+
+def test_incomplete_checkpoint_is_refused():
+    states = []
+    simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
+    arrays = states[0].to_arrays()
+    assert all(isinstance(value, np.ndarray) for value in arrays.values())
+    del arrays["frame_stress"]
+    with pytest.raises(InputError, match="frame_stress"):
+        MacroState.from_arrays(arrays)
+
+
+def test_results_belong_together():
+    law = KelvinVoigt()
+    run = simulate(LOAD_CASE, law, SETTINGS)
+    counts, n_points = run.counts, 5 * 6
+    assert counts["right_hand_sides"] == counts["stress_calls"]
+    assert counts["stress_points"] == counts["stress_calls"] * n_points
+    # start: one evaluation of ours, two of scipy's choice of the first step.
+    tried = counts["steps"] + counts["rejected_steps"]
+    assert counts["right_hand_sides"] == 6 * tried + 3
+    assert 0 < counts["dissipation_points"] <= n_points * counts["steps"]
+    assert run.effort["evaluations"] == counts["stress_points"] + counts["dissipation_points"]
+    wall = run.wall_time
+    assert wall["law"] > 0.0
+    assert wall["total"] == pytest.approx(wall["law"] + wall["macro"])
+    assert run.threads >= 1
+
+    frames = run.frames
+    assert frames.t[0] == 0.0
+    assert frames.t[-1] == LOAD_CASE.duration
+    assert frames.t.size <= SETTINGS.frames
+    assert (np.diff(frames.t) > 0.0).all()
+    corners = run.nodes[run.quads]
+    along, up = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+    assert (along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0] > 0.0).all(), "counter-clockwise"
+    held = run.nodes[:, 0] == 0.0
+    assert not frames.displacement[:, held].any()
+    # The watched point lies between two nodes of the right side.
+    watched = np.isin(run.nodes, [60.0]).any(axis=1) & (abs(run.nodes[:, 1] - 20.0) < 7.0)
+    last = frames.displacement[-1, watched].mean(axis=0)
+    np.testing.assert_allclose(last, run.curve.displacement[-1], rtol=1e-10)
+    gradient = np.diff(frames.displacement[-1, run.quads][:, [0, 1]], axis=1)[:, 0]
+    gradient += np.diff(frames.displacement[-1, run.quads][:, [3, 2]], axis=1)[:, 0]
+    np.testing.assert_allclose(frames.F[-1, :, :, 0], [1, 0] + gradient / (2 * 30.0), atol=1e-12)
+    assert frames.stress.shape == (frames.t.size, 6, 2, 2)
+
+    low, high = run.met.stretch
+    assert low < 1.0 < high
+    assert run.met.F[0][0, 0] <= frames.F[..., 0, 0].min()
+    assert run.met.rate >= np.abs(run.met.RT_F_dot).max() * (1 - 1e-12)
+    assert 0.0 < run.met.shear < 0.2
+
+
+def test_dissipation_can_be_left_out():
+    run = simulate(LOAD_CASE, KelvinVoigt(), replace(SETTINGS, record_dissipation=False))
+    assert run.counts["dissipation_points"] == 0
+    assert np.isnan(run.energies["dissipated"][1:]).all()
+    assert np.isfinite(run.energies["balance"]).all()
+
+
+def test_last_output_time_survives_rounding():
+    """0.1 × 3 is more than 0.3."""
+    load_case = replace(LOAD_CASE, duration=0.3, output_interval=0.1)
+    assert load_case.output_times()[-1] > 0.3
+    run = simulate(load_case, KelvinVoigt(), SETTINGS)
+    assert run.curve.t.size == 4
+    assert run.curve.displacement[-1, 1] < run.curve.displacement[-2, 1] < 0.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"elements": (4, 0)},
+        {"elements": (4.0, 4)},
+        {"elements": 4},
+        {"absolute_tolerance": 0.0},
+        {"relative_tolerance": float("nan")},
+        {"relative_tolerance": 0.0},
+        {"largest_step": 0.0},
+        {"largest_step": float("nan")},
+        {"frames": 1},
+        {"record_dissipation": 1},
+    ],
+)
+def test_settings_out_of_range_are_refused(change):
+    with pytest.raises(InputError, match=rf"macro\.{next(iter(change))}: .*must be"):
+        MacroSettings(**change)
