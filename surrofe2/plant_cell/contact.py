@@ -11,46 +11,41 @@ for n·w.
 
 from __future__ import annotations
 
-import numpy as np
-
-from surrofe2.plant_cell.lanes import pair_law
+from surrofe2.compilation import pair_law
+from surrofe2.plant_cell.simd import inverse_root, where_less
 
 
 @pair_law
-def contact_force(length, rate, c):
-    """Tension [µN] at |r| = `length` (µm), n·w = `rate` (µm/µs)."""
-    inverse = 1.0 / length
-    inverse_2 = inverse * inverse
-    inverse_6 = inverse_2 * inverse_2 * inverse_2
+def contact_force(length, inverse, rate, c):
+    """Tension [µN] at |r| = `length`, its reciprocal `inverse`, n·w = `rate`; µm, µm/µs."""
+    inverse_3 = inverse * inverse * inverse
+    inverse_6 = inverse_3 * inverse_3
     beyond = 1.0 / c.cutoff**6
-    square = length * length
-    fade = square * square * square * beyond
-    damping = c.contact_damping * inverse_2 * inverse * np.sqrt(inverse) * (1.0 - fade)
+    cube = length * length * length
+    damping = c.contact_damping * inverse_3 * inverse_root(length) * (1.0 - cube * cube * beyond)
     tension = damping * rate - c.repulsion * (inverse_6 - beyond)
-    return tension if length < c.cutoff else 0.0
+    return where_less(length, c.cutoff, tension, 0.0)
 
 
 @pair_law
-def contact_slopes(length, rate, c):
+def contact_slopes(length, inverse, rate, c):
     """(∂t/∂|r|, ∂t/∂(n·w)) of the tension."""
-    inverse = 1.0 / length
-    inverse_2 = inverse * inverse
-    inverse_6 = inverse_2 * inverse_2 * inverse_2
-    beyond = 1.0 / c.cutoff**6
-    critical = c.contact_damping * inverse_2 * inverse * np.sqrt(inverse)
-    square = length * length
-    fade = square * square * square * beyond
+    inverse_3 = inverse * inverse * inverse
+    cube = length * length * length
+    fade = cube * cube * (1.0 / c.cutoff**6)
+    critical = c.contact_damping * inverse_3 * inverse_root(length)
     damping = critical * (1.0 - fade)
     damping_slope = critical * inverse * (-3.5 * (1.0 - fade) - 6.0 * fade)
-    slope = damping_slope * rate + 6.0 * c.repulsion * inverse_6 * inverse
-    inside = length < c.cutoff
-    return slope if inside else 0.0, damping if inside else 0.0
+    slope = damping_slope * rate + 6.0 * c.repulsion * inverse_3 * inverse_3 * inverse
+    inside_slope = where_less(length, c.cutoff, slope, 0.0)
+    return inside_slope, where_less(length, c.cutoff, damping, 0.0)
 
 
 @pair_law
-def contact_energy(length, c):
+def contact_energy(length, inverse, c):
     """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
+    inverse_5 = inverse * inverse * inverse * inverse * inverse
     energy = c.repulsion * (
-        0.2 / length**5 + length / c.cutoff**6 - 1.2 / c.cutoff**5
+        0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5
     )
-    return energy if length < c.cutoff else 0.0
+    return where_less(length, c.cutoff, energy, 0.0)

@@ -11,7 +11,7 @@ of Σ m c_s² ln ρ_i.
 
 from __future__ import annotations
 
-from surrofe2.plant_cell.lanes import pair_law
+from surrofe2.compilation import pair_law
 
 
 @pair_law

@@ -1,32 +1,23 @@
-"""How kernels are compiled and how their arrays lie: plant cells as SIMD lanes.
+"""How the arrays of kernels lie: plant cells as SIMD lanes, and what kernels need to know.
 
-Structure of arrays, cells last. Cells of one topology share the pair lists, so the innermost
-loop runs over cells with neither gather nor branch::
+Structure of arrays, cells last, in tiles of `TILE` cells. Cells of one topology share the pair
+lists, so a pair is computed for a whole tile at once with neither gather nor branch::
 
-    x[axis, particle, lane]     axis 0, 1     particle: own 0..n-1, then images     lane: a cell
+    x[tile, axis, particle, lane]    axis: 0, 1    particle: own 0..n-1, then images    lane: a cell
 
-Stored arrays come in tiles of `TILE` cells, ``(tiles, …, TILE)``; a kernel that works on several
-tiles at once copies them into one workspace with more lanes.
+Within kernels, arrays of one tile lack the first index.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.geometry import Patch
 from surrofe2.plant_cell.parameters import CellParameters
-
-TILE = 8
-FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
-
-kernel = numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-pair_law = numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-parallel_kernel = numba.njit(cache=True, error_model="numpy", fastmath=FAST, parallel=True)
-
+from surrofe2.plant_cell.simd import TILE
 
 class Constants(NamedTuple):
     """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng)."""

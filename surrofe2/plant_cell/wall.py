@@ -9,19 +9,13 @@ The paper prints γ x·v, which critical damping contradicts, with the sign of x
 
 from __future__ import annotations
 
-from surrofe2.plant_cell.lanes import pair_law
+from surrofe2.compilation import pair_law
 
 
 @pair_law
 def wall_force(length, rate, c):
     """Tension [µN] of a bond of length |r| (µm) that stretches at n·w = `rate` (µm/µs)."""
     return c.wall_stiffness * (length - c.rest_length) + c.wall_damping * rate
-
-
-@pair_law
-def wall_slopes(c):
-    """(∂f/∂|r|, ∂f/∂(n·w)) of the tension."""
-    return c.wall_stiffness, c.wall_damping
 
 
 @pair_law

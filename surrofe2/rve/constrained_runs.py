@@ -11,15 +11,17 @@ import numba
 import numpy as np
 
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.lanes import TILE, kernel, parallel_kernel
-from surrofe2.rve.micro_state import cauchy_stress, local_forces, mean_force
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.rve.micro_state import cauchy_stress, local_forces, make_workspace, mean_force
 
 
 @parallel_kernel
 def iterate(F, rate, x, v, mass, topology, c, area, dt, stop, limit, stress, residual, iterations):
     """Iterate x, v (tiles, 2, own, TILE) in place until the mean force is below `stop` (µN).
 
-    iterations (tiles, TILE): Euler steps taken, or −1 where `limit` was reached.
+    iterations (tiles, TILE): Euler steps taken, or −1 where `limit` was reached; residual
+    (tiles, 1, TILE): mean force at the end.
     """
     for t in numba.prange(x.shape[0]):
         _iterate_tile(
@@ -33,50 +35,46 @@ def _iterate_tile(
     F, rate, x_own, v_own, mass, topology, c, area, dt, stop, limit, stress, residual, iterations
 ):
     own = topology.particles
-    local = own + topology.owner.shape[0]
-    x, v, f = np.empty((2, local, TILE)), np.empty((2, local, TILE)), np.empty((2, local, TILE))
-    slope = np.empty((topology.fluid_pairs.shape[0], TILE))
-    volume = np.empty((own - topology.walls, TILE))
-    sigma, mean = np.empty((2, 2, TILE)), np.empty(TILE)
+    work = make_workspace(topology)
+    sigma, mean = np.empty((2, 2, TILE)), np.empty((1, TILE))
     rescale = _rescaling(F, rate, dt)
-    x[:, :own] = x_own
-    v[:, :own] = v_own
+    work.x[:, :own] = x_own
+    work.v[:, :own] = v_own
     done = np.zeros(TILE, dtype=np.bool_)
     for count in range(limit + 1):
-        _set_moving_images(F, rate, x, v, topology)
-        local_forces(x, v, topology, c, f, slope, volume)
-        cauchy_stress(x, f, F, area, sigma)
-        fold_images(f, topology)
-        mean_force(f, own, mean)
+        _set_moving_images(F, rate, work.x, work.v, topology)
+        local_forces(work, topology, c)
+        cauchy_stress(work.x, work.f, F, area, sigma)
+        fold_images(work.f, topology)
+        mean_force(work.f, own, mean)
         open_lanes = 0
         for k in range(TILE):
             if done[k]:
                 continue
-            if mean[k] < stop or not mean[k] < np.inf or count == limit:
+            if mean[0, k] < stop or not mean[0, k] < np.inf or count == limit:
                 done[k] = True
-                iterations[k] = count if mean[k] < stop else -1
-                residual[k] = mean[k]
+                iterations[k] = count if mean[0, k] < stop else -1
+                residual[0, k] = mean[0, k]
                 stress[:, :, k] = sigma[:, :, k]
-                x_own[:, :, k] = x[:, :own, k]
-                v_own[:, :, k] = v[:, :own, k]
+                x_own[:, :, k] = work.x[:, :own, k]
+                v_own[:, :, k] = work.v[:, :own, k]
             else:
                 open_lanes += 1
         if open_lanes == 0:
             break
-        _euler_step(x, v, f, mass, rescale, own, dt)
+        _euler_step(work, mass, rescale, own, dt)
 
 
 @kernel
 def _rescaling(F, rate, dt):
     """P = F (F + Δt Ḟ)⁻¹ (eq. 70), (2, 2, TILE)."""
     P = np.empty((2, 2, TILE))
-    for k in range(TILE):
-        a, b = F[0, 0, k] + dt * rate[0, 0, k], F[0, 1, k] + dt * rate[0, 1, k]
-        d, e = F[1, 0, k] + dt * rate[1, 0, k], F[1, 1, k] + dt * rate[1, 1, k]
-        det = a * e - b * d
-        for i in range(2):
-            P[i, 0, k] = (F[i, 0, k] * e - F[i, 1, k] * d) / det
-            P[i, 1, k] = (F[i, 1, k] * a - F[i, 0, k] * b) / det
+    xx, xy = load(F, 0, 0) + dt * load(rate, 0, 0), load(F, 0, 1) + dt * load(rate, 0, 1)
+    yx, yy = load(F, 1, 0) + dt * load(rate, 1, 0), load(F, 1, 1) + dt * load(rate, 1, 1)
+    per_det = 1.0 / (xx * yy - xy * yx)
+    for i in range(2):
+        store((load(F, i, 0) * yy - load(F, i, 1) * yx) * per_det, P, i, 0)
+        store((load(F, i, 1) * xx - load(F, i, 0) * xy) * per_det, P, i, 1)
     return P
 
 
@@ -87,20 +85,25 @@ def _set_moving_images(F, rate, x, v, topology):
         i = topology.owner[m]
         sx, sy = topology.image_offset[m, 0], topology.image_offset[m, 1]
         for axis in range(2):
-            for k in range(TILE):
-                x[axis, own + m, k] = x[axis, i, k] + F[axis, 0, k] * sx + F[axis, 1, k] * sy
-                v[axis, own + m, k] = v[axis, i, k] + rate[axis, 0, k] * sx + rate[axis, 1, k] * sy
+            offset = load(F, axis, 0) * sx + load(F, axis, 1) * sy
+            store(load(x, axis, i) + offset, x, axis, own + m)
+            drift = load(rate, axis, 0) * sx + load(rate, axis, 1) * sy
+            store(load(v, axis, i) + drift, v, axis, own + m)
 
 
 @kernel
-def _euler_step(x, v, f, mass, P, own, dt):
+def _euler_step(work, mass, P, own, dt):
     """(69), then (72): x ← P (x̂ − x̂₁), v ← v̂ − v̂₁."""
-    for i in range(own - 1, -1, -1):  # the corner, particle 0, last: the others need it
-        for k in range(TILE):
-            hx = x[0, i, k] + dt * v[0, i, k] - x[0, 0, k] - dt * v[0, 0, k]
-            hy = x[1, i, k] + dt * v[1, i, k] - x[1, 0, k] - dt * v[1, 0, k]
-            for axis in range(2):
-                v[axis, i, k] += dt * (f[axis, i, k] / mass[i] - f[axis, 0, k] / mass[0])
-            x[0, i, k] = P[0, 0, k] * hx + P[0, 1, k] * hy
-            x[1, i, k] = P[1, 0, k] * hx + P[1, 1, k] * hy
-    v[:, 0] = 0.0
+    x, v, f = work.x, work.v, work.f
+    corner_x, corner_y = load(x, 0, 0) + dt * load(v, 0, 0), load(x, 1, 0) + dt * load(v, 1, 0)
+    pull = dt / mass[0]
+    corner_u, corner_v = load(v, 0, 0) + pull * load(f, 0, 0), load(v, 1, 0) + pull * load(f, 1, 0)
+    xx, xy, yx, yy = load(P, 0, 0), load(P, 0, 1), load(P, 1, 0), load(P, 1, 1)
+    for i in range(own):
+        hx = load(x, 0, i) + dt * load(v, 0, i) - corner_x
+        hy = load(x, 1, i) + dt * load(v, 1, i) - corner_y
+        push = dt / mass[i]
+        store(load(v, 0, i) + push * load(f, 0, i) - corner_u, v, 0, i)
+        store(load(v, 1, i) + push * load(f, 1, i) - corner_v, v, 1, i)
+        store(xx * hx + xy * hy, x, 0, i)
+        store(yx * hx + yy * hy, x, 1, i)

@@ -14,20 +14,45 @@ single precision (they only precondition; the residual is double), and the slope
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.plant_cell.lanes import TILE, kernel, parallel_kernel
-from surrofe2.rve.linear import factorise, solve_factorised
-from surrofe2.rve.micro_state import evaluate, map_affine, set_images
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.rve.linear import factorise, is_negative_definite, solve_factorised
+from surrofe2.rve.micro_state import evaluate, make_workspace, map_affine, set_images
 
-BLOCK = 5
-"""Tiles that `chord` works on at once: 40 lanes."""
 CHORD_LIMIT = 10
+CONTRACTION = 0.5
+"""`chord` gives a point up where the mean force does not fall by this factor."""
 NEWTON_LIMIT = 40
 LONGEST_STEP = 0.4
 """Longest Newton step of a particle, µm; contacts stiffen over r/7."""
+
+
+class Matrices(NamedTuple):
+    """Scratch of one tile for factorisations; n particles."""
+
+    jacobian: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    no_columns: NDArray[np.float64]
+    free: NDArray[np.float64]
+    step: NDArray[np.float64]
+
+
+@kernel
+def _make_matrices(n):
+    return Matrices(
+        np.empty((2 * n, 2 * n, TILE)),
+        np.empty((2 * n, 8, TILE)),
+        np.empty((0, 8, TILE)),
+        np.empty((2 * n - 2, 2 * n - 2, TILE)),
+        np.empty((2 * n - 2, TILE)),
+    )
 
 
 @parallel_kernel
@@ -36,119 +61,89 @@ def chord(F, rate, z, at_F, at_rate, lu, slopes, topology, c, area, tolerance, s
 
     iterations (tiles, TILE): force evaluations used, or −1 where the point did not converge.
     """
-    tiles = z.shape[0]
-    for block in numba.prange((tiles + BLOCK - 1) // BLOCK):
-        first = block * BLOCK
-        _chord_block(
-            first, min(first + BLOCK, tiles), F, rate, z, at_F, at_rate, lu, slopes, topology, c,
-            area, tolerance, stress, iterations,
+    for t in numba.prange(z.shape[0]):
+        _chord_tile(
+            F[t], rate[t], z[t], at_F[t], at_rate[t], lu[t], slopes[t], topology, c, area,
+            tolerance, stress[t], iterations[t],
         )  # fmt: skip
 
 
 @kernel
-def _chord_block(
-    first, last, F, rate, z, at_F, at_rate, lu, slopes, topology, c, area, tolerance, stress,
-    iterations,
-):  # fmt: skip
-    own = topology.particles
-    local = own + topology.owner.shape[0]
-    lanes = (last - first) * TILE
-    zs, x, v, f = (
-        np.empty((2, local, lanes)), np.empty((2, local, lanes)),
-        np.empty((2, local, lanes)), np.empty((2, local, lanes)),
-    )  # fmt: skip
-    slope = np.empty((topology.fluid_pairs.shape[0], lanes))
-    volume = np.empty((own - topology.walls, lanes))
-    Fs, rates, sigma = np.empty((2, 2, lanes)), np.empty((2, 2, lanes)), np.empty((2, 2, lanes))
-    residual, before = np.empty(lanes), np.full(lanes, np.inf)
-    step = np.empty((2 * own - 2, TILE))
-    for t in range(first, last):
-        lane0 = (t - first) * TILE
-        _gather(F[t], Fs, lane0)
-        _gather(rate[t], rates, lane0)
-        _predict(z[t], F[t], rate[t], at_F[t], at_rate[t], slopes[t], zs, lane0)
-        iterations[t] = 0
+def _chord_tile(
+    F, rate, z, at_F, at_rate, lu, slopes, topology, c, area, tolerance, stress, iterations
+):
+    work = make_workspace(topology)
+    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
+    before, step = np.full(TILE, np.inf), np.empty((2 * topology.particles - 2, TILE))
+    _predict(z, F, rate, at_F, at_rate, slopes, work.z)
+    iterations[:] = 0
     for count in range(1, CHORD_LIMIT + 1):
-        evaluate(zs, Fs, rates, topology, c, area, x, v, f, slope, volume, sigma, residual)
+        evaluate(work, F, rate, topology, c, area, sigma, residual)
         open_lanes = 0
-        for t in range(first, last):
-            lane0 = (t - first) * TILE
-            for k in range(TILE):
-                lane = lane0 + k
-                if iterations[t, k] != 0:
-                    continue
-                if residual[lane] <= tolerance:
-                    iterations[t, k] = count
-                    stress[t, :, :, k] = sigma[:, :, lane]
-                elif not residual[lane] < 0.5 * before[lane] or count == CHORD_LIMIT:
-                    iterations[t, k] = -1
+        for k in range(TILE):
+            if iterations[k] == 0:
+                if residual[0, k] <= tolerance:
+                    iterations[k] = count
+                    stress[:, :, k] = sigma[:, :, k]
+                elif not residual[0, k] < CONTRACTION * before[k] or count == CHORD_LIMIT:
+                    iterations[k] = -1
                 else:
                     open_lanes += 1
-                before[lane] = residual[lane]
+                before[k] = residual[0, k]
         if open_lanes == 0:
             break
-        for t in range(first, last):
-            _step_chord(lu[t], f, Fs, zs, (t - first) * TILE, iterations[t], step)
-    for t in range(first, last):
-        lane0 = (t - first) * TILE
-        for k in range(TILE):
-            if iterations[t, k] > 0:
-                z[t, :, :, k] = zs[:, :own, lane0 + k]
+        _set_residual(work.f, step)
+        solve_factorised(lu, step)
+        _hold(step, iterations)
+        _move(step, F, work.z)
+    for k in range(TILE):
+        if iterations[k] > 0:
+            z[:, :, k] = work.z[:, : topology.particles, k]
 
 
 @kernel
-def _gather(tensor, block, lane0):
-    for a in range(2):
-        for b in range(2):
-            for k in range(TILE):
-                block[a, b, lane0 + k] = tensor[a, b, k]
-
-
-@kernel
-def _predict(z, F, rate, at_F, at_rate, slopes, zs, lane0):
-    """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into lanes lane0… of the block."""
-    change = np.empty((8, TILE))
-    for a in range(2):
-        for b in range(2):
-            for k in range(TILE):
-                change[2 * a + b, k] = F[a, b, k] - at_F[a, b, k]
-                change[4 + 2 * a + b, k] = rate[a, b, k] - at_rate[a, b, k]
+def _predict(z, F, rate, at_F, at_rate, slopes, there):
+    """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`."""
+    f0, f1 = load(F, 0, 0) - load(at_F, 0, 0), load(F, 0, 1) - load(at_F, 0, 1)
+    f2, f3 = load(F, 1, 0) - load(at_F, 1, 0), load(F, 1, 1) - load(at_F, 1, 1)
+    r0, r1 = load(rate, 0, 0) - load(at_rate, 0, 0), load(rate, 0, 1) - load(at_rate, 0, 1)
+    r2, r3 = load(rate, 1, 0) - load(at_rate, 1, 0), load(rate, 1, 1) - load(at_rate, 1, 1)
     for axis in range(2):
-        for k in range(TILE):
-            zs[axis, 0, lane0 + k] = z[axis, 0, k]
+        store(load(z, axis, 0), there, axis, 0)
         for i in range(1, z.shape[1]):
-            for k in range(TILE):
-                moved = z[axis, i, k]
-                for m in range(8):
-                    moved += slopes[2 * i - 2 + axis, m, k] * change[m, k]
-                zs[axis, i, lane0 + k] = moved
+            m = 2 * i - 2 + axis
+            by_F = load(slopes, m, 0) * f0 + load(slopes, m, 1) * f1
+            by_F += load(slopes, m, 2) * f2 + load(slopes, m, 3) * f3
+            by_rate = load(slopes, m, 4) * r0 + load(slopes, m, 5) * r1
+            by_rate += load(slopes, m, 6) * r2 + load(slopes, m, 7) * r3
+            store(load(z, axis, i) + (by_F + by_rate), there, axis, i)
 
 
 @kernel
-def _step_chord(lu, f, Fs, zs, lane0, iterations, step):
-    own = step.shape[0] // 2 + 1
-    for i in range(1, own):
-        for axis in range(2):
-            for k in range(TILE):
-                step[2 * i - 2 + axis, k] = -f[axis, i, lane0 + k]
-    solve_factorised(lu, step)
+def _set_residual(f, step):
+    """step = −f of the free particles."""
+    for i in range(1, step.shape[0] // 2 + 1):
+        store(-load(f, 0, i), step, 2 * i - 2)
+        store(-load(f, 1, i), step, 2 * i - 1)
+
+
+@kernel
+def _hold(step, iterations):
+    """No step in lanes that are done."""
     for k in range(TILE):
         if iterations[k] != 0:
             step[:, k] = 0.0
-    _move(step, Fs, zs, lane0)
 
 
 @kernel
-def _move(step, Fs, zs, lane0):
+def _move(step, F, z):
     """z += F⁻¹ δx on own particles but the held one."""
-    for k in range(TILE):
-        lane = lane0 + k
-        a, b, d, e = Fs[0, 0, lane], Fs[0, 1, lane], Fs[1, 0, lane], Fs[1, 1, lane]
-        det = a * e - b * d
-        for i in range(1, step.shape[0] // 2 + 1):
-            dx, dy = step[2 * i - 2, k], step[2 * i - 1, k]
-            zs[0, i, lane] += (e * dx - b * dy) / det
-            zs[1, i, lane] += (a * dy - d * dx) / det
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    per_det = 1.0 / (xx * yy - xy * yx)
+    for i in range(1, step.shape[0] // 2 + 1):
+        dx, dy = load(step, 2 * i - 2), load(step, 2 * i - 1)
+        store(load(z, 0, i) + (yy * dx - xy * dy) * per_det, z, 0, i)
+        store(load(z, 1, i) + (xx * dy - yx * dx) * per_det, z, 1, i)
 
 
 @parallel_kernel
@@ -158,7 +153,8 @@ def newton(
     """Newton with limited steps from z for the tiles that `wanted` (tiles,) marks, in place.
 
     Only lanes with iterations ≤ 0 move; iterations becomes the number of force evaluations, or
-    −1. stable (tiles, TILE): whether the elastic Hessian at the solution is positive definite.
+    −1. lu and slopes are those of the solution. stable (tiles, TILE): whether the elastic
+    Hessian there, dashpots off, is positive definite.
     """
     for t in numba.prange(z.shape[0]):
         if wanted[t]:
@@ -173,148 +169,124 @@ def _newton_tile(
     F, rate, z, lu, slopes, topology, c, area, tolerance, stress, iterations, stable
 ):
     own = topology.particles
-    local = own + topology.owner.shape[0]
-    n = 2 * own
-    zs, x, v, f = (
-        np.empty((2, local, TILE)), np.empty((2, local, TILE)),
-        np.empty((2, local, TILE)), np.empty((2, local, TILE)),
-    )  # fmt: skip
-    slope = np.empty((topology.fluid_pairs.shape[0], TILE))
-    volume = np.empty((own - topology.walls, TILE))
-    sigma, residual = np.empty((2, 2, TILE)), np.empty(TILE)
-    jacobian, load = np.empty((n, n, TILE)), np.empty((n, 8, TILE))
-    a, step = np.empty((n - 2, n - 2, TILE)), np.empty((n - 2, TILE))
-    zs[:, :own] = z
+    work, matrices = make_workspace(topology), _make_matrices(own)
+    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
+    work.z[:, :own] = z
     for k in range(TILE):
         if iterations[k] <= 0:
             iterations[k] = 0
     for count in range(1, NEWTON_LIMIT + 1):
-        evaluate(zs, F, rate, topology, c, area, x, v, f, slope, volume, sigma, residual)
+        evaluate(work, F, rate, topology, c, area, sigma, residual)
         open_lanes = 0
         for k in range(TILE):
-            if iterations[k] != 0:
-                continue
-            if residual[k] <= tolerance:
-                iterations[k] = count
-                stress[:, :, k] = sigma[:, :, k]
-            elif not residual[k] < np.inf or count == NEWTON_LIMIT:
-                iterations[k] = -1
-            else:
-                open_lanes += 1
+            if iterations[k] == 0:
+                if residual[0, k] <= tolerance:
+                    iterations[k] = count
+                    stress[:, :, k] = sigma[:, :, k]
+                elif not residual[0, k] < np.inf or count == NEWTON_LIMIT:
+                    iterations[k] = -1
+                else:
+                    open_lanes += 1
         if open_lanes == 0:
             break
-        force_jacobian_at(zs, F, rate, x, v, topology, c, jacobian, load)
-        a[:] = jacobian[2:, 2:]
-        factorise(a)
-        for i in range(1, own):
-            for axis in range(2):
-                for k in range(TILE):
-                    step[2 * i - 2 + axis, k] = -f[axis, i, k]
-        solve_factorised(a, step)
-        _limit(step, iterations)
-        _move(step, F, zs, 0)
-    z[:] = zs[:, :own]
-    refactorise(zs, F, rate, x, v, topology, c, jacobian, load, a, step, lu, slopes, stable)
+        _set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
+        matrices.free[:] = matrices.jacobian[2:, 2:]
+        factorise(matrices.free)
+        _set_residual(work.f, matrices.step)
+        solve_factorised(matrices.free, matrices.step)
+        _limit(matrices.step)
+        _hold(matrices.step, iterations)
+        _move(matrices.step, F, work.z)
+    z[:] = work.z[:, :own]
+    _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
+    _check_stable(work, matrices, F, topology, c, stable)
 
 
 @kernel
-def _limit(step, iterations):
+def _limit(step):
+    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
     for k in range(TILE):
         longest = 0.0
         for i in range(step.shape[0]):
-            longest = max(longest, abs(step[i, k]))
-        scale = 0.0
-        if iterations[k] == 0 and longest < np.inf:
-            scale = min(1.0, LONGEST_STEP / longest)
-        for i in range(step.shape[0]):
-            step[i, k] = scale * step[i, k] if scale > 0.0 else 0.0
+            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
+        if longest == np.inf:
+            step[:, k] = 0.0
+        elif longest > LONGEST_STEP:
+            step[:, k] *= LONGEST_STEP / longest
 
 
 @kernel
-def force_jacobian_at(zs, F, rate, x, v, topology, c, jacobian, load):
-    """`force_jacobian` with L = rate F⁻¹, for local z, x, v in place."""
+def _set_jacobian(work, F, rate, topology, c, jacobian, columns):
+    """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
     L = np.empty((2, 2, TILE))
-    for k in range(TILE):
-        det = F[0, 0, k] * F[1, 1, k] - F[0, 1, k] * F[1, 0, k]
-        for i in range(2):
-            L[i, 0, k] = (rate[i, 0, k] * F[1, 1, k] - rate[i, 1, k] * F[1, 0, k]) / det
-            L[i, 1, k] = (rate[i, 1, k] * F[0, 0, k] - rate[i, 0, k] * F[0, 1, k]) / det
-    force_jacobian(x, v, L, zs, topology, c, jacobian, load)
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    per_det = 1.0 / (xx * yy - xy * yx)
+    for i in range(2):
+        rx, ry = load(rate, i, 0), load(rate, i, 1)
+        store((rx * yy - ry * yx) * per_det, L, i, 0)
+        store((ry * xx - rx * xy) * per_det, L, i, 1)
+    force_jacobian(work.x, work.v, L, work.z, topology, c, jacobian, columns)
 
 
 @kernel
-def refactorise(zs, F, rate, x, v, topology, c, jacobian, load, a, step, lu, slopes, stable):
-    """Fill lu, slopes and stable of a tile at local z (images set)."""
-    map_affine(F, zs, x)
-    map_affine(rate, zs, v)
-    force_jacobian_at(zs, F, rate, x, v, topology, c, jacobian, load)
-    a[:] = jacobian[2:, 2:]
-    factorise(a)
-    lu[:] = a
+def _refactorise(work, matrices, F, rate, topology, c, lu, slopes):
+    """Fill lu and slopes of a tile at work.z, images set."""
+    map_affine(F, work.z, work.x)
+    map_affine(rate, work.z, work.v)
+    _set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.columns)
+    matrices.free[:] = matrices.jacobian[2:, 2:]
+    factorise(matrices.free)
+    lu[:] = matrices.free
+    step = matrices.step
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    per_det = 1.0 / (xx * yy - xy * yx)
     for m in range(8):
-        step[:] = -load[2:, m]
-        solve_factorised(a, step)
-        for k in range(TILE):
-            det = F[0, 0, k] * F[1, 1, k] - F[0, 1, k] * F[1, 0, k]
-            for i in range(0, step.shape[0], 2):
-                dx, dy = step[i, k], step[i + 1, k]
-                slopes[i, m, k] = (F[1, 1, k] * dx - F[0, 1, k] * dy) / det
-                slopes[i + 1, m, k] = (F[0, 0, k] * dy - F[1, 0, k] * dx) / det
-    check_stable(zs, F, x, v, topology, c, jacobian, load, a, stable)
+        for i in range(step.shape[0]):
+            store(-load(matrices.columns, i + 2, m), step, i)
+        solve_factorised(matrices.free, step)
+        for i in range(0, step.shape[0], 2):
+            dx, dy = load(step, i), load(step, i + 1)
+            store((yy * dx - xy * dy) * per_det, slopes, i, m)
+            store((xx * dy - yx * dx) * per_det, slopes, i + 1, m)
 
 
 @kernel
-def check_stable(zs, F, x, v, topology, c, jacobian, load, a, stable):
-    """stable (TILE,): whether the elastic Hessian, dashpots off, is positive definite."""
-    zero = np.zeros((2, 2, TILE))
-    map_affine(F, zs, x)
-    v[:] = 0.0
-    force_jacobian(x, v, zero, zs, topology, c, jacobian, load)
-    a[:] = jacobian[2:, 2:]
-    factorise(a)
-    for k in range(TILE):
-        stable[k] = True
-        for i in range(a.shape[0]):
-            if not a[i, i, k] < 0.0:
-                stable[k] = False
+def _check_stable(work, matrices, F, topology, c, stable):
+    """stable (TILE,): whether the elastic Hessian at work.z is positive definite."""
+    map_affine(F, work.z, work.x)
+    work.v[:] = 0.0
+    still = np.zeros((2, 2, TILE))
+    _set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
+    matrices.free[:] = matrices.jacobian[2:, 2:]
+    is_negative_definite(matrices.free, stable)
 
 
 @parallel_kernel
 def renew(F, rate, z, lu, slopes, wanted, topology, c, stable):
     """Check stability of every tile; refill lu and slopes of the `wanted` ones."""
-    own = topology.particles
-    n = 2 * own
     for t in numba.prange(z.shape[0]):
-        local = own + topology.owner.shape[0]
-        zs, x, v = (
-            np.empty((2, local, TILE)), np.empty((2, local, TILE)), np.empty((2, local, TILE)),
-        )  # fmt: skip
-        jacobian, load = np.empty((n, n, TILE)), np.empty((n, 8, TILE))
-        a, step = np.empty((n - 2, n - 2, TILE)), np.empty((n - 2, TILE))
-        zs[:, :own] = z[t]
-        set_images(zs, topology)
-        if wanted[t]:
-            refactorise(
-                zs, F[t], rate[t], x, v, topology, c, jacobian, load, a, step, lu[t], slopes[t],
-                stable[t],
-            )  # fmt: skip
-        else:
-            check_stable(zs, F[t], x, v, topology, c, jacobian, load, a, stable[t])
+        _renew_tile(F[t], rate[t], z[t], lu[t], slopes[t], wanted[t], topology, c, stable[t])
+
+
+@kernel
+def _renew_tile(F, rate, z, lu, slopes, wanted, topology, c, stable):
+    work, matrices = make_workspace(topology), _make_matrices(topology.particles)
+    work.z[:, : topology.particles] = z
+    set_images(work.z, topology)
+    if wanted:
+        _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
+    _check_stable(work, matrices, F, topology, c, stable)
 
 
 @parallel_kernel
 def stress_at(F, rate, z, topology, c, area, stress, residual):
-    """Stress and mean force at given z with affine velocities, all tiles."""
-    own = topology.particles
-    local = own + topology.owner.shape[0]
+    """Stress and mean force (tiles, 1, TILE) at given z with affine velocities, all tiles."""
     for t in numba.prange(z.shape[0]):
-        zs, x, v, f = (
-            np.empty((2, local, TILE)), np.empty((2, local, TILE)),
-            np.empty((2, local, TILE)), np.empty((2, local, TILE)),
-        )  # fmt: skip
-        slope = np.empty((topology.fluid_pairs.shape[0], TILE))
-        volume = np.empty((own - topology.walls, TILE))
-        zs[:, :own] = z[t]
-        evaluate(
-            zs, F[t], rate[t], topology, c, area, x, v, f, slope, volume, stress[t], residual[t]
-        )
+        _stress_tile(F[t], rate[t], z[t], topology, c, area, stress[t], residual[t])
+
+
+@kernel
+def _stress_tile(F, rate, z, topology, c, area, stress, residual):
+    work = make_workspace(topology)
+    work.z[:, : topology.particles] = z
+    evaluate(work, F, rate, topology, c, area, stress, residual)

@@ -6,38 +6,66 @@ affine: v = L x. z of particle 0, a wall corner, stays at the origin.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.plant_cell.forces import add_forces, fold_images
-from surrofe2.plant_cell.lanes import kernel
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.simd import TILE, load, root, spread, store
+
+
+class Workspace(NamedTuple):
+    """Scratch of one tile: local material positions z, x, v, f (2, local, TILE), and fluid."""
+
+    z: NDArray[np.float64]
+    x: NDArray[np.float64]
+    v: NDArray[np.float64]
+    f: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    volume: NDArray[np.float64]
+
+
+@kernel
+def make_workspace(topology):
+    """Uninitialised scratch for one tile."""
+    local = topology.particles + topology.owner.shape[0]
+    return Workspace(
+        np.empty((2, local, TILE)),
+        np.empty((2, local, TILE)),
+        np.empty((2, local, TILE)),
+        np.empty((2, local, TILE)),
+        np.empty((topology.fluid_pairs.shape[0], TILE)),
+        np.empty((topology.particles - topology.walls, TILE)),
+    )
 
 
 @kernel
 def set_images(z, topology):
-    """Fill the image part of local material positions z (2, local, lanes) from its own part."""
+    """Fill the image part of local material positions from its own part."""
     own = topology.particles
     for k in range(topology.owner.shape[0]):
         i = topology.owner[k]
         for axis in range(2):
-            offset = topology.image_offset[k, axis]
-            for lane in range(z.shape[2]):
-                z[axis, own + k, lane] = z[axis, i, lane] + offset
+            store(load(z, axis, i) + topology.image_offset[k, axis], z, axis, own + k)
 
 
 @kernel
 def map_affine(F, z, x):
-    """x = F z for local particles; F (2, 2, lanes), z and x (2, local, lanes)."""
+    """x = F z; F (2, 2, TILE), z and x (2, local, TILE)."""
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
     for i in range(z.shape[1]):
-        for lane in range(z.shape[2]):
-            x[0, i, lane] = F[0, 0, lane] * z[0, i, lane] + F[0, 1, lane] * z[1, i, lane]
-            x[1, i, lane] = F[1, 0, lane] * z[0, i, lane] + F[1, 1, lane] * z[1, i, lane]
+        zx, zy = load(z, 0, i), load(z, 1, i)
+        store(xx * zx + xy * zy, x, 0, i)
+        store(yx * zx + yy * zy, x, 1, i)
 
 
 @kernel
-def local_forces(x, v, topology, c, f, slope, volume):
-    """f (2, local, lanes): forces on own particles and, not yet folded, on images."""
-    f[:] = 0.0
-    add_forces(x, v, f, topology, c, slope, volume)
+def local_forces(work, topology, c):
+    """Forces on own particles and, not yet folded, on images."""
+    work.f[:] = 0.0
+    add_forces(work.x, work.v, work.f, topology, c, work.slope, work.volume)
 
 
 @kernel
@@ -47,40 +75,42 @@ def cauchy_stress(x, f, F, area, stress):
     Every pair adds f and −f to its two local particles, so the sum over pairs of f ⊗ r is minus
     the sum over local particles of force ⊗ position. V = det F times the reference area.
     """
-    for lane in range(x.shape[2]):
-        xx = xy = yx = yy = 0.0
-        for k in range(x.shape[1]):
-            xx -= f[0, k, lane] * x[0, k, lane]
-            xy -= f[0, k, lane] * x[1, k, lane]
-            yx -= f[1, k, lane] * x[0, k, lane]
-            yy -= f[1, k, lane] * x[1, k, lane]
-        volume = area * (F[0, 0, lane] * F[1, 1, lane] - F[0, 1, lane] * F[1, 0, lane])
-        stress[0, 0, lane] = xx / volume
-        stress[0, 1, lane] = xy / volume
-        stress[1, 0, lane] = yx / volume
-        stress[1, 1, lane] = yy / volume
+    xx, xy, yx, yy = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for k in range(x.shape[1]):
+        px, py = load(x, 0, k), load(x, 1, k)
+        fx, fy = load(f, 0, k), load(f, 1, k)
+        xx -= fx * px
+        xy -= fx * py
+        yx -= fy * px
+        yy -= fy * py
+    det = load(F, 0, 0) * load(F, 1, 1) - load(F, 0, 1) * load(F, 1, 0)
+    per_volume = 1.0 / (area * det)
+    store(xx * per_volume, stress, 0, 0)
+    store(xy * per_volume, stress, 0, 1)
+    store(yx * per_volume, stress, 1, 0)
+    store(yy * per_volume, stress, 1, 1)
 
 
 @kernel
 def mean_force(f, own, residual):
-    """residual (lanes,): mean over own particles of the folded force's magnitude, µN."""
-    residual[:] = 0.0
+    """residual (1, TILE): mean over own particles of the folded force's magnitude, µN."""
+    total = spread(0.0)
     for i in range(own):
-        for lane in range(f.shape[2]):
-            fx, fy = f[0, i, lane], f[1, i, lane]
-            residual[lane] += np.sqrt(fx * fx + fy * fy) / own
+        fx, fy = load(f, 0, i), load(f, 1, i)
+        total += root(fx * fx + fy * fy)
+    store(total * (1.0 / own), residual, 0)
 
 
 @kernel
-def evaluate(z, F, rate, topology, c, area, x, v, f, slope, volume, stress, residual):
-    """Forces (folded), stress and mean force at z with affine velocities v = rate z."""
-    set_images(z, topology)
-    map_affine(F, z, x)
-    map_affine(rate, z, v)
-    local_forces(x, v, topology, c, f, slope, volume)
-    cauchy_stress(x, f, F, area, stress)
-    fold_images(f, topology)
-    mean_force(f, topology.particles, residual)
+def evaluate(work, F, rate, topology, c, area, stress, residual):
+    """Forces (folded), stress and mean force at work.z with affine velocities v = rate z."""
+    set_images(work.z, topology)
+    map_affine(F, work.z, work.x)
+    map_affine(rate, work.z, work.v)
+    local_forces(work, topology, c)
+    cauchy_stress(work.x, work.f, F, area, stress)
+    fold_images(work.f, topology)
+    mean_force(work.f, topology.particles, residual)
 
 
 @kernel

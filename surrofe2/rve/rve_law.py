@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.lanes import TILE, Topology, pack, unpack
+from surrofe2.plant_cell.lanes import Topology, pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.direct import chord, newton, renew, stress_at
 from surrofe2.rve.micro_state import list_covers
@@ -151,7 +152,7 @@ class _Batch:
         self.F, self.F_dot, self.rate = F, F_dot, law._rate(F_dot)
         tiles = len(F)
         self.stress = np.full((tiles, 2, 2, TILE), np.nan)
-        self.residual = np.full((tiles, TILE), np.nan)
+        self.residual = np.full((tiles, 1, TILE), np.nan)
         self.status = np.zeros((tiles, TILE), dtype=np.int8)
         self.iterations = np.zeros((tiles, TILE), dtype=np.int32)
         self.newton_solves = 0

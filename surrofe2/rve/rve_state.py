@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import TILE, pack, unpack
+from surrofe2.plant_cell.lanes import pack, unpack
+from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.unit_cell import UnitCell
 
 Reals = NDArray[np.float64]

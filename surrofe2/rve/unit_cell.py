@@ -15,8 +15,9 @@ from scipy.optimize import root_scalar
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
-from surrofe2.plant_cell.lanes import TILE, Constants, Topology, make_constants, make_topology, pack
+from surrofe2.plant_cell.lanes import Constants, Topology, make_constants, make_topology, pack
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.direct import newton
 
@@ -107,14 +108,14 @@ def _descend(
     x = np.ascontiguousarray(np.swapaxes(pack(start[None]), 1, 2))
     v = np.zeros_like(x)
     unit = pack(np.eye(2)[None])
-    residual, iterations = np.empty((1, TILE)), np.empty((1, TILE), dtype=np.int32)
+    residual, iterations = np.empty((1, 1, TILE)), np.empty((1, TILE), dtype=np.int32)
     iterate(
         unit, np.zeros_like(unit), x, v, patch.mass, make_topology(patch), constants, patch.area,
         _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT, np.empty((1, 2, 2, TILE)), residual, iterations,
     )  # fmt: skip
     if iterations[0, 0] < 0:
         raise InputError(
-            f"cell: the undeformed cell does not come to rest (mean force {residual[0, 0]:.3g} µN); "
+            f"cell: the undeformed cell does not come to rest (mean force {residual[0, 0, 0]:.3g} µN); "
             "check fluid_particle_mass, wall_stiffness and the damping ratios"
         )
     return x[0, :, :, 0].T.copy()

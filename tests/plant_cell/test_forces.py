@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.integrate import quad
 
 from surrofe2.plant_cell import forces, jacobian
 from surrofe2.plant_cell.geometry import even_positions, square_patch
-from surrofe2.plant_cell.lanes import TILE, kernel, make_constants, make_topology, pack, unpack
+from surrofe2.plant_cell.lanes import make_constants, make_topology, pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
 from tests.plant_cell.twin import Twin
 
@@ -19,14 +21,17 @@ REST = 1.9
 def call_kernel(law):
     """A pair law as a function of arrays, compiled as kernels compile it."""
 
-    @kernel
-    def evaluate(r, h):
-        out = np.empty_like(r)
-        for i in range(r.size):
-            out[i] = law(r[i] / h, h)
-        return out
+    @njit
+    def evaluate(tile, h):
+        for i in range(tile.shape[0]):
+            store(law(load(tile, i) / h, h), tile, i)
 
-    return evaluate
+    def of(r, h):
+        tile = np.repeat(np.asarray(r)[:, None], TILE, axis=1)
+        evaluate(tile, h)
+        return tile[:, 0]
+
+    return of
 
 
 class Patch:
@@ -67,9 +72,9 @@ class Patch:
         return np.moveaxis(f[:, : self.patch.particles], -1, 0).swapaxes(1, 2)
 
     def energy(self, z, F):
-        energy = np.empty(TILE)
+        energy = np.empty((1, TILE))
         forces.elastic_energy(self.local(z, F), self.topology, self.constants, energy)
-        return energy
+        return energy[0]
 
 
 @pytest.fixture(params=["printed", "water"])

@@ -1,0 +1,54 @@
+"""How every kernel is compiled: one place for numba's flags and for its cache.
+
+numba's own cache looks at the file of the outermost function alone and would go on using machine
+code whose inner functions have changed. Here the cache folder carries a digest of all sources
+that define kernels, so that a changed line is never outrun by an old kernel.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
+
+
+@cache
+def cache_folder() -> Path:
+    """Where compiled kernels of exactly these sources are kept between processes."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
+        text = source.read_bytes()
+        if b"surrofe2.compilation" in text:
+            digest.update(text)
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    base = Path(home) if home else Path.home() / ".cache"
+    return base / "surrofe2" / digest.hexdigest()[:16]
+
+
+def _compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    def decorate(function: Callable[..., Any]) -> Any:
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(cache_folder())
+        try:
+            return numba.njit(cache=True, error_model="numpy", fastmath=FAST, **options)(function)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    return decorate
+
+
+kernel = _compiled()
+"""A function of arrays and numbers, compiled."""
+
+parallel_kernel = _compiled(parallel=True)
+"""A kernel whose `numba.prange` loops run on all cores; their bodies are one call of a kernel."""
+
+pair_law = numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+"""A formula that is written out where kernels use it."""

@@ -1,0 +1,223 @@
+"""Eight plant cells in one register: a vector type for numba kernels.
+
+A `Lanes` value holds one number for each of the `TILE` cells of a tile and becomes a SIMD vector
+of the machine. Arrays with the lanes last are read and written whole::
+
+    array[i, j, 0..7]  ⇄  load(array, i, j), store(array, i, j, value)      (also with one index
+                                                                             or three before)
+
+``+ - * /`` and unary minus work between lanes, and between lanes and a float. Plain loops over
+lanes leave the compiler to prove that arrays do not overlap; here a whole vector is read before
+another is written.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+from surrofe2.compilation import FAST
+
+TILE = 8
+
+_FLAGS = tuple(sorted(FAST))
+_DOUBLES = ir.VectorType(ir.DoubleType(), TILE)
+_SINGLES = ir.VectorType(ir.FloatType(), TILE)
+
+
+class LanesType(types.Type):
+    """numba's type of a `Lanes` value."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes{TILE}")
+
+
+LANES = LanesType()
+
+
+@register_model(LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, numba_type: Any) -> None:
+        super().__init__(manager, numba_type, _DOUBLES)
+
+
+def _spread(builder: Any, scalar: Any) -> Any:
+    """One float in every lane."""
+    first = builder.insert_element(
+        ir.Constant(_DOUBLES, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
+    )
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), TILE), [0] * TILE)
+    return builder.shuffle_vector(first, ir.Constant(_DOUBLES, ir.Undefined), zeros)
+
+
+def _operator(symbol: Any, method: str) -> None:
+    pairs = ((LANES, LANES), (LANES, types.float64), (types.float64, LANES))
+
+    class Typing(ConcreteTemplate):
+        cases = [signature(LANES, *pair) for pair in pairs]  # noqa: RUF012 numba reads it so
+
+    infer_global(symbol)(Typing)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (
+            value if kind is LANES else _spread(builder, value)
+            for kind, value in zip(sig.args, args, strict=True)
+        )
+        return getattr(builder, method)(left, right, flags=_FLAGS)
+
+    for pair in pairs:
+        lower_builtin(symbol, *pair)(lower)
+
+
+for _symbol, _method in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
+    _operator(_symbol, _method)
+for _symbol, _method in (
+    (operator.iadd, "fadd"),
+    (operator.isub, "fsub"),
+    (operator.imul, "fmul"),
+):
+    _operator(_symbol, _method)
+
+
+@infer_global(operator.neg)
+class _NegTyping(ConcreteTemplate):
+    cases = [signature(LANES, LANES)]  # noqa: RUF012 numba reads it so
+
+
+@lower_builtin(operator.neg, LANES)
+def _lower_neg(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.fneg(args[0], flags=_FLAGS)
+
+
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Address of array[index, 0], with the vector's element type."""
+    view = context.make_array(array_type)(context, builder, array)
+    zero = context.get_constant(types.intp, 0)
+    return cgutils.get_item_pointer(
+        context, builder, array_type, view, [*index, zero], wraparound=False
+    )
+
+
+def _check(array: Any, index: Any) -> None:
+    if not isinstance(array, types.Array) or array.ndim != len(index) + 1 or array.layout != "C":
+        raise numba.TypingError(f"lanes need a contiguous array with {len(index) + 1} axes")
+
+
+def _indices(context: Any, builder: Any, index_type: Any, index: Any) -> list[Any]:
+    return [
+        context.cast(builder, value, kind, types.intp)
+        for value, kind in zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
+    ]
+
+
+@intrinsic
+def load(typing: Any, array: Any, *index: Any) -> Any:
+    """Lanes of array[index]; single precision is widened."""
+    _check(array, index)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        where = _indices(context, builder, sig.args[1], args[1])
+        pointer = _pointer(context, builder, sig.args[0], args[0], where)
+        kind = _SINGLES if sig.args[0].dtype is types.float32 else _DOUBLES
+        value = builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4)
+        return builder.fpext(value, _DOUBLES) if kind is _SINGLES else value
+
+    return LANES(array, types.StarArgTuple(index)), generate
+
+
+@intrinsic
+def store(typing: Any, value: Any, array: Any, *index: Any) -> Any:
+    """array[index] = value (lanes, or a float for all of them); may narrow to single precision."""
+    _check(array, index)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        where = _indices(context, builder, sig.args[2], args[2])
+        pointer = _pointer(context, builder, sig.args[1], args[1], where)
+        lanes = args[0] if sig.args[0] is LANES else _spread(builder, args[0])
+        if sig.args[1].dtype is types.float32:
+            lanes = builder.fptrunc(lanes, _SINGLES)
+        builder.store(lanes, builder.bitcast(pointer, lanes.type.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    kind = LANES if value is LANES else types.float64
+    return types.void(kind, array, types.StarArgTuple(index)), generate
+
+
+@intrinsic
+def spread(typing: Any, scalar: Any) -> Any:
+    """A float in every lane."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _spread(builder, args[0])
+
+    return LANES(types.float64), generate
+
+
+def _square_root(builder: Any, value: Any, kind: Any) -> Any:
+    suffix = f"v{TILE}f{32 if kind is _SINGLES else 64}"
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{suffix}"
+    )
+    return builder.call(function, [value])
+
+
+@intrinsic
+def root(typing: Any, value: Any) -> Any:
+    """Square root."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _square_root(builder, args[0], _DOUBLES)
+
+    return LANES(LANES), generate
+
+
+@intrinsic
+def inverse_root(typing: Any, value: Any) -> Any:
+    """1/√x to a few units in the last place, for x within single precision's range.
+
+    A single-precision estimate and two Newton steps y ← y (3 − x y²)/2: cheaper than a division
+    and a square root in double precision.
+    """
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        number = args[0]
+        single = _square_root(builder, builder.fptrunc(number, _SINGLES), _SINGLES)
+        one = ir.Constant(_SINGLES, [1.0] * TILE)
+        y = builder.fpext(builder.fdiv(one, single), _DOUBLES)
+        half, three_halves = (ir.Constant(_DOUBLES, [c] * TILE) for c in (0.5, 1.5))
+        half_x = builder.fmul(half, number)
+        for _ in range(2):
+            square = builder.fmul(y, y, flags=("contract",))
+            error = builder.fsub(
+                three_halves, builder.fmul(half_x, square, flags=("contract",)), flags=("contract",)
+            )
+            y = builder.fmul(y, error)
+        return y
+
+    return LANES(LANES), generate
+
+
+@intrinsic
+def where_less(typing: Any, left: Any, right: Any, yes: Any, no: Any) -> Any:
+    """`yes` in the lanes where left < right, else `no`; each lanes or a float."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right, yes, no = (
+            value if kind is LANES else _spread(builder, value)
+            for kind, value in zip(sig.args, args, strict=True)
+        )
+        return builder.select(builder.fcmp_ordered("<", left, right), yes, no)
+
+    kinds = [LANES if kind is LANES else types.float64 for kind in (left, right, yes, no)]
+    return LANES(*kinds), generate
