@@ -1,0 +1,58 @@
+"""What a cache asks of its surrogate, its fallback and the fallback's state."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.stress_law import StressLaw
+
+Array = NDArray[np.float64]
+
+
+class Surrogate(Protocol):
+    """A stress that is quick to look up, and says where it may not be asked."""
+
+    @property
+    def cell(self) -> CellParameters:
+        """Parameters of the plant cell whose stress was learnt."""
+
+    @property
+    def initialisation(self) -> str:
+        """How its RVE was initialised."""
+
+    @property
+    def density(self) -> float:
+        """Mass per reference area, ng/µm²."""
+
+    def lookup(self, F: Array, F_dot: Array) -> tuple[Array, NDArray[np.int8]]:
+        """(stress (n, 2, 2) in µN/µm, status (n,)) in one pass.
+
+        Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
+        det F > 0 and the answer is one to be used.
+        """
+
+
+class Fallback(StressLaw, Protocol):
+    """The true law of the same plant cell; its states, if any, are `PointStates`."""
+
+    @property
+    def cell(self) -> CellParameters:
+        """Parameters of the plant cell."""
+
+    @property
+    def initialisation(self) -> str:
+        """How its RVE is initialised."""
+
+
+class PointStates(Protocol):
+    """A warm start of n points that can be taken apart; values, never changed in place."""
+
+    def take(self, indices: NDArray[np.intp]) -> Any:
+        """The state of these points, in this order; a point may be taken twice."""
+
+    def put(self, indices: NDArray[np.intp], state: Any) -> Any:
+        """This state with that of these points replaced."""

@@ -1,0 +1,236 @@
+"""The network as one compiled pass from (F, Ḟ) to stress and status.
+
+Layout: points are taken in blocks of `BLOCK`; every quantity is a row of `BLOCK` values, one a
+point, so each innermost loop runs over the points of a block with all else constant, which the
+compiler turns into SIMD instructions:
+
+    frame (rows, BLOCK)  float64: F, Ḟ, cos and sin of R, U, A, whether in range, S, σ
+    x     (8, BLOCK)     scaled inputs and, in the last row, ones
+    h     (units, BLOCK) layer of the network; weights are broadcast over the row
+
+From x on everything is in the precision of the weights. Rows of a layer are computed two at a
+time from four of the layer before, so sizes are padded with zeros to multiples of four.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from surrofe2.stress_law import Status
+from surrofe2.surrogate.components import INPUTS
+from surrofe2.surrogate.packing import Weights
+from surrofe2.surrogate.vector_tanh import fill_tanh
+
+BLOCK = 40
+MANY = 2000  # points from which on more than one core pays
+
+_ONE = INPUTS  # row of x that holds ones
+_OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
+
+# without nnan and ninf: NaN and infinity must be seen
+_FLAGS = {"nsz", "arcp", "contract", "afn", "reassoc"}
+_OPTIONS: dict[str, Any] = {"fastmath": _FLAGS, "error_model": "numpy", "cache": True}
+
+
+def evaluate(F: Any, F_dot: Any, weights: Weights) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) int8 is not 0.
+
+    F, F_dot: (n, 2, 2) contiguous float64. Points with NaN or det F ≤ 0 are out of range.
+    """
+    stress = np.empty((len(F), 2, 2))
+    status = np.empty(len(F), dtype=np.int8)
+    compute = _evaluate_parallel if len(F) >= MANY else _evaluate_serial
+    compute(F, F_dot, weights, stress, status)
+    return stress, status
+
+
+def response_at_rest(weights: Weights) -> NDArray[Any]:
+    """g₀(0) (1,), by the very instructions that `evaluate` subtracts it from."""
+    x = np.zeros((INPUTS + 1, BLOCK), dtype=weights.weights.dtype)
+    x[_ONE] = 1.0
+    return np.array(_network_factors(x, weights)[0, :1])
+
+
+@njit(**_OPTIONS)
+def _evaluate_serial(F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
+    for block in range((F.shape[0] + BLOCK - 1) // BLOCK):
+        _evaluate_block(block * BLOCK, F, F_dot, weights, stress, status)
+
+
+@njit(parallel=True, **_OPTIONS)
+def _evaluate_parallel(F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
+    for block in prange((F.shape[0] + BLOCK - 1) // BLOCK):
+        _evaluate_block(block * BLOCK, F, F_dot, weights, stress, status)
+
+
+@njit(**_OPTIONS)
+def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
+    frame = np.empty((19, BLOCK))
+    inside = np.empty(BLOCK, dtype=np.bool_)
+    y = np.zeros((4, BLOCK), dtype=weights.weights.dtype)
+    x = np.empty((INPUTS + 1, BLOCK), dtype=weights.weights.dtype)
+    _read(start, F, F_dot, frame)
+    _take_rotation_out(frame)
+    _test_range(frame, weights.bounds, inside)
+    _scale_inputs(frame, weights.input_factor, x)
+    factors = _network_factors(x, weights)
+    _combine(x, factors, weights, y)
+    _add_baseline(x, weights, y)
+    _put_rotation_back(y, frame)
+    _write(start, frame, inside, stress, status)
+
+
+@njit(**_OPTIONS)
+def _read(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
+    for p in range(BLOCK):
+        point = min(start + p, F.shape[0] - 1)
+        for i in range(2):
+            for j in range(2):
+                frame[2 * i + j, p] = F[point, i, j]
+                frame[4 + 2 * i + j, p] = F_dot[point, i, j]
+
+
+@njit(**_OPTIONS)
+def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
+    """Rows 8, 9: cos and sin of R; rows 10 to 12: U₁₁, U₁₂, U₂₂; rows 0 to 3: A = RᵀḞ."""
+    for p in range(BLOCK):
+        xx, xy, yx, yy = frame[0, p], frame[1, p], frame[2, p], frame[3, p]
+        along, across = xx + yy, yx - xy
+        length = 1.0 / np.sqrt(along * along + across * across)
+        c, s = along * length, across * length
+        frame[8, p] = c
+        frame[9, p] = s
+        frame[10, p] = c * xx + s * yx
+        frame[11, p] = c * xy + s * yy
+        frame[12, p] = c * yy - s * xy
+        vxx, vxy, vyx, vyy = frame[4, p], frame[5, p], frame[6, p], frame[7, p]
+        frame[0, p] = c * vxx + s * vyx
+        frame[1, p] = c * vxy + s * vyy
+        frame[2, p] = c * vyx - s * vxx
+        frame[3, p] = c * vyy - s * vxy
+
+
+@njit(**_OPTIONS)
+def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
+    low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
+    for p in range(BLOCK):
+        ok = (frame[10, p] >= low) & (frame[10, p] <= high)
+        ok &= (frame[12, p] >= low) & (frame[12, p] <= high) & (abs(frame[11, p]) <= shear)
+        ok &= (abs(frame[0, p]) <= rate) & (abs(frame[1, p]) <= rate)
+        ok &= (abs(frame[2, p]) <= rate) & (abs(frame[3, p]) <= rate)
+        inside[p] = ok
+
+
+@njit(**_OPTIONS)
+def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
+    for p in range(BLOCK):
+        x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
+        x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]
+        x[2, p] = 2.0 * frame[11, p] * factor[2]
+        x[3, p] = (frame[0, p] + frame[3, p]) * factor[3]
+        x[4, p] = (frame[0, p] - frame[3, p]) * factor[4]
+        x[5, p] = (frame[1, p] + frame[2, p]) * factor[5]
+        x[6, p] = (frame[2, p] - frame[1, p]) * factor[6]
+        x[_ONE, p] = 1.0
+
+
+@njit(**_OPTIONS)
+def _network_factors(x, weights):  # type: ignore[no-untyped-def]
+    """Rows of g(i(x)): the factor of the sum, then those of the covariants."""
+    sizes = weights.sizes
+    source = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
+    for k in range(weights.invariants.shape[0]):
+        a, b, c = weights.invariants[k]
+        for p in range(BLOCK):
+            source[k, p] = x[a, p] * x[b, p] * x[c, p]
+    first, first_bias = 0, 0
+    for layer in range(1, sizes.shape[0]):
+        rows, columns = sizes[layer], sizes[layer - 1]
+        matrix = weights.weights[first : first + rows * columns].reshape(rows, columns)
+        bias = weights.biases[first_bias : first_bias + rows]
+        target = np.empty((rows, BLOCK), dtype=x.dtype)
+        _apply_layer(matrix, bias, source, target)
+        if layer + 1 < sizes.shape[0]:
+            fill_tanh(target)
+        source = target
+        first += rows * columns
+        first_bias += rows
+    return source
+
+
+@njit(**_OPTIONS)
+def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
+    for j in range(0, matrix.shape[0], 2):
+        for p in range(BLOCK):
+            target[j, p] = bias[j]
+            target[j + 1, p] = bias[j + 1]
+        for k in range(0, matrix.shape[1], 4):
+            a0, a1, a2, a3 = matrix[j, k], matrix[j, k + 1], matrix[j, k + 2], matrix[j, k + 3]
+            b0, b1 = matrix[j + 1, k], matrix[j + 1, k + 1]
+            b2, b3 = matrix[j + 1, k + 2], matrix[j + 1, k + 3]
+            for p in range(BLOCK):
+                s0, s1, s2, s3 = source[k, p], source[k + 1, p], source[k + 2, p], source[k + 3, p]
+                target[j, p] += a0 * s0 + a1 * s1 + a2 * s2 + a3 * s3
+                target[j + 1, p] += b0 * s0 + b1 * s1 + b2 * s2 + b3 * s3
+
+
+@njit(**_OPTIONS)
+def _combine(x, factors, weights, y):  # type: ignore[no-untyped-def]
+    for p in range(BLOCK):
+        y[0, p] = factors[0, p] - weights.at_rest[0]
+    for k in range(weights.covariants.shape[0]):
+        a, b, c, component = weights.covariants[k]
+        for p in range(BLOCK):
+            y[component, p] += factors[k + 1, p] * (x[a, p] * x[b, p] * x[c, p])
+    for component in range(4):
+        scale = weights.output_factor[component]
+        for p in range(BLOCK):
+            y[component, p] *= scale
+
+
+@njit(**_OPTIONS)
+def _add_baseline(x, weights, y):  # type: ignore[no-untyped-def]
+    """Each monomial is an earlier one times one more input; row 0 of the earlier ones is 1."""
+    table = weights.monomials
+    kept = np.empty((max(1, table[:, 3].max() + 1) if table.shape[0] else 1, BLOCK), dtype=x.dtype)
+    kept[0] = 1.0
+    for k in range(table.shape[0]):
+        prefix, factor, component, keep = table[k]
+        c = weights.coefficients[k]
+        if keep >= 0:
+            for p in range(BLOCK):
+                kept[keep, p] = kept[prefix, p] * x[factor, p]
+                y[component, p] += c * kept[keep, p]
+        else:
+            for p in range(BLOCK):
+                y[component, p] += c * kept[prefix, p] * x[factor, p]
+
+
+@njit(**_OPTIONS)
+def _put_rotation_back(y, frame):  # type: ignore[no-untyped-def]
+    """Rows 13 to 16: σ₁₁, σ₁₂, σ₂₁, σ₂₂; R turns (difference, shear) by twice its angle."""
+    for p in range(BLOCK):
+        c, s = frame[8, p], frame[9, p]
+        c2, s2 = c * c - s * s, 2.0 * c * s
+        difference = c2 * y[1, p] - s2 * y[2, p]
+        shear = s2 * y[1, p] + c2 * y[2, p]
+        frame[13, p] = 0.5 * (y[0, p] + difference)
+        frame[14, p] = 0.5 * (shear - y[3, p])
+        frame[15, p] = 0.5 * (shear + y[3, p])
+        frame[16, p] = 0.5 * (y[0, p] - difference)
+
+
+@njit(**_OPTIONS)
+def _write(start, frame, inside, stress, status):  # type: ignore[no-untyped-def]
+    for p in range(min(BLOCK, stress.shape[0] - start)):
+        code = _OK if inside[p] else _OUT_OF_RANGE
+        for i in range(4):
+            if code == _OK and not np.isfinite(frame[13 + i, p]):
+                code = _NOT_FINITE
+        status[start + p] = code
+        for i in range(4):
+            stress[start + p, i // 2, i % 2] = frame[13 + i, p] if code == _OK else np.nan

@@ -1,0 +1,46 @@
+"""How far a surrogate is from samples it was not trained on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.sampling import StressSamples
+from surrofe2.surrogate.components import COMPONENTS, to_components, to_inputs
+from surrofe2.surrogate.surrogate_law import SurrogateLaw
+from surrofe2.tensors import transpose
+
+Array = NDArray[np.float64]
+
+
+def measure_errors(law: SurrogateLaw, samples: StressSamples) -> dict[str, Any]:
+    """Errors of a surrogate on samples, by component of S and of σ.
+
+    Returns:
+        `points`, and by component `spread` (standard deviation over the samples, µN/µm), `rms`
+        and `worst` (relative to the spread).
+    """
+    inputs, R = to_inputs(samples.F, samples.F_dot)
+    answer = law.reference(samples.F, samples.F_dot)
+    exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
+    spread = exact.std(axis=0)
+    scale = np.where(spread > 0.0, spread, max(spread.max(), np.finfo(float).tiny))
+    error = np.abs(found - exact) / scale
+    names = (*COMPONENTS, "xx", "xy", "yx", "yy")
+    figures = {
+        "spread": spread,
+        "rms": np.sqrt((error**2).mean(axis=0)),
+        "worst": error.max(axis=0),
+    }
+    named = {
+        key: {name: float(value) for name, value in zip(names, values, strict=True)}
+        for key, values in figures.items()
+    }
+    return {"points": len(inputs), **named}
+
+
+def _all_components(stress: Array, R: Array) -> Array:
+    rotated = to_components(transpose(R) @ stress @ R)
+    return np.concatenate([rotated, stress.reshape(-1, 4)], axis=1)

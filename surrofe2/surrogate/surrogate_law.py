@@ -1,0 +1,118 @@
+"""`SurrogateLaw`: a trained network as a stress law that knows where it may be asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange, contains
+from surrofe2.stress_law import Acceptance, StressResponse, check_deformation
+from surrofe2.surrogate.compiled import evaluate, response_at_rest
+from surrofe2.surrogate.components import rotate_back, to_inputs
+from surrofe2.surrogate.network import StressNetwork
+from surrofe2.surrogate.packing import Weights, pack
+from surrofe2.surrogate.settings import TrainingSettings
+
+Array = NDArray[np.float64]
+
+
+def package_version() -> str:
+    """Version of the installed surrofe2."""
+    try:
+        return version("surrofe2")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SurrogateLaw:
+    """σ(F, Ḟ) of one RVE, learnt; rotation and D4 hold exactly, σ(I, 0) = 0, no sector edges.
+
+    Attributes:
+        network: components of S = Rᵀ σ R from those of U and RᵀḞ; see `network`.
+        cell: parameters of the plant cell whose stress was learnt.
+        initialisation: how its RVE was initialised.
+        range: bounds of the data, outside which no stress is given.
+        settings: of the training.
+        errors: over held-out samples: `points`, and by component `spread` (standard deviation,
+            µN/µm), `rms` and `worst` error relative to the spread.
+        data_fingerprint: of the samples trained on.
+        rest_length: wall rest length in µm, if known.
+        version: of the package that trained.
+    """
+
+    network: StressNetwork
+    cell: CellParameters
+    initialisation: str
+    range: SamplingRange
+    settings: TrainingSettings
+    errors: Mapping[str, Any]
+    data_fingerprint: str
+    rest_length: float | None = None
+    version: str = field(default_factory=package_version)
+    _weights: Weights = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        weights = pack(self.network, self.range)
+        weights = weights._replace(at_rest=response_at_rest(weights))
+        object.__setattr__(self, "_weights", weights)
+
+    @classmethod
+    def load(cls, path: str | Path) -> SurrogateLaw:
+        """The surrogate in a file written by `save`.
+
+        Raises:
+            FileError: missing, truncated, foreign or altered; code in the file is never run.
+        """
+        from surrofe2.surrogate.checkpoint import read_surrogate
+
+        return read_surrogate(Path(path))
+
+    def save(self, path: str | Path) -> None:
+        """Write to a file, whole or not at all; a FileError where that fails."""
+        from surrofe2.surrogate.checkpoint import write_surrogate
+
+        write_surrogate(self, Path(path))
+
+    @property
+    def density(self) -> float:
+        """Mass per reference area, ng/µm²."""
+        return self.cell.density
+
+    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data."""
+        F, F_dot = check_deformation(F, F_dot)
+        stress, status = self.lookup(F, F_dot)
+        return StressResponse(stress, status, state, {"surrogate_points": len(F)})
+
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        """Nothing is left to check or to commit."""
+        return Acceptance(response.status, response.state)
+
+    def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
+        """(n,) whether U and RᵀḞ are within the range of the data; False where not a number."""
+        return contains(self.range, F, F_dot)
+
+    def lookup(self, F: Array, F_dot: Array) -> tuple[Array, NDArray[np.int8]]:
+        """(stress (n, 2, 2), status (n,)) in one compiled pass, without checking the input.
+
+        F, F_dot: contiguous float64 (n, 2, 2).
+        """
+        return evaluate(F, F_dot, self._weights)
+
+    def reference(self, F: Array, F_dot: Array) -> Array:
+        """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""
+        F, F_dot = check_deformation(F, F_dot)
+        inputs, R = to_inputs(F, F_dot)
+        with torch.no_grad():
+            precision = self.network.input_scale.dtype
+            components = self.network(torch.as_tensor(inputs, dtype=precision))
+        return rotate_back(components.double().numpy(), R)

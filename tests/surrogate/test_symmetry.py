@@ -1,0 +1,137 @@
+"""Rotation, the square cell's group, the state at rest, and smoothness, for a trained network."""
+
+import numpy as np
+import pytest
+
+from surrofe2.sampling import sample
+from surrofe2.surrogate.components import (
+    from_components,
+    monomials,
+    parity,
+    rotate_back,
+    to_components,
+    to_inputs,
+)
+from surrofe2.surrogate.network import COVARIANTS, INVARIANTS
+from tests.surrogate.lattice_law import RANGE, lattice_stress
+
+ROTATIONS = [
+    np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).round()
+    for a in np.arange(4) * np.pi / 2
+]
+REFLECTIONS = [turn @ np.diag([1.0, -1.0]) for turn in ROTATIONS]
+
+
+@pytest.fixture(scope="module")
+def points():
+    F, F_dot = sample(RANGE, 200, seed=11)
+    angles = np.linspace(-3.0, 3.0, 200)
+    R = np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]])
+    R = np.ascontiguousarray(np.moveaxis(R, 2, 0))
+    return R @ F, R @ F_dot
+
+
+def both_paths(law):
+    return (lambda F, F_dot: law.respond(F, F_dot).stress, law.reference)
+
+
+def assert_close(found, expected):
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+def test_components_and_back():
+    T = np.random.default_rng(0).normal(size=(20, 2, 2))
+    np.testing.assert_allclose(from_components(to_components(T)), T, atol=1e-15)
+
+
+def test_inputs_and_outputs_lose_nothing_but_the_rotation(points):
+    F, F_dot = points
+    inputs, R = to_inputs(F, F_dot)
+    spinless = np.concatenate([inputs[:, :3], np.zeros((200, 1))], axis=1)
+    np.testing.assert_allclose(R @ (np.eye(2) + from_components(spinless)), F, atol=1e-14)
+    np.testing.assert_allclose(R @ from_components(inputs[:, 3:]), F_dot, atol=1e-16)
+    stress = lattice_stress(F, F_dot)
+    components = to_components(np.swapaxes(R, 1, 2) @ stress @ R)
+    np.testing.assert_allclose(rotate_back(components, R), stress, atol=1e-12)
+
+
+@pytest.mark.parametrize("group_element", ROTATIONS + REFLECTIONS, ids=range(8))
+def test_monomials_change_sign_as_their_parity_says(group_element):
+    """T → Gᵀ T G; every tensor is written with the same four letters as the stress."""
+    rng = np.random.default_rng(1)
+    T = rng.normal(size=(1, 2, 2))
+    moved = group_element.T @ T @ group_element
+    signs = to_components(moved)[0] / to_components(T)[0]
+    U, A = rng.normal(size=(2, 1, 2, 2))
+    U = U + np.swapaxes(U, 1, 2)
+
+    def inputs_of(U, A):
+        return np.concatenate([to_components(U)[0, :3], to_components(A)[0]])
+
+    before = inputs_of(U, A)
+    after = inputs_of(group_element.T @ U @ group_element, group_element.T @ A @ group_element)
+    for product in monomials(3):
+        factors = list(product)
+        ratio = after[factors].prod() / before[factors].prod()
+        assert ratio == pytest.approx(signs[parity(product)])
+
+
+def test_tables_of_invariants_and_covariants_are_complete():
+    """Every monomial up to degree 4 is a polynomial in invariants times covariants."""
+    assert all(parity(product) == 0 for product in INVARIANTS)
+    assert [parity(product) for product in COVARIANTS] == [1] * 4 + [2] * 4 + [3] * 5
+    generated = {(): 0}
+    frontier = [(), *COVARIANTS]
+    while frontier:
+        product = frontier.pop()
+        generated[product] = parity(product)
+        for invariant in INVARIANTS:
+            bigger = tuple(sorted(product + invariant))
+            if len(bigger) <= 4 and bigger not in generated:
+                frontier.append(bigger)
+    assert set(monomials(4)) <= set(generated)
+
+
+@pytest.mark.parametrize("angle", [0.3, -1.2, np.pi, 2.5])
+def test_a_constant_rotation_turns_the_stress(law, points, angle):
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    for stress in both_paths(law):
+        assert_close(stress(Q @ points[0], Q @ points[1]), Q @ stress(*points) @ Q.T)
+
+
+@pytest.mark.parametrize("G", ROTATIONS, ids=range(4))
+def test_turning_the_square_cell_changes_nothing(law, points, G):
+    for stress in both_paths(law):
+        assert_close(stress(points[0] @ G, points[1] @ G), stress(*points))
+
+
+@pytest.mark.parametrize("M", REFLECTIONS, ids=range(4))
+def test_reflecting_the_square_cell_reflects_the_stress(law, points, M):
+    for stress in both_paths(law):
+        assert_close(stress(M @ points[0] @ M, M @ points[1] @ M), M @ stress(*points) @ M)
+
+
+def test_no_stress_at_rest(law):
+    for angle in (0.0, np.pi / 2, np.pi):
+        Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).round()
+        for stress in both_paths(law):
+            assert not stress(Q[None], np.zeros((1, 2, 2))).any()
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.006])
+@pytest.mark.parametrize("direction", [np.diag([1.0, -1.0]), np.array([[0.0, 1.0], [1.0, 0.0]])])
+@pytest.mark.parametrize("centre", [np.eye(2), np.diag([1.03, 1.03]), np.diag([1.02, 0.99])])
+def test_smooth_across_the_folds(law, direction, centre, rate):
+    """Along a line through U₁₁ = U₂₂ and U₁₂ = 0 the derivative is continuous.
+
+    One-sided second-order differences from left and right agree to O(h²) where the stress is
+    smooth and differ by the kink where it is not; the lattice's stress sets the size.
+    """
+    h = 1e-4
+    steps = h * np.array([-2, -1, 0, 1, 2])
+    F = centre + steps[:, None, None] * direction
+    F_dot = np.broadcast_to(rate * np.array([[0.3, 1.0], [-0.5, 0.2]]), F.shape).copy()
+    a, b, c, d, e = law.respond(F, F_dot).stress
+    left = (3 * c - 4 * b + a) / (2 * h)
+    right = (-3 * c + 4 * d - e) / (2 * h)
+    assert np.abs(right - left).max() < 1e-4 * np.abs(left).max()

@@ -1,0 +1,164 @@
+"""Accuracy on data never seen, determinism, and interrupted training."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.sampling import sample
+from surrofe2.surrogate import TrainingSettings, train
+from surrofe2.surrogate.held_out_errors import measure_errors
+from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples, lattice_stress
+
+SMALL = TrainingSettings(hidden=(8,), baseline_degree=2, iterations=60, checkpoint_interval=20)
+
+
+@pytest.fixture(scope="module")
+def few():
+    return lattice_samples(600)
+
+
+def test_held_out_errors_are_those_on_fresh_data(law):
+    """0.05 % of the spread; the polynomial alone misses by 0.1 to 0.7 %."""
+    F, F_dot = sample(RANGE, 2000, seed=99)
+    exact = lattice_stress(F, F_dot)
+    error = np.abs(law.respond(F, F_dot).stress - exact).reshape(-1, 4) / exact.reshape(-1, 4).std(
+        0
+    )
+    rms, worst = np.sqrt((error**2).mean(axis=0)), error.max(axis=0)
+    assert rms.max() < 5e-4
+    assert worst.max() < 6e-3
+    reported = [law.errors["rms"][name] for name in ("xx", "xy", "yx", "yy")]
+    np.testing.assert_allclose(reported, rms, rtol=0.3)
+    assert law.errors["points"] == 400
+    assert max(law.errors["rms"].values()) < 1e-3  # sum, difference, shear and spin as well
+
+
+def test_the_network_is_what_makes_it_accurate(law, samples, settings):
+    baseline = train(samples, replace(settings, iterations=0))
+    for name, error in law.errors["rms"].items():
+        assert error < 0.6 * baseline.errors["rms"][name]
+    assert law.errors["rms"]["shear"] < 0.1 * baseline.errors["rms"]["shear"]
+
+
+def test_errors_are_relative_to_the_spread(law):
+    F, F_dot = sample(RANGE, 300, seed=7)
+    own = law.respond(F, F_dot).stress
+    shifted = replace(lattice_samples(300, seed=7), stress=own + np.diag([0.5, 0.0]))
+    errors = measure_errors(law, shifted)
+    spread = own[:, 0, 0].std()
+    assert errors["spread"]["xx"] == pytest.approx(spread)
+    assert errors["rms"]["xx"] == pytest.approx(0.5 / spread)
+    assert errors["worst"]["sum"] == pytest.approx(0.5 / (own[:, 0, 0] + own[:, 1, 1]).std())
+    assert errors["rms"]["yy"] < 1e-12
+
+
+def test_what_was_trained_on_is_kept(law, samples, settings):
+    assert law.cell == CELL
+    assert law.density == CELL.density
+    assert law.initialisation == "constrained-runs"
+    assert law.range == RANGE
+    assert law.settings == settings
+    assert law.data_fingerprint == samples.fingerprint
+    assert law.rest_length == samples.rest_length
+
+
+def test_seed_decides(few):
+    F, F_dot = sample(RANGE, 20, seed=0)
+    answers = [train(few, replace(SMALL, seed=seed)).respond(F, F_dot).stress for seed in (1, 1, 2)]
+    assert np.array_equal(answers[0], answers[1])
+    assert not np.array_equal(answers[0], answers[2])
+
+
+def test_failed_samples_are_left_out(few):
+    status = few.status.copy()
+    status[::3] = 1
+    stress = np.where(status[:, None, None] == 0, few.stress, np.nan)
+    law = train(replace(few, status=status, stress=stress), SMALL)
+    assert law.errors["points"] == 40
+    assert law.errors["rms"]["sum"] < 0.05
+
+
+def test_interrupted_training_carries_on_as_if_it_had_not_been(few):
+    states, figures = [], []
+
+    def interrupt(done, total, found):
+        figures.append((done, total, found))
+        if done == 40:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(few, SMALL, progress=interrupt, checkpoint=states.append)
+    assert [done for done, _, _ in figures] == [20, 40]
+    assert figures[1][2]["loss"] < figures[0][2]["loss"] < 1.0
+    assert [state["iterations"] for state in states] == [20, 20]
+
+    stored = io.BytesIO()
+    torch.save(states[-1], stored)
+    stored.seek(0)
+    state = torch.load(stored, weights_only=True)
+    F, F_dot = sample(RANGE, 20, seed=0)
+    resumed = train(few, SMALL, resume=state).respond(F, F_dot).stress
+    assert np.array_equal(resumed, train(few, SMALL).respond(F, F_dot).stress)
+
+
+def test_a_state_of_another_training_is_refused(few):
+    states = []
+    train(few, SMALL, checkpoint=states.append)
+    with pytest.raises(MismatchError, match="data_fingerprint"):
+        train(lattice_samples(601), SMALL, resume=states[0])
+    with pytest.raises(MismatchError, match="settings"):
+        train(few, replace(SMALL, seed=5), resume=states[0])
+
+
+def test_training_lowers_the_loss_of_a_law_without_spin_or_rate(few):
+    """Components and inputs without any spread must not divide by zero."""
+    flat = replace(RANGE, rate=0.0, shear=0.0)
+    F, F_dot = sample(flat, 200, seed=1)
+    stress = lattice_stress(F, F_dot)
+    still = replace(few, range=flat, F=F, F_dot=F_dot, stress=stress, status=few.status[:200])
+    law = train(still, SMALL)
+    assert law.errors["rms"]["xx"] < 1e-2
+    found = law.respond(F, F_dot).stress
+    assert np.abs(found[:, 0, 1]).max() < 1e-9
+
+
+def test_too_few_samples_are_refused(few):
+    with pytest.raises(InputError, match="samples: 0 valid"):
+        train(replace(few, status=np.ones_like(few.status)), SMALL)
+
+
+def test_global_random_state_and_precision_are_left_alone(few):
+    torch.manual_seed(0)
+    before = torch.get_rng_state()
+    train(few, replace(SMALL, iterations=1))
+    assert torch.equal(before, torch.get_rng_state())
+    assert torch.get_default_dtype() == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"hidden": ()}, "training.hidden"),
+        ({"hidden": (0, 4)}, "training.hidden"),
+        ({"hidden": 64}, "training.hidden"),
+        ({"precision": "float16"}, "training.precision: 'float16'; it must be one of float64"),
+        ({"held_out": 0.0}, "training.held_out: 0.0; it must be between 0 and 1"),
+        ({"held_out": float("nan")}, "training.held_out"),
+        ({"iterations": -1}, "training.iterations"),
+        ({"iterations": 1.5}, "training.iterations"),
+        ({"history": 0}, "training.history"),
+        ({"seed": True}, "training.seed"),
+        ({"baseline_degree": 6}, "training.baseline_degree: 6; it must be an integer from 0 to 5"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        TrainingSettings(**changes)
+
+
+def test_settings_from_a_list_equal_those_from_a_tuple():
+    assert TrainingSettings(hidden=[8, 8]) == TrainingSettings(hidden=(8, 8))

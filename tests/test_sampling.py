@@ -1,0 +1,160 @@
+"""The range of deformations, its sequence of points, and the samples."""
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange, StressSamples, contains, sample
+
+RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
+
+
+def turned(tensors, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]]) @ tensors
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stretch": (1.1, 0.9)}, r"range.stretch: \(1.1, 0.9\); low must be below high"),
+        ({"stretch": (1.0, 1.0)}, "low must be below high"),
+        ({"stretch": (-0.1, 1.0)}, "both positive"),
+        ({"stretch": (0.9, np.nan)}, "range.stretch"),
+        ({"stretch": (0.9, np.inf)}, "range.stretch"),
+        ({"stretch": 1.0}, "two numbers"),
+        ({"stretch": ("a", 1.0)}, "must be a number"),
+        ({"shear": -0.1}, "range.shear: -0.1; it must be at least 0"),
+        ({"shear": 0.9}, "det U > 0"),
+        ({"rate": np.nan}, "range.rate: nan"),
+        ({"rate": True}, "range.rate: True; it must be a number"),
+    ],
+)
+def test_a_range_that_makes_no_sense_is_refused(changes, message):
+    with pytest.raises(InputError, match=message) as error:
+        SamplingRange(**{"stretch": (0.9, 1.1), "shear": 0.1, "rate": 0.01, **changes})
+    assert "\n" not in str(error.value)
+
+
+def test_points_fill_the_range_and_no_more():
+    F, F_dot = sample(RANGE, 4096, seed=3)
+    assert F.shape == F_dot.shape == (4096, 2, 2)
+    assert np.array_equal(F[:, 0, 1], F[:, 1, 0])
+    for values, low, high in [
+        (F[:, 0, 0], 0.9, 1.05),
+        (F[:, 1, 1], 0.9, 1.05),
+        (F[:, 0, 1], -0.08, 0.08),
+        *[(F_dot[:, i, j], -0.01, 0.01) for i in (0, 1) for j in (0, 1)],
+    ]:
+        width = high - low
+        assert low <= values.min() < low + 0.01 * width
+        assert high - 0.01 * width < values.max() <= high
+        # a Sobol sequence is far more even than chance, whose counts scatter by about 20
+        counts = np.histogram(values, bins=8, range=(low, high))[0]
+        assert np.abs(counts - 512).max() <= 2
+    assert contains(RANGE, F, F_dot).all()
+
+
+def test_the_sequence_may_be_cut_anywhere():
+    whole = sample(RANGE, 1000, seed=5)
+    parts = [sample(RANGE, count, seed=5, start=start) for start, count in ((0, 1), (1, 610))]
+    parts.append(sample(RANGE, 389, seed=5, start=611))
+    for k in (0, 1):
+        assert np.array_equal(whole[k], np.concatenate([part[k] for part in parts]))
+    assert not np.array_equal(whole[0], sample(RANGE, 1000, seed=6)[0])
+    assert sample(RANGE, 0, seed=5)[0].shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"count": -1}, {"count": 1.5}, {"start": -2}, {"count": 2**31}]
+)
+def test_a_count_that_makes_no_sense_is_refused(arguments):
+    with pytest.raises(InputError):
+        sample(RANGE, **{"count": 4, "seed": 0, **arguments})
+
+
+def test_range_is_of_stretch_and_of_rates_seen_by_the_material():
+    F, F_dot = np.eye(2) * np.ones((6, 1, 1)), np.zeros((6, 2, 2))
+    F[1, 0, 0] = 1.0501
+    F[2] = turned(np.diag([0.91, 1.04]), 2.0)  # a rotation alone takes nothing out of range
+    F[3, 0, 1] = F[3, 1, 0] = -0.0801
+    F_dot[4, 1, 0] = 0.0101
+    F[5, 1, 1] = -1.0
+    expected = [True, False, True, False, False, False]
+    assert contains(RANGE, F, F_dot).tolist() == expected
+
+
+def test_edges_belong_to_the_range_in_any_orientation():
+    angles = np.linspace(0.0, 6.0, 50)
+    edge = np.array([[0.9, 0.08], [0.08, 1.05]])
+    F = np.stack([turned(edge, angle) for angle in angles])
+    F_dot = np.stack([turned(np.full((2, 2), -0.01), angle) for angle in angles])
+    assert contains(RANGE, F, F_dot).all()
+    assert not contains(RANGE, F, F_dot * (1.0 + 1e-9)).any()
+    assert not contains(RANGE, F * (1.0 + 1e-9), F_dot).any()
+
+
+def test_what_is_not_a_number_is_not_in_range():
+    for value in (np.nan, np.inf):
+        for k in range(4):
+            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
+            F.flat[k] = value
+            assert not contains(RANGE, F, F_dot).any()
+            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
+            F_dot.flat[k] = value
+            assert not contains(RANGE, F, F_dot).any()
+    assert not contains(RANGE, np.zeros((1, 2, 2)), np.zeros((1, 2, 2))).any()
+
+
+def samples(**changes):
+    F, F_dot = sample(RANGE, 8, seed=1)
+    values = {
+        "F": F,
+        "F_dot": F_dot,
+        "stress": F + F_dot,
+        "status": np.zeros(8, dtype=np.int8),
+        "cell": CellParameters(),
+        "initialisation": "elastic",
+        "range": RANGE,
+        "seed": 1,
+    }
+    return StressSamples(**{**values, **changes})
+
+
+def test_samples_with_a_stress_are_valid():
+    status = np.array([0, 1, 0, 2, 0, 0, 0, 0], dtype=np.int8)
+    stress = np.where(status[:, None, None] == 0, 1.0, np.nan) * np.ones((8, 2, 2))
+    valid = samples(status=status, stress=stress).valid
+    assert len(valid.F) == len(valid.status) == 6
+    assert np.array_equal(valid.F, samples().F[status == 0])
+    assert np.isfinite(valid.stress).all()
+
+
+def test_fingerprint_sees_every_field():
+    moved = samples().stress.copy()
+    moved[3, 0, 1] = np.nextafter(moved[3, 0, 1], 2.0)
+    others = [
+        samples(stress=moved),
+        samples(F=samples().F + 1e-15),
+        samples(F_dot=samples().F_dot + 1e-17),
+        samples(status=np.array([0] * 7 + [1], dtype=np.int8)),
+        samples(cell=CellParameters.preset("water")),
+        samples(initialisation="constrained-runs"),
+        samples(range=SamplingRange(stretch=(0.9, 1.06), shear=0.08, rate=0.01)),
+        samples(seed=2),
+        samples(rest_length=1.4),
+    ]
+    fingerprints = {item.fingerprint for item in others} | {samples().fingerprint}
+    assert len(fingerprints) == 1 + len(others)
+    assert samples().fingerprint == samples().fingerprint
+    assert len(samples().fingerprint) == 16
+
+
+def test_samples_of_the_wrong_shape_or_without_a_number_are_refused():
+    with pytest.raises(InputError, match=r"samples\.stress: shape"):
+        samples(stress=np.zeros((7, 2, 2)))
+    with pytest.raises(InputError, match=r"samples\.status: shape"):
+        samples(status=np.zeros(9, dtype=np.int8))
+    with pytest.raises(InputError, match=r"samples\.stress: not finite"):
+        samples(stress=np.full((8, 2, 2), np.nan))
