@@ -32,22 +32,25 @@ def cache_folder() -> Path:
     return base / "surrofe2" / digest.hexdigest()[:16]
 
 
-def _compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with options of one's own, cached here."""
+    options = {"cache": True, "error_model": "numpy", "fastmath": FAST} | options
+
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(cache_folder())
         try:
-            return numba.njit(cache=True, error_model="numpy", fastmath=FAST, **options)(function)
+            return numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
 
     return decorate
 
 
-kernel = _compiled()
+kernel = compiled()
 """A function of arrays and numbers, compiled."""
 
-parallel_kernel = _compiled(parallel=True)
+parallel_kernel = compiled(parallel=True)
 """A kernel whose `numba.prange` loops run on all cores; their bodies are one call of a kernel."""
 
 pair_law = numba.njit(inline="always", error_model="numpy", fastmath=FAST)

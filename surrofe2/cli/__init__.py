@@ -1,1 +1,94 @@
-"""surrofe2."""
+"""The command line: parse, call, write. Only here are laws, macro scale and files wired together.
+
+Modules of the numerics are imported inside the commands, so that `surrofe2 --help` is quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from surrofe2.cli.compare import compare
+from surrofe2.cli.console import CarefulGroup
+from surrofe2.cli.demo import demo
+from surrofe2.cli.generate import generate
+from surrofe2.cli.run import run
+from surrofe2.cli.train import train
+
+_HELP = """
+FE² for plant tissue, true or through a learnt stress cache.
+
+A study is one TOML recipe; data/bending-bar.toml is one with comments. Its steps:
+
+[bold]surrofe2 generate RECIPE[/bold]
+  stresses of plant cells over a range of (F, Ḟ): a data set
+[bold]surrofe2 train RECIPE[/bold]
+  a surrogate of the stress from the data set
+[bold]surrofe2 run RECIPE --law rve --out out/rve[/bold]
+  the tissue by true FE²
+[bold]surrofe2 run RECIPE --law cached --out out/cached[/bold]
+  the same through the surrogate, true where it does not hold
+[bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
+  difference and speed-up
+
+[bold]surrofe2 demo[/bold] does all of them.
+
+Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
+"""
+
+
+def _flowing(docstring: str | None) -> str:
+    """A docstring whose paragraphs flow to the width of the terminal."""
+    paragraphs = (docstring or "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+app = typer.Typer(
+    cls=CarefulGroup,
+    help=_HELP,
+    rich_markup_mode="rich",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"surrofe2 {version('surrofe2')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Say the version."),
+    ] = False,
+    traceback: Annotated[
+        bool,
+        typer.Option(
+            "--traceback",
+            envvar="SURROFE2_TRACEBACK",
+            help="Show where an error came from, not only its sentence.",
+        ),
+    ] = False,
+) -> None:
+    """Options before the command."""
+
+
+for _command in (generate, train, run, compare, demo):
+    app.command(help=_flowing(_command.__doc__))(_command)
+
+
+def main() -> None:
+    """Run the command line."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    app()

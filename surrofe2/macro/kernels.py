@@ -9,15 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from surrofe2.compilation import kernel
 from surrofe2.macro.selective_quadrature import N_GAUSS, N_POINTS
 
-# All of fastmath but nnan and ninf, which would turn tests for NaN into False.
-SAFE_FASTMATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
-
-@njit(cache=True, fastmath=SAFE_FASTMATH)
+@kernel
 def deformation(rows: Any, gradients: Any, u: Any, v: Any) -> Any:
     """F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F at all points.
 
@@ -57,7 +54,7 @@ def deformation(rows: Any, gradients: Any, u: Any, v: Any) -> Any:
     return F, F_dot, J
 
 
-@njit(cache=True, fastmath=SAFE_FASTMATH)
+@kernel
 def nodal_forces(rows: Any, gradients: Any, weights: Any, F: Any, stress: Any, n_free: int) -> Any:
     """f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_centre J w tr(σ)/2 F⁻ᵀ∇N_a, see `internal_force`.
 
@@ -94,7 +91,7 @@ def nodal_forces(rows: Any, gradients: Any, weights: Any, F: Any, stress: Any, n
     return force
 
 
-@njit(cache=True, fastmath=SAFE_FASTMATH)
+@kernel
 def widen_extremes(lowest: Any, highest: Any, F: Any, F_dot: Any) -> None:
     """Widen `lowest` and `highest`, both (4, 2, 2), by F, Ḟ, U = RᵀF and RᵀḞ of all points.
 

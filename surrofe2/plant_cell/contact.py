@@ -45,7 +45,5 @@ def contact_slopes(length, inverse, rate, c):
 def contact_energy(length, inverse, c):
     """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse
-    energy = c.repulsion * (
-        0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5
-    )
+    energy = c.repulsion * (0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5)
     return where_less(length, c.cutoff, energy, 0.0)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.contact import contact_energy, contact_force
 from surrofe2.plant_cell.fluid import fluid_coefficients
-from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
 from surrofe2.plant_cell.wall import wall_energy, wall_force

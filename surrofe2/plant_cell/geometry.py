@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,11 @@ def square_patch(
 
 def even_positions(cell: CellParameters) -> NDArray[np.float64]:
     """(n, 2) corner, bottom wall, left wall evenly spaced; fluid on a square grid, µm."""
-    side, per_side, fluid = cell.cell_side, cell.wall_springs_per_side, cell.fluid_particles_per_side
+    side, per_side, fluid = (
+        cell.cell_side,
+        cell.wall_springs_per_side,
+        cell.fluid_particles_per_side,
+    )
     along = side * np.arange(1, per_side) / per_side
     zeros = np.zeros_like(along)
     inset = 0.7 * side / fluid
@@ -109,7 +114,7 @@ def _wall_bonds(per_side: int) -> Iterable[Pair]:
     bottom = [0, *range(1, per_side)]
     left = [0, *range(per_side, 2 * per_side - 1)]
     for line, end in ((bottom, (1, 0)), (left, (0, 1))):
-        yield from ((i, j, (0, 0)) for i, j in zip(line[:-1], line[1:], strict=True))
+        yield from ((i, j, (0, 0)) for i, j in pairwise(line))
         yield line[-1], 0, end
 
 
@@ -166,7 +171,16 @@ def _localised(
             rows.append((i, j))
         return np.array(rows, dtype=np.int32).reshape(-1, 2)
 
-    lists = [local(pairs) for pairs in (bonds, contacts, fluid_pairs)]
-    owner = np.array([i for i, _ in images], dtype=np.int32)
-    shift = np.array([s for _, s in images], dtype=np.int32).reshape(-1, 2)
-    return Patch(position, mass, walls, lattice, owner, shift, *lists, reach)
+    local_bonds, local_contacts, local_fluid = local(bonds), local(contacts), local(fluid_pairs)
+    return Patch(
+        position=position,
+        mass=mass,
+        walls=walls,
+        lattice=lattice,
+        owner=np.array([i for i, _ in images], dtype=np.int32),
+        shift=np.array([s for _, s in images], dtype=np.int32).reshape(-1, 2),
+        bonds=local_bonds,
+        contacts=local_contacts,
+        fluid_pairs=local_fluid,
+        reach=reach,
+    )

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.contact import contact_force, contact_slopes
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import difference, fluid_specific_volume
-from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline_curvature
 from surrofe2.plant_cell.wall import wall_force

@@ -19,6 +19,7 @@ from surrofe2.plant_cell.geometry import Patch
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE
 
+
 class Constants(NamedTuple):
     """What the pair laws need of `CellParameters`, ready for use in kernels (µm, µs, ng)."""
 

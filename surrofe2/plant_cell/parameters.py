@@ -36,16 +36,16 @@ class CellParameters:
     )
     wall_particle_mass: float = _constant(0.5, MASS, f"{_PAPER}, section 6")
     wall_stiffness: float = _constant(4000.0, STIFFNESS, f"{_PAPER}, section 6 (eq. 1)")
-    repulsion_strength: float = _constant(
-        5e5, f"{FORCE} {LENGTH}⁶", f"{_PAPER}, section 6 (eq. 2)"
-    )
+    repulsion_strength: float = _constant(5e5, f"{FORCE} {LENGTH}⁶", f"{_PAPER}, section 6 (eq. 2)")
     repulsion_cutoff: float = _constant(10.0, LENGTH, f"{_PAPER}, section 6 (eq. 2)")
     smoothing_length: float = _constant(5.5, LENGTH, f"{_PAPER}, section 6 (eq. 5)")
     sound_speed: float = _constant(
         50.0, VELOCITY, f"{_PAPER}, section 6 (eq. 9), where it is printed in µm/s"
     )
     viscosity: float = _constant(
-        0.1, f"{MASS}/{TIME}", f"{_PAPER}, section 6: 1e-2 Pa s times 10 µm (eq. 8)",
+        0.1,
+        f"{MASS}/{TIME}",
+        f"{_PAPER}, section 6: 1e-2 Pa s times 10 µm (eq. 8)",
         may_be_zero=True,
     )
     wall_damping_ratio: float = _constant(

@@ -27,6 +27,7 @@ from surrofe2.compilation import FAST
 TILE = 8
 
 _FLAGS = tuple(sorted(FAST))
+_Indices: Any = types.StarArgTuple  # type: ignore[attr-defined]
 _DOUBLES = ir.VectorType(ir.DoubleType(), TILE)
 _SINGLES = ir.VectorType(ir.FloatType(), TILE)
 
@@ -133,7 +134,7 @@ def load(typing: Any, array: Any, *index: Any) -> Any:
         value = builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4)
         return builder.fpext(value, _DOUBLES) if kind is _SINGLES else value
 
-    return LANES(array, types.StarArgTuple(index)), generate
+    return LANES(array, _Indices(index)), generate
 
 
 @intrinsic
@@ -151,7 +152,7 @@ def store(typing: Any, value: Any, array: Any, *index: Any) -> Any:
         return context.get_dummy_value()
 
     kind = LANES if value is LANES else types.float64
-    return types.void(kind, array, types.StarArgTuple(index)), generate
+    return types.void(kind, array, _Indices(index)), generate
 
 
 @intrinsic

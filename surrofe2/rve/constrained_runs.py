@@ -10,8 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from surrofe2.plant_cell.forces import fold_images
 from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.micro_state import cauchy_stress, local_forces, make_workspace, mean_force
 

@@ -20,8 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.jacobian import force_jacobian
 from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.jacobian import force_jacobian
 from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.linear import factorise, is_negative_definite, solve_factorised
 from surrofe2.rve.micro_state import evaluate, make_workspace, map_affine, set_images
@@ -165,9 +165,7 @@ def newton(
 
 
 @kernel
-def _newton_tile(
-    F, rate, z, lu, slopes, topology, c, area, tolerance, stress, iterations, stable
-):
+def _newton_tile(F, rate, z, lu, slopes, topology, c, area, tolerance, stress, iterations, stable):
     own = topology.particles
     work, matrices = make_workspace(topology), _make_matrices(own)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))

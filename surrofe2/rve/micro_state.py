@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.forces import add_forces, fold_images
 from surrofe2.compilation import kernel
+from surrofe2.plant_cell.forces import add_forces, fold_images
 from surrofe2.plant_cell.simd import TILE, load, root, spread, store
 
 

@@ -51,9 +51,7 @@ class RveLaw:
         **settings: Any,
     ) -> None:
         try:
-            self.settings = RveSettings(
-                initialisation=initialisation, solver=solver, **settings
-            )
+            self.settings = RveSettings(initialisation=initialisation, solver=solver, **settings)
         except TypeError:
             known = ", ".join(sorted(RveSettings.__dataclass_fields__))
             raise InputError(
@@ -145,9 +143,7 @@ class RveLaw:
 class _Batch:
     """One call of `respond`: tiles in, status and stress out; the given state is not touched."""
 
-    def __init__(
-        self, law: RveLaw, F: Array, F_dot: Array, state: RveState, cold: bool
-    ) -> None:
+    def __init__(self, law: RveLaw, F: Array, F_dot: Array, state: RveState, cold: bool) -> None:
         self.law, self.unit, self.settings = law, law._unit, law.settings
         self.F, self.F_dot, self.rate = F, F_dot, law._rate(F_dot)
         tiles = len(F)

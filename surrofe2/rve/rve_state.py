@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ class RveState:
 def rest_state(unit: UnitCell, points: int) -> RveState:
     """n RVEs in the reference state at F = I, Ḟ = 0."""
 
-    def everywhere(value: NDArray[np.generic]) -> NDArray[np.generic]:
+    def everywhere(value: NDArray[Any]) -> NDArray[Any]:
         tiles = -(-points // TILE)
         lanes = np.broadcast_to(value[..., None], (*value.shape, TILE))
         return np.ascontiguousarray(np.broadcast_to(lanes, (tiles, *lanes.shape)))

@@ -101,9 +101,7 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
     return UnitCell(cell, position, rest_length, constants, patches, topologies, factors)
 
 
-def _descend(
-    patch: Patch, constants: Constants, start: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _descend(patch: Patch, constants: Constants, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions (n, 2) into which the particles settle at F = I from `start`, dashpots on."""
     x = np.ascontiguousarray(np.swapaxes(pack(start[None]), 1, 2))
     v = np.zeros_like(x)
@@ -115,8 +113,9 @@ def _descend(
     )  # fmt: skip
     if iterations[0, 0] < 0:
         raise InputError(
-            f"cell: the undeformed cell does not come to rest (mean force {residual[0, 0, 0]:.3g} µN); "
-            "check fluid_particle_mass, wall_stiffness and the damping ratios"
+            "cell: the undeformed cell does not come to rest "
+            f"(mean force {residual[0, 0, 0]:.3g} µN); check fluid_particle_mass, wall_stiffness "
+            "and the damping ratios"
         )
     return x[0, :, :, 0].T.copy()
 

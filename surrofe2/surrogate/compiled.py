@@ -17,9 +17,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.components import INPUTS
 from surrofe2.surrogate.packing import Weights
@@ -30,10 +31,6 @@ MANY = 2000  # points from which on more than one core pays
 
 _ONE = INPUTS  # row of x that holds ones
 _OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
-
-# without nnan and ninf: NaN and infinity must be seen
-_FLAGS = {"nsz", "arcp", "contract", "afn", "reassoc"}
-_OPTIONS: dict[str, Any] = {"fastmath": _FLAGS, "error_model": "numpy", "cache": True}
 
 
 def evaluate(F: Any, F_dot: Any, weights: Weights) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
@@ -55,19 +52,19 @@ def response_at_rest(weights: Weights) -> NDArray[Any]:
     return np.array(_network_factors(x, weights)[0, :1])
 
 
-@njit(**_OPTIONS)
+@kernel
 def _evaluate_serial(F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
     for block in range((F.shape[0] + BLOCK - 1) // BLOCK):
         _evaluate_block(block * BLOCK, F, F_dot, weights, stress, status)
 
 
-@njit(parallel=True, **_OPTIONS)
+@parallel_kernel
 def _evaluate_parallel(F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
     for block in prange((F.shape[0] + BLOCK - 1) // BLOCK):
         _evaluate_block(block * BLOCK, F, F_dot, weights, stress, status)
 
 
-@njit(**_OPTIONS)
+@kernel
 def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
     frame = np.empty((19, BLOCK))
     inside = np.empty(BLOCK, dtype=np.bool_)
@@ -84,7 +81,7 @@ def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[n
     _write(start, frame, inside, stress, status)
 
 
-@njit(**_OPTIONS)
+@kernel
 def _read(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
@@ -94,7 +91,7 @@ def _read(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
                 frame[4 + 2 * i + j, p] = F_dot[point, i, j]
 
 
-@njit(**_OPTIONS)
+@kernel
 def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
     """Rows 8, 9: cos and sin of R; rows 10 to 12: U₁₁, U₁₂, U₂₂; rows 0 to 3: A = RᵀḞ."""
     for p in range(BLOCK):
@@ -114,7 +111,7 @@ def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
         frame[3, p] = c * vyy - s * vxy
 
 
-@njit(**_OPTIONS)
+@kernel
 def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
     low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
     for p in range(BLOCK):
@@ -125,7 +122,7 @@ def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
         inside[p] = ok
 
 
-@njit(**_OPTIONS)
+@kernel
 def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
     for p in range(BLOCK):
         x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
@@ -138,7 +135,7 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
         x[_ONE, p] = 1.0
 
 
-@njit(**_OPTIONS)
+@kernel
 def _network_factors(x, weights):  # type: ignore[no-untyped-def]
     """Rows of g(i(x)): the factor of the sum, then those of the covariants."""
     sizes = weights.sizes
@@ -162,7 +159,7 @@ def _network_factors(x, weights):  # type: ignore[no-untyped-def]
     return source
 
 
-@njit(**_OPTIONS)
+@kernel
 def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
     for j in range(0, matrix.shape[0], 2):
         for p in range(BLOCK):
@@ -178,7 +175,7 @@ def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
                 target[j + 1, p] += b0 * s0 + b1 * s1 + b2 * s2 + b3 * s3
 
 
-@njit(**_OPTIONS)
+@kernel
 def _combine(x, factors, weights, y):  # type: ignore[no-untyped-def]
     for p in range(BLOCK):
         y[0, p] = factors[0, p] - weights.at_rest[0]
@@ -192,7 +189,7 @@ def _combine(x, factors, weights, y):  # type: ignore[no-untyped-def]
             y[component, p] *= scale
 
 
-@njit(**_OPTIONS)
+@kernel
 def _add_baseline(x, weights, y):  # type: ignore[no-untyped-def]
     """Each monomial is an earlier one times one more input; row 0 of the earlier ones is 1."""
     table = weights.monomials
@@ -210,7 +207,7 @@ def _add_baseline(x, weights, y):  # type: ignore[no-untyped-def]
                 y[component, p] += c * kept[prefix, p] * x[factor, p]
 
 
-@njit(**_OPTIONS)
+@kernel
 def _put_rotation_back(y, frame):  # type: ignore[no-untyped-def]
     """Rows 13 to 16: σ₁₁, σ₁₂, σ₂₁, σ₂₂; R turns (difference, shear) by twice its angle."""
     for p in range(BLOCK):
@@ -224,7 +221,7 @@ def _put_rotation_back(y, frame):  # type: ignore[no-untyped-def]
         frame[16, p] = 0.5 * (y[0, p] - difference)
 
 
-@njit(**_OPTIONS)
+@kernel
 def _write(start, frame, inside, stress, status):  # type: ignore[no-untyped-def]
     for p in range(min(BLOCK, stress.shape[0] - start)):
         code = _OK if inside[p] else _OUT_OF_RANGE

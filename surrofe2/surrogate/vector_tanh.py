@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic, overload
+
+from surrofe2.compilation import compiled
 
 # without nnan and ninf, so that NaN stays NaN; without reassoc, so that the split of ln 2 holds
 _FLAGS = {"nsz", "contract"}
@@ -99,7 +101,7 @@ def _choose(y: Any) -> Any:
     return _tanh32 if y == types.float32 else _tanh64
 
 
-@njit(cache=True, **_OPTIONS)
+@compiled(**_OPTIONS)
 def fill_tanh(y: Any) -> None:
     """Replace every row of y (rows, points) by its tanh."""
     for row in range(y.shape[0]):

@@ -34,7 +34,7 @@ def test_fingerprint_tells_parameters_apart_and_ignores_how_a_number_is_written(
     ],
 )
 def test_bad_parameters_are_named_with_what_is_allowed(changes, message):
-    with pytest.raises(InputError, match="^[^\n]*$") as caught:
+    with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
         CellParameters.preset("printed", **changes)
     assert message in str(caught.value)
 

@@ -13,9 +13,7 @@ def test_rest_length_frees_the_cell_of_stress(preset, rest_length):
     cell = CellParameters.preset(preset)
     unit = make_unit_cell(cell)
     assert unit.rest_length == pytest.approx(rest_length, abs=0.005)  # model.md
-    f, _, stress = Twin(cell, unit.rest_length).evaluate(
-        unit.position, np.eye(2), np.zeros((2, 2))
-    )
+    f, _, stress = Twin(cell, unit.rest_length).evaluate(unit.position, np.eye(2), np.zeros((2, 2)))
     assert abs(f).max() < 1e-9
     assert abs(stress).max() < 1e-10
 

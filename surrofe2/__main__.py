@@ -1,0 +1,5 @@
+"""`python -m surrofe2` is the command line."""
+
+from surrofe2.cli import main
+
+main()

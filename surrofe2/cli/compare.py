@@ -1,0 +1,73 @@
+"""`surrofe2 compare`: run folders against each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from surrofe2.cli.console import say, show_table
+from surrofe2.errors import FileError
+
+if TYPE_CHECKING:
+    from surrofe2.report.comparison import Comparison
+
+FILES = ("comparison.json", "comparison.png")
+
+
+def compare_runs(folders: list[Path], out: Path, *, force: bool = False) -> Comparison:
+    """Compare runs and write comparison.json and comparison.png into `out`."""
+    from surrofe2.io.files import write_json
+    from surrofe2.io.runs import read_run
+    from surrofe2.report.comparison import compare
+    from surrofe2.report.comparison_plot import write_comparison_plot
+
+    for name in FILES:
+        if (out / name).exists() and not force:
+            raise FileError(f"{out / name}: exists; replace it with --force")
+    runs = [read_run(folder) for folder in folders]
+    result = compare(runs)
+    write_json(out / FILES[0], result.to_dict())
+    write_comparison_plot(out / FILES[1], result, runs)
+    return result
+
+
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Run folders, two or more.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace a comparison in DIR.")] = False,
+) -> None:
+    """Compare displacement curves and costs of runs of one load case.
+
+    The reference is the first run by true RVEs, else the first one. Writes comparison.json and
+    comparison.png: difference relative to the largest displacement, speed-up of wall time and
+    of RVE solves.
+
+    Example: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
+    """
+    result = compare_runs(runs, out, force=force)
+    show_comparison(result)
+    say(f"{out}: {' and '.join(FILES)} written")
+
+
+def show_comparison(result: Comparison) -> None:
+    """The figures of a comparison as a table."""
+    columns = ["run", "largest difference", "RMS", "wall time", "speed-up", "fewer RVE solves"]
+    rows = [
+        [
+            run.name,
+            f"{100 * run.difference.largest:.3g} %",
+            f"{100 * run.difference.rms:.3g} %",
+            f"{run.wall_time:.3g} s",
+            ratio(run.speed_up["wall_time"]),
+            ratio(run.speed_up["rve_solves"]),
+        ]
+        for run in result.runs
+    ]
+    show_table(f"Against {result.reference}", columns, rows)
+
+
+def ratio(value: float | None) -> str:
+    """A speed-up; None means that this run needed none of it."""
+    return "none needed" if value is None else f"{value:.3g}×"

@@ -1,0 +1,139 @@
+"""`surrofe2 generate`: from a declared range of (F, Ḟ) to a data set of stresses."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from surrofe2.cli.console import InterruptedWork, duration, progress, say
+
+if TYPE_CHECKING:
+    from surrofe2.config import Recipe
+    from surrofe2.stress_law import StressLaw
+
+CHUNK = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """What is in a finished data set. `failed`: reason → number of samples."""
+
+    path: Path
+    count: int
+    added: int
+    failed: dict[str, int]
+
+
+def generate_data_set(
+    recipe: Recipe,
+    law: StressLaw | None = None,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    chunk: int = CHUNK,
+    report: Callable[[int, str], None] = lambda done, note: None,
+) -> Generated:
+    """Sample the recipe's range, ask the RVE, and write the recipe's data set.
+
+    Samples are asked in chunks of fixed bounds and without warm start, so a continued data set
+    equals one made in one go, to the bit.
+
+    Args:
+        law: asked instead of the recipe's RVE.
+        report: called with the number of samples done and a remark.
+    """
+    from importlib.metadata import version
+
+    from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
+    from surrofe2.rve import RveLaw
+    from surrofe2.sampling import sample
+    from surrofe2.stress_law import describe
+
+    path, settings = recipe.data_path(), recipe.samples
+    law = law or RveLaw.from_settings(recipe.cell, recipe.rve)
+    header = DataSetHeader(
+        cell=recipe.cell,
+        rve=asdict(recipe.rve),
+        range=recipe.range,
+        count=settings.count,
+        seed=settings.seed,
+        chunk=chunk,
+        version=version("surrofe2"),
+        recipe=recipe.to_dict(),
+        rest_length=getattr(law, "rest_length", None),
+    )
+    with writing_data_set(path, header, resume=resume, force=force) as data:
+        added = settings.count - data.completed
+        failures = sum(n for code, n in data.status_counts().items() if code)
+        report(data.completed, f"{failures} failed")
+        while data.completed < settings.count:
+            start = data.completed
+            F, F_dot = sample(
+                recipe.range, min(chunk, settings.count - start), settings.seed, start=start
+            )
+            answer = law.respond(F, F_dot)
+            data.append(F, F_dot, answer.stress, answer.status)
+            failures += int((answer.status != 0).sum())
+            report(data.completed, f"{failures} failed")
+        counts = data.status_counts()
+    finish_data_set(path)
+    failed = {describe(code): n for code, n in counts.items() if code}
+    return Generated(path, settings.count, added, failed)
+
+
+def generate(
+    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an unfinished data set.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing data set.")] = False,
+    threads: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
+    ] = None,
+) -> None:
+    """Compute plant-cell stresses over a range of (F, Ḟ) into a data set.
+
+    The recipe's [bold]\\[range][/bold] says how far F and Ḟ (1/µs) go, [bold]\\[samples][/bold]
+    how many samples and which file. Samples whose RVE fails stay in the file, with the reason.
+
+    Example: [bold]surrofe2 generate data/bending-bar.toml[/bold]
+
+    Next: [bold]surrofe2 train data/bending-bar.toml[/bold]
+    """
+    from surrofe2.cli.laws import use_threads
+    from surrofe2.config import load_recipe
+
+    study = load_recipe(recipe)
+    use_threads(threads)
+    begin = time.perf_counter()
+    with _kept(recipe), progress("generate", study.samples.count, "samples") as report:
+        made = generate_data_set(study, resume=resume, force=force, report=report)
+    say(f"{made.path}: {summary(made)}, {duration(time.perf_counter() - begin)}")
+
+
+@contextmanager
+def _kept(recipe: Path) -> Iterator[None]:
+    """On Ctrl-C, say that the samples so far are kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptedWork(
+            f"the samples so far are kept; continue with: surrofe2 generate {recipe} --resume"
+        ) from None
+
+
+def summary(made: Generated) -> str:
+    """How many samples there are, how many were added, how many failed and why."""
+    failed = Counter(made.failed)
+    text = f"{made.count} samples" + ("" if made.added else " (already finished)")
+    if not failed:
+        return f"{text}, none failed"
+    reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
+    return f"{text}, {failed.total()} failed ({reasons})"

@@ -1,0 +1,174 @@
+"""`surrofe2 train`: from a data set to a surrogate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from surrofe2.cli.console import InterruptedWork, duration, progress, say, show_table
+from surrofe2.errors import FileError, MismatchError
+
+if TYPE_CHECKING:
+    from surrofe2.config import Recipe
+    from surrofe2.sampling import StressSamples
+    from surrofe2.surrogate import SurrogateLaw
+
+STRESSES = ("xx", "xy", "yx", "yy")
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A trained surrogate and its file; `kept`: it was already there."""
+
+    path: Path
+    surrogate: SurrogateLaw
+    kept: bool
+
+
+def train_surrogate(
+    recipe: Recipe,
+    *,
+    resume: bool = False,
+    keep: bool = False,
+    force: bool = False,
+    report: Callable[[float, str], None] = lambda done, note: None,
+) -> Trained:
+    """Train on the recipe's data set and write the recipe's surrogate.
+
+    Args:
+        resume: carry an interrupted training on, where one is there.
+        keep: take the surrogate that is there if it was trained on this very data by these
+            settings.
+        force: replace the surrogate that is there.
+        report: called with the number of iterations done and a remark.
+
+    Raises:
+        FileError: the surrogate's file exists and neither `keep` nor `force` is set.
+        MismatchError: the data set was made by another recipe, or the training to resume is of
+            other data or settings.
+    """
+    from surrofe2.io.data_sets import read_data_set
+    from surrofe2.io.files import reported
+    from surrofe2.surrogate import SurrogateLaw, train
+
+    path, source = recipe.training_path(), recipe.data_path()
+    if path.exists() and not (keep or force):
+        raise FileError(f"{path}: exists; replace it with --force")
+    samples = read_data_set(source)
+    _check_data(recipe, samples, source)
+    if keep and path.exists():
+        surrogate = SurrogateLaw.load(path)
+        same_data = surrogate.data_fingerprint == samples.fingerprint
+        if same_data and surrogate.settings == recipe.training:
+            return Trained(path, surrogate, kept=True)
+    with reported(path, "written"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".unfinished.pt")
+    surrogate = train(
+        samples,
+        recipe.training,
+        progress=lambda i, n, figures: report(i, _note(figures)),
+        checkpoint=lambda state: _write_state(unfinished, state),
+        resume=_read_state(unfinished) if resume and unfinished.exists() else None,
+    )
+    surrogate.save(path)
+    unfinished.unlink(missing_ok=True)
+    return Trained(path, surrogate, kept=False)
+
+
+def _check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
+    for name, here, there in (
+        ("cell", recipe.cell, samples.cell),
+        ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
+        ("range", recipe.range, samples.range),
+        ("samples.seed", recipe.samples.seed, samples.seed),
+        ("samples.count", recipe.samples.count, len(samples.F)),
+    ):
+        if here != there:
+            raise MismatchError(
+                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
+                "anew with --force"
+            )
+
+
+def _write_state(path: Path, state: Mapping[str, Any]) -> None:
+    import torch
+
+    from surrofe2.io.files import replacing
+
+    with replacing(path) as partial:
+        torch.save(dict(state), partial)
+
+
+def _read_state(path: Path) -> dict[str, Any]:
+    import torch
+
+    try:
+        state = torch.load(path, weights_only=True)
+    except Exception:  # bytes from anywhere fail in torch's reader in ways it does not list
+        state = None
+    if not isinstance(state, dict):
+        raise FileError(f"{path}: not an unfinished training; delete it and train anew")
+    return state
+
+
+def _note(figures: Mapping[str, float]) -> str:
+    return f"held-out error {100 * figures['held_out_rms']:.2g} %"
+
+
+def train(
+    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an interrupted training.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing surrogate.")] = False,
+    threads: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
+    ] = None,
+) -> None:
+    """Fit a surrogate of the plant-cell stress to the recipe's data set.
+
+    Shows the errors on samples that training never saw, for each stress component, relative to
+    that component's standard deviation over them.
+
+    Example: [bold]surrofe2 train data/bending-bar.toml[/bold]
+
+    Next: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
+    """
+    from surrofe2.cli.laws import use_threads
+    from surrofe2.config import load_recipe
+
+    study = load_recipe(recipe)
+    use_threads(threads)
+    begin = time.perf_counter()
+    try:
+        with progress("train", study.training.iterations, "iterations") as report:
+            trained = train_surrogate(study, resume=resume, force=force, report=report)
+    except KeyboardInterrupt:
+        raise InterruptedWork(
+            f"the iterations so far are kept; continue with: surrofe2 train {recipe} --resume"
+        ) from None
+    errors = trained.surrogate.errors
+    show_table(
+        f"Held-out errors, {errors['points']} samples",
+        ["stress", "spread (µN/µm)", "RMS", "worst"],
+        [[name, f"{errors['spread'][name]:.3g}", *_percents(errors, name)] for name in STRESSES],
+    )
+    say(f"{trained.path}: {summary(trained)}, {duration(time.perf_counter() - begin)}")
+
+
+def _percents(errors: Mapping[str, Any], name: str) -> list[str]:
+    return [f"{100 * errors[figure][name]:.2g} %" for figure in ("rms", "worst")]
+
+
+def summary(trained: Trained) -> str:
+    """The largest held-out errors of a surrogate in a line."""
+    errors = trained.surrogate.errors
+    rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
+    kept = " (already trained)" if trained.kept else ""
+    return f"held-out errors up to {100 * rms:.2g} % RMS, {100 * worst:.2g} % worst{kept}"

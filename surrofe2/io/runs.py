@@ -1,0 +1,197 @@
+"""Run folders: run.json, curve.csv, energies.csv, fields for ParaView, checkpoint.h5."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.io.files import read_json, reported, write_json, write_text
+from surrofe2.units import ENERGY, LENGTH, TIME
+
+SCHEMA = "surrofe2-run"
+SCHEMA_VERSION = 1
+FILES = ("run.json", "curve.csv", "energies.csv", "fields.xdmf", "fields.h5", "checkpoint.h5")
+CURVE_HEADER = "t_us,u_x_um,u_y_um"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRecord:
+    """What run.json says: what was computed, by what, how it ended and what it cost.
+
+    Attributes:
+        status: "running", "finished", "interrupted" or "failed".
+        error: the sentence of a failed run, else None.
+        recipe: the whole recipe, defaults filled in.
+        law: "rve", "surrogate" or "cached"; with `initialisation` and `solver`.
+        surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
+        wall_time: seconds: total = law + macro; compilation and warm-up came before.
+        counts: steps, stress calls and what the law's answers cost: RVE solves, hits,
+            fallbacks by reason, …
+        met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
+            recipe's range that would hold the run.
+    """
+
+    status: str
+    recipe: Mapping[str, Any]
+    law: str
+    initialisation: str
+    solver: str
+    package_version: str
+    created: str
+    cell_fingerprint: str
+    threads: int
+    error: str | None = None
+    seed: int | None = None
+    surrogate: Mapping[str, Any] | None = None
+    wall_time: Mapping[str, float] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    met: Mapping[str, Any] = field(default_factory=dict)
+    platform: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(
+        default_factory=lambda: {"time": TIME, "length": LENGTH, "energy": ENERGY, "wall_time": "s"}
+    )
+
+    def compared(self) -> dict[str, Any]:
+        """Everything the numbers depend on, by the names a recipe uses."""
+        flat: dict[str, Any] = {
+            f"{name}.{key}": self.recipe[name][key]
+            for name in ("cell", "rve", "load", "macro")
+            for key in self.recipe[name]
+        }
+        surrogate = self.surrogate and self.surrogate["fingerprint"]
+        return flat | {
+            "law": self.law,
+            "initialisation": self.initialisation,
+            "solver": self.solver,
+            "surrogate": surrogate,
+            "version": self.package_version,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRun:
+    """A run read back from its folder."""
+
+    folder: Path
+    record: RunRecord
+    curve: DisplacementCurve
+
+
+def open_run_folder(
+    folder: Path, record: RunRecord, *, resume: bool = False, force: bool = False
+) -> RunRecord | None:
+    """Make a folder ready for a run; when resuming, the record it was left with.
+
+    Raises:
+        FileError: the folder has files and neither `resume` nor `force` is set, or it cannot be
+            written.
+        MismatchError: `resume`, and the run in it is another one.
+    """
+    with reported(folder, "written"):
+        folder.mkdir(parents=True, exist_ok=True)
+        occupied = any(folder.iterdir())
+    if occupied and not (resume or force):
+        raise FileError(
+            f"{folder}: exists and is not empty; continue its run with --resume or replace it "
+            "with --force"
+        )
+    if occupied and resume and (folder / "run.json").exists():
+        earlier = read_record(folder)
+        _check_same(folder, earlier, record)
+        return earlier
+    with reported(folder, "written"):
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)
+    write_record(folder, record)
+    return None
+
+
+def _check_same(folder: Path, earlier: RunRecord, record: RunRecord) -> None:
+    there = earlier.compared()
+    for name, value in record.compared().items():
+        if there.get(name) != value:
+            raise MismatchError(
+                f"{folder}: {name}: this run has {value}, the one in the folder {there.get(name)}; "
+                "resume with the settings it was begun with or replace it with --force"
+            )
+
+
+def write_record(folder: Path, record: RunRecord) -> None:
+    """Write run.json."""
+    header = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
+    write_json(folder / "run.json", header | asdict(record))
+
+
+def read_record(folder: Path) -> RunRecord:
+    """Read run.json."""
+    path = folder / "run.json"
+    stored = read_json(path)
+    if stored.pop("schema", None) != SCHEMA:
+        raise FileError(f"{path}: not the record of a surrofe2 run")
+    version = stored.pop("schema_version", None)
+    known = {item.name for item in fields(RunRecord)}
+    if version != SCHEMA_VERSION or not known.issuperset(stored):
+        raise FileError(f"{path}: run schema {version}; this surrofe2 reads {SCHEMA_VERSION}")
+    try:
+        return RunRecord(**stored)
+    except TypeError:
+        raise FileError(f"{path}: not a whole record of a surrofe2 run") from None
+
+
+def write_curve(folder: Path, curve: DisplacementCurve) -> None:
+    """Write curve.csv: t in µs, displacement of the watched point in µm."""
+    _write_table(folder / "curve.csv", CURVE_HEADER, [curve.t, *curve.displacement.T])
+
+
+def read_curve(folder: Path) -> DisplacementCurve:
+    """Read curve.csv."""
+    path = folder / "curve.csv"
+    with reported(path, "read"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+    try:
+        if lines[0] != CURVE_HEADER:
+            raise ValueError
+        table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
+        return DisplacementCurve(table[:, 0], table[:, 1:])
+    except (ValueError, IndexError):
+        raise FileError(f"{path}: not a table of {CURVE_HEADER}") from None
+
+
+def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray]) -> None:
+    """Write energies.csv: each energy in pJ over t in µs."""
+    header = ",".join(["t_us", *(f"{name}_pJ" for name in energies)])
+    _write_table(folder / "energies.csv", header, [t, *energies.values()])
+
+
+def _write_table(path: Path, header: str, columns: list[np.ndarray]) -> None:
+    rows = (",".join(repr(float(value)) for value in row) for row in zip(*columns, strict=True))
+    write_text(path, "\n".join([header, *rows]) + "\n")
+
+
+def read_run(folder: str | Path) -> StoredRun:
+    """A finished run, or an InputError that says what to do."""
+    folder = Path(folder)
+    if not (folder / "run.json").exists():
+        raise FileError(f"{folder}: no run.json; it is not a run folder")
+    record = read_record(folder)
+    if record.status != "finished":
+        raise InputError(f"{folder}: the run is {record.status}; finish it with --resume")
+    return StoredRun(folder, record, read_curve(folder))
+
+
+def file_fingerprint(path: Path) -> str:
+    """16 hexadecimal digits of a file's content."""
+    with reported(path, "read"):
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def ended(record: RunRecord, status: str, error: str | None = None) -> RunRecord:
+    """The record of the same run with another end."""
+    return replace(record, status=status, error=error)

@@ -1,0 +1,25 @@
+"""The command line over laws without cells."""
+
+from __future__ import annotations
+
+import pytest
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+from tests.fakes import SoftLaw
+
+
+@pytest.fixture
+def invoke(monkeypatch):
+    """invoke(*arguments, law=…): run a command whose RVEs are `law`."""
+
+    def run(*arguments, law=None, **settings):
+        soft = law or SoftLaw()
+
+        class Fake:
+            from_settings = staticmethod(soft.of)
+
+        monkeypatch.setattr("surrofe2.rve.RveLaw", Fake)
+        return CliRunner().invoke(app, [str(entry) for entry in arguments], **settings)
+
+    return run

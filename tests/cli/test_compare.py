@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.fakes import SoftLaw
+
+
+@pytest.fixture
+def runs(invoke, recipe_path, tmp_path):
+    folders = [tmp_path / "stiff", tmp_path / "soft"]
+    for folder, stiffness in zip(folders, (50.0, 49.0), strict=True):
+        invoke("run", recipe_path, "--law", "rve", "--out", folder, law=SoftLaw(a=stiffness))
+    return folders
+
+
+def test_comparison(invoke, runs, tmp_path):
+    out = tmp_path / "comparison"
+    done = invoke("compare", *runs, "--out", out, env={"COLUMNS": "50"})
+    assert done.exit_code == 0, done.output
+    assert "\x1b" not in done.output
+    result = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+    assert result["reference"] == "stiff"
+    (run,) = result["runs"]
+    assert run["name"] == "soft"
+    assert 0.0 < run["difference"]["rms"] < run["difference"]["largest"] < 0.05
+    assert run["speed_up"]["wall_time"] > 0.0
+    assert (out / "comparison.png").stat().st_size > 10_000
+
+
+def test_existing_comparison(invoke, runs, tmp_path):
+    out = tmp_path / "comparison"
+    invoke("compare", *runs, "--out", out)
+    refused = invoke("compare", *runs, "--out", out)
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {out / 'comparison.json'}: exists; replace it with --force\n"
+    )
+    assert invoke("compare", *runs, "--out", out, "--force").exit_code == 0
+
+
+def test_not_a_run(invoke, runs, tmp_path):
+    refused = invoke("compare", runs[0], tmp_path / "none", "--out", tmp_path / "comparison")
+    assert refused.exit_code == 1
+    assert refused.stderr == f"error: {tmp_path / 'none'}: no run.json; it is not a run folder\n"

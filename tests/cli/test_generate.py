@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from surrofe2.cli.generate import generate_data_set
+from surrofe2.errors import InputError
+from surrofe2.io.data_sets import read_data_set
+from tests.fakes import SoftLaw, StoppingLaw
+
+
+@pytest.fixture(autouse=True)
+def _small_chunks(monkeypatch):
+    monkeypatch.setattr(
+        generate_data_set, "__kwdefaults__", {**generate_data_set.__kwdefaults__, "chunk": 16}
+    )
+
+
+def same_numbers(path, other):
+    return read_data_set(path).fingerprint == read_data_set(other).fingerprint
+
+
+def test_writes_the_data_set_and_says_so(invoke, recipe_path):
+    done = invoke("generate", recipe_path)
+    assert done.exit_code == 0, done.output
+    path = recipe_path.parent / "cells.h5"
+    assert done.stdout.startswith(f"{path}: 40 samples, none failed, ")
+    assert len(read_data_set(path).F) == 40
+
+
+def test_failed_samples_are_kept_and_counted(invoke, recipe_path):
+    done = invoke("generate", recipe_path, law=SoftLaw(fails_above=1.03))
+    samples = read_data_set(recipe_path.parent / "cells.h5")
+    failed = int((samples.F[:, 0, 0] > 1.03).sum())
+    assert 0 < failed < 40
+    assert (samples.status != 0).sum() == failed
+    assert (
+        f"40 samples, {failed} failed ({failed}: the RVE solve did not converge; load in smaller "
+        "steps or raise the iteration limit)"
+    ) in done.stdout
+
+
+def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, tmp_path):
+    stopped = invoke("generate", recipe_path, law=StoppingLaw(calls=1))
+    assert stopped.exit_code == 130
+    assert stopped.stderr.splitlines()[-1] == (
+        "interrupted: the samples so far are kept; continue with: "
+        f"surrofe2 generate {recipe_path} --resume"
+    )
+    path = recipe_path.parent / "cells.h5"
+    with h5py.File(path) as file:
+        assert (file["completed"][()], file.attrs["status"]) == (16, "writing")
+    law = SoftLaw()
+    assert invoke("generate", recipe_path, "--resume", law=law).exit_code == 0
+    assert law.calls == 2
+    kept = tmp_path / "kept.h5"
+    path.rename(kept)
+    assert invoke("generate", recipe_path).exit_code == 0
+    assert same_numbers(path, kept)
+
+
+_KILLED = """
+import sys, time
+from surrofe2.cli.generate import generate_data_set
+from surrofe2.config import load_recipe
+from tests.fakes import SoftLaw
+
+class SlowLaw(SoftLaw):
+    def respond(self, F, F_dot, state=None):
+        time.sleep(0.05)
+        return super().respond(F, F_dot, state)
+
+generate_data_set(load_recipe(sys.argv[1]), SlowLaw(), chunk=2, report=lambda n, note: print(n))
+"""
+
+
+def test_killed_and_continued_equals_uninterrupted(recipe, recipe_path, tmp_path):
+    root = Path(__file__).parents[2]
+    child = subprocess.Popen(
+        [sys.executable, "-u", "-c", _KILLED, str(recipe_path)],
+        cwd=root,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        text=True,
+    )
+    with child:
+        while child.stdout.readline().strip() not in ("6", ""):
+            pass
+        time.sleep(0.02)
+        child.send_signal(signal.SIGKILL)
+    path = recipe.data_path()
+    with h5py.File(path) as file:
+        assert 6 <= file["completed"][()] < 40
+    generate_data_set(recipe, SoftLaw(), resume=True, chunk=2)
+    kept = tmp_path / "kept.h5"
+    path.rename(kept)
+    generate_data_set(recipe, SoftLaw(), chunk=2)
+    assert same_numbers(path, kept)
+
+
+def test_resume_of_a_finished_one_does_nothing(invoke, recipe_path):
+    invoke("generate", recipe_path)
+    before = (recipe_path.parent / "cells.h5").read_bytes()
+    law = SoftLaw()
+    done = invoke("generate", recipe_path, "--resume", law=law)
+    assert "40 samples (already finished), none failed" in done.stdout
+    assert law.calls == 0
+    assert (recipe_path.parent / "cells.h5").read_bytes() == before
+
+
+def test_existing_data_set(invoke, recipe_path):
+    invoke("generate", recipe_path)
+    again = invoke("generate", recipe_path)
+    path = recipe_path.parent / "cells.h5"
+    assert again.exit_code == 1
+    assert again.stderr == (
+        f"error: {path}: exists; continue it with --resume or replace it with --force\n"
+    )
+    assert invoke("generate", recipe_path, "--force").exit_code == 0
+
+
+def test_resume_with_another_recipe(invoke, recipe_path, changed_recipe):
+    invoke("generate", recipe_path, law=StoppingLaw(calls=1))
+    refused = invoke("generate", changed_recipe("seed = 3", "seed = 4"), "--resume")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {recipe_path.parent / 'cells.h5'}: samples.seed: the recipe has 4, the data set "
+        "3; resume with the recipe it was begun with or replace it with --force\n"
+    )
+
+
+def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
+    path = changed_recipe("[cell]", "[sell]")
+    refused = invoke("generate", path, env={"COLUMNS": "30"})
+    assert refused.exit_code == 1
+    assert refused.stdout == ""
+    assert refused.stderr == (
+        "error: recipe.toml: sell: unknown section; did you mean cell? "
+        "known are cell, load, macro, range, rve, samples, training\n"
+    )
+    for wanted in (
+        invoke("--traceback", "generate", path),
+        invoke("generate", path, "--traceback"),
+        invoke("generate", path, env={"SURROFE2_TRACEBACK": "1"}),
+    ):
+        assert isinstance(wanted.exception, InputError)
+
+
+def test_progress_without_a_terminal_is_plain_lines(invoke, recipe_path):
+    done = invoke("generate", recipe_path, law=SoftLaw(fails_above=1.03))
+    assert "\x1b" not in done.output
+    assert done.stderr.splitlines()[-1].startswith("generate: 100 % ")
+
+
+def test_too_many_threads(invoke, recipe_path):
+    refused = invoke("generate", recipe_path, "--threads", 4096)
+    assert refused.exit_code == 1
+    assert refused.stderr.startswith("error: --threads: 4096; this machine has ")
+
+
+def test_the_script_is_the_command(recipe_path):
+    script = Path(__file__).parents[2] / "data" / "generate.py"
+    done = subprocess.run(
+        [sys.executable, script, "--help"], capture_output=True, text=True, check=True
+    )
+    assert "surrofe2 generate data/bending-bar.toml" in " ".join(done.stdout.split())
+
+
+def test_chunks_do_not_change_the_numbers(recipe):
+    law = SoftLaw()
+    generate_data_set(recipe, law, chunk=7)
+    first = read_data_set(recipe.data_path())
+    generate_data_set(recipe, law, chunk=40, force=True)
+    np.testing.assert_array_equal(first.stress, read_data_set(recipe.data_path()).stress)

@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from surrofe2.io.runs import read_curve, read_record
+from tests.fakes import SoftLaw, StoppingLaw
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "out" / "rve"
+
+
+def test_run_folder(invoke, recipe_path, folder, recipe):
+    done = invoke("run", recipe_path, "--law", "rve", "--out", folder)
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "curve.csv",
+        "energies.csv",
+        "fields.h5",
+        "fields.xdmf",
+        "run.json",
+    ]
+    stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    assert stored["status"] == "finished"
+    assert stored["error"] is None
+    assert stored["recipe"] == recipe.to_dict()
+    assert stored["cell_fingerprint"] == recipe.cell.fingerprint
+    assert stored["units"]["time"] == "µs"
+    wall = stored["wall_time"]
+    assert wall["total"] == pytest.approx(wall["law"] + wall["macro"], abs=1e-6)
+    assert wall["compilation"] >= 0.0
+    counts = stored["counts"]
+    assert counts["stress_points"] == 20 * counts["stress_calls"]
+    assert counts["rve_solves"] >= counts["stress_points"]
+    low, high = stored["met"]["stretch"]
+    assert 0.9 < low <= 1.0 <= high < 1.1
+    curve = read_curve(folder)
+    np.testing.assert_array_equal(curve.t, recipe.load.output_times())
+    assert curve.displacement[-1, 1] < 0.0
+    assert done.stdout.startswith(f"{folder}: 4 µs by rve in ")
+
+
+def test_record_tells_nothing_of_the_machine_s_name_or_folders(invoke, recipe_path, folder):
+    import platform
+
+    invoke("run", recipe_path, "--law", "rve", "--out", folder)
+    text = (folder / "run.json").read_text(encoding="utf-8")
+    assert str(recipe_path.parent) not in text
+    assert platform.node() not in text
+
+
+def test_existing_folder(invoke, recipe_path, folder):
+    folder.mkdir(parents=True)
+    (folder / "notes.txt").write_text("mine")
+    refused = invoke("run", recipe_path, "--law", "rve", "--out", folder)
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {folder}: exists and is not empty; continue its run with --resume or replace it "
+        "with --force\n"
+    )
+    assert invoke("run", recipe_path, "--law", "rve", "--out", folder, "--force").exit_code == 0
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_no_write_permission(invoke, recipe_path, unwritable):
+    refused = invoke("run", recipe_path, "--law", "rve", "--out", unwritable)
+    assert refused.exit_code == 1
+    assert refused.stderr == f"error: {unwritable}: cannot be written: Not a directory\n"
+
+
+def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, folder, tmp_path):
+    command = ("run", recipe_path, "--law", "rve", "--out")
+    stopped = invoke(*command, folder, law=StoppingLaw(calls=60))
+    assert stopped.exit_code == 130
+    assert stopped.stderr.splitlines()[-1] == (
+        f"interrupted: {folder} keeps the run up to its last checkpoint; continue it by the same "
+        "command with --resume"
+    )
+    assert read_record(folder).status == "interrupted"
+    assert (folder / "checkpoint.h5").exists()
+    law = SoftLaw()
+    assert invoke(*command, folder, "--resume", law=law).exit_code == 0
+    assert not (folder / "checkpoint.h5").exists()
+    whole = SoftLaw()
+    assert invoke(*command, tmp_path / "whole", law=whole).exit_code == 0
+    assert law.calls < whole.calls
+    np.testing.assert_allclose(
+        read_curve(folder).displacement,
+        read_curve(tmp_path / "whole").displacement,
+        rtol=0.0,
+        atol=1e-12,
+    )
+
+
+def test_resume_of_a_finished_run_does_nothing(invoke, recipe_path, folder):
+    command = ("run", recipe_path, "--law", "rve", "--out", folder)
+    invoke(*command)
+    before = (folder / "run.json").read_bytes()
+    law = SoftLaw()
+    assert invoke(*command, "--resume", law=law).exit_code == 0
+    assert law.calls == 0
+    assert (folder / "run.json").read_bytes() == before
+
+
+def test_resume_with_another_load(invoke, recipe_path, changed_recipe, folder):
+    command = ("run", recipe_path, "--law", "rve", "--out", folder)
+    invoke(*command, law=StoppingLaw(calls=60))
+    changed_recipe("-0.1]", "-0.2]")
+    refused = invoke(*command, "--resume")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {folder}: load.body_force: this run has [0.0, -0.2], the one in the folder "
+        "[0.0, -0.1]; resume with the settings it was begun with or replace it with --force\n"
+    )
+
+
+def test_failed_run_keeps_what_it_computed(invoke, recipe_path, folder):
+    failed = invoke(
+        "run", recipe_path, "--law", "rve", "--out", folder, law=SoftLaw(fails_above=1.002)
+    )
+    assert failed.exit_code == 1
+    record = read_record(folder)
+    assert record.status == "failed"
+    assert failed.stderr.splitlines()[-1] == f"error: {record.error}"
+    curve = read_curve(folder)
+    assert 0.0 < curve.t[-1] < 4.0
+    assert (folder / "fields.xdmf").exists()
+
+
+def test_unknown_initialisation(invoke, recipe_path, folder):
+    refused = invoke(
+        "run", recipe_path, "--law", "rve", "--out", folder, "--initialisation", "born"
+    )
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        "error: rve.initialisation: 'born'; it must be one of cauchy-born, elastic, "
+        "constrained-runs\n"
+    )
+
+
+def test_initialisation_replaces_the_recipe_s(invoke, recipe_path, folder):
+    invoke("run", recipe_path, "--law", "rve", "--out", folder, "--initialisation", "elastic")
+    record = read_record(folder)
+    assert record.initialisation == record.recipe["rve"]["initialisation"] == "elastic"

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from surrofe2.surrogate import SurrogateLaw, training
+from tests.fakes import SoftLaw
+
+
+@pytest.fixture
+def surrogate_path(recipe_path):
+    return recipe_path.parent / "cells.pt"
+
+
+@pytest.fixture
+def _data_set(invoke, recipe_path):
+    assert invoke("generate", recipe_path).exit_code == 0
+
+
+@pytest.mark.usefixtures("_data_set")
+def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogate_path, recipe):
+    done = invoke("train", recipe_path)
+    assert done.exit_code == 0, done.output
+    assert "Held-out errors, 4 samples" in done.stdout
+    assert done.stdout.splitlines()[-1].startswith(f"{surrogate_path}: held-out errors up to ")
+    surrogate = SurrogateLaw.load(surrogate_path)
+    assert (surrogate.cell, surrogate.range) == (recipe.cell, recipe.range)
+    assert sorted(path.name for path in surrogate_path.parent.glob("*.pt")) == ["cells.pt"]
+
+
+@pytest.mark.usefixtures("_data_set")
+def test_existing_surrogate(invoke, recipe_path, surrogate_path):
+    surrogate_path.write_bytes(b"mine")
+    refused = invoke("train", recipe_path)
+    assert refused.exit_code == 1
+    assert refused.stderr == f"error: {surrogate_path}: exists; replace it with --force\n"
+    assert surrogate_path.read_bytes() == b"mine"
+    assert invoke("train", recipe_path, "--force").exit_code == 0
+
+
+@pytest.mark.usefixtures("_data_set")
+def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypatch):
+    figures, rounds = training._figures, []
+
+    def interrupt_second(*arguments):
+        rounds.append(1)
+        if len(rounds) == 2:
+            raise KeyboardInterrupt
+        return figures(*arguments)
+
+    monkeypatch.setattr(training, "_figures", interrupt_second)
+    stopped = invoke("train", recipe_path)
+    assert stopped.exit_code == 130
+    assert stopped.stderr.splitlines()[-1] == (
+        "interrupted: the iterations so far are kept; continue with: "
+        f"surrofe2 train {recipe_path} --resume"
+    )
+    unfinished = surrogate_path.with_suffix(".unfinished.pt")
+    assert unfinished.exists()
+    done = invoke("train", recipe_path, "--resume")
+    assert done.exit_code == 0, done.output
+    assert len(rounds) == 3
+    assert not unfinished.exists()
+
+
+@pytest.mark.usefixtures("_data_set")
+def test_foreign_unfinished_training(invoke, recipe_path, surrogate_path):
+    unfinished = surrogate_path.with_suffix(".unfinished.pt")
+    unfinished.write_bytes(b"foreign")
+    refused = invoke("train", recipe_path, "--resume")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {unfinished}: not an unfinished training; delete it and train anew\n"
+    )
+
+
+@pytest.mark.usefixtures("_data_set")
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [
+        ('"printed"', '"water"', "cell"),
+        ("seed = 3", "seed = 4", "samples.seed"),
+        ("count = 40", "count = 41", "samples.count"),
+        ("shear = 0.05", "shear = 0.04", "range"),
+    ],
+)
+def test_data_set_of_another_recipe(invoke, recipe_path, changed_recipe, old, new, name):
+    refused = invoke("train", changed_recipe(old, new))
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {recipe_path.parent / 'cells.h5'}: {name}: made by another recipe than "
+        "recipe.toml; generate it anew with --force\n"
+    )
+
+
+def test_unfinished_data_set(invoke, recipe_path, recipe, monkeypatch):
+    monkeypatch.setattr(SoftLaw, "respond", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    assert invoke("generate", recipe_path).exit_code == 130
+    refused = invoke("train", recipe_path)
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {recipe.data_path()}: unfinished, 0 of 40 samples; continue it with "
+        "`surrofe2 generate RECIPE --resume`\n"
+    )
+
+
+def test_the_script_is_the_command():
+    script = Path(__file__).parents[2] / "training" / "train.py"
+    done = subprocess.run(
+        [sys.executable, script, "--help"], capture_output=True, text=True, check=True
+    )
+    assert "surrofe2 train data/bending-bar.toml" in " ".join(done.stdout.split())

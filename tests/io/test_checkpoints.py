@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+
+from surrofe2.errors import FileError
+from surrofe2.io.checkpoints import read_checkpoint, write_checkpoint
+
+
+def test_arrays_come_back_as_they_were(tmp_path):
+    path = tmp_path / "checkpoint.h5"
+    arrays = {
+        "t": np.array(0.1 + 0.2),
+        "y": np.random.default_rng(0).normal(size=(3, 2)),
+        "counts.steps": np.array(7),
+        "empty": np.empty((0, 2)),
+    }
+    write_checkpoint(path, arrays, "an rve run")
+    back = read_checkpoint(path, "an rve run")
+    assert back.keys() == arrays.keys()
+    for name, values in arrays.items():
+        np.testing.assert_array_equal(back[name], values)
+        assert back[name].dtype == values.dtype
+
+
+def test_checkpoint_of_something_else(tmp_path):
+    path = tmp_path / "checkpoint.h5"
+    write_checkpoint(path, {}, "a training")
+    with pytest.raises(FileError) as caught:
+        read_checkpoint(path, "an rve run")
+    assert str(caught.value) == f"{path}: a checkpoint of a training, not of an rve run"
+
+
+def test_foreign_hdf5(tmp_path):
+    path = tmp_path / "checkpoint.h5"
+    h5py.File(path, "w").close()
+    with pytest.raises(FileError) as caught:
+        read_checkpoint(path, "an rve run")
+    assert str(caught.value) == f"{path}: an HDF5 file, but not a surrofe2 checkpoint"
+
+
+def test_truncated(tmp_path):
+    path = tmp_path / "checkpoint.h5"
+    write_checkpoint(path, {"y": np.zeros(1000)}, "an rve run")
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(FileError, match="truncated HDF5 file"):
+        read_checkpoint(path, "an rve run")

@@ -1,0 +1,139 @@
+"""Run folders: round trips, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.io.runs import (
+    RunRecord,
+    ended,
+    open_run_folder,
+    read_curve,
+    read_record,
+    read_run,
+    write_curve,
+    write_energies,
+    write_record,
+)
+
+
+@pytest.fixture
+def record(recipe):
+    return RunRecord(
+        status="finished",
+        recipe=recipe.to_dict(),
+        law="rve",
+        initialisation="constrained-runs",
+        solver="direct",
+        package_version="0.1.0",
+        created="2026-01-01T00:00:00+00:00",
+        cell_fingerprint=recipe.cell.fingerprint,
+        threads=2,
+        wall_time={"total": 3.0, "law": 2.0, "macro": 1.0},
+        counts={"stress_points": 80},
+    )
+
+
+@pytest.fixture
+def curve():
+    t = np.linspace(0.0, 4.0, 9)
+    return DisplacementCurve(t, np.stack([0.1 * t, -np.sqrt(t)], axis=1))
+
+
+def test_record_comes_back(tmp_path, record):
+    write_record(tmp_path, record)
+    assert read_record(tmp_path) == record
+
+
+def test_curve_comes_back_to_the_last_bit(tmp_path, curve):
+    write_curve(tmp_path, curve)
+    back = read_curve(tmp_path)
+    np.testing.assert_array_equal(back.t, curve.t)
+    np.testing.assert_array_equal(back.displacement, curve.displacement)
+    assert (tmp_path / "curve.csv").read_text().splitlines()[0] == "t_us,u_x_um,u_y_um"
+
+
+def test_energies_name_their_units(tmp_path):
+    write_energies(tmp_path, np.array([0.0, 1.0]), {"kinetic": np.array([0.0, 2.5])})
+    assert (tmp_path / "energies.csv").read_text() == "t_us,kinetic_pJ\n0.0,0.0\n1.0,2.5\n"
+
+
+def test_existing_folder_is_refused(tmp_path, record):
+    notes = tmp_path / "run" / "notes.txt"
+    notes.parent.mkdir()
+    notes.write_text("mine")
+    with pytest.raises(FileError) as caught:
+        open_run_folder(notes.parent, record)
+    assert str(caught.value) == (
+        f"{notes.parent}: exists and is not empty; continue its run with --resume or replace it "
+        "with --force"
+    )
+    assert list(notes.parent.iterdir()) == [notes]
+
+
+def test_force_replaces_the_run_and_nothing_else(tmp_path, record, curve):
+    folder = tmp_path / "run"
+    write_curve(folder, curve)
+    (folder / "notes.txt").write_text("mine")
+    assert open_run_folder(folder, ended(record, "running"), force=True) is None
+    assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "run.json"]
+
+
+def test_resume_gives_the_earlier_record(tmp_path, record):
+    write_record(tmp_path, ended(record, "interrupted"))
+    earlier = open_run_folder(tmp_path, replace(record, threads=1), resume=True)
+    assert earlier == ended(record, "interrupted")
+
+
+def test_resume_of_another_run(tmp_path, record):
+    write_record(tmp_path, ended(record, "interrupted"))
+    other = replace(record, recipe={**record.recipe, "load": {**record.recipe["load"], "width": 9}})
+    with pytest.raises(MismatchError) as caught:
+        open_run_folder(tmp_path, other, resume=True)
+    assert str(caught.value) == (
+        f"{tmp_path}: load.width: this run has 9, the one in the folder 100.0; "
+        "resume with the settings it was begun with or replace it with --force"
+    )
+
+
+def test_no_write_permission(unwritable, record):
+    with pytest.raises(FileError) as caught:
+        open_run_folder(unwritable, record)
+    assert str(caught.value) == f"{unwritable}: cannot be written: Not a directory"
+
+
+def test_unfinished_run_is_not_read(tmp_path, record, curve):
+    write_record(tmp_path, ended(record, "interrupted"))
+    write_curve(tmp_path, curve)
+    with pytest.raises(InputError) as caught:
+        read_run(tmp_path)
+    assert str(caught.value) == f"{tmp_path}: the run is interrupted; finish it with --resume"
+
+
+def test_not_a_run_folder(tmp_path):
+    with pytest.raises(FileError) as caught:
+        read_run(tmp_path)
+    assert str(caught.value) == f"{tmp_path}: no run.json; it is not a run folder"
+
+
+def test_foreign_record(tmp_path):
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(FileError) as caught:
+        read_record(tmp_path)
+    assert str(caught.value) == f"{tmp_path / 'run.json'}: not the record of a surrofe2 run"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a,b\n1,2\n", "t_us,u_x_um,u_y_um\n1,2\n", "t_us,u_x_um,u_y_um\n1,x,3\n"]
+)
+def test_damaged_curve(tmp_path, text):
+    (tmp_path / "curve.csv").write_text(text)
+    with pytest.raises(FileError) as caught:
+        read_curve(tmp_path)
+    path = tmp_path / "curve.csv"
+    assert str(caught.value) == f"{path}: not a table of t_us,u_x_um,u_y_um"

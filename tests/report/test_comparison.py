@@ -1,0 +1,96 @@
+"""Differences and speed-ups against figures worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.io.files import plain
+from surrofe2.io.runs import RunRecord, StoredRun
+from surrofe2.report.comparison import compare
+from surrofe2.report.comparison_plot import write_comparison_plot
+
+
+@pytest.fixture
+def make_run(recipe):
+    t = np.linspace(0.0, 4.0, 5)
+
+    def make(name, law, offset, wall, solves, points=100):
+        record = RunRecord(
+            status="finished",
+            recipe=recipe.to_dict(),
+            law=law,
+            initialisation="constrained-runs",
+            solver="direct",
+            package_version="0.1.0",
+            created="2026-01-01T00:00:00+00:00",
+            cell_fingerprint=recipe.cell.fingerprint,
+            threads=2,
+            wall_time={"total": wall, "law": 0.8 * wall, "macro": 0.2 * wall},
+            counts={"stress_points": points, "rve_solves": solves},
+        )
+        u = np.stack([0.0 * t, -2.0 * t + offset], axis=1)
+        return StoredRun(Path(name), record, DisplacementCurve(t, u))
+
+    return make
+
+
+def test_difference_and_speed_up(make_run):
+    # The reference moves by 8 µm at most; the other one is 0.04 µm off throughout.
+    result = compare(
+        [make_run("rve", "rve", 0.0, 30.0, 1000), make_run("cached", "cached", 0.04, 2.0, 10, 50)]
+    )
+    (run,) = result.runs
+    assert (result.reference, run.name) == ("rve", "cached")
+    assert run.difference.largest == pytest.approx(0.005)
+    assert run.difference.rms == pytest.approx(0.005)
+    assert run.speed_up["wall_time"] == pytest.approx(15.0)
+    assert run.speed_up["rve_solves"] == pytest.approx(100.0)
+    assert run.speed_up["law_time_per_stress"] == pytest.approx((24.0 / 100) / (1.6 / 50))
+
+
+def test_reference_is_the_run_by_rves_wherever_it_stands(make_run):
+    result = compare(
+        [make_run("cached", "cached", 0.04, 2.0, 10), make_run("rve", "rve", 0.0, 30.0, 1000)]
+    )
+    assert result.reference == "rve"
+    assert result.runs[0].speed_up["wall_time"] == pytest.approx(15.0)
+
+
+def test_a_run_without_rve_solves_has_no_ratio(make_run):
+    result = compare(
+        [make_run("rve", "rve", 0.0, 30.0, 1000), make_run("s", "surrogate", 0.0, 2.0, 0)]
+    )
+    assert result.runs[0].speed_up["rve_solves"] is None
+    json.dumps(plain(result.to_dict()), allow_nan=False)
+
+
+def test_other_load_case_is_refused(make_run):
+    a, b = make_run("a", "rve", 0.0, 1.0, 1), make_run("b", "cached", 0.0, 1.0, 1)
+    load = {**b.record.recipe["load"], "body_force": [0.0, -0.4]}
+    b = replace(b, record=replace(b.record, recipe={**b.record.recipe, "load": load}))
+    with pytest.raises(MismatchError) as caught:
+        compare([a, b])
+    assert str(caught.value) == (
+        "b: load.body_force is [0.0, -0.4], in a [0.0, -0.1]; compare runs of one load case"
+    )
+
+
+def test_one_run_is_too_few(make_run):
+    with pytest.raises(InputError) as caught:
+        compare([make_run("a", "rve", 0.0, 1.0, 1)])
+    assert str(caught.value) == "compare: 1 run folder; give at least two"
+
+
+def test_picture(make_run, tmp_path):
+    runs = [make_run("rve", "rve", 0.0, 30.0, 1000), make_run("cached", "cached", 0.04, 2.0, 10)]
+    path = tmp_path / "comparison.png"
+    write_comparison_plot(path, compare(runs), runs)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert [p.name for p in tmp_path.glob("comparison*")] == ["comparison.png"]
