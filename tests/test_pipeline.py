@@ -1,0 +1,67 @@
+"""The main job with the recipes as they ship: generate, train, run with and without the cache."""
+
+import json
+from pathlib import Path
+from shutil import copy
+
+import pytest
+
+from surrofe2.cli.compare import compare_runs
+from surrofe2.cli.generate import generate_data_set
+from surrofe2.cli.run import run_study
+from surrofe2.cli.train import train_surrogate
+from surrofe2.config import load_recipe
+from surrofe2.surrogate import SurrogateLaw
+
+RECIPES = Path(__file__).parent.parent / "data"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A folder with the recipes, the default data set and its surrogate."""
+    root = tmp_path_factory.mktemp("study")
+    for name in ("data", "training"):
+        (root / name).mkdir()
+    for recipe in RECIPES.glob("*.toml"):
+        copy(recipe, root / "data")
+    recipe = load_recipe(root / "data" / "bending-bar.toml")
+    generate_data_set(recipe)
+    train_surrogate(recipe)
+    return root
+
+
+def run_both(study, recipe_name):
+    recipe = load_recipe(study / "data" / f"{recipe_name}.toml")
+    folders = [study / "out" / recipe_name / law for law in ("rve", "cached")]
+    for folder in folders:
+        run_study(recipe, folder.name, folder)
+    compare_runs(folders, study / "out" / recipe_name / "comparison")
+    comparison = json.loads(
+        (study / "out" / recipe_name / "comparison/comparison.json").read_text()
+    )
+    return comparison, json.loads((folders[1] / "run.json").read_text())
+
+
+def test_default_surrogate_meets_its_accuracy(study):
+    errors = SurrogateLaw.load(study / "training" / "bending-bar.pt").errors
+    for component in ("xx", "xy", "yx", "yy"):
+        assert errors["rms"][component] < 0.0005
+        assert errors["worst"][component] < 0.005
+
+
+def test_cached_bar_follows_the_true_one_without_a_fallback(study):
+    comparison, cached = run_both(study, "bending-bar")
+    assert comparison["reference"] == "rve"
+    assert comparison["runs"][0]["difference"]["largest"] < 0.005
+    assert cached["counts"]["fallbacks"] == 0
+    assert cached["counts"]["hits"] > 100_000
+
+
+def test_double_load_leaves_the_range_and_falls_back_where_it_does(study):
+    comparison, cached = run_both(study, "bending-bar-double-load")
+    assert comparison["reference"] == "rve"
+    assert comparison["runs"][0]["difference"]["largest"] < 0.005
+    counts = cached["counts"]
+    assert counts["fallbacks"] == counts["fallbacks_out_of_range"] > 1000
+    assert counts["rve_solves"] >= counts["fallbacks"]
+    assert counts["hits"] > counts["fallbacks"]
