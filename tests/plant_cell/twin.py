@@ -62,10 +62,10 @@ class Twin:
             return (i, 0)
         return (0, i - self.per_side + 1) if i < self.walls else None
 
-    def evaluate(self, z, F, F_dot):
-        """f (n, 2), elastic energy, Cauchy stress (2, 2)."""
+    def evaluate(self, z, F, F_dot, fluctuation=0.0):
+        """f (n, 2), elastic energy, Cauchy stress (2, 2); velocities Ḟ z + fluctuation."""
         cell, side = self.cell, self.cell.cell_side
-        x, v = z @ F.T, z @ F_dot.T
+        x, v = z @ F.T, z @ F_dot.T + fluctuation
         f, energy, virial = np.zeros_like(z), 0.0, np.zeros((2, 2))
         m, h = cell.fluid_particle_mass, cell.smoothing_length
         density = np.zeros(self.particles)
