@@ -42,6 +42,16 @@ def contact_slopes(length, inverse, rate, c):
 
 
 @pair_law
+def contact_elastic(length, inverse, c):
+    """Tension without the dashpot, and its slope ∂t/∂|r|."""
+    inverse_3 = inverse * inverse * inverse
+    inverse_6 = inverse_3 * inverse_3
+    tension = c.repulsion * (1.0 / c.cutoff**6 - inverse_6)
+    slope = 6.0 * c.repulsion * inverse_6 * inverse
+    return where_less(length, c.cutoff, tension, 0.0), where_less(length, c.cutoff, slope, 0.0)
+
+
+@pair_law
 def contact_energy(length, inverse, c):
     """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse

@@ -45,7 +45,7 @@ class Matrices(NamedTuple):
 
 
 @kernel
-def _make_matrices(n):
+def make_matrices(n):
     return Matrices(
         np.empty((2 * n, 2 * n, TILE)),
         np.empty((2 * n, 8, TILE)),
@@ -75,7 +75,7 @@ def _chord_tile(
     work = make_workspace(topology)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     before, step = np.full(TILE, np.inf), np.empty((2 * topology.particles - 2, TILE))
-    _predict(z, F, rate, at_F, at_rate, slopes, work.z)
+    predict(z, F, rate, at_F, at_rate, slopes, work.z)
     iterations[:] = 0
     for count in range(1, CHORD_LIMIT + 1):
         evaluate(work, F, rate, topology, c, area, sigma, residual)
@@ -92,17 +92,17 @@ def _chord_tile(
                 before[k] = residual[0, k]
         if open_lanes == 0:
             break
-        _set_residual(work.f, step)
+        set_residual(work.f, step)
         solve_factorised(lu, step)
-        _hold(step, iterations)
-        _move(step, F, work.z)
+        hold(step, iterations)
+        move(step, F, work.z)
     for k in range(TILE):
         if iterations[k] > 0:
             z[:, :, k] = work.z[:, : topology.particles, k]
 
 
 @kernel
-def _predict(z, F, rate, at_F, at_rate, slopes, there):
+def predict(z, F, rate, at_F, at_rate, slopes, there):
     """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`."""
     f0, f1 = load(F, 0, 0) - load(at_F, 0, 0), load(F, 0, 1) - load(at_F, 0, 1)
     f2, f3 = load(F, 1, 0) - load(at_F, 1, 0), load(F, 1, 1) - load(at_F, 1, 1)
@@ -120,7 +120,7 @@ def _predict(z, F, rate, at_F, at_rate, slopes, there):
 
 
 @kernel
-def _set_residual(f, step):
+def set_residual(f, step):
     """step = −f of the free particles."""
     for i in range(1, step.shape[0] // 2 + 1):
         store(-load(f, 0, i), step, 2 * i - 2)
@@ -128,7 +128,7 @@ def _set_residual(f, step):
 
 
 @kernel
-def _hold(step, iterations):
+def hold(step, iterations):
     """No step in lanes that are done."""
     for k in range(TILE):
         if iterations[k] != 0:
@@ -136,7 +136,7 @@ def _hold(step, iterations):
 
 
 @kernel
-def _move(step, F, z):
+def move(step, F, z):
     """z += F⁻¹ δx on own particles but the held one."""
     xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
     per_det = 1.0 / (xx * yy - xy * yx)
@@ -167,7 +167,7 @@ def newton(
 @kernel
 def _newton_tile(F, rate, z, lu, slopes, topology, c, area, tolerance, stress, iterations, stable):
     own = topology.particles
-    work, matrices = make_workspace(topology), _make_matrices(own)
+    work, matrices = make_workspace(topology), make_matrices(own)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     work.z[:, :own] = z
     for k in range(TILE):
@@ -187,17 +187,17 @@ def _newton_tile(F, rate, z, lu, slopes, topology, c, area, tolerance, stress, i
                     open_lanes += 1
         if open_lanes == 0:
             break
-        _set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
+        set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
         matrices.free[:] = matrices.jacobian[2:, 2:]
         factorise(matrices.free)
-        _set_residual(work.f, matrices.step)
+        set_residual(work.f, matrices.step)
         solve_factorised(matrices.free, matrices.step)
         _limit(matrices.step)
-        _hold(matrices.step, iterations)
-        _move(matrices.step, F, work.z)
+        hold(matrices.step, iterations)
+        move(matrices.step, F, work.z)
     z[:] = work.z[:, :own]
     _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
-    _check_stable(work, matrices, F, topology, c, stable)
+    check_stable(work, matrices, F, topology, c, stable)
 
 
 @kernel
@@ -214,7 +214,7 @@ def _limit(step):
 
 
 @kernel
-def _set_jacobian(work, F, rate, topology, c, jacobian, columns):
+def set_jacobian(work, F, rate, topology, c, jacobian, columns):
     """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
     L = np.empty((2, 2, TILE))
     xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
@@ -231,7 +231,7 @@ def _refactorise(work, matrices, F, rate, topology, c, lu, slopes):
     """Fill lu and slopes of a tile at work.z, images set."""
     map_affine(F, work.z, work.x)
     map_affine(rate, work.z, work.v)
-    _set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.columns)
+    set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.columns)
     matrices.free[:] = matrices.jacobian[2:, 2:]
     factorise(matrices.free)
     lu[:] = matrices.free
@@ -249,12 +249,12 @@ def _refactorise(work, matrices, F, rate, topology, c, lu, slopes):
 
 
 @kernel
-def _check_stable(work, matrices, F, topology, c, stable):
+def check_stable(work, matrices, F, topology, c, stable):
     """stable (TILE,): whether the elastic Hessian at work.z is positive definite."""
     map_affine(F, work.z, work.x)
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
-    _set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
+    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
     matrices.free[:] = matrices.jacobian[2:, 2:]
     is_negative_definite(matrices.free, stable)
 
@@ -268,12 +268,12 @@ def renew(F, rate, z, lu, slopes, wanted, topology, c, stable):
 
 @kernel
 def _renew_tile(F, rate, z, lu, slopes, wanted, topology, c, stable):
-    work, matrices = make_workspace(topology), _make_matrices(topology.particles)
+    work, matrices = make_workspace(topology), make_matrices(topology.particles)
     work.z[:, : topology.particles] = z
     set_images(work.z, topology)
     if wanted:
         _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
-    _check_stable(work, matrices, F, topology, c, stable)
+    check_stable(work, matrices, F, topology, c, stable)
 
 
 @parallel_kernel

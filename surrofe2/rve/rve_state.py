@@ -23,6 +23,7 @@ class RveState:
         points: n; the last tile is filled up with copies.
         z: (tiles, 2, particles, TILE) material positions, x = F z, µm.
         fluctuation: same shape, v − L x, µm/µs; zero for affine velocities.
+        elastic: same shape, z of the elastic equilibrium that "slow-manifold" starts from.
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
         lu, slopes: kept factorisation and prediction, see `direct`.
         iterations: (tiles, TILE) force evaluations of the last solve.
@@ -31,6 +32,7 @@ class RveState:
     points: int
     z: Reals
     fluctuation: Reals
+    elastic: Reals
     F: Reals
     F_dot: Reals
     lu: NDArray[np.float32]
@@ -74,6 +76,7 @@ def rest_state(unit: UnitCell, points: int) -> RveState:
         points=points,
         z=z,
         fluctuation=np.zeros_like(z),
+        elastic=z,
         F=identity,
         F_dot=np.zeros_like(identity),
         lu=everywhere(unit.factors.lu[0, :, :, 0]),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from surrofe2.errors import InputError
 from surrofe2.units import FORCE, NONE, TIME
 
-INITIALISATIONS = ("cauchy-born", "elastic", "constrained-runs")
+INITIALISATIONS = ("cauchy-born", "elastic", "constrained-runs", "slow-manifold")
 SOLVERS = ("direct", "iterated")
 
 
@@ -16,8 +16,8 @@ class RveSettings:
     """Initialisation and solver of the micro problem.
 
     Attributes:
-        initialisation: "cauchy-born" (eq. 64), "elastic" (eqs. 65 to 67) or "constrained-runs"
-            (eqs. 69 to 72).
+        initialisation: "cauchy-born" (eq. 64), "elastic" (eqs. 65 to 67), "constrained-runs"
+            (eqs. 69 to 72) or "slow-manifold" (model.md, not in the paper).
         solver: "direct" (Newton on the fixed point) or "iterated" (the paper's Euler step and
             rescaling; for "elastic" with the velocities of the macro scale at zero).
         tolerance: mean particle force at which `direct` stops, µN.
@@ -48,6 +48,10 @@ class RveSettings:
             value = getattr(self, name)
             if value not in allowed:
                 raise InputError(f"rve.{name}: {value!r}; it must be one of {', '.join(allowed)}")
+        if (self.initialisation, self.solver) == ("slow-manifold", "iterated"):
+            raise InputError(
+                "rve.solver: 'iterated'; with initialisation slow-manifold it must be direct"
+            )
         for name in ("tolerance", "stop", "micro_step", "max_iterations"):
             value = getattr(self, name)
             if not 0.0 < value < float("inf"):

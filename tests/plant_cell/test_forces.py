@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from scipy.integrate import quad
 
-from surrofe2.plant_cell import forces, jacobian
+from surrofe2.plant_cell import force_rates, forces, jacobian
 from surrofe2.plant_cell.geometry import even_positions, square_patch
 from surrofe2.plant_cell.lanes import make_constants, make_topology, pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
@@ -184,6 +184,36 @@ def test_jacobian_and_load_are_the_derivatives_of_the_forces(patch):
         np.testing.assert_allclose(
             load[:, column].T, slope, rtol=0, atol=1e-6 * abs(load[:, column]).max()
         )
+
+
+def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
+    """For any motion of the particles with a moving lattice, fluctuating ones included."""
+    n = patch.patch.particles
+    y = 0.1 * np.random.default_rng(5).normal(size=patch.z.shape)
+    x = patch.local(patch.z, patch.F)
+    v = patch.local(patch.z, patch.F_dot)
+    owners = np.concatenate([np.arange(n), patch.patch.owner])
+    v += np.einsum("lab,lpb->apl", patch.F, y[:, owners])
+    f, rate = np.zeros_like(x), np.zeros_like(x)
+    pairs, fluid = len(patch.patch.fluid_pairs), n - patch.patch.walls
+    force_rates.add_elastic_forces_and_rates(
+        x, v, f, rate, patch.topology, patch.constants, np.empty((pairs, TILE)),
+        np.empty((fluid, TILE)), np.empty((fluid, TILE)),
+    )  # fmt: skip
+    forces.fold_images(f, patch.topology)
+    forces.fold_images(rate, patch.topology)
+    still = np.zeros_like(patch.F_dot)
+    np.testing.assert_allclose(
+        np.moveaxis(f[:, :n], -1, 0).swapaxes(1, 2), patch.forces(F_dot=still), rtol=0, atol=1e-9
+    )
+    step = 1e-5
+    up, down = (
+        patch.forces(patch.z + s * y, patch.F + s * patch.F_dot, still) for s in (step, -step)
+    )
+    slope = (up - down) / (2 * step)
+    np.testing.assert_allclose(
+        np.moveaxis(rate[:, :n], -1, 0).swapaxes(1, 2), slope, rtol=0, atol=1e-6 * abs(slope).max()
+    )
 
 
 def test_elastic_jacobian_is_symmetric(patch):

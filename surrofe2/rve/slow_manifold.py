@@ -1,0 +1,272 @@
+"""Slow-manifold initialisation (not in the paper; model.md): fluctuating velocities, then x.
+
+The microscopic run does not have affine velocities: the relaxed fluctuation moves as F moves. With
+x_el(F) the elastic equilibrium (65), take as velocities v = ∂x_el/∂F : Ḟ, and then the positions
+at which the forces vanish with them, f(x, v) = 0. What is left is of second order in time.
+
+In material positions, x_el = F z_el and v = Ḟ z_el + F y with y = ∂z_el/∂F : Ḟ. Both z_el and y
+solve with the elastic Jacobian, and v is exact when the elastic forces stay zero along it,
+ḟ_el(x_el, v) = 0: so a kept factorisation corrects them, and y is not biased by its age::
+
+    z_el ← z_el − F⁻¹ J⁻¹ f_el,    y ← y − F⁻¹ J⁻¹ ḟ_el,    then    z ← z − F⁻¹ J⁻¹ f(F z, v)
+
+Kept per point: `lu` of the elastic Jacobian at z_el, and in `slopes` first ∂z_el/∂F, then
+∂(z − z_el)/∂Ḟ, four columns each.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates
+from surrofe2.plant_cell.forces import fold_images
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.rve.direct import (
+    check_stable,
+    hold,
+    make_matrices,
+    move,
+    predict,
+    set_jacobian,
+    set_residual,
+)
+from surrofe2.rve.linear import factorise, solve_factorised
+from surrofe2.rve.micro_state import (
+    cauchy_stress,
+    local_forces,
+    make_workspace,
+    map_affine,
+    mean_force,
+    set_images,
+)
+
+LIMIT = 20
+CONTRACTION = 0.7
+RATE_TOLERANCE = 10.0
+"""Mean |ḟ| in µN/µs at which velocities are done, in tolerances on the mean force in µN."""
+
+
+@parallel_kernel
+def follow(
+    F, rate, z, elastic, fluctuation, at_F, at_rate, lu, slopes, topology, c, area, tolerance,
+    stress, iterations,
+):  # fmt: skip
+    """Solve z_el, v and z from those at (at_F, at_rate), in place; all (tiles, …, TILE).
+
+    iterations (tiles, TILE): evaluations of forces used, or −1 where the point did not converge.
+    """
+    for t in numba.prange(z.shape[0]):
+        _follow_tile(
+            F[t], rate[t], z[t], elastic[t], fluctuation[t], at_F[t], at_rate[t], lu[t],
+            slopes[t], topology, c, area, tolerance, stress[t], iterations[t],
+        )  # fmt: skip
+
+
+@kernel
+def _follow_tile(
+    F, rate, z, elastic, fluctuation, at_F, at_rate, lu, slopes, topology, c, area, tolerance,
+    stress, iterations,
+):  # fmt: skip
+    own = topology.particles
+    work = make_workspace(topology)
+    y = np.empty((2, own, TILE))
+    still = np.zeros((2, 2, TILE))
+    count = np.zeros(TILE, dtype=np.int32)
+    predict(elastic, F, still, at_F, still, slopes, work.z)
+    _predict_rates(slopes, rate, y)
+    _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count)
+    relaxed = work.z[:, :own].copy()
+    _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, work.z)
+    _find_positions(work, F, lu, topology, c, area, tolerance, stress, count)
+    for k in range(TILE):
+        iterations[k] = count[k]
+        if count[k] > 0:
+            z[:, :, k] = work.z[:, :own, k]
+            elastic[:, :, k] = relaxed[:, :, k]
+    for axis in range(2):
+        for i in range(own):
+            affine = load(rate, axis, 0) * load(z, 0, i) + load(rate, axis, 1) * load(z, 1, i)
+            store(load(work.v, axis, i) - affine, fluctuation, axis, i)
+
+
+@kernel
+def _predict_rates(slopes, rate, y):
+    """y = ∂z_el/∂F : Ḟ from the kept slopes."""
+    r0, r1, r2, r3 = load(rate, 0, 0), load(rate, 0, 1), load(rate, 1, 0), load(rate, 1, 1)
+    for axis in range(2):
+        store(0.0, y, axis, 0)
+        for i in range(1, y.shape[1]):
+            m = 2 * i - 2 + axis
+            value = load(slopes, m, 0) * r0 + load(slopes, m, 1) * r1
+            store(value + load(slopes, m, 2) * r2 + load(slopes, m, 3) * r3, y, axis, i)
+
+
+@kernel
+def _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, there):
+    """z_el + (z − z_el) of the last point + ∂(z − z_el)/∂Ḟ (Ḟ − Ḟ₀)."""
+    r0, r1 = load(rate, 0, 0) - load(at_rate, 0, 0), load(rate, 0, 1) - load(at_rate, 0, 1)
+    r2, r3 = load(rate, 1, 0) - load(at_rate, 1, 0), load(rate, 1, 1) - load(at_rate, 1, 1)
+    for axis in range(2):
+        for i in range(1, z.shape[1]):
+            m = 2 * i - 2 + axis
+            offset = load(z, axis, i) - load(elastic, axis, i)
+            offset += load(slopes, m, 4) * r0 + load(slopes, m, 5) * r1
+            offset += load(slopes, m, 6) * r2 + load(slopes, m, 7) * r3
+            store(load(relaxed, axis, i) + offset, there, axis, i)
+
+
+@kernel
+def set_velocities(z, y, F, rate, topology, v):
+    """v = Ḟ z + F y for local particles; an image has the y of its owner."""
+    own = topology.particles
+    map_affine(rate, z, v)
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    for i in range(v.shape[1]):
+        k = i if i < own else topology.owner[i - own]
+        yi, yj = load(y, 0, k), load(y, 1, k)
+        store(load(v, 0, i) + xx * yi + xy * yj, v, 0, i)
+        store(load(v, 1, i) + yx * yi + yy * yj, v, 1, i)
+
+
+@kernel
+def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
+    """z_el into work.z and v into work.v; count (TILE,) of evaluations, −1 where it failed."""
+    own = topology.particles
+    f_rate, volume_rate = np.empty_like(work.f), np.empty_like(work.volume)
+    residual, residual_rate = np.empty((1, TILE)), np.empty((1, TILE))
+    before, open_or_done = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
+    step = np.empty((2 * own - 2, TILE))
+    for evaluation in range(1, LIMIT + 1):
+        set_images(work.z, topology)
+        map_affine(F, work.z, work.x)
+        set_velocities(work.z, y, F, rate, topology, work.v)
+        work.f[:] = 0.0
+        f_rate[:] = 0.0
+        add_elastic_forces_and_rates(
+            work.x, work.v, work.f, f_rate, topology, c, work.slope, work.volume, volume_rate
+        )
+        fold_images(work.f, topology)
+        fold_images(f_rate, topology)
+        mean_force(work.f, own, residual)
+        mean_force(f_rate, own, residual_rate)
+        left = 0
+        for k in range(TILE):
+            if open_or_done[k] == 0:
+                worst = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
+                if worst <= tolerance:
+                    open_or_done[k] = 1
+                    count[k] = evaluation
+                elif not worst < CONTRACTION * before[k] or evaluation == LIMIT:
+                    open_or_done[k] = 1
+                    count[k] = -1
+                else:
+                    left += 1
+                before[k] = worst
+        if left == 0:
+            return
+        set_residual(work.f, step)
+        solve_factorised(lu, step)
+        hold(step, open_or_done)
+        move(step, F, work.z)
+        set_residual(f_rate, step)
+        solve_factorised(lu, step)
+        hold(step, open_or_done)
+        move(step, F, y)
+
+
+@kernel
+def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
+    """z into work.z at given velocities work.v; adds to count, or sets −1."""
+    own = topology.particles
+    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
+    before, done = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
+    step = np.empty((2 * own - 2, TILE))
+    for k in range(TILE):
+        if count[k] < 0:
+            done[k] = 1
+    for evaluation in range(1, LIMIT + 1):
+        set_images(work.z, topology)
+        map_affine(F, work.z, work.x)
+        local_forces(work, topology, c)
+        cauchy_stress(work.x, work.f, F, area, sigma)
+        fold_images(work.f, topology)
+        mean_force(work.f, own, residual)
+        left = 0
+        for k in range(TILE):
+            if done[k] == 0:
+                if residual[0, k] <= tolerance:
+                    done[k] = 1
+                    count[k] += evaluation
+                    stress[:, :, k] = sigma[:, :, k]
+                elif not residual[0, k] < CONTRACTION * before[k] or evaluation == LIMIT:
+                    done[k] = 1
+                    count[k] = -1
+                else:
+                    left += 1
+                before[k] = residual[0, k]
+        if left == 0:
+            return
+        set_residual(work.f, step)
+        solve_factorised(lu, step)
+        hold(step, done)
+        move(step, F, work.z)
+
+
+@parallel_kernel
+def renew_slow(F, elastic, lu, slopes, wanted, topology, c, stable):
+    """Check stability of every tile at z_el; refill lu and slopes of the `wanted` ones."""
+    for t in numba.prange(elastic.shape[0]):
+        _renew_tile(F[t], elastic[t], lu[t], slopes[t], wanted[t], topology, c, stable[t])
+
+
+@kernel
+def _renew_tile(F, elastic, lu, slopes, wanted, topology, c, stable):
+    own = topology.particles
+    work, matrices = make_workspace(topology), make_matrices(own)
+    work.z[:, :own] = elastic
+    set_images(work.z, topology)
+    if not wanted:
+        check_stable(work, matrices, F, topology, c, stable)
+        return
+    map_affine(F, work.z, work.x)
+    work.v[:] = 0.0
+    still = np.zeros((2, 2, TILE))
+    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
+    matrices.free[:] = matrices.jacobian[2:, 2:]
+    factorise(matrices.free)
+    lu[:] = matrices.free
+    for k in range(TILE):
+        stable[k] = True
+        for i in range(2 * own - 2):
+            if not matrices.free[i, i, k] < 0.0:
+                stable[k] = False
+    local_forces(work, topology, c)
+    at_rest = work.f.copy()
+    y, unit = np.empty((2, own, TILE)), np.zeros((2, 2, TILE))
+    for m in range(4):
+        for i in range(2 * own - 2):
+            store(-load(matrices.columns, i + 2, m), matrices.step, i)
+        solve_factorised(matrices.free, matrices.step)
+        y[:] = 0.0
+        move(matrices.step, F, y)
+        _keep(y, slopes, m)
+        unit[:] = 0.0
+        unit[m // 2, m % 2] = 1.0
+        set_velocities(work.z, y, F, unit, topology, work.v)
+        local_forces(work, topology, c)
+        work.f[:] = work.f - at_rest
+        fold_images(work.f, topology)
+        set_residual(work.f, matrices.step)
+        solve_factorised(matrices.free, matrices.step)
+        y[:] = 0.0
+        move(matrices.step, F, y)
+        _keep(y, slopes, 4 + m)
+
+
+@kernel
+def _keep(y, slopes, column):
+    for i in range(1, y.shape[1]):
+        store(load(y, 0, i), slopes, 2 * i - 2, column)
+        store(load(y, 1, i), slopes, 2 * i - 1, column)

@@ -1,0 +1,166 @@
+"""Slow manifold: what defines it, and its error against the RVE integrated in time."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.rve.micro_integration import integrate_rve
+from surrofe2.stress_law import Status
+from tests.plant_cell.twin import Twin
+from tests.rve.test_rve_law import PRESETS, deformations, law, particles
+
+
+def shear(t):
+    """model.md's first drive."""
+    return np.array([[1.0, 0.01 * t], [0.0, 1.0]]), np.array([[0.0, 0.01], [0.0, 0.0]])
+
+
+def oscillation(t):
+    """model.md's second drive."""
+    omega = 2.0 * np.pi / 40.0
+    way = np.array([[0.04, 0.05], [0.0, 0.0]])
+    return np.eye(2) + np.sin(omega * t) * way, omega * np.cos(omega * t) * way
+
+
+DRIVES = {"shear": shear, "oscillation": oscillation}
+TIMES = np.arange(0.0, 21.0, 2.0)
+
+
+@cache
+def driven(preset, drive):
+    return integrate_rve(law(preset), DRIVES[drive], TIMES)
+
+
+def error(preset, drive, initialisation):
+    F, F_dot = (np.array(part) for part in zip(*map(DRIVES[drive], TIMES), strict=True))
+    stress = law(preset, initialisation).respond(F, F_dot).stress
+    return np.abs(stress - driven(preset, drive))[1:].max()
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("preset", PRESETS)
+def test_initialisations_rank_as_the_model_reports(preset, drive):
+    """model.md: Cauchy–Born 0.8 to 2.2, elastic 0.013 to 0.040, constrained runs 0.005 to 0.010,
+    slow manifold 0.0001 to 0.0009 µN/µm."""
+    assert 0.7 < error(preset, drive, "cauchy-born") < 2.3
+    assert 0.012 < error(preset, drive, "elastic") < 0.041
+    runs = error(preset, drive, "constrained-runs")
+    assert 0.005 < runs < 0.0105
+    assert error(preset, drive, "slow-manifold") < min(0.00095, runs / 5.0)
+
+
+def test_error_falls_with_the_rate_to_the_power_one_and_two():
+    """The same way through F, half as fast: elastic and constrained runs O(Ḟ), slow manifold
+    O(Ḟ², F̈), Cauchy–Born O(1)."""
+    errors = {}
+    for slowness in (1.0, 2.0):
+
+        def path(t, slowness=slowness):
+            F, F_dot = oscillation(t / slowness)
+            return F, F_dot / slowness
+
+        times = slowness * np.array([0.0, 8.0, 14.0])
+        exact = integrate_rve(law("printed"), path, times)[1:]
+        F, F_dot = (np.array(part)[1:] for part in zip(*map(path, times), strict=True))
+        for name in ("cauchy-born", "elastic", "constrained-runs", "slow-manifold"):
+            stress = law("printed", name).respond(F, F_dot).stress
+            errors[name, slowness] = np.abs(stress - exact).max()
+
+    def order(name):
+        return np.log2(errors[name, 1.0] / errors[name, 2.0])
+
+    assert order("cauchy-born") == pytest.approx(0.0, abs=0.1)
+    assert order("elastic") == pytest.approx(1.0, abs=0.2)
+    assert order("constrained-runs") == pytest.approx(1.0, abs=0.2)
+    assert order("slow-manifold") > 1.7
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_velocities_are_those_of_the_moving_equilibrium_and_forces_vanish_with_them(preset):
+    F, F_dot = deformations(preset, n=6)
+    answer = law(preset, "slow-manifold").respond(F, F_dot)
+    assert (answer.status == Status.OK).all()
+    twin = Twin(law(preset).cell, law(preset).rest_length)
+    step = 1e-3
+    still = np.zeros_like(F)
+    up, down = (law(preset, "elastic").respond(F + s * F_dot, still) for s in (step, -step))
+    for point in range(6):
+        z, beyond = particles(answer, point), answer.state.fluctuation[0, :, :, point].T
+        f, _, stress = twin.evaluate(z, F[point], F_dot[point], beyond)
+        assert np.linalg.norm(f, axis=1).mean() < 1.1e-8
+        np.testing.assert_allclose(answer.stress[point], stress, rtol=0, atol=1e-9)
+        moving = [
+            particles(a, point) @ (F[point] + s * F_dot[point]).T
+            for a, s in ((up, step), (down, -step))
+        ]
+        expected = (moving[0] - moving[1]) / (2 * step)
+        np.testing.assert_allclose(z @ F_dot[point].T + beyond, expected, rtol=0, atol=1e-6)
+
+
+def test_warm_start_cold_start_and_mixed_batches_agree():
+    this = law("printed", "slow-manifold")
+    F, F_dot = deformations("printed")
+    cold = this.respond(F, F_dot)
+    near = this.respond(F * 1.002, F_dot * 0.9)
+    warm = this.respond(F, F_dot, near.state)
+    assert warm.effort["newton_solves"] == 0
+    np.testing.assert_allclose(warm.stress, cold.stress, rtol=0, atol=1e-8)
+    mixed = near.state.put(np.array([3, 17]), this.rest_state(2))
+    mixed = this.respond(F, F_dot, mixed)
+    assert 0 < mixed.effort["newton_solves"] <= 2
+    np.testing.assert_allclose(mixed.stress, cold.stress, rtol=0, atol=1e-8)
+
+
+def test_accepted_states_are_checked_for_stability_and_renewed():
+    this, state = law("printed", "slow-manifold"), None
+    for stretch in np.linspace(1.0, 1.4, 41):
+        F = np.array([np.diag([stretch, 1.0])])
+        answer = this.respond(F, 0.001 * F, state)
+        accepted = this.accept(F, 0.001 * F, answer)
+        state = accepted.state
+        if accepted.status[0] != Status.OK:
+            break
+    assert accepted.status[0] == Status.UNSTABLE
+    assert 1.1 < stretch < 1.35
+
+
+def test_at_rest_it_is_the_elastic_equilibrium():
+    F, F_dot = deformations("water")
+    still = np.zeros_like(F_dot)
+    np.testing.assert_allclose(
+        law("water", "slow-manifold").respond(F, still).stress,
+        law("water", "elastic").respond(F, still).stress,
+        rtol=0,
+        atol=1e-8,
+    )
+
+
+def test_it_has_no_iterated_solver():
+    with pytest.raises(InputError, match="with initialisation slow-manifold it must be direct"):
+        RveLaw(CellParameters.preset("printed"), "slow-manifold", "iterated")
+
+
+def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off():
+    """A jump of the strain, then free motion; steps of 2, 1 and ½ ns."""
+
+    def held(t):
+        return np.eye(2) * (1.0 + 1e-4 * min(t, 1.0)), 1e-4 * np.eye(2) * (t < 1.0)
+
+    times = np.array([0.0, 0.3])
+    ends = [integrate_rve(law("water"), held, times, step)[-1] for step in (2e-3, 1e-3, 5e-4)]
+    coarse, fine = (np.abs(a - b).max() for a, b in zip(ends[:-1], ends[1:], strict=True))
+    assert np.log2(coarse / fine) > 3.0
+
+
+def test_micro_integration_with_too_long_a_step_says_so():
+    with pytest.raises((SimulationError, FloatingPointError), match="apart|overflow|invalid"):
+        integrate_rve(law("printed"), shear, np.array([0.0, 5.0]), 0.02)
+
+
+def test_micro_integration_refuses_times_that_do_not_increase():
+    with pytest.raises(InputError, match="times must increase"):
+        integrate_rve(law("printed"), shear, np.array([0.0, 0.0]))
