@@ -50,6 +50,36 @@ def describe(status: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Tangents:
+    """Derivatives of the first Piola–Kirchhoff stress P = det F σ F⁻ᵀ at n points.
+
+    Attributes:
+        P_by_F: (n, 2, 2, 2, 2), [point, a, b, c, d] = ∂P_ab/∂F_cd, µN/µm.
+        P_by_F_dot: the same by Ḟ_cd, µN µs/µm.
+    """
+
+    P_by_F: Array
+    P_by_F_dot: Array
+
+    def cauchy(self, F: Array, stress: Array) -> tuple[Array, Array]:
+        """∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2), from σ = P Fᵀ/det F.
+
+        Args:
+            F: (n, 2, 2) where the tangents hold.
+            stress: (n, 2, 2) Cauchy stress there.
+        """
+        J = np.linalg.det(F)
+        inverse = np.linalg.inv(F)
+        P = J[:, None, None] * stress @ np.swapaxes(inverse, 1, 2)
+        by_F = np.einsum("naecd,nbe->nabcd", self.P_by_F, F)
+        by_F += np.einsum("nad,bc->nabcd", P, np.eye(2))
+        by_F /= J[:, None, None, None, None]
+        by_F -= np.einsum("nab,ndc->nabcd", stress, inverse)
+        by_F_dot = np.einsum("naecd,nbe->nabcd", self.P_by_F_dot, F)
+        return by_F, by_F_dot / J[:, None, None, None, None]
+
+
+@dataclass(frozen=True, slots=True)
 class StressResponse:
     """What a stress law answers for n points.
 
@@ -58,12 +88,14 @@ class StressResponse:
         status: (n,) int8 codes of `Status`.
         state: warm start (or history) for the next call; opaque to everyone but its law.
         effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
+        tangents: derivatives of the stress, where they were asked for.
     """
 
     stress: Array
     status: NDArray[np.int8]
     state: Any = None
     effort: Mapping[str, int] = field(default_factory=dict)
+    tangents: Tangents | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,9 @@ from surrofe2.rve.direct import chord, newton, stress_at
 from surrofe2.rve.micro_state import list_covers
 from surrofe2.rve.rve_state import RveState
 from surrofe2.rve.slow_manifold import follow, renew_slow
+from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell
-from surrofe2.stress_law import Array, Status
+from surrofe2.stress_law import Array, Status, Tangents
 
 if TYPE_CHECKING:
     from surrofe2.rve.rve_law import RveLaw
@@ -67,11 +68,30 @@ class Batch:
         for reach, topology in zip(
             (p.reach for p in self.unit.patches), self.unit.topologies, strict=True
         ):
+            self.topology = topology
             self._solve_with(topology)
             covered = covered_by(self.unit, reach, self.F, self.state.z)
             if (covered | (self.status != Status.OK)).all():
                 return
             self.status[~covered] = Status.LIST_TOO_SHORT
+
+    def tangents(self, points: int) -> Tangents:
+        """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
+        values = np.empty((len(self.F), 2, 2, 8, TILE))
+        state, topology = self.state, self.topology
+        constants, area = self.unit.constants, self.unit.area
+        if self.law.initialisation == "slow-manifold":
+            slow_tangents(
+                self.F, self.F_dot, state.z, state.elastic, topology, constants, area, values
+            )
+        else:
+            kind = self.law.initialisation
+            affine_tangents(
+                self.F, self.F_dot, state.z, KINDS.index(kind), topology, constants, area, values
+            )
+        tangents = unpack(values, points).reshape(points, 2, 2, 2, 2, 2)
+        tangents[unpack(self.status, points) != Status.OK] = np.nan
+        return Tangents(tangents[:, :, :, 0].copy(), tangents[:, :, :, 1].copy())
 
     def effort(self, points: int) -> dict[str, int]:
         """Summable counts of what the answer cost."""

@@ -3,8 +3,8 @@
 No pivoting: near a stable equilibrium the symmetric part of the matrices is definite, and a
 factorisation that is bad all the same shows as a solve that does not converge.
 
-Four columns are eliminated at a time, so that what is updated is read and written a fourth as
-often; two rows share what is read.
+Eight columns are eliminated at a time, so that what is updated is read and written an eighth as
+often.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from surrofe2.compilation import kernel
 from surrofe2.plant_cell.simd import TILE, load, spread, store
 
-PANEL = 4
+PANEL = 8
 
 
 @kernel
@@ -22,11 +22,7 @@ def factorise(a):
     for start in range(0, n, PANEL):
         end = min(start + PANEL, n)
         _factorise_panel(a, start, end, False)
-        i = end
-        while i + 1 < n:
-            _update_two_rows(a, i, start, end)
-            i += 2
-        if i < n:
+        for i in range(end, n):
             _update_row(a, i, start, end)
 
 
@@ -75,26 +71,16 @@ def _factorise_panel(a, start, end, symmetric):
 
 
 @kernel
-def _update_row(a, i, start, first):
-    """a[i, j] −= Σ_k a[i, k] a[k, j] for columns j ≥ first and the four k of a full panel."""
-    n, k = a.shape[0], start
+def _update_row(a, i, k, first):
+    """a[i, j] −= Σ_m a[i, m] a[m, j] for columns j ≥ first and the eight m of a full panel at k."""
     f0, f1, f2, f3 = load(a, i, k), load(a, i, k + 1), load(a, i, k + 2), load(a, i, k + 3)
-    for j in range(first, n):
-        u0, u1, u2, u3 = load(a, k, j), load(a, k + 1, j), load(a, k + 2, j), load(a, k + 3, j)
-        store(load(a, i, j) - f0 * u0 - f1 * u1 - f2 * u2 - f3 * u3, a, i, j)
-
-
-@kernel
-def _update_two_rows(a, i, start, end):
-    """`_update_row` for rows i and i + 1 and columns right of the panel."""
-    n, k = a.shape[0], start
-    f0, f1, f2, f3 = load(a, i, k), load(a, i, k + 1), load(a, i, k + 2), load(a, i, k + 3)
-    i2 = i + 1
-    g0, g1, g2, g3 = load(a, i2, k), load(a, i2, k + 1), load(a, i2, k + 2), load(a, i2, k + 3)
-    for j in range(end, n):
-        u0, u1, u2, u3 = load(a, k, j), load(a, k + 1, j), load(a, k + 2, j), load(a, k + 3, j)
-        store(load(a, i, j) - f0 * u0 - f1 * u1 - f2 * u2 - f3 * u3, a, i, j)
-        store(load(a, i2, j) - g0 * u0 - g1 * u1 - g2 * u2 - g3 * u3, a, i2, j)
+    f4, f5, f6, f7 = load(a, i, k + 4), load(a, i, k + 5), load(a, i, k + 6), load(a, i, k + 7)
+    for j in range(first, a.shape[0]):
+        low = f0 * load(a, k, j) + f1 * load(a, k + 1, j)
+        low += f2 * load(a, k + 2, j) + f3 * load(a, k + 3, j)
+        high = f4 * load(a, k + 4, j) + f5 * load(a, k + 5, j)
+        high += f6 * load(a, k + 6, j) + f7 * load(a, k + 7, j)
+        store(load(a, i, j) - (low + high), a, i, j)
 
 
 @kernel

@@ -95,8 +95,15 @@ class RveLaw:
         """State of n RVEs at F = I, to warm-start from."""
         return rest_state(self.unit_cell, points)
 
-    def respond(self, F: Any, F_dot: Any, state: RveState | None = None) -> StressResponse:
-        """Cauchy stress at n points by one RVE each; see `StressLaw.respond`."""
+    def respond(
+        self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False
+    ) -> StressResponse:
+        """Cauchy stress at n points by one RVE each; see `StressLaw.respond`.
+
+        With `tangents`, ∂P/∂F and ∂P/∂Ḟ too, exact for solver direct (for "slow-manifold" but for
+        a central difference of exact force rates, about 1e-8 relative). They are one-sided where
+        a pair sits at the cut-off.
+        """
         F, F_dot = check_deformation(F, F_dot)
         points = len(F)
         if points == 0:
@@ -109,12 +116,18 @@ class RveLaw:
                 f"state: not a state of an RveLaw for {points} points; pass what an earlier "
                 "answer for the same points carried, or None"
             )
+        if tangents and self.solver == "iterated":
+            raise InputError(
+                "tangents: not with solver iterated, whose loose stop they would hide; "
+                "use solver direct"
+            )
         batch = Batch(self, pack(F), pack(F_dot), state, cold)
         batch.solve()
         status = unpack(batch.status, points)
         stress = unpack(batch.stress, points)
         stress[status != Status.OK] = np.nan
-        return StressResponse(stress, status, batch.state, batch.effort(points))
+        slopes = batch.tangents(points) if tangents else None
+        return StressResponse(stress, status, batch.state, batch.effort(points), slopes)
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
         """Check stability (elastic Hessian, dashpots off) and renew tired factorisations."""

@@ -1,0 +1,113 @@
+"""Tangents against central differences of the stress, and the symmetries they must have."""
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.rve import INITIALISATIONS
+from surrofe2.stress_law import Status
+from tests.plant_cell.twin import IMAGES
+from tests.rve.test_rve_law import PRESETS, deformations, law, particles
+
+STEP = 2e-6
+
+
+def clear_of_the_cut_off(answer, F, wide=1e-3):
+    """(n,) whether no contact sits within `wide` µm of x₀, where tangents are one-sided."""
+    clear = []
+    for point in range(len(F)):
+        z = particles(answer, point)
+        offsets = 25.0 * np.array(IMAGES)
+        r = (z[None, :, None] + offsets[None, None]) - z[:, None, None]
+        length = np.linalg.norm(r @ F[point].T, axis=-1)
+        clear.append(np.abs(length - 10.0).min() > wide)
+    return np.array(clear)
+
+
+def piola(this, F, F_dot, state):
+    answer = this.respond(F, F_dot, state)
+    inverse = np.linalg.inv(F)
+    return np.linalg.det(F)[:, None, None] * answer.stress @ np.swapaxes(inverse, 1, 2)
+
+
+def differences(stress_of, F, F_dot):
+    """∂/∂F and ∂/∂Ḟ of stress_of(F, F_dot) by central differences."""
+    slopes = []
+    for which in range(2):
+        slope = np.empty((len(F), 2, 2, 2, 2))
+        for c in range(2):
+            for d in range(2):
+                change = np.zeros((2, 2, 2))
+                change[which, c, d] = STEP
+                up = stress_of(F + change[0], F_dot + change[1])
+                down = stress_of(F - change[0], F_dot - change[1])
+                slope[..., c, d] = (up - down) / (2 * STEP)
+        slopes.append(slope)
+    return slopes
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("initialisation", INITIALISATIONS)
+def test_tangents_are_the_slopes_of_the_stress(preset, initialisation):
+    this = law(preset, initialisation, tolerance=1e-10)
+    F, F_dot = deformations(preset, n=100, corners=False)
+    answer = this.respond(F, F_dot, tangents=True)
+    clear = clear_of_the_cut_off(answer, F)
+    assert clear.sum() > 50
+    exact = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
+    stress_of = lambda F, F_dot: piola(this, F, F_dot, answer.state)  # noqa: E731
+    for tangent, slope in zip(exact, differences(stress_of, F, F_dot), strict=True):
+        error = np.abs(tangent - slope).max(axis=(1, 2, 3, 4))
+        scale = np.abs(tangent).max(axis=(1, 2, 3, 4))
+        assert (error / scale)[clear].max() < 1e-6
+
+
+def test_cauchy_forms_are_the_slopes_of_the_cauchy_stress():
+    this = law("printed", "constrained-runs", tolerance=1e-10)
+    F, F_dot = deformations("printed", n=16, corners=False)
+    answer = this.respond(F, F_dot, tangents=True)
+    clear = clear_of_the_cut_off(answer, F)
+    exact = answer.tangents.cauchy(F, answer.stress)
+    slopes = differences(lambda F, F_dot: this.respond(F, F_dot, answer.state).stress, F, F_dot)
+    for tangent, slope in zip(exact, slopes, strict=True):
+        np.testing.assert_allclose(tangent[clear], slope[clear], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_elastic_tangent_has_major_symmetry(preset):
+    F, F_dot = deformations(preset)
+    for initialisation in ("elastic", "constrained-runs", "slow-manifold"):
+        A = law(preset, initialisation).respond(F, 0.0 * F_dot, tangents=True).tangents.P_by_F
+        np.testing.assert_allclose(A, A.transpose(0, 3, 4, 1, 2), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("initialisation", ["elastic", "slow-manifold"])
+def test_viscous_tangent_at_rest_is_symmetric_and_dissipates(preset, initialisation):
+    F, F_dot = deformations(preset)
+    answer = law(preset, initialisation).respond(F, 0.0 * F_dot, tangents=True)
+    B = answer.tangents.P_by_F_dot.reshape(-1, 4, 4)
+    np.testing.assert_allclose(B, B.swapaxes(1, 2), rtol=0, atol=1e-7 * np.abs(B).max())
+    assert np.linalg.eigvalsh(B).min() > -1e-9 * np.abs(B).max()
+
+
+def test_viscous_tangent_of_constrained_runs_is_not_symmetric():
+    """model.md: a limit on what a dissipation potential can represent."""
+    F, F_dot = deformations("water")
+    B = law("water").respond(F, 0.0 * F_dot, tangents=True).tangents.P_by_F_dot.reshape(-1, 4, 4)
+    assert np.abs(B - B.swapaxes(1, 2)).max() > 1e-3 * np.abs(B).max()
+
+
+def test_points_without_stress_have_no_tangents():
+    F = np.array([np.eye(2), np.diag([1.35, 1.0])])
+    answer = law("printed").respond(F, np.zeros_like(F), tangents=True)
+    assert answer.status[1] == Status.UNSTABLE
+    assert np.isfinite(answer.tangents.P_by_F[0]).all()
+    assert np.isnan(answer.tangents.P_by_F[1]).all()
+    assert law("printed").respond(F, np.zeros_like(F)).tangents is None
+
+
+def test_tangents_of_the_iterated_solver_are_refused():
+    F = np.eye(2)[None]
+    with pytest.raises(InputError, match="tangents: not with solver iterated"):
+        law("printed", solver="iterated").respond(F, 0.0 * F, tangents=True)
