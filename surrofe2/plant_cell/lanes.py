@@ -94,3 +94,10 @@ def unpack(tiles: NDArray[Any], points: int) -> NDArray[Any]:
     """(tiles, …, TILE) → (n, …); inverse of `pack`."""
     lanes = np.moveaxis(tiles, -1, 1)
     return np.ascontiguousarray(lanes.reshape(-1, *lanes.shape[2:])[:points])
+
+
+def put_points(tiles: NDArray[Any], index: NDArray[np.intp], part: NDArray[Any]) -> None:
+    """Overwrite the points `index` of packed `tiles` by the first points of packed `part`."""
+    tile, lane = np.divmod(index, TILE)
+    from_tile, from_lane = np.divmod(np.arange(len(index)), TILE)
+    tiles[tile, ..., lane] = part[from_tile, ..., from_lane]

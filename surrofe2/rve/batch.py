@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import Topology, unpack
+from surrofe2.plant_cell.lanes import Topology, pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.direct import chord, newton, stress_at
@@ -63,17 +63,31 @@ class Batch:
             iterations=self.iterations,
         )
 
-    def solve(self) -> None:
-        """Initialise every RVE, then make sure that its list of contacts was long enough."""
-        for reach, topology in zip(
-            (p.reach for p in self.unit.patches), self.unit.topologies, strict=True
-        ):
-            self.topology = topology
-            self._solve_with(topology)
-            covered = covered_by(self.unit, reach, self.F, self.state.z)
-            if (covered | (self.status != Status.OK)).all():
-                return
-            self.status[~covered] = Status.LIST_TOO_SHORT
+    def solve(self, level: int = 0) -> None:
+        """Initialise every RVE; where the list of contacts was too short, again with a longer."""
+        patch, self.topology = self.unit.patches[level], self.unit.topologies[level]
+        self._solve_with(self.topology)
+        covered = covered_by(self.unit, patch.reach, self.F, self.state.z)
+        if covered.all():
+            return
+        if level == len(self.unit.patches) - 1:
+            self.status[~covered & (self.status == Status.OK)] = Status.LIST_TOO_SHORT
+        elif not covered.any():
+            self.solve(level + 1)
+        else:
+            self._solve_again(np.flatnonzero(~unpack(covered, self.before.points)), level + 1)
+
+    def _solve_again(self, index: NDArray[np.intp], level: int) -> None:
+        """Replace the answers of the points `index` by those with a longer list."""
+        points = self.before.points
+        F, F_dot = (pack(unpack(tensor, points)[index]) for tensor in (self.F, self.F_dot))
+        part = Batch(self.law, F, F_dot, self.before.take(index), self.cold)
+        part.solve(level)
+        for name in ("stress", "residual", "status", "iterations"):
+            put_points(getattr(self, name), index, getattr(part, name))
+        self.state = self.state.put(index, part.state)
+        self.newton_solves += part.newton_solves
+        self.topology = part.topology
 
     def tangents(self, points: int) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""

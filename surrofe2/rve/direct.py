@@ -46,6 +46,7 @@ class Matrices(NamedTuple):
 
 @kernel
 def make_matrices(n):
+    """Uninitialised scratch for n particles."""
     return Matrices(
         np.empty((2 * n, 2 * n, TILE)),
         np.empty((2 * n, 8, TILE)),

@@ -8,6 +8,7 @@ Runge–Kutta, fourth order where no pair crosses the cut-off.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     u = np.einsum("ab,bpl->apl", F, z - unit.position.T[..., None])
     w = np.einsum("ab,bpl->apl", F_dot, z - unit.position.T[..., None])
     stresses = [_stress(law, u, w, F, F_dot)]
-    for begin, end in zip(times[:-1], times[1:], strict=True):
+    for begin, end in pairwise(times):
         steps = int(np.ceil((end - begin) / micro_step))
         dt = (end - begin) / steps
         for first in range(0, steps, _CHUNK):

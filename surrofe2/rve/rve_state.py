@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import pack, unpack
+from surrofe2.plant_cell.lanes import pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.unit_cell import UnitCell
 
@@ -54,10 +54,7 @@ class RveState:
         for item in fields(self):
             if item.name != "points":
                 mine = getattr(self, item.name).copy()
-                tile, lane = np.divmod(index, TILE)
-                rows = np.arange(part.points)
-                theirs = getattr(part, item.name)
-                mine[tile, ..., lane] = theirs[rows // TILE, ..., rows % TILE]
+                put_points(mine, index, getattr(part, item.name))
                 parts[item.name] = mine
         return RveState(points=self.points, **parts)
 

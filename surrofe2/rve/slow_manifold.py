@@ -42,8 +42,8 @@ from surrofe2.rve.micro_state import (
     set_images,
 )
 
-LIMIT = 20
-CONTRACTION = 0.7
+LIMIT = 40
+CONTRACTION = 0.9
 RATE_TOLERANCE = 10.0
 """Mean |ḟ| in µN/µs at which velocities are done, in tolerances on the mean force in µN."""
 
@@ -136,7 +136,8 @@ def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
     own = topology.particles
     f_rate, volume_rate = np.empty_like(work.f), np.empty_like(work.volume)
     residual, residual_rate = np.empty((1, TILE)), np.empty((1, TILE))
-    before, open_or_done = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
+    before = np.full(TILE, np.inf)
+    done, settled = np.zeros(TILE, dtype=np.int32), np.zeros(TILE, dtype=np.int32)
     step = np.empty((2 * own - 2, TILE))
     for evaluation in range(1, LIMIT + 1):
         set_images(work.z, topology)
@@ -153,13 +154,15 @@ def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
         mean_force(f_rate, own, residual_rate)
         left = 0
         for k in range(TILE):
-            if open_or_done[k] == 0:
+            # where z_el is found it stays: a pair at the cut-off must not flicker
+            settled[k] = max(settled[k], np.int32(residual[0, k] <= tolerance), done[k])
+            if done[k] == 0:
                 worst = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
                 if worst <= tolerance:
-                    open_or_done[k] = 1
+                    done[k] = 1
                     count[k] = evaluation
                 elif not worst < CONTRACTION * before[k] or evaluation == LIMIT:
-                    open_or_done[k] = 1
+                    done[k] = 1
                     count[k] = -1
                 else:
                     left += 1
@@ -168,11 +171,11 @@ def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
             return
         set_residual(work.f, step)
         solve_factorised(lu, step)
-        hold(step, open_or_done)
+        hold(step, settled)
         move(step, F, work.z)
         set_residual(f_rate, step)
         solve_factorised(lu, step)
-        hold(step, open_or_done)
+        hold(step, done)
         move(step, F, y)
 
 

@@ -1,6 +1,7 @@
 """Slow manifold: what defines it, and its error against the RVE integrated in time."""
 
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -152,12 +153,12 @@ def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off(
 
     times = np.array([0.0, 0.3])
     ends = [integrate_rve(law("water"), held, times, step)[-1] for step in (2e-3, 1e-3, 5e-4)]
-    coarse, fine = (np.abs(a - b).max() for a, b in zip(ends[:-1], ends[1:], strict=True))
+    coarse, fine = (np.abs(a - b).max() for a, b in pairwise(ends))
     assert np.log2(coarse / fine) > 3.0
 
 
 def test_micro_integration_with_too_long_a_step_says_so():
-    with pytest.raises((SimulationError, FloatingPointError), match="apart|overflow|invalid"):
+    with pytest.raises((SimulationError, FloatingPointError), match=r"apart|overflow|invalid"):
         integrate_rve(law("printed"), shear, np.array([0.0, 5.0]), 0.02)
 
 
