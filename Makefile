@@ -1,10 +1,11 @@
 # make demo   set up and run the main job: data set, training, true and cached FE², comparison
 # make test   set up and run the tests
+# make bench  set up and run the benchmarks in full, on a quiet machine; MODE=quick: less of each
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint clean
+.PHONY: demo test test-slow lint bench bench-quick clean
 
 demo: .venv/.installed
 	$(BIN)/surrofe2 demo
@@ -20,6 +21,12 @@ lint: .venv/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+bench: .venv/.installed
+	$(BIN)/python -m benchmarks $(if $(filter quick,$(MODE)),--quick)
+
+bench-quick: .venv/.installed
+	$(BIN)/python -m benchmarks --quick
 
 clean:
 	rm -rf .venv out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache *.egg-info

@@ -1,0 +1,52 @@
+"""Item 7: samples a second, RVEs and file included, on all cores."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+
+from benchmarks.row import Row
+from benchmarks.setting import PRESETS, Setting
+from benchmarks.timing import all_cores
+from surrofe2.cli.generate import Generated, generate_data_set
+from surrofe2.config import Recipe
+
+TITLE = "Data sets"
+
+
+def run(setting: Setting) -> list[Row]:
+    """The shipped recipes."""
+    return [_generate(setting, preset) for preset in PRESETS]
+
+
+def _generate(setting: Setting, preset: str) -> Row:
+    recipe = setting.recipe(preset)
+    samples = replace(recipe.samples, count=setting.pick(recipe.samples.count, 2048))
+    recipe = replace(recipe, samples=samples)
+    rates = []
+    for _ in range(setting.pick(5, 2) + 1):
+        seconds, made = _once(recipe)
+        rates.append(made.count / seconds)
+    median, low, high = (float(np.percentile(rates[1:], p)) for p in (50, 25, 75))
+    return Row(
+        name=f"{preset}: samples a second into a finished file of {made.count:,}",
+        value=median,
+        spread=high - low,
+        unit="1/s",
+        limit=5000.0,
+        at_least=True,
+        threads=all_cores(),
+        note=f"{sum(made.failed.values())} failed",
+    )
+
+
+def _once(recipe: Recipe) -> tuple[float, Generated]:
+    with TemporaryDirectory() as folder:
+        here = replace(recipe, path=Path(folder) / recipe.path.name, data_file="samples.h5")
+        begin = perf_counter()
+        made = generate_data_set(here)
+        return perf_counter() - begin, made

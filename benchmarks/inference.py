@@ -1,0 +1,83 @@
+"""Item 6: the cached law where every point is a hit, beside torch; one thread."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+
+from benchmarks.row import Row
+from benchmarks.setting import POINTS, Array, Setting, rve
+from benchmarks.timing import ratio, side_by_side, threads
+from surrofe2 import CachedLaw, SurrogateLaw, sample
+
+TITLE = "Inference with symmetry, range test and fallback decision"
+PRESET = "printed"
+LIMITS = {POINTS: 1.0, 5000: 0.7}
+"""Points at once → µs a point."""
+AGREEMENT = 1e-12
+
+
+def run(setting: Setting) -> list[Row]:
+    """Double and single precision at both numbers of points."""
+    double = setting.surrogate(PRESET)
+    rows = []
+    with threads(1):
+        for precision, surrogate in (("float64", double), ("float32", _single(double))):
+            for points in LIMITS:
+                rows += _lookup(setting, precision, surrogate, points)
+    return rows
+
+
+def _single(surrogate: SurrogateLaw) -> SurrogateLaw:
+    settings = replace(surrogate.settings, precision="float32")
+    network = copy.deepcopy(surrogate.network).to(torch.float32)
+    return replace(surrogate, network=network, settings=settings)
+
+
+def _lookup(setting: Setting, precision: str, surrogate: SurrogateLaw, points: int) -> list[Row]:
+    F, F_dot = turned_samples(surrogate, points)
+    cached = CachedLaw(surrogate, fallback=rve(PRESET))
+    ours, eager = side_by_side(
+        [partial(cached.respond, F, F_dot), partial(surrogate.reference, F, F_dot)],
+        setting.pick(25, 7),
+    )
+    answer, reference = cached.respond(F, F_dot), surrogate.reference(F, F_dot)
+    if answer.effort["hits"] != points:
+        raise RuntimeError(f"{points - answer.effort['hits']} of {points} points were no hits")
+    difference = float(abs(answer.stress - reference).max() / abs(reference).max())
+    per_point = 1e6 / points
+    is_double = precision == "float64"
+    name = f"{precision}, {points:,} points"
+    return [
+        Row(
+            name=f"{name}: a point",
+            value=ours.median * per_point,
+            spread=ours.spread * per_point,
+            unit="µs",
+            limit=LIMITS[points] if is_double else None,
+            baseline="torch eager, without range test",
+            baseline_value=eager.median * per_point,
+            ratio=ratio(eager, ours),
+        ),
+        Row(
+            name=f"{name}: largest difference from torch / largest stress",
+            value=difference,
+            unit="",
+            limit=AGREEMENT if is_double else None,
+        ),
+    ]
+
+
+def turned_samples(surrogate: SurrogateLaw, points: int) -> tuple[Array, Array]:
+    """(R U, R A) with (U, A) over the surrogate's range, but for its very edge, and any R."""
+    U, A = sample(surrogate.range, points, seed=5)
+    angle = np.random.default_rng(5).uniform(-np.pi, np.pi, points)
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.stack([c, -s, s, c], axis=1).reshape(-1, 2, 2)
+    inside = 0.999
+    U = np.eye(2) + inside * (U - np.eye(2))
+    return np.ascontiguousarray(R @ U), np.ascontiguousarray(R @ (inside * A))

@@ -1,0 +1,115 @@
+"""Item 9: cost of a right-hand side over the number of points, on one motion for all meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from benchmarks.cost_plot import write_cost_plot
+from benchmarks.row import Row
+from benchmarks.setting import Array, Setting, rve
+from benchmarks.timing import all_cores
+from surrofe2 import LoadCase, StressLaw
+from surrofe2.macro.mesh import Bar, make_bar
+from surrofe2.macro.right_hand_side import RightHandSide, Tally
+
+TITLE = "Cost over the number of points"
+PRESET = "printed"
+SWING, PERIOD = 20.0, 100.0
+"""Of the motion of the bar's free side, µm and µs; about those of the bending bar."""
+STAGE, STAGES = 0.1, 6
+"""Time between two right-hand sides, µs; how many of them make a step."""
+START = 0.25 * PERIOD
+"""Where the motion is fastest; the cold solve there is not counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """Seconds of a right-hand side, (sizes, steps), over the number of points (sizes,)."""
+
+    label: str
+    points: Array
+    seconds: Array
+
+    @property
+    def median(self) -> Array:
+        """(sizes,) s."""
+        middle: Array = np.median(self.seconds, axis=1)
+        return middle
+
+    @property
+    def exponent(self) -> float:
+        """p of seconds ~ points**p, a least-squares line through the logarithms."""
+        return float(np.polyfit(np.log(self.points), np.log(self.median), 1)[0])
+
+
+def run(setting: Setting) -> list[Row]:
+    """Both laws on n × n elements; writes cost.png into the output folder."""
+    sizes = setting.pick((2, 4, 8, 16, 32, 64), (2, 4, 8))
+    laws: dict[str, StressLaw] = {"true FE²": rve(PRESET), "cached FE²": setting.cached(PRESET)}
+    bars = [make_bar(LoadCase(), (n, n), rve(PRESET).density) for n in sizes]
+    points = np.array([float(bar.n_points) for bar in bars])
+    steps = setting.pick(8, 3)
+    costs = [
+        Costs(label, points, np.array([_seconds(bar, law, steps) for bar in bars]))
+        for label, law in laws.items()
+    ]
+    write_cost_plot(setting.out / "cost.png", costs, all_cores())
+    return [row for cost in costs for row in _rows(setting, cost)]
+
+
+def _seconds(bar: Bar, law: StressLaw, steps: int) -> Array:
+    """(steps,) seconds of a right-hand side, acceptance of the steps included."""
+    right_hand_side = RightHandSide(bar, law, LoadCase().amplitude_at, Tally())
+    shape = _shape(bar)
+    taken: list[float] = []
+    for step in range(steps + 1):
+        states = [_motion(shape, START + (step * STAGES + k) * STAGE) for k in range(STAGES)]
+        begin = perf_counter()
+        for y in states:
+            right_hand_side(0.0, y)
+        right_hand_side.accept()
+        taken.append((perf_counter() - begin) / STAGES)
+    if right_hand_side.tally.effort.get("fallbacks"):
+        raise RuntimeError("the motion leaves the surrogate's range; the cost is that of RVEs")
+    return np.array(taken[1:])
+
+
+def _shape(bar: Bar) -> Array:
+    """(n_free, 2) bent bar whose free side moves by 1 µm: −(x/W)² down, fibres turned along."""
+    x, y = bar.nodes[bar.free].T / LoadCase().width
+    return np.stack([2.0 * x * (y - 0.5), -(x**2)], axis=1)
+
+
+def _motion(shape: Array, t: float) -> Array:
+    """Displacement and velocity at time t (µs), at rest at first."""
+    w = 2.0 * np.pi / PERIOD
+    phase = 0.5 * (1.0 - np.cos(w * t)), 0.5 * w * np.sin(w * t)
+    return SWING * np.concatenate([factor * shape.ravel() for factor in phase])
+
+
+def _rows(setting: Setting, cost: Costs) -> list[Row]:
+    first, last = int(cost.points[0]), int(cost.points[-1])
+    per_point = 1e6 * cost.median / cost.points
+    return [
+        Row(
+            name=f"{cost.label}: exponent p of time ~ pointsᵖ, {first} to {last:,} points",
+            value=cost.exponent,
+            unit="",
+            limit=setting.if_full(1.1),
+            threads=all_cores(),
+            note="1: linear; fixed costs of a call make it smaller",
+        ),
+        *(
+            Row(
+                name=f"{cost.label}: a right-hand side, a point, {int(points):,} points",
+                value=float(micro),
+                spread=float(np.subtract(*np.percentile(row, (75, 25))) * 1e6 / points),
+                unit="µs",
+                threads=all_cores(),
+            )
+            for points, micro, row in zip(cost.points, per_point, cost.seconds, strict=True)
+        ),
+    ]

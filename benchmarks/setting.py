@@ -1,0 +1,106 @@
+"""What the benchmarks are run on: mode, laws, recipes, deformations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2 import CachedLaw, CellParameters, RveLaw, SurrogateLaw
+from surrofe2.cli.generate import generate_data_set
+from surrofe2.cli.train import train_surrogate
+from surrofe2.config import load_recipe
+from surrofe2.rve.unit_cell import UnitCell, make_unit_cell
+
+if TYPE_CHECKING:
+    from surrofe2.config import Recipe
+
+T = TypeVar("T")
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[1]
+PRESETS = ("printed", "water")
+RECIPES = {"printed": "bending-bar.toml", "water": "bending-bar-water.toml"}
+SPREAD = {"printed": 0.08, "water": 0.04}
+"""Largest entry of F − I at which RVEs of a preset must be solved."""
+RATE = 0.01
+"""Largest entry of Ḟ there, 1/µs."""
+POINTS = 80
+"""RVEs of the bar of 4 × 4 elements."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A run of the benchmarks.
+
+    Attributes:
+        quick: less of everything; limits that are set for the whole bar are not judged.
+        out: folder for results and for surrogates, which are kept for the next time.
+    """
+
+    quick: bool
+    out: Path
+
+    def pick(self, full: T, quick: T) -> T:
+        """The value for this mode."""
+        return quick if self.quick else full
+
+    def if_full(self, limit: float) -> float | None:
+        """A limit that holds for the full workload alone."""
+        return None if self.quick else limit
+
+    def recipe(self, preset: str) -> Recipe:
+        """The shipped recipe of the bar, its files in `out`; in quick mode with less training."""
+        name = RECIPES[preset]
+        shipped = load_recipe(ROOT / "data" / name)
+        if self.quick:
+            shipped = replace(
+                shipped,
+                samples=replace(shipped.samples, count=2048),
+                training=replace(shipped.training, iterations=60),
+            )
+        stem = f"{Path(name).stem}{self.pick('', '-quick')}"
+        self.out.mkdir(parents=True, exist_ok=True)
+        return replace(
+            shipped, path=self.out / name, data_file=f"{stem}.h5", training_file=f"{stem}.pt"
+        )
+
+    def surrogate(self, preset: str) -> SurrogateLaw:
+        """The surrogate of `recipe`, generated and trained unless it is in `out` already."""
+        recipe = self.recipe(preset)
+        if not recipe.training_path().exists():
+            print(f"    training {recipe.training_path().name}, once")
+        generate_data_set(recipe, resume=True)
+        return train_surrogate(recipe, resume=True, keep=True, force=True).surrogate
+
+    def cached(self, preset: str) -> CachedLaw:
+        """That surrogate with true RVEs to fall back to."""
+        return CachedLaw(self.surrogate(preset), fallback=rve(preset))
+
+
+@cache
+def rve(preset: str, **settings: Any) -> RveLaw:
+    """The RVE law of a preset."""
+    return RveLaw(CellParameters.preset(preset), **settings)
+
+
+def unit_cell(preset: str) -> UnitCell:
+    """The RVE of a preset in its reference state."""
+    return make_unit_cell(CellParameters.preset(preset))
+
+
+def deformations(preset: str, points: int, seed: int = 0) -> tuple[Array, Array]:
+    """Random F and Ḟ (points, 2, 2), uniform over the range at which RVEs must be solved."""
+    rng = np.random.default_rng(seed)
+    F = np.eye(2) + SPREAD[preset] * rng.uniform(-1.0, 1.0, (points, 2, 2))
+    return F, RATE * rng.uniform(-1.0, 1.0, (points, 2, 2))
+
+
+def micro_states(preset: str, points: int, seed: int = 0) -> Array:
+    """Material positions (tiles, 2, particles, TILE) within 0.1 µm of the reference's."""
+    z = rve(preset).rest_state(points).z
+    return z + 0.1 * np.random.default_rng(seed).uniform(-1.0, 1.0, z.shape)

@@ -1,0 +1,168 @@
+"""The benchmarks run, judge and report; how fast anything is, is not asked here."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from math import isfinite, nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import (
+    __main__ as runner,
+)
+from benchmarks import (
+    force_evaluation,
+    inference,
+    linear_cost,
+    macro_overhead,
+    paper_scheme,
+)
+from benchmarks.report import Outcome, make_report, to_markdown
+from benchmarks.row import Row
+from benchmarks.setting import Setting, rve
+from benchmarks.timing import side_by_side
+from benchmarks.watched_law import RecordingLaw, TimedLaw
+from surrofe2 import LoadCase, MacroSettings, simulate
+
+ROOT = Path(__file__).parents[1]
+SMALL = MacroSettings(elements=(2, 2))
+
+
+class TinySetting(Setting):
+    """Quick mode with a surrogate that takes a second to train."""
+
+    def recipe(self, preset):
+        recipe = super().recipe(preset)
+        return replace(
+            recipe,
+            samples=replace(recipe.samples, count=64),
+            training=replace(recipe.training, hidden=(4,), baseline_degree=1, iterations=2),
+        )
+
+
+@pytest.fixture(scope="module")
+def setting(tmp_path_factory):
+    return TinySetting(quick=True, out=tmp_path_factory.mktemp("bench"))
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "at_least", "met"),
+    [
+        (1.0, None, False, None),
+        (1.0, 1.0, False, True),
+        (1.1, 1.0, False, False),
+        (1.1, 1.0, True, True),
+        (0.9, 1.0, True, False),
+        (nan, 1.0, True, False),
+        (nan, 1.0, False, False),
+    ],
+)
+def test_a_limit_is_judged(value, limit, at_least, met):
+    assert Row(name="a", value=value, unit="s", limit=limit, at_least=at_least).met is met
+
+
+def test_a_missed_limit_and_a_failure_show():
+    outcomes = [
+        Outcome("a", "A", [Row(name="slow", value=3.0, unit="s", limit=2.0)]),
+        Outcome("b", "B", failure="RuntimeError: broken"),
+    ]
+    page = to_markdown(make_report(outcomes, quick=True, load=0.0), outcomes)
+    assert "| slow | 3 s | ≤ 2 s | **missed** | 1 |" in page
+    assert "**Failed**: RuntimeError: broken" in page
+
+
+def test_a_failing_benchmark_does_not_stop_the_others(monkeypatch, tmp_path, capsys):
+    def fail(setting):
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(inference, "run", fail)
+    arguments = ["--quick", "--only", "inference", "macro_overhead", "--out", str(tmp_path)]
+    assert runner.main(arguments) == 1
+    assert "broken" in capsys.readouterr().err
+    report = json.loads((tmp_path / "benchmarks.json").read_text(encoding="utf-8"))
+    overhead, failed = report["benchmarks"]
+    assert failed["failure"] == "RuntimeError: broken"
+    assert [row["limit"] for row in overhead["rows"]] == [80.0, 0.2]
+    assert report["mode"] == "quick"
+    assert report["platform"]["cores"]
+
+
+def test_what_is_compared_is_called_in_turns():
+    calls = []
+    side_by_side([lambda: calls.append("a"), lambda: calls.append("b")], repeats=2)
+    order = [name for k, name in enumerate(calls) if k == 0 or calls[k - 1] != name]
+    assert order == ["a", "b"] * 3
+
+
+def test_plain_and_lane_forces_are_those_of_the_twin(setting):
+    rows = force_evaluation.run(setting)
+    errors = [
+        error
+        for row in rows
+        for error in (row.error, row.baseline_error)
+        if row.error_of and error is not None
+    ]
+    assert len(errors) == 6
+    assert max(errors) < 1e-12
+
+
+@pytest.mark.parametrize("module", [macro_overhead, inference, linear_cost])
+def test_a_piece_gives_well_formed_rows(module, setting):
+    rows = module.run(setting)
+    assert rows
+    assert len({row.name for row in rows}) == len(rows)
+    for row in rows:
+        assert isfinite(row.value), row.name
+        json.dumps(row.to_dict(), allow_nan=False)
+
+
+def test_plain_macro_force_and_torch_agree_with_what_is_timed(setting):
+    assert max(row.error for row in macro_overhead.run(setting)) < 1e-12
+    agreement = [row for row in inference.run(setting) if row.unit == ""]
+    assert [row.met for row in agreement if row.limit is not None] == [True, True]
+
+
+def test_the_motion_for_the_cost_plot_starts_at_rest_and_ends_in_a_picture(setting):
+    u_and_v = linear_cost._motion(np.ones((3, 2)), 0.0)
+    np.testing.assert_array_equal(u_and_v, np.zeros(12))
+    linear_cost.run(setting)
+    assert (setting.out / "cost.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_replayed_run_gives_the_stresses_of_the_run():
+    """Warm from call to call, as it is timed, and cold to 1e-11."""
+    law = RecordingLaw(rve("printed"))
+    done = simulate(LoadCase(duration=2.0), law, replace(SMALL, record_dissipation=False))
+    assert len(law.asked) == done.counts["stress_calls"]
+    assert sum(question.accepted for question in law.asked) == done.counts["steps"] + 1
+    replay = paper_scheme.Replay(rve("printed"), stride=1)
+    replay.answer(law.asked)
+    exact = [paper_scheme._exact(question) for question in law.asked]
+    assert paper_scheme._error(replay.kept, exact) < 1e-7
+    iterated = paper_scheme.Replay(rve("printed", solver="iterated"), stride=1)
+    iterated.answer(law.asked)
+    assert 1e-6 < paper_scheme._error(iterated.kept, exact) < 0.1
+
+
+def test_a_timed_law_changes_nothing():
+    timed = TimedLaw(rve("printed"))
+    watched = simulate(LoadCase(duration=2.0), timed, SMALL)
+    usual = simulate(LoadCase(duration=2.0), rve("printed"), SMALL)
+    np.testing.assert_array_equal(watched.curve.displacement, usual.curve.displacement)
+    assert timed.solved == usual.effort["rve_solves"]
+    assert timed.accepted == 20 * (usual.counts["steps"] + 1)
+
+
+@pytest.mark.slow
+def test_quick_mode_runs_as_a_command(tmp_path):
+    command = [sys.executable, "-m", "benchmarks", "--quick", "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "benchmarks.json").read_text(encoding="utf-8"))
+    assert [found["name"] for found in report["benchmarks"]] == list(runner.NAMES)
+    assert all(found["rows"] for found in report["benchmarks"])
