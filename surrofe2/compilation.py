@@ -18,7 +18,7 @@ from typing import Any
 # cores and ten times slower where another process wants one. Read when the first kernel starts.
 os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 
-import numba  # noqa: E402
+import numba
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
 

@@ -150,6 +150,10 @@ def run(
     solver: Annotated[
         str | None, typer.Option(help="How constrained runs are solved; default: the recipe's.")
     ] = None,
+    integrator: Annotated[
+        Literal["explicit", "implicit"] | None,
+        typer.Option(help="Time integration (implicit: --law rve); default: the recipe's."),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
     ] = None,
@@ -170,6 +174,8 @@ def run(
     from surrofe2.config import load_recipe
 
     study = change_rve(load_recipe(recipe), initialisation, solver)
+    if integrator is not None:
+        study = replace(study, macro=replace(study.macro, integrator=integrator))
     try:
         with progress(f"run by {law}", study.load.duration, "µs") as report:
             record = run_study(

@@ -69,6 +69,10 @@ class Bar:
         element, q = divmod(point, N_POINTS)
         return self.quadrature.shape[q] @ self.nodes[self.quads[element]]
 
+    def point_near(self, row: int) -> int:
+        """First quadrature point of an element at the free node in row `row`."""
+        return N_POINTS * int(np.argwhere(self.rows == row)[0, 0])
+
 
 def make_bar(load_case: LoadCase, elements: tuple[int, int], density: float) -> Bar:
     """The bar of `load_case` on elements[0] × elements[1] equal rectangles."""

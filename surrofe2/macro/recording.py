@@ -16,7 +16,7 @@ from surrofe2.macro.right_hand_side import Evaluation, RightHandSide
 from surrofe2.macro.selective_quadrature import CENTRE, N_POINTS
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.state import MacroState
-from surrofe2.macro.time_integration import Step
+from surrofe2.macro.time_integration import AcceptedStep
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,7 @@ COUNTS = (
     "rejected_steps",
     "failed_trials",
     "right_hand_sides",
+    "factorisations",
     "stress_calls",
     "stress_points",
     "dissipation_points",
@@ -89,7 +90,7 @@ class Recorder:
         samples = 1 if self._record_dissipation else 0
         self._mark = _Mark(0.0, y, next_step, np.zeros(2), 1, samples, 1, lowest, highest)
 
-    def record(self, step: Step) -> None:
+    def record(self, step: AcceptedStep) -> None:
         """Record an accepted step."""
         mark = self._mark
         rows = self._rows_at(step.t)
@@ -178,7 +179,7 @@ class Recorder:
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
-    def _keep_row(self, row: int, step: Step, work_before: Array) -> None:
+    def _keep_row(self, row: int, step: AcceptedStep, work_before: Array) -> None:
         t = min(self._t[row], step.t)
         u, v = step.interpolate(t).reshape(2, -1, 2)
         self._watched[row] = self._bar.at_watched_point(u)

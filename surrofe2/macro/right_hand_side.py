@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,12 @@ N_STAGES = 6
 class TrialError(Exception):
     """A trial state has no stress somewhere; the step that tried it must be shortened."""
 
-    def __init__(self, t: float, point: int, position: Array, F: Array, reason: str) -> None:
+    def __init__(
+        self, t: float, clock: str, point: int, position: Array, F: Array, reason: str
+    ) -> None:
         entries = ", ".join(f"[{row[0]:.6g}, {row[1]:.6g}]" for row in F)
         super().__init__(
-            f"point {point} at ({position[0]:.6g}, {position[1]:.6g}) µm, t = {t:.6g} µs, "
+            f"point {point} at ({position[0]:.6g}, {position[1]:.6g}) µm, {clock.format(t)}, "
             f"F = [{entries}]: {reason}"
         )
         self.t = t
@@ -42,6 +44,7 @@ class Evaluation:
         u, v: (n_free, 2) µm and µm/µs.
         F, F_dot: (n_points, 2, 2); J: (n_points,) det F.
         response: what the stress law answered.
+        internal, load: (n_free, 2) internal force and load on the free nodes, µN.
         powers: (2,) internal and load power, pJ/µs.
     """
 
@@ -52,6 +55,8 @@ class Evaluation:
     F_dot: Array
     J: Array
     response: StressResponse
+    internal: Array
+    load: Array
     powers: Array
 
 
@@ -71,6 +76,7 @@ class RightHandSide:
     on only in `accept`.
 
     Attributes:
+        clock: how a message calls the time; a quasi-static load has a factor in its place.
         last: the latest evaluation; after a step of Dormand–Prince, that of its end point.
         recent_powers: (2,) powers of the latest six evaluations: after a step, those of its
             stages 2 to 7.
@@ -78,12 +84,18 @@ class RightHandSide:
     """
 
     def __init__(
-        self, bar: Bar, law: StressLaw, amplitude_at: Callable[[float], float], tally: Tally
+        self,
+        bar: Bar,
+        law: StressLaw,
+        amplitude_at: Callable[[float], float],
+        tally: Tally,
+        clock: str = "t = {:.6g} µs",
     ) -> None:
         self.bar = bar
         self.law = law
         self.amplitude_at = amplitude_at
         self.tally = tally
+        self.clock = clock
         self.last: Evaluation | None = None
         self.recent_powers: deque[Array] = deque(maxlen=N_STAGES)
         self.calls = 0
@@ -92,26 +104,34 @@ class RightHandSide:
     def __call__(self, t: float, y: Array) -> Array:
         """(4 n_free,) rate of y; raises `TrialError` where there is no stress."""
         self.calls += 1
-        self.tally.counts["right_hand_sides"] += 1
         n_free = len(self.bar.free)
         u, v = y.reshape(2, n_free, 2)
+        now = self.evaluate(t, u, v)
+        self.recent_powers.append(now.powers)
+        rate = np.empty_like(y)
+        rate[: 2 * n_free] = y[2 * n_free :]
+        rate[2 * n_free :] = self.bar.solve_mass(now.load - now.internal).ravel()
+        return rate
+
+    def evaluate(self, t: float, u: Array, v: Array, *, tangents: bool = False) -> Evaluation:
+        """Stress, internal force and load at (t, u, v); the law's tangents where asked for.
+
+        Raises `TrialError` where there is no stress.
+        """
+        self.tally.counts["right_hand_sides"] += 1
         F, F_dot, J = deformation_gradient(self.bar, u, v)
         if not J.min() > 0.0:
             point = int(np.argmin(J > 0.0))
-            self._fail(t, point, F, f"det F = {J[point]:.6g}; the element is inverted there")
-        response = self._respond(t, F, F_dot)
+            self.fail(t, point, F, f"det F = {J[point]:.6g}; the element is inverted there")
+        response = self._respond(t, F, F_dot, tangents)
         internal = internal_force(self.bar, F, response.stress)
         load = self.amplitude_at(t) * self.bar.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
-        if not np.isfinite(powers[0]):
+        if not np.isfinite(internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
-            self._fail(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
-        self.last = Evaluation(t, u, v, F, F_dot, J, response, powers)
-        self.recent_powers.append(powers)
-        rate = np.empty_like(y)
-        rate[: 2 * n_free] = y[2 * n_free :]
-        rate[2 * n_free :] = self.bar.solve_mass(load - internal).ravel()
-        return rate
+            self.fail(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
+        self.last = Evaluation(t, u, v, F, F_dot, J, response, internal, load, powers)
+        return self.last
 
     def accept(self) -> None:
         """Let the law commit its latest answer; raises `TrialError` if the law objects."""
@@ -144,16 +164,22 @@ class RightHandSide:
         excess = internal_force(self.bar, last.F, last.response.stress - still.stress)
         return float(np.vdot(excess, last.v))
 
-    def _respond(self, t: float, F: Array, F_dot: Array) -> StressResponse:
-        response = self._ask(F, F_dot)
+    def fail(self, t: float, point: int, F: Array, reason: str) -> NoReturn:
+        """Raise the `TrialError` that names the point."""
+        raise TrialError(t, self.clock, point, self.bar.point_position(point), F[point], reason)
+
+    def _respond(self, t: float, F: Array, F_dot: Array, tangents: bool) -> StressResponse:
+        response = self._ask(F, F_dot, tangents)
         self.tally.counts["stress_calls"] += 1
         self.tally.counts["stress_points"] += len(F)
         self._check_status(t, F, response.status)
         return response
 
-    def _ask(self, F: Array, F_dot: Array) -> StressResponse:
+    def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
+        # Laws without tangents need not know the word.
+        wish: dict[str, Any] = {"tangents": True} if tangents else {}
         started = perf_counter()
-        response = self.law.respond(F, F_dot, self._committed)
+        response = self.law.respond(F, F_dot, self._committed, **wish)
         self.tally.law_seconds += perf_counter() - started
         for name, value in response.effort.items():
             self.tally.effort[name] += int(value)
@@ -162,7 +188,4 @@ class RightHandSide:
     def _check_status(self, t: float, F: Array, status: NDArray[np.int8]) -> None:
         if status.any():
             point = int(np.flatnonzero(status)[0])
-            self._fail(t, point, F, describe(status[point]))
-
-    def _fail(self, t: float, point: int, F: Array, reason: str) -> None:
-        raise TrialError(t, point, self.bar.point_position(point), F[point], reason)
+            self.fail(t, point, F, describe(status[point]))

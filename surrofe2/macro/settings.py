@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from surrofe2.errors import InputError
 from surrofe2.units import NONE, TIME
@@ -24,6 +24,15 @@ class MacroSettings:
     )
     relative_tolerance: float = _setting(1e-3, NONE, "relative error allowed in a step")
     largest_step: float = _setting(math.inf, TIME, "no time step is longer than this")
+    integrator: Literal["explicit", "implicit"] = _setting(
+        "explicit", NONE, "Dormand-Prince 5(4), or generalised-α with Newton, second order"
+    )
+    spectral_radius: float = _setting(
+        0.9, NONE, "implicit: amplification a step of infinitely fast modes, 1: none is damped"
+    )
+    newton_tolerance: float = _setting(
+        1e-8, NONE, "implicit and rest: largest residual relative to the largest force"
+    )
     frames: int = _setting(101, NONE, "number of times at which whole fields are kept, at most")
     record_dissipation: bool = _setting(
         True, NONE, "ask the law also at rate 0, at most once an output interval, for dissipation"
@@ -42,6 +51,19 @@ class MacroSettings:
                 raise InputError(f"macro.{name}: {value!r}; it must be above {least:g} and finite")
         if not (_is_number(self.largest_step) and self.largest_step > 0.0):
             raise InputError(f"macro.largest_step: {self.largest_step!r}; it must be positive")
+        if self.integrator not in ("explicit", "implicit"):
+            raise InputError(
+                f"macro.integrator: {self.integrator!r}; it must be one of explicit, implicit"
+            )
+        if not (_is_number(self.spectral_radius) and 0.0 <= self.spectral_radius <= 1.0):
+            raise InputError(
+                f"macro.spectral_radius: {self.spectral_radius!r}; it must be within [0, 1]"
+            )
+        if not (_is_number(self.newton_tolerance) and 1e-13 < self.newton_tolerance < 1.0):
+            raise InputError(
+                f"macro.newton_tolerance: {self.newton_tolerance!r}; it must be above 1e-13 and "
+                "below 1"
+            )
         if not _is_integer(self.frames) or self.frames < 2:
             raise InputError(f"macro.frames: {self.frames!r}; it must be an integer of at least 2")
         if not isinstance(self.record_dissipation, bool):

@@ -10,6 +10,7 @@ import numpy as np
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.implicit import ImplicitStepper
 from surrofe2.macro.mesh import Bar, make_bar
 from surrofe2.macro.recording import Recorder
 from surrofe2.macro.results import MacroRun, make_run
@@ -35,9 +36,10 @@ def simulate(
     """Motion of the clamped bar under its body force (sections 4 and 6.2).
 
     M ü = ∫ ρ N g dV − ∫ σ ∇N dv on bilinear quadrilaterals, the stress by selective reduced
-    integration, in time by Dormand–Prince 5(4). The law is asked at five points an element, all
-    at once; a step with a point that has no stress, or whose end the law does not accept, is
-    tried again at half the length.
+    integration, in time by Dormand–Prince 5(4) or, with `settings.integrator` "implicit", by
+    generalised-α, for which the law must give tangents. The law is asked at five points an
+    element, all at once; a step with a point that has no stress, or whose end the law does not
+    accept, is tried again at half the length.
 
     Args:
         load_case: the bar, its load, the duration and what is watched.
@@ -48,7 +50,8 @@ def simulate(
             passed since it last was, and upon an interrupt, which then goes its way.
         checkpoint_interval: s.
         resume: a state that `checkpoint` was given, of the same load case, mesh and density.
-            The law starts cold, so a law with a history must not be resumed.
+            The law starts cold, so a law with a history must not be resumed; an implicit run
+            starts its algorithmic acceleration anew, within the tolerance.
 
     Raises:
         SimulationError: ten halvings in a row found no acceptable step; `partial` is the
@@ -97,7 +100,7 @@ def _start(
     load_case: LoadCase,
     settings: MacroSettings,
     resume: MacroState | None,
-) -> Stepper:
+) -> Stepper | ImplicitStepper:
     """A stepper at rest at t = 0, or where `resume` was taken, and the recorder to go with it."""
     t, y, first_step = 0.0, np.zeros(4 * len(right_hand_side.bar.free)), None
     if resume is not None:
@@ -106,8 +109,9 @@ def _start(
         tally = right_hand_side.tally
         tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
         tally.law_seconds = resume.wall_time["law"]
+    kind = ImplicitStepper if settings.integrator == "implicit" else Stepper
     try:
-        stepper = Stepper(right_hand_side, t, y, load_case.duration, settings, first_step)
+        stepper = kind(right_hand_side, t, y, load_case.duration, settings, first_step)
     except TrialError as failure:
         raise SimulationError(f"the run cannot start: {failure}") from None
     if resume is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,24 @@ MAX_HALVINGS = 10
 
 # Where in the step the evaluations of one trial lie: stages 2 to 6, then the end point.
 _TIME_FRACTIONS = (*RK45.C[1:], 1.0)
+
+
+class AcceptedStep(Protocol):
+    """What is recorded of a step, whichever way it was made; see `Step`."""
+
+    @property
+    def t_old(self) -> float: ...  # noqa: D102
+    @property
+    def t(self) -> float: ...  # noqa: D102
+    @property
+    def y(self) -> Array: ...  # noqa: D102
+    @property
+    def next_step(self) -> float: ...  # noqa: D102
+    @property
+    def evaluation(self) -> Evaluation: ...  # noqa: D102
+    @property
+    def interpolate(self) -> Callable[[float], Array]: ...  # noqa: D102
+    def work(self, t: float) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)

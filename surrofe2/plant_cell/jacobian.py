@@ -185,21 +185,17 @@ def add_pair_row(array, row, column_i, column_j, gx, gy):
 
 @kernel
 def add_product(left, right, total, row, column):
-    """total[row:, column:] += left @ right, lane by lane; four columns at a time."""
+    """total[row:, column:] += left @ right, lane by lane; two columns at a time, an even number."""
     for m in range(left.shape[0]):
-        for n in range(0, right.shape[1], 4):
-            t0, t1 = load(total, row + m, column + n), load(total, row + m, column + n + 1)
-            t2, t3 = load(total, row + m, column + n + 2), load(total, row + m, column + n + 3)
+        for n in range(0, right.shape[1], 2):
+            even = load(total, row + m, column + n)
+            odd = load(total, row + m, column + n + 1)
             for s in range(left.shape[1]):
                 factor = load(left, m, s)
-                t0 += factor * load(right, s, n)
-                t1 += factor * load(right, s, n + 1)
-                t2 += factor * load(right, s, n + 2)
-                t3 += factor * load(right, s, n + 3)
-            store(t0, total, row + m, column + n)
-            store(t1, total, row + m, column + n + 1)
-            store(t2, total, row + m, column + n + 2)
-            store(t3, total, row + m, column + n + 3)
+                even += factor * load(right, s, n)
+                odd += factor * load(right, s, n + 1)
+            store(even, total, row + m, column + n)
+            store(odd, total, row + m, column + n + 1)
 
 
 @kernel

@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    Tangents,
+    check_deformation,
+)
 
 IDENTITY = np.eye(2)
 
@@ -22,19 +28,24 @@ def velocity_gradient(F, F_dot):
 
 
 class Memoryless:
-    """A law whose stress depends on (F, Ḟ) alone; subclasses say how in `stress`."""
+    """A law whose stress depends on (F, Ḟ) alone; subclasses say how in `stress` and, by
+    ∂P/∂F and ∂P/∂Ḟ, in `slopes`."""
 
     density = 0.08
 
     def stress(self, F, F_dot):
         raise NotImplementedError
 
-    def respond(self, F, F_dot, state: Any = None) -> StressResponse:
+    def slopes(self, F, F_dot):
+        raise NotImplementedError
+
+    def respond(self, F, F_dot, state: Any = None, *, tangents=False) -> StressResponse:
         F, F_dot = check_deformation(F, F_dot)
         return StressResponse(
             stress=self.stress(F, F_dot),
             status=np.zeros(len(F), np.int8),
             effort={"evaluations": len(F)},
+            tangents=Tangents(*self.slopes(F, F_dot)) if tangents else None,
         )
 
     def accept(self, F, F_dot, response) -> Acceptance:
@@ -64,6 +75,24 @@ class KelvinVoigt(Memoryless):
         viscous = 2.0 * self.shear_viscosity * (D - 0.5 * trace * IDENTITY)
         return elastic + viscous + self.bulk_viscosity * trace * IDENTITY
 
+    def slopes(self, F, F_dot):
+        """P = µ F + (λ ln J − µ) G + J V G with G = F⁻ᵀ, V_im = 𝕍_imab L_ab the viscous stress;
+        ∂G_ij/∂F_kl = −G_il G_kj, ∂L_ab/∂F_kl = −L_ak G_bl, ∂L_ab/∂Ḟ_kl = δ_ak G_bl."""
+        J, G, L = determinant(F), np.linalg.inv(F).transpose(0, 2, 1), velocity_gradient(F, F_dot)
+        I4 = np.einsum("ik,jl->ijkl", IDENTITY, IDENTITY)
+        volume = np.einsum("ij,kl->ijkl", IDENTITY, IDENTITY)
+        viscosity = self.shear_viscosity * (I4 + I4.transpose(0, 1, 3, 2) - volume)
+        viscosity = viscosity + self.bulk_viscosity * volume
+        V = np.einsum("imab,nab->nim", viscosity, L)
+        GG = np.einsum("nil,nkj->nijkl", G, G)
+        by_F = self.shear_modulus * I4 + self.lame * np.einsum("nij,nkl->nijkl", G, G)
+        by_F = by_F + np.einsum("n,nijkl->nijkl", self.shear_modulus - self.lame * np.log(J), GG)
+        by_F += np.einsum("n,nim,nmj,nkl->nijkl", J, V, G, G)
+        by_F -= np.einsum("n,nim,nml,nkj->nijkl", J, V, G, G)
+        by_F -= np.einsum("n,imab,nak,nbl,nmj->nijkl", J, viscosity, L, G, G)
+        by_F_dot = np.einsum("n,imkb,nbl,nmj->nijkl", J, viscosity, G, G)
+        return by_F, by_F_dot
+
 
 @dataclass
 class LinearFirstPiola(Memoryless):
@@ -81,6 +110,12 @@ class LinearFirstPiola(Memoryless):
     def stress(self, F, F_dot):
         return self.first_piola(F) @ F.transpose(0, 2, 1) / determinant(F)[:, None, None]
 
+    def slopes(self, F, F_dot):
+        I4 = np.einsum("ik,jl->ijkl", IDENTITY, IDENTITY)
+        by_F = self.lame * np.einsum("ij,kl->ijkl", IDENTITY, IDENTITY)
+        by_F = by_F + self.shear_modulus * (I4 + I4.transpose(0, 1, 3, 2))
+        return np.broadcast_to(by_F, (len(F), 2, 2, 2, 2)), np.zeros((len(F), 2, 2, 2, 2))
+
 
 @dataclass
 class Fibres(Memoryless):
@@ -97,6 +132,11 @@ class Fibres(Memoryless):
         P = np.zeros_like(F)
         P[:, 0, 0] = self.modulus * (F[:, 0, 0] - 1.0) + self.viscosity * F_dot[:, 0, 0]
         return P @ F.transpose(0, 2, 1) / determinant(F)[:, None, None]
+
+    def slopes(self, F, F_dot):
+        by_F, by_F_dot = np.zeros((2, len(F), 2, 2, 2, 2))
+        by_F[:, 0, 0, 0, 0], by_F_dot[:, 0, 0, 0, 0] = self.modulus, self.viscosity
+        return by_F, by_F_dot
 
 
 @dataclass

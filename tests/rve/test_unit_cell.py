@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
+from surrofe2.plant_cell.jacobian import add_product
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell
 from tests.plant_cell.twin import Twin
@@ -31,6 +33,47 @@ def test_reference_has_the_symmetry_of_the_square():
     for image in (position[:, ::-1], position * [1, -1], position * [-1, 1]):
         distance = np.linalg.norm(image[:, None] - position, axis=2).min(axis=1)
         assert distance.max() < 1e-9
+
+
+@pytest.mark.parametrize(("springs", "fluid"), [(9, 4), (12, 4)])
+def test_other_numbers_of_particles(springs, fluid):
+    """The fluid's mass is kept."""
+    cell = CellParameters.preset(
+        "water",
+        wall_springs_per_side=springs,
+        fluid_particles_per_side=fluid,
+        fluid_particle_mass=0.27 * 16 / fluid**2,
+    )
+    law = RveLaw(cell)
+    F = np.eye(2) + 0.01 * np.random.default_rng(0).uniform(-1, 1, (9, 2, 2))
+    answer = law.respond(F, 0.1 * (F - np.eye(2)), tangents=True)
+    assert (answer.status == 0).all()
+    twin = Twin(cell, law.rest_length)
+    z = answer.state.z[1, :, :, 0].T
+    f, _, stress = twin.evaluate(z, F[8], 0.1 * (F[8] - np.eye(2)))
+    assert np.linalg.norm(f, axis=1).mean() < 1e-8
+    np.testing.assert_allclose(answer.stress[8], stress, rtol=0, atol=1e-9)
+    assert np.isfinite(answer.tangents.P_by_F).all()
+
+
+@pytest.mark.parametrize("preset", ["printed", "water"])
+def test_grid_of_fluid_that_is_no_stable_equilibrium_is_refused(preset):
+    mass = CellParameters.preset(preset).fluid_particle_mass * 16 / 9
+    cell = CellParameters.preset(preset, fluid_particles_per_side=3, fluid_particle_mass=mass)
+    with pytest.raises(InputError, match="the equilibrium of the undeformed cell is unstable"):
+        RveLaw(cell)
+
+
+@pytest.mark.parametrize("shape", [(18, 9, 18), (18, 9, 4), (2, 1, 2)])
+def test_products_of_any_even_width_lane_by_lane(shape):
+    rows, inner, columns = shape
+    rng = np.random.default_rng(1)
+    left, right = rng.normal(size=(rows, inner, TILE)), rng.normal(size=(inner, columns, TILE))
+    total = rng.normal(size=(rows + 3, columns + 2, TILE))
+    expected = total.copy()
+    expected[1 : rows + 1, 1 : columns + 1] += np.einsum("msl,snl->mnl", left, right)
+    add_product(left, right, total, 1, 1)
+    np.testing.assert_allclose(total, expected, rtol=0, atol=1e-13)
 
 
 def test_turgor_that_no_wall_can_balance_is_refused():

@@ -1,0 +1,228 @@
+"""Implicit steps of generalised-α, their length chosen by the error of each.
+
+A step of h leaves the error of [u, v] that a third-order method finds: the integral of the
+parabola through the rates [v, ü] at the last three ends of steps (Adams–Moulton), minus the step.
+Stiff modes would drown it, so it passes through S⁻¹ (1 − α_m) M, S the Newton matrix, which
+leaves slow modes as they are and damps fast ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import SimulationError
+from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Solved
+from surrofe2.macro.right_hand_side import Evaluation, RightHandSide, TrialError
+from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.tangent_assembly import require_tangents
+from surrofe2.macro.time_integration import MAX_HALVINGS
+
+Array = NDArray[np.float64]
+
+_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 2.0
+_SMALLEST = 1e-10
+"""Smallest step relative to the duration."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImplicitStep:
+    """An accepted step from t_old to t; attributes as of `time_integration.Step`.
+
+    Attributes:
+        rates: (2, 4 n_free) [v, ü] at both ends.
+        y_old: (4 n_free,) state at t_old.
+        end_powers: (2, 2) internal and load power at both ends.
+        residuals: of Newton, see `generalised_alpha.Solved`.
+    """
+
+    t_old: float
+    t: float
+    y: Array
+    next_step: float
+    evaluation: Evaluation
+    y_old: Array
+    rates: Array
+    end_powers: Array
+    residuals: tuple[float, ...]
+
+    def interpolate(self, t: float) -> Array:
+        """(4 n_free,) y within the step: the cubic with the values and rates of both ends."""
+        h = self.t - self.t_old
+        s = (t - self.t_old) / h
+        blend = s * s * (3.0 - 2.0 * s)
+        values = self.y_old + blend * (self.y - self.y_old)
+        out: Array = values + h * s * (1.0 - s) * ((1.0 - s) * self.rates[0] - s * self.rates[1])
+        return out
+
+    def work(self, t: float) -> Array:
+        """(2,) internal and load work from t_old to t, pJ: powers linear in time, second order."""
+        h = self.t - self.t_old
+        s = (t - self.t_old) / h
+        work: Array = h * s * ((1.0 - 0.5 * s) * self.end_powers[0] + 0.5 * s * self.end_powers[1])
+        return work
+
+
+@dataclass(frozen=True, slots=True)
+class _Standing:
+    """Where the stepper stands: replaced as a whole by an accepted step.
+
+    Attributes:
+        now: the evaluation there.
+        a: (n_free, 2) algorithmic acceleration.
+        h: length of the step that led there, µs.
+        rate: (4 n_free,) [v, ü]; rate_old: that a step before, None at the start.
+    """
+
+    now: Evaluation
+    a: Array
+    h: float
+    rate: Array
+    rate_old: Array | None = None
+
+
+class ImplicitStepper:
+    """Accepted steps, one after another, from (t, y) to t_end; takes the place of `Stepper`."""
+
+    def __init__(
+        self,
+        right_hand_side: RightHandSide,
+        t: float,
+        y: Array,
+        t_end: float,
+        settings: MacroSettings,
+        first_step: float | None = None,
+    ) -> None:
+        require_tangents(right_hand_side.law, "integrator implicit")
+        self._right_hand_side = right_hand_side
+        self._settings = settings
+        self._t_end = t_end
+        self._method = GeneralisedAlpha(
+            right_hand_side, settings.spectral_radius, settings.newton_tolerance
+        )
+        u, v = y.reshape(2, -1, 2)
+        self.start = right_hand_side.evaluate(t, u, v)
+        right_hand_side.accept()
+        a = self._method.acceleration(self.start)
+        self._standing = _Standing(self.start, a, 1.0, _rate(self.start, a))
+        self._h = first_step or self._first_step(a)
+
+    @property
+    def next_step(self) -> float:
+        """Length proposed for the next step, µs."""
+        return self._h
+
+    def advance(self) -> ImplicitStep:
+        """The next accepted step; failed trials halve it, ten times at most."""
+        counts = self._right_hand_side.tally.counts
+        halvings, grow = 0, _GROW
+        while True:
+            now = self._standing.now
+            h, last = self._length()
+            if h < _SMALLEST * self._t_end:
+                raise SimulationError(
+                    f"time integration stopped at t = {now.t:.6g} µs: the error asks for steps "
+                    "below rounding; loosen the tolerances"
+                )
+            try:
+                solved = self._try(h)
+                error = self._error(solved, h)
+                if error <= 1.0:
+                    self._right_hand_side.accept()
+            except TrialError:
+                counts["failed_trials"] += 1
+                if halvings == MAX_HALVINGS:
+                    raise
+                halvings, grow, self._h = halvings + 1, 1.0, 0.5 * h
+                continue
+            factor = _SAFETY * max(error, 1e-9) ** (-1.0 / 3.0)
+            if error > 1.0:
+                counts["rejected_steps"] += 1
+                grow, self._h = 1.0, h * max(_SHRINK, factor)
+                continue
+            counts["steps"] += 1
+            wanted = h * min(grow, max(_SHRINK, factor))
+            # A step cut short to meet the end says nothing against the longer one.
+            self._h = min(self._settings.largest_step, max(wanted, self._h if last else 0.0))
+            return self._commit(solved, h, last)
+
+    def _length(self) -> tuple[float, bool]:
+        """Length to try, and whether it is cut to end at t_end."""
+        left = self._t_end - self._standing.now.t
+        h = min(self._h, self._settings.largest_step)
+        if h * (1.0 + 1e-9) >= left:
+            return left, True
+        return (0.5 * left, False) if 2.0 * h > left else (h, False)
+
+    def _try(self, h: float) -> Solved:
+        at = self._standing
+        # The lag of a is that of the step which made it: bring it to this step's.
+        acceleration = at.rate.reshape(2, -1, 2)[1]
+        a = acceleration + h / at.h * (at.a - acceleration)
+        guess = a
+        if at.rate_old is not None:
+            guess = a + h / at.h * (acceleration - at.rate_old.reshape(2, -1, 2)[1])
+        return self._method.solve(at.now, a, guess, h)
+
+    def _error(self, solved: Solved, h: float) -> float:
+        """Root mean square of the error of y relative to what is allowed."""
+        at, method = self._standing, self._method
+        rate = _rate(solved.now, method.acceleration(solved.now))
+        y_old, y = _state(at.now), _state(solved.now)
+        error = y - y_old - h * _parabola_mean(at.rate_old, at.rate, rate, at.h, h)
+        scale = self._settings.absolute_tolerance + self._settings.relative_tolerance * np.maximum(
+            abs(y), abs(y_old)
+        )
+        filtered = [
+            (1.0 - method.weights.alpha_m) * solved.solve(method.mass @ part)
+            for part in error.reshape(2, -1)
+        ]
+        return float(np.sqrt(np.mean((np.concatenate(filtered) / scale) ** 2)))
+
+    def _commit(self, solved: Solved, h: float, last: bool) -> ImplicitStep:
+        at, now = self._standing, solved.now
+        rate = _rate(now, self._method.acceleration(now))
+        self._standing = _Standing(now, solved.a, h, rate, at.rate)
+        return ImplicitStep(
+            t_old=at.now.t,
+            t=self._t_end if last else now.t,
+            y=_state(now),
+            next_step=self._h,
+            evaluation=now,
+            y_old=_state(at.now),
+            rates=np.stack([at.rate, rate]),
+            end_powers=np.stack([at.now.powers, now.powers]),
+            residuals=solved.residuals,
+        )
+
+    def _first_step(self, a: Array) -> float:
+        """So short that the displacement gained is what the tolerance allows."""
+        limit = min(self._settings.largest_step, 1e-2 * self._t_end)
+        strongest = float(abs(a).max())
+        if strongest == 0.0:
+            return limit
+        return min(limit, float(np.sqrt(10.0 * self._settings.absolute_tolerance / strongest)))
+
+
+def _state(now: Evaluation) -> Array:
+    return np.concatenate([now.u.ravel(), now.v.ravel()])
+
+
+def _rate(now: Evaluation, acceleration: Array) -> Array:
+    return np.concatenate([now.v.ravel(), acceleration.ravel()])
+
+
+def _parabola_mean(before: Array | None, start: Array, end: Array, h_old: float, h: float) -> Array:
+    """Mean rate over a step of h: (start + end)/2 − h²/6 [before, start, end].
+
+    [·] is the second divided difference of the rates h_old before the step and at its ends; where
+    there is none before, the straight line has to do.
+    """
+    line = 0.5 * (start + end)
+    if before is None:
+        return line
+    curvature = ((end - start) / h - (start - before) / h_old) / (h + h_old)
+    mean: Array = line - h**2 / 6.0 * curvature
+    return mean

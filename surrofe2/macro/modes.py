@@ -1,0 +1,102 @@
+"""Small-amplitude motion about a state of rest: eigenfrequencies, damping, mode shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig
+from scipy.sparse import block_diag, bmat, csc_matrix, identity
+from scipy.sparse.linalg import eigs
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.macro.quasi_static import Rest
+from surrofe2.macro.tangent_assembly import mass_matrix
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+DENSE_LIMIT = 400
+"""Number of unknowns up to which all eigenvalues are computed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """The slowest oscillations u = Re φ exp(λ t), slowest first, with λ = −δ + i ω, ω > 0.
+
+    Attributes:
+        eigenvalues: (m,) λ, 1/µs.
+        shapes: (m, n_free, 2) φ, its largest entry 1.
+        creeping: (k,) real eigenvalues found on the way: motion without oscillation, 1/µs.
+    """
+
+    eigenvalues: Complex
+    shapes: Complex
+    creeping: Array
+
+    @property
+    def frequencies(self) -> Array:
+        """(m,) ω/2π, 1/µs."""
+        return self.eigenvalues.imag / (2.0 * np.pi)
+
+    @property
+    def periods(self) -> Array:
+        """(m,) 2π/ω, µs."""
+        return 1.0 / self.frequencies
+
+    @property
+    def decrements(self) -> Array:
+        """(m,) logarithmic decrement a period, 2π δ/ω."""
+        return -self.eigenvalues.real * self.periods
+
+    @property
+    def damping_ratios(self) -> Array:
+        """(m,) δ/|λ|."""
+        return -self.eigenvalues.real / abs(self.eigenvalues)
+
+    @property
+    def stable(self) -> bool:
+        """Whether no motion found grows."""
+        grown = np.append(self.eigenvalues.real, self.creeping)
+        return bool((grown <= 1e-9 * abs(self.eigenvalues).max(initial=0.0)).all())
+
+
+def find_modes(rest: Rest, count: int = 6) -> Modes:
+    """The `count` slowest oscillations of M ü + C u̇ + K u = 0 about `rest`.
+
+    With z = [u, u̇] this is A z = λ B z, A = [[0, I], [−K, −C]], B = [[I, 0], [0, M]]: dense up
+    to 400 unknowns, else by Arnoldi's method about λ = 0 with A factorised.
+
+    Raises:
+        InputError: `count` is below 1.
+        SimulationError: the sparse solver found too few.
+    """
+    if count < 1:
+        raise InputError(f"count: {count}; it must be at least 1")
+    size = rest.stiffness.shape[0]
+    unit = identity(size, format="csc")
+    A = csc_matrix(bmat([[None, unit], [-rest.stiffness, -rest.damping]]))
+    B = csc_matrix(block_diag([unit, mass_matrix(rest.bar)]))
+    if size <= DENSE_LIMIT:
+        values, vectors = eig(A.toarray(), B.toarray())
+    else:
+        values, vectors = _slowest(A, B, 2 * count + 4)
+    oscillating = np.flatnonzero(values.imag > 1e-9 * abs(values))
+    chosen = oscillating[np.argsort(values[oscillating].imag)][:count]
+    if size > DENSE_LIMIT and chosen.size < count:
+        raise SimulationError(
+            f"modes: {chosen.size} oscillations among the slowest {2 * count + 4} motions, "
+            f"{count} wanted; ask for more or damp less"
+        )
+    shapes = vectors[:size, chosen].T
+    largest = shapes[np.arange(len(shapes)), abs(shapes).argmax(axis=1)]
+    shapes = (shapes / largest[:, None]).reshape(len(shapes), size // 2, 2)
+    real = values[abs(values.imag) <= 1e-9 * abs(values)].real
+    return Modes(values[chosen], shapes, np.sort(real)[::-1])
+
+
+def _slowest(A: csc_matrix, B: csc_matrix, number: int) -> tuple[Complex, Complex]:
+    """Eigenvalues of smallest modulus; the start vector is fixed, so the answer is as well."""
+    values, vectors = eigs(A, k=number, M=B, sigma=0.0, v0=np.ones(A.shape[0]))
+    return values, vectors

@@ -1,0 +1,137 @@
+"""Assembled tangents of the internal force: K = ∂f/∂u and C = ∂f/∂v, sparse."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix, kron
+from scipy.sparse.linalg import splu
+
+from surrofe2.errors import InputError
+from surrofe2.macro.mesh import Bar
+from surrofe2.macro.selective_quadrature import N_GAUSS, N_POINTS
+from surrofe2.stress_law import StressLaw, StressResponse, Tangents
+from surrofe2.tensors import det
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def require_tangents(law: StressLaw, purpose: str) -> None:
+    """An `InputError` unless `law.respond` takes `tangents`."""
+    if "tangents" not in inspect.signature(law.respond).parameters:
+        raise InputError(
+            f"{purpose}: {type(law).__name__} has no tangents; use true RVEs (--law rve) or "
+            "integrator explicit"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Where the entries of the element matrices go; made once for a bar.
+
+    Unknown 2 a + i is component i of free node a.
+
+    Attributes:
+        size: number of unknowns, 2 n_free.
+        kept: (k,) entries of the flattened (n_el, 8, 8) element matrices between free nodes.
+        slot: (k,) place of each of them among the stored values, many to one.
+        indices, indptr: of the compressed columns.
+    """
+
+    size: int
+    kept: Index
+    slot: Index
+    indices: Index
+    indptr: Index
+
+    def assemble(self, element_matrices: Array) -> csc_matrix:
+        """Sum of (n_el, 8, 8) element matrices, sparse (2 n_free, 2 n_free)."""
+        values = np.bincount(
+            self.slot, weights=element_matrices.ravel()[self.kept], minlength=self.indices.size
+        )
+        return csc_matrix((values, self.indices, self.indptr), shape=(self.size, self.size))
+
+
+def make_pattern(bar: Bar) -> Pattern:
+    """The pattern of a bar."""
+    size = 2 * len(bar.free)
+    unknowns = (2 * bar.rows[:, :, None] + np.arange(2)).reshape(-1, 8)
+    held = np.repeat(bar.rows < 0, 2, axis=1)
+    row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+    kept = np.flatnonzero(~(held[:, :, None] | held[:, None, :]))
+    code, slot = np.unique((column * size + row).ravel()[kept], return_inverse=True)
+    indptr = np.searchsorted(code, size * np.arange(size + 1))
+    return Pattern(size, kept, slot, code % size, indptr)
+
+
+def mass_matrix(bar: Bar) -> csc_matrix:
+    """(2 n_free, 2 n_free) consistent mass of both components, ng."""
+    return csc_matrix(kron(bar.mass, np.eye(2)))
+
+
+def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
+    """matrix⁻¹ applied to (n,) or (n, k); None where the matrix is singular."""
+    try:
+        solve: Callable[[Array], Array] = splu(matrix).solve
+    except RuntimeError:
+        return None
+    return solve
+
+
+def assembled_tangents(
+    bar: Bar, pattern: Pattern, F: Array, response: StressResponse
+) -> tuple[csc_matrix, csc_matrix]:
+    """K = ∂f/∂u (µN/µm) and C = ∂f/∂v (µN µs/µm) of `internal_force`, (2 n_free, 2 n_free).
+
+    With Δu = Σ_b Δu_b N_b both are Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress
+    of a point, see `effective_tangents`. Neither need be symmetric.
+
+    Args:
+        F: (n_points, 2, 2) deformation gradient.
+        response: of the stress law there, with tangents.
+    """
+    if response.tangents is None:
+        raise InputError("tangents: the stress law gave none; ask it for them")
+    by_F, by_F_dot = effective_tangents(F, response.stress, response.tangents)
+    return (
+        pattern.assemble(_element_matrices(bar, by_F)),
+        pattern.assemble(_element_matrices(bar, by_F_dot)),
+    )
+
+
+def effective_tangents(F: Array, stress: Array, tangents: Tangents) -> tuple[Array, Array]:
+    """∂T/∂F and ∂T/∂Ḟ, (n_points, 2, 2, 2, 2), T the part of P that a point contributes.
+
+    The force is Σ w T ∇N with T = J dev(σ) F⁻ᵀ at Gauss points and J tr(σ)/2 F⁻ᵀ at the centre.
+    As J tr σ = P : F, the pressure part is T_c = ½ (P : F) F⁻ᵀ, the deviator's P − T_c, and
+
+        ∂T_c,ij/∂F_kl = ½ (P_kl + F_mn ∂P_mn/∂F_kl) F⁻ᵀ_ij − ½ (P : F) F⁻ᵀ_il F⁻ᵀ_kj
+        ∂T_c,ij/∂Ḟ_kl = ½ F_mn ∂P_mn/∂Ḟ_kl F⁻ᵀ_ij
+    """
+    inverse_T = np.asarray(np.linalg.inv(F), dtype=np.float64).transpose(0, 2, 1)
+    P = det(F)[:, None, None] * stress @ inverse_T
+    work = np.einsum("nij,nij->n", P, F)
+    slope = P + np.einsum("nij,nijkl->nkl", F, tangents.P_by_F)
+    by_F = 0.5 * np.einsum("nij,nkl->nijkl", inverse_T, slope)
+    by_F -= 0.5 * np.einsum("n,nil,nkj->nijkl", work, inverse_T, inverse_T)
+    rate_slope = np.einsum("nij,nijkl->nkl", F, tangents.P_by_F_dot)
+    by_F_dot = 0.5 * np.einsum("nij,nkl->nijkl", inverse_T, rate_slope)
+    gauss = np.arange(len(F)) % N_POINTS < N_GAUSS
+    by_F[gauss] = tangents.P_by_F[gauss] - by_F[gauss]
+    by_F_dot[gauss] = tangents.P_by_F_dot[gauss] - by_F_dot[gauss]
+    return by_F, by_F_dot
+
+
+def _element_matrices(bar: Bar, tangent: Array) -> Array:
+    """(n_el, 8, 8) Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k)."""
+    gradients = bar.quadrature.gradients
+    weighted = bar.quadrature.weights[:, :, None, None] * gradients
+    tangent = tangent.reshape(-1, N_POINTS, 2, 2, 2, 2)
+    right = np.einsum("eqijkl,eqbl->eqijbk", tangent, gradients)
+    matrices: Array = np.einsum("eqaj,eqijbk->eaibk", weighted, right)
+    return matrices.reshape(-1, 8, 8)

@@ -1,0 +1,246 @@
+"""Generalised-α: order, Newton's convergence, energy, failures, the same motion as explicit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Weights
+from surrofe2.macro.implicit import ImplicitStepper
+from surrofe2.macro.mesh import make_bar
+from surrofe2.macro.right_hand_side import RightHandSide, Tally
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.stress_law import Status
+
+from .analytic_laws import DryFriction, Fibres, KelvinVoigt
+
+LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8)
+IMPLICIT = MacroSettings(elements=(2, 2), integrator="implicit")
+TIGHT = MacroSettings(elements=(2, 2), absolute_tolerance=1e-9, relative_tolerance=1e-9)
+
+
+def at_fixed_step(h, law, **settings):
+    return simulate(
+        LOAD_CASE, law, replace(IMPLICIT, absolute_tolerance=1e6, largest_step=h, **settings)
+    )
+
+
+def difference(run, other):
+    scale = abs(other.curve.displacement).max()
+    return abs(run.curve.displacement - other.curve.displacement).max() / scale
+
+
+@pytest.mark.parametrize("spectral_radius", [0.0, 0.9, 1.0])
+def test_second_order_in_the_step(spectral_radius):
+    """Against Dormand–Prince at 1e-9, large displacement, a viscous law."""
+    law = KelvinVoigt()
+    exact = simulate(LOAD_CASE, law, TIGHT)
+    runs = [at_fixed_step(h, law, spectral_radius=spectral_radius) for h in (0.2, 0.1, 0.05)]
+    errors = [difference(run, exact) for run in runs]
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert rates == pytest.approx(2.0, abs=0.15)
+    assert errors[-1] < 1e-3
+
+
+def test_energy_balance_is_second_order_in_the_step():
+    """Work by powers linear over a step: second order, as the motion."""
+    runs = [at_fixed_step(h, KelvinVoigt()) for h in (0.2, 0.1, 0.05)]
+    balance = [abs(run.energies["balance"]).max() for run in runs]
+    assert np.log2(np.divide(balance[:-1], balance[1:])) == pytest.approx(2.0, abs=0.2)
+    assert balance[-1] < 1e-4 * runs[-1].energies["load"].max()
+
+
+def test_error_follows_the_tolerance():
+    law = KelvinVoigt()
+    exact = simulate(LOAD_CASE, law, TIGHT)
+    errors, steps = [], []
+    for tolerance in (1e-2, 1e-3, 1e-4, 1e-5):
+        settings = replace(
+            IMPLICIT, absolute_tolerance=1e-2 * tolerance, relative_tolerance=tolerance
+        )
+        run = simulate(LOAD_CASE, law, settings)
+        errors.append(difference(run, exact))
+        steps.append(run.counts["steps"])
+    # Second order with a third-order local error: errors as tolerance^(2/3), steps as its −1/3.
+    assert np.log10(errors[0] / errors[-1]) == pytest.approx(2.0, abs=0.5)
+    assert np.log10(steps[-1] / steps[0]) == pytest.approx(1.0, abs=0.3)
+    assert errors[1] < 1e-2
+
+
+def test_newton_converges_quadratically():
+    """A long step under a load a hundred times the usual: residuals square, r₊ ≤ c r²."""
+    law = KelvinVoigt()
+    bar = make_bar(LOAD_CASE, (2, 2), law.density)
+    right_hand_side = RightHandSide(bar, law, lambda t: 100.0, Tally())
+    method = GeneralisedAlpha(right_hand_side, 0.9, 1e-12)
+    start = right_hand_side.evaluate(0.0, *np.zeros((2, len(bar.free), 2)))
+    a = method.acceleration(start)
+    residuals = np.array(method.solve(start, a, 0.0 * a, 1.0).residuals)
+    # 0.36, 0.025, 7e-5, 8e-10, rounding.
+    assert residuals.size == 5
+    assert (residuals[2:4] < 0.3 * residuals[1:3] ** 2).all()
+    assert residuals[4] < 1e-13
+
+
+def test_weights_keep_their_amplification():
+    """One mass on a spring, ω h = 10⁶: the largest eigenvalue of a step is the spectral radius."""
+    for rho in (0.0, 0.5, 0.9, 1.0):
+        w, omega2 = Weights.of(rho), 1e12
+        # Unknowns (u₁, v₁, a₁), known (u₀, v₀, a₀), h = 1.
+        end = np.array(
+            [
+                [1.0, 0.0, -w.beta],
+                [0.0, 1.0, -w.gamma],
+                [(1 - w.alpha_f) * omega2, 0.0, 1 - w.alpha_m],
+            ]
+        )
+        start = np.array(
+            [
+                [1.0, 1.0, 0.5 - w.beta],
+                [0.0, 1.0, 1 - w.gamma],
+                [-w.alpha_f * omega2, 0, -w.alpha_m],
+            ]
+        )
+        largest = abs(np.linalg.eigvals(np.linalg.solve(end, start))).max()
+        # A triple eigenvalue: its modulus comes out to the cube root of rounding.
+        assert largest == pytest.approx(rho, abs=2e-2)
+
+
+def oscillation_left(h, spectral_radius):
+    """Energy about the static state after three periods, relative to that at the start, of one
+    element of fibres: ½ m v² + ½ k (u − f/k)², with m, k, f as in test_macro_known_answers."""
+    law = Fibres(modulus=100.0, viscosity=0.0)
+    load_case = LoadCase(
+        width=30.0, height=20.0, body_force=(0.05, 0.0), watched=(30.0, 4.0), duration=10.0,
+        output_interval=10.0,
+    )  # fmt: skip
+    settings = replace(IMPLICIT, elements=(1, 1), absolute_tolerance=1e6, largest_step=h)
+    run = simulate(load_case, law, replace(settings, spectral_radius=spectral_radius))
+    stiffness, load = law.modulus * 20.0 / 30.0, law.density * 0.05 * 30.0 * 20.0 / 2.0
+    static = load / stiffness
+    u = run.curve.displacement[-1, 0]
+    left = run.energies["kinetic"][-1] + 0.5 * stiffness * (u - static) ** 2
+    return left / (0.5 * stiffness * static**2)
+
+
+def test_oscillation_loses_energy_to_third_order_in_the_step_or_not_at_all():
+    """A slow mode is damped by O((ω h)⁴) a step, and at radius 1 not at all."""
+    lost = [1.0 - oscillation_left(h, 0.5) for h in (0.1, 0.05, 0.025)]
+    assert np.log2(np.divide(lost[:-1], lost[1:])) == pytest.approx(3.0, abs=0.4)
+    assert 0.0 < lost[0] < 0.01
+    assert abs(1.0 - oscillation_left(0.1, 1.0)) < 1e-11
+
+
+def test_stiff_viscosity_costs_the_explicit_run_its_steps():
+    """Viscosity a hundred times the usual: explicit steps are bound by stability."""
+    law = KelvinVoigt(shear_viscosity=2000.0, bulk_viscosity=3000.0)
+    implicit = simulate(LOAD_CASE, law, IMPLICIT)
+    explicit = simulate(LOAD_CASE, law, replace(IMPLICIT, integrator="explicit"))
+    assert difference(implicit, explicit) < 2e-2
+    assert implicit.counts["right_hand_sides"] < 0.1 * explicit.counts["right_hand_sides"]
+
+
+def test_results_belong_together():
+    run = simulate(LOAD_CASE, KelvinVoigt(), IMPLICIT)
+    counts = run.counts
+    assert run.finished
+    assert run.curve.t[-1] == LOAD_CASE.duration
+    assert counts["right_hand_sides"] == counts["stress_calls"]
+    assert counts["factorisations"] >= counts["steps"]
+    assert run.energies["dissipated"][-1] > 0.0
+
+
+def stepper_of(law, first_step=0.2):
+    bar = make_bar(LOAD_CASE, (2, 2), law.density)
+    right_hand_side = RightHandSide(bar, law, LOAD_CASE.amplitude_at, Tally())
+    loose = replace(IMPLICIT, absolute_tolerance=1e6)
+    y = np.zeros(4 * len(bar.free))
+    stepper = ImplicitStepper(right_hand_side, 0.0, y, 12.8, loose, first_step)
+    return stepper, right_hand_side.tally
+
+
+class Refusing(KelvinVoigt):
+    """Fails at the questions, or refuses the acceptances, with these numbers."""
+
+    def __init__(self, questions=(), acceptances=()):
+        super().__init__()
+        self.questions, self.acceptances, self.asked, self.accepted = questions, acceptances, -1, -1
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        self.asked += 1
+        answer = super().respond(F, F_dot, state, tangents=tangents)
+        if self.asked in self.questions:
+            answer.status[3] = Status.NOT_CONVERGED
+        return answer
+
+    def accept(self, F, F_dot, response):
+        self.accepted += 1
+        answer = super().accept(F, F_dot, response)
+        if self.accepted in self.acceptances:
+            answer.status[3] = Status.UNSTABLE
+        return answer
+
+
+@pytest.mark.parametrize("law", [Refusing(questions=[2]), Refusing(acceptances=[1])])
+def test_failed_trial_is_repeated_at_half_its_length(law):
+    stepper, tally = stepper_of(law)
+    step = stepper.advance()
+    assert step.t == pytest.approx(0.1, rel=1e-12)
+    assert step.next_step == pytest.approx(0.1, rel=1e-12)
+    assert tally.counts["failed_trials"] == 1
+    plain, _ = stepper_of(KelvinVoigt(), first_step=0.1)
+    np.testing.assert_array_equal(step.y, plain.advance().y)
+
+
+def test_ten_halvings_end_the_run_with_what_was_computed():
+    law = Refusing(questions=range(40, 1000))
+    with pytest.raises(
+        SimulationError, match=r"10 halvings: point 3 .* did not converge"
+    ) as caught:
+        simulate(LOAD_CASE, law, IMPLICIT)
+    partial = caught.value.partial
+    assert partial.counts["failed_trials"] == 11
+    assert partial.curve.t.size > 1
+    assert not partial.finished
+
+
+def test_interrupted_run_resumes_within_the_tolerance():
+    states = []
+    whole = simulate(
+        LOAD_CASE, KelvinVoigt(), IMPLICIT, checkpoint=states.append, checkpoint_interval=0.0
+    )
+    state = MacroState.from_arrays(states[len(states) // 2].to_arrays())
+    resumed = simulate(LOAD_CASE, KelvinVoigt(), IMPLICIT, resume=state)
+    assert difference(resumed, whole) < 5e-3
+
+
+def test_law_without_tangents_is_named():
+    with pytest.raises(InputError, match="integrator implicit: DryFriction has no tangents"):
+        simulate(LOAD_CASE, DryFriction(), IMPLICIT)
+
+
+def test_bar_of_rves_moves_as_the_explicit_run_says():
+    law = RveLaw(CellParameters.preset("water"), "slow-manifold")
+    load_case = LoadCase(duration=15.0)
+    explicit = simulate(load_case, law, MacroSettings(elements=(2, 2)))
+    implicit = simulate(load_case, law, MacroSettings(elements=(2, 2), integrator="implicit"))
+    assert difference(implicit, explicit) < 1e-2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"integrator": "leapfrog"},
+        {"spectral_radius": 1.1},
+        {"spectral_radius": -0.1},
+        {"newton_tolerance": 0.0},
+        {"newton_tolerance": float("nan")},
+    ],
+)
+def test_settings_out_of_range_are_refused(change):
+    with pytest.raises(InputError, match=rf"macro\.{next(iter(change))}: .*must be"):
+        MacroSettings(**change)

@@ -1,0 +1,90 @@
+"""Assembled tangents against central differences of the internal force."""
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.load_case import LoadCase
+from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.mesh import make_bar
+from surrofe2.macro.tangent_assembly import (
+    assembled_tangents,
+    make_pattern,
+    mass_matrix,
+    require_tangents,
+)
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+
+from .analytic_laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
+from .test_macro_internal_force import distorted_bar, random_state
+
+
+def force_of(bar, law, u, v, state=None):
+    F, F_dot, _ = deformation_gradient(bar, u, v)
+    return internal_force(bar, F, law.respond(F, F_dot, state).stress).ravel()
+
+
+def differences(bar, law, u, v, step, state=None):
+    """∂f/∂u and ∂f/∂v, dense, column by column."""
+    slopes = np.empty((2, u.size, u.size))
+    for which in range(2):
+        for k in range(u.size):
+            change = np.zeros((2, u.size))
+            change[which, k] = step
+            du, dv = change.reshape(2, -1, 2)
+            up = force_of(bar, law, u + du, v + dv, state)
+            slopes[which, :, k] = (up - force_of(bar, law, u - du, v - dv, state)) / (2 * step)
+    return slopes
+
+
+def exact(bar, law, u, v, state=None):
+    F, F_dot, _ = deformation_gradient(bar, u, v)
+    answer = law.respond(F, F_dot, state, tangents=True)
+    tangents = assembled_tangents(bar, make_pattern(bar), F, answer)
+    return tangents, answer
+
+
+@pytest.mark.parametrize("law", [KelvinVoigt(), LinearFirstPiola(), Fibres()], ids=repr)
+def test_tangents_are_the_slopes_of_the_internal_force(rng, law):
+    """On elements that are no rectangles, at random displacement and velocity."""
+    bar = distorted_bar(rng, elements=(3, 2))
+    u, v = random_state(bar, rng)
+    tangents, _ = exact(bar, law, u, v)
+    for tangent, slope in zip(tangents, differences(bar, law, u, v, 1e-5), strict=True):
+        scale = abs(slope).max()
+        assert abs(tangent.toarray() - slope).max() <= 1e-7 * scale
+
+
+@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
+def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisation):
+    law = RveLaw(CellParameters.preset("printed"), initialisation, tolerance=1e-10)
+    load_case = LoadCase(width=50.0, height=50.0, watched=(50.0, 25.0))
+    bar = make_bar(load_case, (2, 1), law.density)
+    u, v = random_state(bar, rng, 0.4)
+    v *= 0.2
+    tangents, answer = exact(bar, law, u, v)
+    slopes = differences(bar, law, u, v, 2e-5, answer.state)
+    for tangent, slope in zip(tangents, slopes, strict=True):
+        assert abs(slope).max() > 1.0
+        assert abs(tangent.toarray() - slope).max() <= 1e-6 * abs(slope).max()
+
+
+def test_pattern_joins_all_nodes_of_an_element_and_no_others():
+    bar = make_bar(LoadCase(), (3, 2), 0.08)
+    pattern = make_pattern(bar)
+    joined = pattern.assemble(np.ones((6, 8, 8))).toarray() > 0.0
+    near = abs(bar.nodes[bar.free][:, None] - bar.nodes[bar.free]) <= [134.0, 201.0]
+    np.testing.assert_array_equal(joined[::2, 1::2], near.all(axis=2))
+
+
+def test_mass_of_both_components(rng):
+    bar = make_bar(LoadCase(), (3, 2), 0.08)
+    a = rng.normal(size=(len(bar.free), 2))
+    np.testing.assert_allclose(mass_matrix(bar) @ a.ravel(), (bar.mass @ a).ravel(), rtol=1e-13)
+
+
+def test_law_without_tangents_is_named():
+    with pytest.raises(InputError, match=r"^modes: DryFriction has no tangents; use .*$"):
+        require_tangents(DryFriction(), "modes")
+    require_tangents(KelvinVoigt(), "modes")
