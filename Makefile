@@ -1,11 +1,12 @@
 # make demo   set up and run the main job: data set, training, true and cached FE², comparison
 # make test   set up and run the tests
 # make bench  set up and run the benchmarks in full, on a quiet machine; MODE=quick: less of each
+# make paper  set up and reproduce the paper's figures with both presets, into out/paper
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint bench bench-quick clean
+.PHONY: paper demo test test-slow lint bench bench-quick clean
 
 demo: .venv/.installed
 	$(BIN)/surrofe2 demo
@@ -27,6 +28,15 @@ bench: .venv/.installed
 
 bench-quick: .venv/.installed
 	$(BIN)/python -m benchmarks --quick
+
+paper: .venv/.installed
+	for preset in printed water; do \
+	    for figure in fig5 fig6 fig8 rates; do \
+	        $(BIN)/surrofe2 reproduce $$figure --preset $$preset --out out/paper --force || exit 1; \
+	    done; \
+	    $(BIN)/surrofe2 memory --preset $$preset --out out/paper --force || exit 1; \
+	    $(BIN)/surrofe2 moduli --preset $$preset --tables --out out/paper/moduli-$$preset.json --force || exit 1; \
+	done
 
 clean:
 	rm -rf .venv out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache *.egg-info

@@ -25,6 +25,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tissue.settings import TissueSettings
 from surrofe2.units import NONE
 
 T = TypeVar("T")
@@ -58,6 +59,7 @@ class Recipe:
     training: TrainingSettings
     load: LoadCase
     macro: MacroSettings
+    tissue: TissueSettings
     data_file: str | None = None
     training_file: str | None = None
 
@@ -79,7 +81,7 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        names = ("rve", "range", "samples", "training", "load", "macro")
+        names = ("rve", "range", "samples", "training", "load", "macro", "tissue")
         sections = {name: asdict(getattr(self, name)) for name in names}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["samples"]["file"] = self.data_file
@@ -96,6 +98,7 @@ SECTIONS: dict[str, type] = {
     "training": TrainingSettings,
     "load": LoadCase,
     "macro": MacroSettings,
+    "tissue": TissueSettings,
 }
 _EXTRA_KEYS: dict[str, dict[str, Any]] = {
     "cell": {"preset": (str, "printed")},
@@ -144,6 +147,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         training=_make(TrainingSettings, "training", given),
         load=_make(LoadCase, "load", given),
         macro=_make(MacroSettings, "macro", given),
+        tissue=_make(TissueSettings, "tissue", given),
         data_file=files["samples"],
         training_file=files["training"],
     )

@@ -163,7 +163,7 @@ def test_unknown_initialisation(changed_recipe):
     path = changed_recipe("[range]", '[rve]\ninitialisation = "born"\n[range]')
     assert message(InputError, path) == (
         "recipe.toml: rve.initialisation: 'born'; it must be one of cauchy-born, elastic, "
-        "constrained-runs"
+        "constrained-runs, slow-manifold"
     )
 
 

@@ -14,7 +14,11 @@ from surrofe2.cli.compare import compare
 from surrofe2.cli.console import CarefulGroup
 from surrofe2.cli.demo import demo
 from surrofe2.cli.generate import generate
+from surrofe2.cli.memory import memory
+from surrofe2.cli.moduli import moduli
+from surrofe2.cli.reproduce import reproduce
 from surrofe2.cli.run import run
+from surrofe2.cli.tissue import tissue
 from surrofe2.cli.train import train
 
 _HELP = """
@@ -30,10 +34,13 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
   the tissue by true FE²
 [bold]surrofe2 run RECIPE --law cached --out out/cached[/bold]
   the same through the surrogate, true where it does not hold
+[bold]surrofe2 tissue RECIPE --out out/tissue[/bold]
+  the same with every particle of every plant cell, nothing homogenised
 [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
   difference and speed-up
 
-[bold]surrofe2 demo[/bold] does all of them.
+[bold]surrofe2 demo[/bold] does all of them. [bold]surrofe2 reproduce[/bold] draws the paper's
+figures; [bold]surrofe2 moduli[/bold] and [bold]surrofe2 memory[/bold] characterise a plant cell.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """
@@ -82,7 +89,7 @@ def options(
     """Options before the command."""
 
 
-for _command in (generate, train, run, compare, demo):
+for _command in (generate, train, run, tissue, compare, demo, reproduce, moduli, memory):
     app.command(help=_flowing(_command.__doc__))(_command)
 
 

@@ -40,9 +40,9 @@ def compare(
 ) -> None:
     """Compare displacement curves and costs of runs of one load case.
 
-    The reference is the first run by true RVEs, else the first one. Writes comparison.json and
-    comparison.png: difference relative to the largest displacement, speed-up of wall time and
-    of RVE solves.
+    The reference is the first full tissue, else the first run by true RVEs, else the first one.
+    Writes comparison.json and comparison.png: difference relative to the largest displacement,
+    speed-up of wall time and of RVE solves.
 
     Example: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
     """

@@ -29,7 +29,8 @@ class RunRecord:
         status: "running", "finished", "interrupted" or "failed".
         error: the sentence of a failed run, else None.
         recipe: the whole recipe, defaults filled in.
-        law: "rve", "surrogate" or "cached"; with `initialisation` and `solver`.
+        law: "rve", "surrogate", "cached", or "tissue" for the full microscopic one; with
+            `initialisation` and `solver`.
         surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
         wall_time: seconds: total = law + macro; compilation and warm-up came before.
         counts: steps, stress calls and what the law's answers cost: RVE solves, hits,
@@ -62,8 +63,8 @@ class RunRecord:
         """Everything the numbers depend on, by the names a recipe uses."""
         flat: dict[str, Any] = {
             f"{name}.{key}": self.recipe[name][key]
-            for name in ("cell", "rve", "load", "macro")
-            for key in self.recipe[name]
+            for name in ("cell", "rve", "load", "macro", "tissue")
+            for key in self.recipe.get(name, {})
         }
         surrogate = self.surrogate and self.surrogate["fingerprint"]
         return flat | {

@@ -46,10 +46,11 @@ class Comparison:
 
 
 def order_runs(runs: Sequence[StoredRun]) -> list[StoredRun]:
-    """The reference first: the first run by true RVEs, else the first of all."""
+    """The reference first: the first full tissue, else by true RVEs, else the first of all."""
     if len(runs) < 2:
         raise InputError(f"compare: {len(runs)} run folder; give at least two")
-    reference = next((run for run in runs if run.record.law == "rve"), runs[0])
+    ranks = {"tissue": 0, "rve": 1}
+    reference = min(runs, key=lambda run: ranks.get(run.record.law, 2))
     return [reference, *(run for run in runs if run is not reference)]
 
 
@@ -108,8 +109,8 @@ def _wall_time(record: RunRecord) -> float:
 
 
 def _time_per_stress(record: RunRecord) -> float:
-    asked = record.counts["stress_points"] + record.counts.get("dissipation_points", 0)
-    return record.wall_time["law"] / max(asked, 1)
+    asked = record.counts.get("stress_points", 0) + record.counts.get("dissipation_points", 0)
+    return record.wall_time.get("law", 0.0) / max(asked, 1)
 
 
 def _rve_solves(record: RunRecord) -> float:

@@ -144,7 +144,7 @@ def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
     assert refused.stdout == ""
     assert refused.stderr == (
         "error: recipe.toml: sell: unknown section; did you mean cell? "
-        "known are cell, load, macro, range, rve, samples, training\n"
+        "known are cell, load, macro, range, rve, samples, tissue, training\n"
     )
     for wanted in (
         invoke("--traceback", "generate", path),

@@ -138,7 +138,7 @@ def test_unknown_initialisation(invoke, recipe_path, folder):
     assert refused.exit_code == 1
     assert refused.stderr == (
         "error: rve.initialisation: 'born'; it must be one of cauchy-born, elastic, "
-        "constrained-runs\n"
+        "constrained-runs, slow-manifold\n"
     )
 
 

@@ -1,0 +1,130 @@
+"""`surrofe2 reproduce`: the paper's figures and the study of the initialisations' errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from surrofe2.cli.console import progress, say, show_table
+
+if TYPE_CHECKING:
+    from surrofe2.plant_cell.parameters import CellParameters
+    from surrofe2.report.study import Study
+
+Figure = Literal["fig5", "fig6", "fig8", "rates"]
+Preset = Literal["printed", "water"]
+
+
+def reproduce(
+    figure: Annotated[Figure, typer.Argument(help="Which figure.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figure's files.")],
+    preset: Annotated[Preset, typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")] = "printed",
+    meshes: Annotated[
+        str, typer.Option(metavar="N,…", help="fig8: elements a side of each mesh.")
+    ] = "4,8",
+    tissue: Annotated[
+        bool, typer.Option("--tissue/--no-tissue", help="fig8: the full tissue as well.")
+    ] = True,
+    duration: Annotated[float, typer.Option(metavar="µs", help="fig8: length of a run.")] = 250.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace files in DIR.")] = False,
+) -> None:
+    """A figure of the paper, its data as CSV and its numbers as JSON.
+
+    fig5: stress of one RVE over shear steps. fig6: mean force and error over iterations. fig8: the
+    bending bar by FE² with each initialisation against the full tissue. rates: error of each
+    initialisation against micro-integration as the rate goes down (not in the paper).
+
+    Example: [bold]surrofe2 reproduce fig5 --preset water --out out/paper[/bold]
+    """
+    from surrofe2.plant_cell.parameters import CellParameters
+    from surrofe2.report.study_files import check_free, write_study
+
+    name = f"{figure}-{preset}"
+    if not force:
+        check_free(out, name)
+    cell = CellParameters.preset(preset)
+    if figure == "fig8":
+        study = _bar(cell, preset, name, _numbers(meshes), tissue, duration)
+    else:
+        study = _rve_figure(figure, cell, preset, name)
+    for path in write_study(out, study, cell, preset):
+        say(str(path))
+
+
+def _rve_figure(figure: str, cell: CellParameters, preset: str, name: str) -> Study:
+    from surrofe2.studies import initialisation_errors, relaxation, shear_steps
+
+    if figure == "fig5":
+        runs = tuple(shear_steps.shear_steps(cell, rate) for rate in (0.0, 0.01))
+        return shear_steps.describe(runs, preset, name)
+    if figure == "fig6":
+        return relaxation.describe(relaxation.relaxations(cell), preset, name)
+    with progress("rates", 1.0, "parts") as report:
+        errors = initialisation_errors.initialisation_errors(
+            cell, progress=lambda done: report(done, "")
+        )
+    rows = [[method, f"{value:.3f}"] for method, value in errors.order.items()]
+    show_table("Order of the error in the rate", ["initialisation", "order"], rows)
+    return initialisation_errors.describe(errors, preset, name)
+
+
+def _bar(
+    cell: CellParameters,
+    preset: str,
+    name: str,
+    meshes: tuple[int, ...],
+    tissue: bool,
+    duration: float,
+) -> Study:
+    from surrofe2.load_case import LoadCase
+    from surrofe2.rve import INITIALISATIONS
+    from surrofe2.studies import bar_comparison as bars
+
+    load_case = LoadCase(duration=duration)
+    runs = []
+    if tissue:
+        with progress("full tissue", duration, "µs") as report:
+            runs.append(bars.run_tissue(cell, load_case, progress=lambda t, _: report(t, "")))
+    else:
+        say("the full tissue is left out (--no-tissue): nothing is compared with it")
+    for n in meshes:
+        for method in INITIALISATIONS:
+            with progress(f"{method} {n}x{n}", duration, "µs") as report:
+                run = bars.run_bar(
+                    cell, method, (n, n), load_case, progress=lambda t, _: report(t, "")
+                )
+            runs.append(run)
+    show_table(
+        f"Watched point, preset {preset}",
+        ["run", "first minimum (µm)", "period (µs)", "decrement", "fit residual (µm)", "time (s)"],
+        [
+            [
+                run.name,
+                f"{run.minimum[1]:.2f}",
+                f"{run.fit.first.period:.2f}",
+                f"{run.fit.first.decrement:.4f}",
+                f"{run.fit.residual:.3f}",
+                f"{run.seconds:.1f}",
+            ]
+            for run in runs
+        ],
+    )
+    return bars.describe(
+        tuple(runs), load_case, preset, name,
+        relative_tolerance=bars.RELATIVE_TOLERANCE, absolute_tolerance=bars.ABSOLUTE_TOLERANCE,
+        duration=duration,
+    )  # fmt: skip
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    from surrofe2.errors import InputError
+
+    try:
+        numbers = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if not numbers or min(numbers) < 1:
+        raise InputError(f"--meshes: {text!r}; it must be integers of at least 1 with commas")
+    return numbers

@@ -1,0 +1,108 @@
+"""Drawing the panels of a study into a PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from surrofe2.io.files import replacing
+from surrofe2.report.study import Curve, Panel, Study
+
+# Okabe and Ito's palette, told apart by readers of every colour vision; references are black.
+_REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
+_STYLES: dict[str, dict[str, Any]] = {
+    "cauchy-born": {"color": "#CC79A7", "linestyle": ":", "marker": "^"},
+    "elastic": {"color": "#D55E00", "linestyle": "--", "marker": "s"},
+    "constrained-runs": {"color": "#0072B2", "linestyle": "-.", "marker": "o"},
+    "slow-manifold": {"color": "#009E73", "linestyle": "-", "marker": "x"},
+    "direct": {"color": "#56B4E9", "linestyle": "-", "marker": "D"},
+    "micro-integration": _REFERENCE,
+    "tissue": _REFERENCE,
+}
+_OTHER = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_PANEL_SIZE = (4.6, 3.1)  # inches
+_LEGEND_HEIGHT = 0.7
+
+
+def write_figure(path: Path, study: Study) -> None:
+    """Draw a study; one legend below all panels."""
+    columns = study.columns
+    rows = -(-len(study.panels) // columns)
+    width = max(_PANEL_SIZE[0] * columns, 6.4)
+    figure = Figure(figsize=(width, _PANEL_SIZE[1] * rows + _LEGEND_HEIGHT), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for place, panel in zip(axes.flat, study.panels, strict=False):
+        _draw(place, panel)
+    for place in axes.flat[len(study.panels) :]:
+        place.axis("off")
+    figure.suptitle(study.title, fontsize=11)
+    _draw_legend(figure, axes)
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=150)
+
+
+def _draw(axes: Axes, panel: Panel) -> None:
+    for k, curve in enumerate(panel.curves):
+        _draw_curve(axes, curve, k)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    if panel.title:
+        axes.set_title(panel.title, fontsize=10)
+    if not panel.log_x:
+        axes.xaxis.set_major_locator(MaxNLocator(6))
+    else:
+        axes.set_xscale("symlog" if _has_zero(panel) else "log", **_linear_part(panel))
+    if panel.log_y:
+        axes.set_yscale("log")
+    axes.grid(alpha=0.25)
+    axes.margins(x=0.03)
+
+
+def _has_zero(panel: Panel) -> bool:
+    return any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves)
+
+
+def _linear_part(panel: Panel) -> dict[str, Any]:
+    return {"linthresh": 1.0, "linscale": 0.3} if _has_zero(panel) else {}
+
+
+def _draw_curve(axes: Axes, curve: Curve, k: int) -> None:
+    style: dict[str, Any] = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none"}
+    style |= _STYLES.get(curve.name, {"color": _OTHER[k % len(_OTHER)], "marker": "o"})
+    if not curve.markers:
+        style.pop("marker", None)
+    axes.plot(curve.x, curve.y, label=curve.label or curve.name, **style)
+    if curve.note:
+        axes.annotate(
+            curve.note,
+            (float(curve.x[-1]), float(curve.y[-1])),
+            xytext=(0, 6),
+            textcoords="offset points",
+            ha="right",
+            fontsize=8,
+            color=style["color"],
+        )
+
+
+def _draw_legend(figure: Figure, axes: Any) -> None:
+    found: dict[str, Any] = {}
+    for place in axes.flat:
+        for handle, label in zip(*place.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    if len(found) > 1:
+        figure.legend(
+            list(found.values()),
+            list(found),
+            loc="outside lower center",
+            ncols=3 if figure.get_figwidth() > 8.0 else 2,
+            frameon=False,
+            fontsize=9,
+            handlelength=2.8,
+        )

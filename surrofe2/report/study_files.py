@@ -1,0 +1,67 @@
+"""The files of a study: NAME.png, NAME.csv, NAME.json."""
+
+from __future__ import annotations
+
+import csv
+import io
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surrofe2.errors import FileError
+from surrofe2.io.files import write_json, write_text
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.figures import write_figure
+from surrofe2.report.study import Study
+
+SUFFIXES = ("png", "csv", "json")
+
+
+def check_free(out: Path, name: str) -> None:
+    """A FileError where a file of the study is there already."""
+    for suffix in SUFFIXES:
+        path = out / f"{name}.{suffix}"
+        if path.exists():
+            raise FileError(f"{path}: exists; replace it with --force")
+
+
+def write_study(out: Path, study: Study, cell: CellParameters, preset: str) -> list[Path]:
+    """Write figure, table and numbers of a study into `out`; their paths."""
+    paths = [out / f"{study.name}.{suffix}" for suffix in SUFFIXES]
+    write_json(paths[2], to_record(study, cell, preset))
+    write_text(paths[1], to_csv(study))
+    write_figure(paths[0], study)
+    return paths
+
+
+def to_record(study: Study, cell: CellParameters, preset: str) -> dict[str, Any]:
+    """The numbers of a study with all that is needed to compute them again."""
+    return {
+        "study": study.name,
+        "title": " ".join(study.title.split()),
+        "version": version("surrofe2"),
+        "preset": preset,
+        "cell": cell.to_dict(),
+        "fingerprint": cell.fingerprint,
+        "settings": study.settings,
+        "units": {"length": "µm", "time": "µs", "mass": "ng", **study.units},
+        "results": study.results,
+    }
+
+
+def to_csv(study: Study) -> str:
+    """The table with a heading; an empty field where there is no number."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(study.table)
+    for row in zip(*study.table.values(), strict=True):
+        writer.writerow([_field(value) for value in row])
+    return text.getvalue()
+
+
+def _field(value: Any) -> str:
+    if isinstance(value, float | np.floating):
+        return repr(float(value)) if np.isfinite(value) else ""
+    return str(value)

@@ -1,0 +1,191 @@
+"""How long an RVE remembers: two pasts that end in the same (F, Ḟ), then one common way.
+
+A cache on (F, Ḟ) presumes that the stress follows from (F, Ḟ). Two RVEs, integrated in time,
+meet at t = 0 with the same F and Ḟ and go on alike; the difference of their stresses then is what
+(F, Ḟ) does not tell, and how it fades is the memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.rve import RveLaw
+from surrofe2.rve.micro_integration import integrate_rve
+from surrofe2.studies.drives import Path
+
+Array = NDArray[np.float64]
+
+_NOISE = 1e-9
+"""Differences below this part of the stress are the integrator's."""
+_SHORT = 0.1
+"""Part of the fastest period within which a memory must fade to 1/e."""
+
+
+@dataclass(frozen=True, slots=True)
+class MemorySettings:
+    """The two pasts.
+
+    Attributes:
+        period: of the fastest motion expected, µs; the second mode of the bending bar has 17.
+        stretch, shear: amplitude by which the second past departs from the first, F₁₁ and F₁₂.
+        rate: Ḟ₁₂ where they meet, 1/µs.
+        tolerance: part of the largest stress that may depend on the past.
+        after: how long the stresses are watched, µs.
+        micro_step: µs.
+    """
+
+    period: float = 17.0
+    stretch: float = 0.02
+    shear: float = 0.03
+    rate: float = 0.005
+    tolerance: float = 0.01
+    after: float = 10.0
+    micro_step: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for name in ("period", "tolerance", "after", "micro_step"):
+            if not 0.0 < getattr(self, name) < float("inf"):
+                raise InputError(f"memory.{name}: {getattr(self, name)}; it must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What the RVE remembers.
+
+    Attributes:
+        t: (m,) µs from where the pasts meet.
+        steady, returning: (m, 2, 2) stress of either past, µN/µm.
+        difference: (m,) Frobenius norm of their difference, µN/µm.
+        largest: its largest value. scale: largest norm of the stress.
+        fading_time, time_to_hundredth: µs after which the difference stays below 1/e and 1 % of
+            `largest`; None where it does not within the time watched.
+        sound: the verdict.
+    """
+
+    t: Array
+    steady: Array
+    returning: Array
+    difference: Array
+    largest: float
+    scale: float
+    fading_time: float | None
+    time_to_hundredth: float | None
+    sound: bool
+
+    def verdict(self, settings: MemorySettings) -> str:
+        """One sentence on whether a cache on (F, Ḟ) is sound."""
+        part = 100.0 * self.largest / self.scale
+        if self.fading_time is None:
+            fades = f"is not below 1/e after {settings.after:g} µs"
+        else:
+            fades = f"falls to 1/e within {self.fading_time:.2g} µs"
+        found = f"the past makes up to {part:.2g} % of the stress and {fades}"
+        if self.sound:
+            return (
+                f"sound: a cache on (F, Ḟ) holds for this cell: {found}, against motions of "
+                f"{settings.period:g} µs"
+            )
+        return (
+            f"not sound: do not cache on (F, Ḟ) for this cell at periods of {settings.period:g} "
+            f"µs: {found}"
+        )
+
+
+def steady_past(settings: MemorySettings) -> Path:
+    """F = I + Ḟ t at all times."""
+    F_dot = np.array([[0.0, settings.rate], [0.0, 0.0]])
+    return lambda t: (np.eye(2) + t * F_dot, F_dot)
+
+
+def returning_past(settings: MemorySettings) -> Path:
+    """The same, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
+    omega = 2.0 * np.pi / settings.period
+    away = np.array([[settings.stretch, settings.shear], [0.0, 0.0]])
+    steady = steady_past(settings)
+
+    def path(t: float) -> tuple[Array, Array]:
+        F, F_dot = steady(t)
+        if t >= 0.0:
+            return F, F_dot
+        return (
+            F + 0.5 * (1.0 - np.cos(omega * t)) * away,
+            F_dot + 0.5 * omega * np.sin(omega * t) * away,
+        )
+
+    return path
+
+
+def memory(cell: CellParameters, settings: MemorySettings | None = None) -> Memory:
+    """Integrate both pasts, one and a half periods before they meet, and watch them after."""
+    settings = settings or MemorySettings()
+    law = RveLaw(cell)
+    t = np.linspace(0.0, settings.after, 201)
+    times = np.concatenate([[-1.5 * settings.period], t])
+    steady, returning = (
+        integrate_rve(law, past(settings), times, settings.micro_step)[1:]
+        for past in (steady_past, returning_past)
+    )
+    difference = np.linalg.norm(returning - steady, axis=(1, 2))
+    scale = float(np.linalg.norm(steady, axis=(1, 2)).max())
+    largest = float(difference.max())
+    fading = fading_time(t, difference, np.exp(-1.0))
+    forgotten = largest <= _NOISE * scale
+    short = forgotten or (fading is not None and fading <= _SHORT * settings.period)
+    return Memory(
+        t, steady, returning, difference, largest, scale, fading,
+        fading_time(t, difference, 0.01), largest <= settings.tolerance * scale and short,
+    )  # fmt: skip
+
+
+def fading_time(t: Array, difference: Array, part: float) -> float | None:
+    """Time after which the difference stays below `part` of its largest value, or None."""
+    above = np.flatnonzero(difference > part * difference.max())
+    if above.size == 0:
+        return 0.0
+    last = int(above[-1])
+    return float(t[last + 1]) if last + 1 < len(t) else None
+
+
+def describe(found: Memory, settings: MemorySettings, preset: str, name: str) -> Study:
+    """The stress of both pasts and the fading difference."""
+    components = (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
+    table = {"t (µs)": found.t}
+    for past, stress in (("steady", found.steady), ("returning", found.returning)):
+        for label, a, b in components:
+            table[f"sigma_{label} {past} (µN/µm)"] = stress[:, a, b]
+    table["difference (µN/µm)"] = found.difference
+    panel = Panel(
+        x_label="time since both pasts met (µs)",
+        y_label="difference of the stresses (µN/µm)",
+        curves=(Curve("difference", found.t, found.difference, markers=False),),
+        log_y=True,
+    )
+    return Study(
+        name=name,
+        title="Two pasts that end in the same $(F, \\dot F)$:\n"
+        f"difference of the stresses, preset “{preset}”",
+        panels=(panel,),
+        columns=1,
+        table=table,
+        results={
+            "largest_difference": found.largest,
+            "largest_stress": found.scale,
+            "fading_time": found.fading_time,
+            "time_to_hundredth": found.time_to_hundredth,
+            "sound": found.sound,
+            "verdict": found.verdict(settings),
+        },
+        units={"largest_difference": "µN/µm", "largest_stress": "µN/µm", "fading_time": "µs"},
+        settings={
+            key: getattr(settings, key)
+            for key in (
+                "period", "stretch", "shear", "rate", "tolerance", "after", "micro_step"
+            )
+        },
+    )  # fmt: skip

@@ -1,0 +1,212 @@
+"""Figure 6: mean particle force and error of the state over the iterations of each solver.
+
+From the undeformed RVE to F₁₀ (eq. 73) with Ḟ of (74). The state matrix of section 5.4 is
+𝒳 = [x; v], 4 × particles, in µm and µm/µs; the error is the spectral norm of the difference from
+the fixed point of constrained runs, which Newton finds to 1e-11 µN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import SimulationError
+from surrofe2.plant_cell.lanes import pack
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE
+from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.rve import RveLaw
+from surrofe2.rve.constrained_runs import iterate
+from surrofe2.rve.direct import newton, stress_at
+from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.stress_law import Status
+from surrofe2.studies.drives import shear_rate_tensor, sheared
+
+Array = NDArray[np.float64]
+
+DIRECT, ELASTIC, RUNS = "direct", "elastic", "constrained-runs"
+STOP = 1.0
+"""Mean force at which the paper's iteration stops, µN (section 6.2)."""
+_NEVER = -1.0
+_REFERENCE_TOLERANCE = 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class Relaxation:
+    """One solver's way. iterations: (k,); mean_force: (k,) µN; error: (k,) of the state matrix."""
+
+    iterations: NDArray[np.int64]
+    mean_force: Array
+    error: Array
+
+    def first_below(self, force: float) -> int | None:
+        """The first recorded iteration with a mean force below this, or None."""
+        below = np.flatnonzero(self.mean_force < force)
+        return int(self.iterations[below[0]]) if below.size else None
+
+
+def relaxations(
+    cell: CellParameters,
+    shear: float = 0.1,
+    *,
+    limit: int = 50_000,
+    micro_step: float = 1e-4,
+    samples: int = 120,
+) -> dict[str, Relaxation]:
+    """Elastic relaxation, constrained runs and Newton from the undeformed RVE.
+
+    Elastic relaxation iterates with Ḟ = 0; its state then gets the velocities L x of (67). Its
+    mean force is that without velocities, which the relaxation brings to zero.
+
+    Args:
+        limit: Euler steps of the first two.
+        samples: iterations that are recorded, evenly spaced in the logarithm.
+    """
+    F, F_dot = sheared(shear), shear_rate_tensor()
+    unit = RveLaw(cell).unit_cell
+    reference = _fixed_point(cell, F, F_dot)
+    counts = _counts(limit, samples)
+    ways = {ELASTIC: np.zeros((2, 2)), RUNS: F_dot}
+    found = {
+        name: _iterated(unit, F, F_dot, rate, counts, micro_step, reference)
+        for name, rate in ways.items()
+    }
+    found[DIRECT] = _newton_steps(unit, F, F_dot, reference)
+    return found
+
+
+def _counts(limit: int, samples: int) -> NDArray[np.int64]:
+    spaced = np.rint(np.geomspace(1.0, limit, samples)).astype(np.int64)
+    return np.unique(np.concatenate([[0], spaced]))
+
+
+def _fixed_point(cell: CellParameters, F: Array, F_dot: Array) -> Array:
+    """State matrix (4, particles) of the direct solve."""
+    law = RveLaw(cell, RUNS, tolerance=_REFERENCE_TOLERANCE)
+    answer = law.respond(F[None], F_dot[None])
+    if answer.status[0] != Status.OK:
+        raise SimulationError("relaxation: the direct solve finds no fixed point of this cell")
+    z = answer.state.z[0, :, :, 0]
+    return np.concatenate([F @ z, F_dot @ z])
+
+
+def _iterated(
+    unit: UnitCell,
+    F: Array,
+    F_dot: Array,
+    rate: Array,
+    counts: NDArray[np.int64],
+    step: float,
+    reference: Array,
+) -> Relaxation:
+    """The paper's iteration with `rate`, interrupted at each of the counts."""
+    tensors = pack(F[None]), pack(rate[None])
+    X = unit.position.T
+    x, v = _tile(F @ X), _tile(rate @ X)
+    stress, residual = np.empty((1, 2, 2, TILE)), np.empty((1, 1, TILE))
+    steps = np.empty((1, TILE), dtype=np.int32)
+    L = F_dot @ np.linalg.inv(F)
+    forces, errors = [], []
+    for count in np.diff(counts, prepend=0):
+        iterate(
+            *tensors, x, v, unit.patches[0].mass, unit.topologies[-1], unit.constants, unit.area,
+            step, _NEVER, int(count), stress, residual, steps,
+        )  # fmt: skip
+        forces.append(residual[0, 0, 0])
+        position = x[0, :, :, 0]
+        velocity = v[0, :, :, 0] if rate.any() else L @ position
+        errors.append(_distance(np.concatenate([position, velocity]), reference))
+    return Relaxation(counts, np.array(forces), np.array(errors))
+
+
+def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> Relaxation:
+    """Newton's iterates: the states at which it stops as its tolerance is lowered."""
+    tensors = pack(F[None]), pack(F_dot[None])
+    topology, free = unit.topologies[-1], 2 * len(unit.position) - 2
+    rows: dict[int, tuple[float, float]] = {}
+    for tolerance in np.geomspace(1e5, _REFERENCE_TOLERANCE, 65):
+        z = _tile(unit.position.T)
+        lu, slopes = np.empty((1, free, free, TILE), np.float32), np.empty((1, free, 8, TILE))
+        stress, residual = np.empty((1, 2, 2, TILE)), np.empty((1, 1, TILE))
+        evaluations = np.zeros((1, TILE), dtype=np.int32)
+        newton(
+            *tensors, z, lu, slopes, np.ones(1, dtype=np.bool_), topology, unit.constants,
+            unit.area, float(tolerance), stress, evaluations, np.zeros((1, TILE), dtype=np.bool_),
+        )  # fmt: skip
+        count = int(evaluations[0, 0]) - 1
+        if count < 0 or count in rows:
+            continue
+        stress_at(*tensors, z, topology, unit.constants, unit.area, stress, residual)
+        there = z[0, :, :, 0]
+        state = np.concatenate([F @ there, F_dot @ there])
+        rows[count] = float(residual[0, 0, 0]), _distance(state, reference)
+    counts = np.array(sorted(rows))
+    forces, errors = zip(*(rows[int(k)] for k in counts), strict=True)
+    return Relaxation(counts, np.array(forces), np.array(errors))
+
+
+def _tile(values: Array) -> Array:
+    """(2, particles) → (1, 2, particles, TILE)."""
+    return np.ascontiguousarray(np.repeat(values[None, ..., None], TILE, axis=-1))
+
+
+def _distance(state: Array, reference: Array) -> float:
+    return float(np.linalg.norm(state - reference, 2))
+
+
+_LABELS = {
+    ELASTIC: "elastic relaxation (Euler steps)",
+    RUNS: "constrained runs (Euler steps)",
+    DIRECT: "constrained runs, direct solve (Newton steps)",
+}
+
+
+def describe(ways: dict[str, Relaxation], preset: str, name: str) -> Study:
+    """Figure 6: error of the state at the left, mean force at the right."""
+    panels = tuple(
+        Panel(
+            x_label="iterations",
+            y_label=label,
+            curves=tuple(_curve(method, ways[method], values) for method in _LABELS),
+            log_x=True,
+            log_y=True,
+        )
+        for label, values in (
+            ("error of the state (µm and µm/µs)", "error"),
+            ("mean particle force (µN)", "mean_force"),
+        )
+    )
+    return Study(
+        name=name,
+        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$, "
+        f"preset “{preset}”",
+        panels=panels,
+        columns=2,
+        table={
+            "method": [m for m, way in ways.items() for _ in way.iterations],
+            "iterations": np.concatenate([way.iterations for way in ways.values()]),
+            "mean force (µN)": np.concatenate([way.mean_force for way in ways.values()]),
+            "error of the state (µm and µm/µs)": np.concatenate(
+                [way.error for way in ways.values()]
+            ),
+        },
+        results={
+            method: {
+                "iterations_to_mean_force_1": way.first_below(STOP),
+                "last_iteration": int(way.iterations[-1]),
+                "last_mean_force": float(way.mean_force[-1]),
+                "last_error": float(way.error[-1]),
+            }
+            for method, way in ways.items()
+        },
+        units={"mean_force": "µN", "error": "µm and µm/µs, spectral norm of the state matrix"},
+    )
+
+
+def _curve(method: str, way: Relaxation, values: str) -> Curve:
+    y = np.array(getattr(way, values))
+    y[y <= 0.0] = np.nan
+    iterations = way.iterations.astype(np.float64)
+    return Curve(method, iterations, y, _LABELS[method], markers=method == DIRECT)

@@ -1,0 +1,195 @@
+"""One time step of all particles: gather images, sum forces, fold them back, kick and drift.
+
+Arrays hold a tile after the other, and one more that stays as it is: there lie the images of
+cells that do not exist, at rest and far away, and there is the force that is always zero::
+
+    x, v, f  (tiles + 1, 2, local, TILE)     own particles first, then images
+
+A step has two parts, each parallel over tiles, so that its result does not depend on how many
+threads there are: a tile writes its own images and f; then its own f, v and x.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.forces import add_contact_forces, add_fluid_forces
+from surrofe2.plant_cell.simd import TILE, load, spread, store, where_less
+from surrofe2.tissue.shared_forces import add_shared_bond_forces, add_shared_contact_forces
+
+Array = NDArray[np.float64]
+
+
+class Periods(NamedTuple):
+    """lattice, rate: (2, 2) periods of a periodic patch in columns, µm, and their rates."""
+
+    lattice: Array
+    rate: Array
+
+
+class Body(NamedTuple):
+    """What moves.
+
+    Attributes:
+        per_mass: (tiles, own, TILE) 1/ng, 0 where held or missing.
+        load: (tiles, 2, own, TILE) µN at amplitude 1.
+        keep: part of the velocity that a step leaves; 1, or less with drag.
+    """
+
+    per_mass: Array
+    load: Array
+    keep: float
+
+
+class Watch(NamedTuple):
+    """Motion since lists were made.
+
+    Attributes:
+        listed: (tiles, 2, own, TILE) positions at that time, µm.
+        mean: (tiles, 2, TILE) mean displacement ū of each plant cell since then, µm.
+        spread: (tiles, TILE) largest |u − ū|² within it, µm².
+        apart: (tiles, TILE) largest |ū_B − ū|² to its neighbours, µm².
+    """
+
+    listed: Array
+    mean: Array
+    spread: Array
+    apart: Array
+
+
+@parallel_kernel
+def leap(x, v, f, lists, grid, fluid, c, periods, body, watch, kicks, drifts, amplitudes):
+    """Leapfrog steps in place; how many were taken before lists could miss a pair.
+
+    Step n takes forces at x with the velocities at hand, then v += kicks[n] a, x += drifts[n] v.
+    fluid: `Topology` of the fluid of one plant cell; c: `Constants`.
+    """
+    tiles = x.shape[0] - 1
+    for n in range(len(kicks)):
+        for k in numba.prange(tiles):
+            sum_forces(lists.order[k], x, v, f, lists, fluid, c, periods)
+            look_around(lists.order[k], grid, watch)
+        if not excess(watch) <= lists.skin:
+            return n
+        for k in numba.prange(tiles):
+            move(
+                lists.order[k], x, v, f, lists, grid, body, watch, kicks[n], drifts[n],
+                amplitudes[n],
+            )  # fmt: skip
+    return len(kicks)
+
+
+@kernel
+def sum_forces(t, x, v, f, lists, fluid, c, periods):
+    """Images of tile t and the forces on its local particles, not folded."""
+    own = fluid.particles
+    here, end = lists.starts[t], lists.starts[t + 1]
+    gather(x, t, own, here[0], end[0], lists, periods.lattice)
+    gather(v, t, own, here[0], end[0], lists, periods.rate)
+    xt, vt, ft = x[t], v[t], f[t]
+    for i in range(own + end[0] - here[0]):
+        store(0.0, ft, 0, i)
+        store(0.0, ft, 1, i)
+    rows = slice(here[1], end[1])
+    add_shared_bond_forces(xt, vt, ft, lists.bonds[rows], lists.bond_share[rows], c)
+    rows = slice(here[2], end[2])
+    add_shared_contact_forces(xt, vt, ft, lists.lines[rows], lists.line_share[rows], c)
+    add_contact_forces(xt, vt, ft, lists.contacts[here[3] : end[3]], c)
+    if t < lists.fluid_tiles:
+        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
+        volume = np.empty((own - fluid.walls, TILE))
+        add_fluid_forces(xt, vt, ft, fluid, c, slope, volume)
+
+
+@kernel
+def gather(x, t, own, start, end, lists, lattice):
+    """Copy the owners of tile t's images, a period further where it wraps around."""
+    flat = x.reshape(-1)
+    y = x.shape[2] * TILE
+    for k in range(start, end):
+        local = own + k - start
+        for lane in range(TILE):
+            s = lists.source[k, lane]
+            x[t, 0, local, lane] = flat[s]
+            x[t, 1, local, lane] = flat[s + y]
+        a, b = load(lists.wrap, k, 0), load(lists.wrap, k, 1)
+        for axis in range(2):
+            offset = lattice[axis, 0] * a + lattice[axis, 1] * b
+            store(load(x, t, axis, local) + offset, x, t, axis, local)
+
+
+@kernel
+def move(t, x, v, f, lists, grid, body, watch, kick, drift, amplitude):
+    """Fold image forces back to tile t's own particles, then v += kick a, x += drift v."""
+    flat = f.reshape(-1)
+    y = f.shape[2] * TILE
+    for k in range(lists.starts[t, 4], lists.starts[t + 1, 4]):
+        i = lists.fold[k]
+        for lane in range(TILE):
+            s = lists.fold_source[k, lane]
+            f[t, 0, i, lane] += flat[s]
+            f[t, 1, i, lane] += flat[s + y]
+    mean_x, mean_y = spread(0.0), spread(0.0)
+    for i in range(body.per_mass.shape[1]):
+        push = kick * load(body.per_mass, t, i)
+        pull_x = load(f, t, 0, i) + amplitude * load(body.load, t, 0, i)
+        pull_y = load(f, t, 1, i) + amplitude * load(body.load, t, 1, i)
+        speed_x = body.keep * load(v, t, 0, i) + push * pull_x
+        speed_y = body.keep * load(v, t, 1, i) + push * pull_y
+        store(speed_x, v, t, 0, i)
+        store(speed_y, v, t, 1, i)
+        new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
+        store(new_x, x, t, 0, i)
+        store(new_y, x, t, 1, i)
+        mean_x += new_x - load(watch.listed, t, 0, i)
+        mean_y += new_y - load(watch.listed, t, 1, i)
+    share = load(grid.per_count, t)
+    store(mean_x * share, watch.mean, t, 0)
+    store(mean_y * share, watch.mean, t, 1)
+    measure_spread(t, x, grid, watch)
+
+
+@kernel
+def measure_spread(t, x, grid, watch):
+    """watch.spread of tile t from watch.mean."""
+    mean_x, mean_y = load(watch.mean, t, 0), load(watch.mean, t, 1)
+    largest = spread(0.0)
+    for i in range(grid.exists.shape[1]):
+        dx = load(x, t, 0, i) - load(watch.listed, t, 0, i) - mean_x
+        dy = load(x, t, 1, i) - load(watch.listed, t, 1, i) - mean_y
+        square = (dx * dx + dy * dy) * load(grid.exists, t, i)
+        largest = where_less(square, largest, largest, square)
+    store(largest, watch.spread, t)
+
+
+@kernel
+def look_around(t, grid, watch):
+    """watch.apart of tile t: mean displacements against those of the next cells."""
+    for lane in range(TILE):
+        largest = 0.0
+        for s in grid.next_shifts:
+            there = grid.place[t, s, lane]
+            if there >= 0:
+                tile, other = there // TILE, there % TILE
+                dx = watch.mean[tile, 0, other] - watch.mean[t, 0, lane]
+                dy = watch.mean[tile, 1, other] - watch.mean[t, 1, lane]
+                largest = max(largest, dx * dx + dy * dy)
+        watch.apart[t, lane] = largest
+
+
+@kernel
+def excess(watch):
+    """2 d + |ū_B − ū_A|, the largest anywhere, µm."""
+    within, apart = 0.0, 0.0
+    for t in range(watch.spread.shape[0]):
+        for lane in range(TILE):
+            if not watch.spread[t, lane] < np.inf:
+                return np.inf
+            within = max(within, watch.spread[t, lane])
+            apart = max(apart, watch.apart[t, lane])
+    return 2.0 * np.sqrt(within) + np.sqrt(apart)

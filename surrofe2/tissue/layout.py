@@ -1,0 +1,216 @@
+"""Which plant cells and particles a tissue has, and where they lie in tiles.
+
+Every square plant cell owns its lower left corner, bottom wall, left wall and fluid, as the
+periodic unit of `plant_cell.geometry` does. The walls along the right and the upper boundary
+belong to further columns and rows of `walls only` places, which have no fluid::
+
+    top walls only       ┌──┬──┬·
+    plant cells          ├──┼──┼·    · right walls only
+    (n × m)              ├──┼──┼·
+                         └──┴──┴·
+
+Places are lanes of tiles: plant cells first, then those with walls only, each group filled up to
+whole tiles with empty places. A particle that does not exist lies far away, where it meets no one.
+
+What two cells share is halved where one of them is missing (model.md): the mass of a wall
+particle is its share, (cells present)/(cells that share it), so a quarter at the tissue's corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.lanes import Constants, make_constants, tiles_for
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NOWHERE = 1e6
+"""Where particles lie that do not exist, µm; far beyond every cut-off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tissue:
+    """n × m square plant cells, finite with single walls at its boundary, or periodic.
+
+    Attributes:
+        cells: (n, m) plant cells in x and y.
+        column, row: (places,) of the plant cell in each lane, −1 for an empty place.
+        has_fluid: (places,) whether the place is a whole plant cell.
+        fluid_tiles: how many tiles, the first ones, hold plant cells with fluid.
+        place: (n + 1, m + 1), or (n, m) if periodic: the place of each column and row.
+        start: (tiles, 2, own, TILE) positions from the repeated reference cell, µm.
+        mass: (tiles, own, TILE) ng; 0 where there is no particle.
+        walls: number of a cell's own wall particles; they come first.
+        where: (particles,) flat index into (tiles, own, TILE), walls of all cells, then fluid.
+    """
+
+    cell: CellParameters
+    constants: Constants
+    cells: tuple[int, int]
+    periodic: bool
+    column: Ints
+    row: Ints
+    has_fluid: NDArray[np.bool_]
+    fluid_tiles: int
+    place: Ints
+    start: Array
+    mass: Array
+    walls: int
+    where: Ints
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles."""
+        return len(self.start)
+
+    @property
+    def own(self) -> int:
+        """Number of particles that a plant cell owns."""
+        return self.start.shape[2]
+
+    @property
+    def particles(self) -> int:
+        """Number of particles of the whole tissue."""
+        return len(self.where)
+
+    @property
+    def wall_particles(self) -> int:
+        """How many of the particles are walls; they come first."""
+        return int((self.where // TILE % self.own < self.walls).sum())
+
+    @property
+    def size(self) -> Array:
+        """(2,) reference extent, µm."""
+        return self.cell.cell_side * np.array(self.cells, dtype=np.float64)
+
+    @property
+    def exists(self) -> NDArray[np.bool_]:
+        """(tiles, own, TILE) whether there is a particle."""
+        return self.mass > 0.0
+
+    def to_particles(self, tiled: Array) -> Array:
+        """(tiles, 2, own, TILE) → (particles, 2)."""
+        by_axis = np.moveaxis(tiled, 1, 0).reshape(2, -1)
+        return np.ascontiguousarray(by_axis[:, self.where].T)
+
+    def to_tiles(self, values: Array, missing: Array | float = 0.0) -> Array:
+        """(particles, 2) → (tiles, 2, own, TILE) with `missing` where there is no particle."""
+        by_axis = np.empty((2, self.mass.size))
+        by_axis[:] = np.moveaxis(np.broadcast_to(missing, self.start.shape), 1, 0).reshape(2, -1)
+        by_axis[:, self.where] = values.T
+        tiled = by_axis.reshape(2, self.tiles, self.own, TILE)
+        return np.ascontiguousarray(np.moveaxis(tiled, 0, 1))
+
+
+def make_tissue(
+    cell: CellParameters,
+    position: Array,
+    rest_length: float,
+    cells: tuple[int, int],
+    *,
+    periodic: bool = False,
+) -> Tissue:
+    """A tissue of n × m copies of one plant cell.
+
+    Args:
+        position: (own, 2) reference positions of one periodic plant cell, walls first, µm.
+        rest_length: wall rest length l₀, µm, at which that cell is free of stress.
+        cells: plant cells in x and y.
+        periodic: whether the patch goes on beyond its sides, so that it has no boundary.
+    """
+    if len(cells) != 2 or any(not isinstance(n, int) or n < 1 for n in cells):
+        raise InputError(f"tissue.cells: {cells}; they must be two integers of at least 1")
+    walls = 2 * cell.wall_springs_per_side - 1
+    if position.shape != (walls + cell.fluid_particles_per_side**2, 2):
+        raise InputError(
+            f"tissue: reference positions {position.shape}; a plant cell of these parameters has "
+            f"{walls} wall particles and {cell.fluid_particles_per_side**2} of fluid"
+        )
+    column, row, has_fluid = _places(cells, periodic)
+    exists, mass = _particles(cell, cells, column, row, has_fluid, periodic)
+    tiles = len(column) // TILE
+    mass = np.ascontiguousarray(np.moveaxis(mass.reshape(tiles, TILE, -1), 1, -1))
+    tissue_place = np.full((column.max() + 1, row.max() + 1), -1)
+    there = column >= 0
+    tissue_place[column[there], row[there]] = np.flatnonzero(there)
+    origin = cell.cell_side * np.stack([column, row], axis=1)
+    start = position + origin[:, None]
+    start[~exists] = _far_away(int((~exists).sum()))
+    start = np.moveaxis(start.reshape(tiles, TILE, -1, 2), (1, 3), (3, 1))
+    return Tissue(
+        cell=cell,
+        constants=make_constants(cell, rest_length),
+        cells=cells,
+        periodic=periodic,
+        column=column,
+        row=row,
+        has_fluid=has_fluid,
+        fluid_tiles=tiles_for(cells[0] * cells[1]),
+        place=tissue_place,
+        start=np.ascontiguousarray(start),
+        mass=mass,
+        walls=walls,
+        where=_order(exists, walls),
+    )
+
+
+def _places(cells: tuple[int, int], periodic: bool) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+    """Column, row and kind of each place, rows of plant cells running along the lanes."""
+    n, m = cells
+    whole = [(a, b) for b in range(m) for a in range(n)]
+    edge = [] if periodic else [*((n, b) for b in range(m)), *((a, m) for a in range(n + 1))]
+    filled = [group + [(-1, -1)] * (-len(group) % TILE) for group in (whole, edge)]
+    column, row = np.array(filled[0] + filled[1]).T
+    has_fluid = np.arange(len(column)) < len(whole)
+    return column, row, has_fluid
+
+
+def _particles(
+    cell: CellParameters,
+    cells: tuple[int, int],
+    column: Ints,
+    row: Ints,
+    has_fluid: NDArray[np.bool_],
+    periodic: bool,
+) -> tuple[NDArray[np.bool_], Array]:
+    """(places, own) whether each particle exists, and its mass."""
+    n, m = cells
+    per_side = cell.wall_springs_per_side
+    own = 2 * per_side - 1 + cell.fluid_particles_per_side**2
+
+    def present(a: Ints, b: Ints) -> Ints:
+        inside = (column >= 0) & (periodic | ((a >= 0) & (a < n) & (b >= 0) & (b < m)))
+        return inside.astype(np.int64)
+
+    here, left = present(column, row), present(column - 1, row)
+    below, diagonal = present(column, row - 1), present(column - 1, row - 1)
+    share = np.empty((len(column), own))
+    share[:, 0] = (here + left + below + diagonal) / 4
+    share[:, 1:per_side] = ((here + below) / 2)[:, None]
+    share[:, per_side : 2 * per_side - 1] = ((here + left) / 2)[:, None]
+    share[:, 2 * per_side - 1 :] = has_fluid[:, None]
+    mass = share * cell.wall_particle_mass
+    mass[:, 2 * per_side - 1 :] = share[:, 2 * per_side - 1 :] * cell.fluid_particle_mass
+    return share > 0, mass
+
+
+def _far_away(count: int) -> Array:
+    """(count, 2) places far from the tissue and from one another, µm."""
+    places = np.full((count, 2), -NOWHERE)
+    places[:, 0] -= 100.0 * np.arange(count)
+    return places
+
+
+def _order(exists: NDArray[np.bool_], walls: int) -> Ints:
+    """Flat indices into (tiles, own, TILE) of all particles, walls first, place by place."""
+    place, particle = np.nonzero(exists)
+    order = np.lexsort((particle, place, particle >= walls))
+    place, particle = place[order], particle[order]
+    return (place // TILE * exists.shape[1] + particle) * TILE + place % TILE

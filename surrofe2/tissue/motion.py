@@ -1,0 +1,240 @@
+"""All particles of a tissue in motion, with neighbour lists that follow them: `Motion`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import SimulationError
+from surrofe2.plant_cell.lanes import Constants, Topology
+from surrofe2.plant_cell.simd import TILE
+from surrofe2.tissue.kernels import Body, Periods, Watch, leap
+from surrofe2.tissue.layout import NOWHERE, Tissue
+from surrofe2.tissue.list_assembly import Lists
+from surrofe2.tissue.neighbour_lists import Lister
+from surrofe2.tissue.stored_energy import stored_energy
+
+Array = NDArray[np.float64]
+
+TILES_PER_THREAD = 4
+_REST = np.zeros((2, 2))
+
+
+class Motion:
+    """Positions and velocities, moved in place by leapfrog steps.
+
+    Args:
+        tissue: the particles.
+        skin: by how much neighbour lists reach beyond the cut-off, µm; it changes the cost only.
+        held: (particles,) which particles do not move; None: none.
+        load: (particles, 2) force on each at amplitude 1, µN; None: none.
+        F, F_dot: of a periodic patch, how its periods are deformed and at which rate, 1/µs.
+
+    Attributes:
+        counts: `force_evaluations` and `list_builds` so far.
+        free_mass: (particles,) ng, 0 where held.
+        load: (particles, 2) as above.
+    """
+
+    def __init__(
+        self,
+        tissue: Tissue,
+        *,
+        skin: float = 2.0,
+        held: NDArray[np.bool_] | None = None,
+        load: Array | None = None,
+        F: Array | None = None,
+        F_dot: Array = _REST,
+    ) -> None:
+        self.tissue = tissue
+        self.counts: Counter[str] = Counter()
+        self._lister = Lister(tissue, skin)
+        self.free_mass = tissue.mass.reshape(-1)[tissue.where]
+        if held is not None:
+            self.free_mass[held] = 0.0
+        self.load = np.zeros((tissue.particles, 2)) if load is None else load
+        self._body = Body(_per_mass(tissue, self.free_mass), tissue.to_tiles(self.load), 1.0)
+        periods = np.diag(tissue.size) if tissue.periodic else np.zeros((2, 2))
+        F = np.eye(2) if F is None else np.asarray(F)
+        self._fluid = _fluid_topology(tissue)
+        self._periods = Periods(
+            np.ascontiguousarray(F @ periods), np.ascontiguousarray(F_dot @ periods)
+        )
+        self._listed = tissue.start
+        self.place(tissue.to_particles(tissue.start))
+
+    @property
+    def x(self) -> Array:
+        """(particles, 2) positions, µm."""
+        return self.tissue.to_particles(self._x[:-1, :, : self.tissue.own])
+
+    @property
+    def v(self) -> Array:
+        """(particles, 2) velocities, µm/µs."""
+        return self.tissue.to_particles(self._v[:-1, :, : self.tissue.own])
+
+    @property
+    def listed(self) -> Array:
+        """(particles, 2) positions at which the lists in use were made, µm."""
+        return self.tissue.to_particles(self._listed)
+
+    @property
+    def lists(self) -> Lists:
+        """The lists in use."""
+        return self._lists
+
+    def place(self, x: Array, v: Array | None = None, listed: Array | None = None) -> None:
+        """Put particles at x with velocities v (None: at rest), lists as made at `listed`.
+
+        With the `listed` of another motion this one goes on as that one would, bit by bit.
+        """
+        tissue = self.tissue
+        self._own_x = tissue.to_tiles(x, tissue.start)
+        self._own_v = tissue.to_tiles(np.zeros_like(x) if v is None else v)
+        self._make_lists(self._own_x if listed is None else tissue.to_tiles(listed, tissue.start))
+        if listed is not None:
+            self.forces()  # so that how far they have moved since is known
+
+    def leap(
+        self,
+        kicks: Array,
+        drifts: Array,
+        amplitudes: Array,
+        *,
+        constants: Constants | None = None,
+        keep: float = 1.0,
+    ) -> None:
+        """Steps v += kicks[k] a(x, v), x += drifts[k] v; `keep` of v is left by each step.
+
+        Raises:
+            SimulationError: positions are no longer finite, or the tissue has collapsed.
+        """
+        c = self.tissue.constants if constants is None else constants
+        body = self._body._replace(keep=keep)
+        done, renewed = 0, False
+        while done < len(kicks):
+            with _threads_for(self.tissue.tiles):
+                taken = leap(
+                    self._x, self._v, self._f, self._lists, self._lister.grid, self._fluid, c,
+                    self._periods, body, self._watch, kicks[done:], drifts[done:],
+                    amplitudes[done:],
+                )  # fmt: skip
+            self.counts["force_evaluations"] += taken
+            done += taken
+            if done < len(kicks):
+                if renewed and taken == 0:
+                    raise SimulationError(
+                        "tissue: particles fly apart within a step; lower tissue.micro_step"
+                    )
+                self._renew()
+                renewed = True
+
+    def forces(self, constants: Constants | None = None) -> Array:
+        """(particles, 2) forces without the load, µN."""
+        nothing = np.zeros(1)
+        self.leap(nothing, nothing, nothing, constants=constants)
+        return self.tissue.to_particles(self._f[:-1, :, : self.tissue.own])
+
+    def free_forces(self, constants: Constants | None = None) -> Array:
+        """`forces`, with none on particles that are held."""
+        f = self.forces(constants)
+        f[self.free_mass == 0.0] = 0.0
+        return f
+
+    def dissipation_rate(self) -> float:
+        """Power that dashpots and viscosity take, pJ/µs: −Σ v·f of those forces alone."""
+        only_damping = self.tissue.constants._replace(
+            wall_stiffness=0.0, repulsion=0.0, sound_speed_squared=0.0
+        )
+        return -float(np.sum(self.v * self.forces(only_damping)))
+
+    def elastic_energy(self) -> float:
+        """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm²."""
+        self.forces()  # sets the images
+        energy = np.empty((self.tissue.tiles, TILE))
+        stored_energy(
+            self._x, self._lists, self._lister.grid, self._fluid, self.tissue.constants, energy
+        )
+        return float(energy.sum())
+
+    def kinetic_energy(self) -> float:
+        """½ Σ m v², pJ."""
+        v = self._v[:-1, :, : self.tissue.own]
+        return 0.5 * float(np.sum(self.tissue.mass * (v * v).sum(axis=1)))
+
+    def mean_stress(self) -> Array:
+        """(2, 2) Cauchy stress of a periodic patch, µN/µm (eq. 57b).
+
+        σ = −1/V [Σ f ⊗ x + Σ g ⊗ p] over all particles, which feel f, and over all images,
+        which feel g and lie p beside their owners.
+        """
+        f, lists, lattice = self.forces(), self._lists, self._periods.lattice
+        virial = -f.T @ self.x
+        images = np.diff(lists.starts[:, 0])
+        for t, count in enumerate(images):
+            first, own = lists.starts[t, 0], self.tissue.own
+            g = self._f[t, :, own : own + count]
+            p = np.einsum("ab,kbl->akl", lattice, lists.wrap[first : first + count])
+            virial -= np.einsum("akl,bkl->ab", g, p)
+        return virial / abs(float(np.linalg.det(lattice)))
+
+    def _renew(self) -> None:
+        """New lists where the particles are now."""
+        own = self.tissue.own
+        self._own_x = np.ascontiguousarray(self._x[:-1, :, :own])
+        self._own_v = np.ascontiguousarray(self._v[:-1, :, :own])
+        self._make_lists(self._own_x)
+
+    def _make_lists(self, listed: Array) -> None:
+        tissue = self.tissue
+        self._lists = self._lister.make(listed, self._periods.lattice)
+        self._listed = listed.copy()
+        self.counts["list_builds"] += 1
+        tiles, own = tissue.tiles, tissue.own
+        shape = (tiles + 1, 2, self._lists.local, TILE)
+        self._x, self._v, self._f = np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape)
+        self._x[:-1, :, :own], self._v[:-1, :, :own] = self._own_x, self._own_v
+        self._watch = Watch(
+            self._listed, np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE)),
+            np.zeros((tiles, TILE)),
+        )  # fmt: skip
+
+
+@contextmanager
+def _threads_for(tiles: int) -> Iterator[None]:
+    """No more threads than have work enough to be worth waiting for each other."""
+    allowed = numba.get_num_threads()
+    numba.set_num_threads(max(1, min(allowed, tiles // TILES_PER_THREAD)))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(allowed)
+
+
+def _per_mass(tissue: Tissue, free_mass: Array) -> Array:
+    """(tiles, own, TILE) 1/ng, 0 where held or missing."""
+    per_mass = np.zeros(tissue.mass.size)
+    free = free_mass > 0.0
+    per_mass[tissue.where[free]] = 1.0 / free_mass[free]
+    return per_mass.reshape(tissue.mass.shape)
+
+
+def _fluid_topology(tissue: Tissue) -> Topology:
+    """The fluid of one plant cell; its other pair lists are empty."""
+    fluid = range(tissue.walls, tissue.own)
+    pairs = [(i, j) for i in fluid for j in fluid if i < j]
+    none = np.empty((0, 2), dtype=np.int32)
+    return Topology(
+        bonds=none,
+        contacts=none,
+        fluid_pairs=np.array(pairs, dtype=np.int32).reshape(-1, 2),
+        owner=np.empty(0, dtype=np.int32),
+        image_offset=np.empty((0, 2)),
+        particles=tissue.own,
+        walls=tissue.walls,
+    )

@@ -1,0 +1,62 @@
+"""reproduce, moduli and memory over true plant cells."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(entry) for entry in arguments], env={"COLUMNS": "160"})
+
+
+def test_reproduce_writes_figure_table_and_numbers(tmp_path):
+    done = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "fig5-water.png").stat().st_size > 10_000
+    assert (tmp_path / "fig5-water.csv").read_text(encoding="utf-8").startswith("F_xy (1),")
+    record = json.loads((tmp_path / "fig5-water.json").read_text(encoding="utf-8"))
+    assert record["preset"] == "water"
+    assert record["cell"]["fluid_particle_mass"] == 0.27
+    assert record["units"]["largest_difference"] == "µN/µm"
+    refused = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
+    assert refused.exit_code == 1
+    assert (
+        refused.stderr == f"error: {tmp_path / 'fig5-water.png'}: exists; replace it with --force\n"
+    )
+
+
+def test_reproduce_fig8_without_the_tissue_says_so(tmp_path):
+    done = invoke(
+        "reproduce", "fig8", "--preset", "water", "--out", tmp_path, "--no-tissue", "--meshes", "2",
+        "--duration", "60",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "the full tissue is left out" in done.stdout
+    record = json.loads((tmp_path / "fig8-water.json").read_text(encoding="utf-8"))
+    assert record["results"]["full_tissue"] == "not computed"
+    assert len(record["results"]["runs"]) == 4
+    refused = invoke("reproduce", "fig8", "--out", tmp_path, "--meshes", "four")
+    assert "--meshes: 'four'; it must be integers" in refused.stderr
+
+
+def test_moduli(tmp_path):
+    path = tmp_path / "moduli.json"
+    done = invoke("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
+    assert done.exit_code == 0, done.output
+    assert "turgor 2.5 MPa" in done.stdout
+    assert "Viscous moduli, MPa µs" in done.stdout
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert record["turgor_mean_MPa"] == pytest.approx(2.5)
+    assert set(record["moduli"]) == {
+        "cauchy-born", "elastic", "constrained-runs", "slow-manifold"
+    }  # fmt: skip
+
+
+def test_memory_gives_a_verdict(tmp_path):
+    done = invoke("memory", "--preset", "water", "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.splitlines()[-1].startswith("sound: a cache on (F, Ḟ) holds")
+    assert (tmp_path / "memory-water.png").exists()

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import json
+
+import meshio
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+from surrofe2.config import load_recipe
+from surrofe2.io.runs import read_curve, read_record
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "out" / "tissue"
+
+
+@pytest.fixture
+def short(changed_recipe):
+    """A recipe of 2 × 2 plant cells for a very short time."""
+    changed_recipe("duration = 4.0", "duration = 1.0")
+    changed_recipe("watched = [100.0, 50.0]", "watched = [50.0, 25.0]")
+    changed_recipe("width = 100.0", "width = 50.0")
+    return changed_recipe("height = 100.0", "height = 50.0")
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, ["tissue", *map(str, arguments), "--threads", "1"])
+
+
+def test_run_folder(short, folder):
+    done = invoke(short, "--out", folder)
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "curve.csv",
+        "energies.csv",
+        "fields.h5",
+        "fields.xdmf",
+        "run.json",
+    ]
+    stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    assert (stored["status"], stored["law"], stored["solver"]) == ("finished", "tissue", "leapfrog")
+    assert stored["recipe"]["tissue"]["micro_step"] == 2e-3
+    assert stored["counts"]["steps"] == 500
+    assert stored["counts"]["particles"] == 4 * 16 + 117
+    curve = read_curve(folder)
+    np.testing.assert_array_equal(curve.t, load_recipe(short).load.output_times())
+    assert curve.displacement[-1, 1] < -0.01
+    header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "t_us,kinetic_pJ,elastic_pJ,load_pJ,dissipated_pJ,balance_pJ"
+    with meshio.xdmf.TimeSeriesReader(folder / "fields.xdmf") as reader:
+        points, cells = reader.read_points_cells()
+        assert len(points) == stored["counts"]["particles"]
+        assert {block.type: len(block.data) for block in cells} == {"line": 120}
+        t, at_points, _ = reader.read_data(reader.num_steps - 1)
+        assert t == 1.0
+        assert at_points["wall"].sum() == 117
+        assert at_points["displacement_um"][:, 1].min() <= curve.displacement[-1, 1]
+    assert done.stdout.startswith(f"{folder}: 1 µs of 181 particles in ")
+
+
+def test_cells_and_step_replace_the_recipe_s(short, folder):
+    assert invoke(short, "--out", folder, "--cells", 1, 2, "--micro-step", 1e-3).exit_code == 0
+    record = read_record(folder)
+    assert (record.recipe["load"]["width"], record.recipe["load"]["height"]) == (25.0, 50.0)
+    assert record.recipe["load"]["watched"] == [25.0, 25.0]
+    assert record.counts["steps"] == 1000
+
+
+def test_interrupted_and_continued_equals_uninterrupted(short, folder, tmp_path, monkeypatch):
+    from surrofe2.tissue import simulation
+
+    advance = simulation.advance
+
+    def stopping(motion, load_case, settings, start, end):
+        if end > 0.5:
+            raise KeyboardInterrupt
+        return advance(motion, load_case, settings, start, end)
+
+    monkeypatch.setattr(simulation, "advance", stopping)
+    stopped = invoke(short, "--out", folder)
+    assert stopped.exit_code == 130
+    assert "--resume" in stopped.stderr
+    assert read_record(folder).status == "interrupted"
+    monkeypatch.setattr(simulation, "advance", advance)
+    other = invoke(short, "--out", folder, "--resume", "--micro-step", 1e-3)
+    assert other.exit_code == 1
+    assert "tissue.micro_step: this run has 0.001" in other.stderr
+    assert invoke(short, "--out", folder, "--resume").exit_code == 0
+    assert not (folder / "checkpoint.h5").exists()
+    assert invoke(short, "--out", tmp_path / "whole").exit_code == 0
+    for name in ("curve.csv", "energies.csv"):
+        assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_extent_that_no_cells_fill(changed_recipe, folder):
+    refused = invoke(changed_recipe("height = 100.0", "height = 110.0"), "--out", folder)
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        "error: load.height: 110; a tissue needs a whole number of plant cells of 25 µm: "
+        "change it or give --cells N M\n"
+    )
+
+
+def test_step_that_is_too_long(short, folder):
+    failed = invoke(short, "--out", folder, "--micro-step", 8e-3)
+    assert failed.exit_code == 1
+    assert "micro_step" in failed.stderr
+    assert read_record(folder).status == "failed"
+    assert read_curve(folder).t[0] == 0.0
+
+
+def test_compared_with_a_run_by_a_law(short, folder, tmp_path, monkeypatch):
+    from tests.fakes import SoftLaw
+
+    assert invoke(short, "--out", folder).exit_code == 0
+    fake = type("Fake", (), {"from_settings": staticmethod(SoftLaw().of)})
+    monkeypatch.setattr("surrofe2.rve.RveLaw", fake)
+    rve, comparison = tmp_path / "rve", tmp_path / "comparison"
+    runner = CliRunner()
+    ran = runner.invoke(app, ["run", str(short), "--law", "rve", "--out", str(rve)])
+    assert ran.exit_code == 0, ran.output
+    done = runner.invoke(app, ["compare", str(rve), str(folder), "--out", str(comparison)])
+    assert done.exit_code == 0, done.output
+    found = json.loads((comparison / "comparison.json").read_text(encoding="utf-8"))
+    assert found["reference"] == folder.name
+    assert found["runs"][0]["law"] == "rve"

@@ -1,0 +1,75 @@
+"""Moduli by the symmetries and bounds that they obey."""
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.studies.moduli import cell_moduli, to_numbers, turgor, voigt, with_turgor
+from surrofe2.studies.moduli_tables import over_fluid_particles, over_turgor, over_wall_stiffness
+
+CELLS = {name: CellParameters.preset(name) for name in ("printed", "water")}
+
+
+@pytest.mark.parametrize("preset", CELLS)
+@pytest.mark.parametrize("initialisation", INITIALISATIONS)
+def test_a_square_cell_has_square_symmetry_and_positive_moduli(preset, initialisation):
+    found = cell_moduli(CELLS[preset], initialisation)
+    for moduli in (found.elastic, found.viscous):
+        C, scale = moduli.matrix, np.abs(moduli.matrix).max()
+        assert C[0, 0] == pytest.approx(C[1, 1], abs=1e-9 * scale)
+        assert np.abs([C[0, 2], C[1, 2], C[2, 0], C[2, 1]]).max() < 1e-9 * scale
+        assert min(moduli.bulk, moduli.shear, moduli.shear_45, moduli.young) > 0.0
+
+
+@pytest.mark.parametrize("preset", CELLS)
+def test_affine_motion_is_the_stiffest(preset):
+    born, elastic, slow = (
+        cell_moduli(CELLS[preset], name) for name in ("cauchy-born", "elastic", "slow-manifold")
+    )
+    assert np.linalg.eigvalsh(born.elastic.matrix - elastic.elastic.matrix).min() > 0.0
+    assert np.linalg.eigvalsh(elastic.viscous.matrix - slow.viscous.matrix).min() > 0.0
+
+
+def test_elastic_moduli_are_slopes_of_the_stress():
+    law, step = RveLaw(CELLS["water"], "elastic"), 1e-5
+    F = np.eye(2) + step * np.array([np.diag([1.0, 0.0]), np.diag([-1.0, 0.0])])
+    up, down = law.respond(F, 0.0 * F).stress
+    slope = (up - down) / (2.0 * step)
+    C = cell_moduli(CELLS["water"], "elastic").elastic.matrix
+    np.testing.assert_allclose([slope[0, 0], slope[1, 1]], C[:2, 0], rtol=1e-4, atol=1e-2)
+
+
+def test_voigt_of_an_isotropic_tangent():
+    d = np.eye(2)
+    shear = np.einsum("ac,bd->abcd", d, d) + np.einsum("ad,bc->abcd", d, d)
+    C = voigt(3.0 * np.einsum("ab,cd->abcd", d, d) + 2.0 * shear)
+    np.testing.assert_allclose(C, [[7, 3, 0], [3, 7, 0], [0, 0, 2]])
+
+
+def test_three_dimensional_moduli_are_per_thickness():
+    found = to_numbers(CELLS["water"], cell_moduli(CELLS["water"], "elastic"))["elastic"]
+    assert found["MPa"]["bulk"] == pytest.approx(found["N/m"]["bulk"] / 10.0)
+    assert found["MPa"]["poisson"] == found["N/m"]["poisson"]
+
+
+def test_turgor_can_be_given_instead_of_mass():
+    cell = with_turgor(CELLS["water"], 3.0)
+    assert turgor(cell).mean == pytest.approx(3.0, rel=1e-8)
+    back = with_turgor(CELLS["water"], turgor(CELLS["water"]).mean)
+    assert back.fluid_particle_mass == pytest.approx(0.27, rel=1e-8)
+    with pytest.raises(InputError, match=r"turgor: -1\.0; it must be positive"):
+        with_turgor(CELLS["water"], -1.0)
+
+
+def test_tables():
+    low, high = over_turgor(CELLS["water"], "elastic", (1.0, 1.5))
+    assert high.turgor.mean == pytest.approx(1.5 * low.turgor.mean, rel=1e-8)
+    assert high.moduli.elastic.shear > low.moduli.elastic.shear
+    soft, stiff = over_wall_stiffness(CELLS["printed"], "elastic", (1.0, 1.5))
+    assert stiff.moduli.elastic.bulk > soft.moduli.elastic.bulk
+    same, none = over_fluid_particles(CELLS["water"], "elastic", (4, 6))
+    assert same.moduli.elastic.bulk == cell_moduli(CELLS["water"], "elastic").elastic.bulk
+    assert none.moduli is None
+    assert "unstable" in none.trouble

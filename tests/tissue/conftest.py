@@ -1,0 +1,31 @@
+"""A relaxed plant cell of each preset, once for all tests of the tissue."""
+
+from __future__ import annotations
+
+import pytest
+
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.tissue.layout import make_tissue
+
+
+@pytest.fixture(scope="session")
+def reference():
+    """reference(preset): cell, reference positions and wall rest length of its RVE."""
+
+    def of(preset):
+        cell = CellParameters.preset(preset)
+        law = RveLaw(cell)
+        return cell, law.reference_position, law.rest_length
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def tissue_of(reference):
+    """tissue_of(cells, preset, periodic=…)."""
+
+    def make(cells, preset="printed", **choices):
+        return make_tissue(*reference(preset), cells, **choices)
+
+    return make

@@ -1,0 +1,103 @@
+"""Forces of a finite and of a periodic tissue against the numpy twin, the RVE and identities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surrofe2.plant_cell.simd import TILE
+from surrofe2.rve import RveLaw
+from surrofe2.tissue.motion import Motion
+from tests.plant_cell.twin import Twin
+from tests.tissue.twin import TissueTwin
+
+
+def shaken(tissue, seed=0, amount=0.1):
+    """Positions and velocities around the repeated reference, (particles, 2) each."""
+    numbers = np.random.default_rng(seed)
+    x = tissue.to_particles(tissue.start)
+    return (
+        x + amount * numbers.uniform(-1, 1, x.shape),
+        0.2 * numbers.uniform(-1, 1, x.shape),
+    )
+
+
+@pytest.fixture(params=[((2, 2), "printed"), ((3, 2), "water"), ((1, 1), "water")])
+def case(request, tissue_of, reference):
+    cells, preset = request.param
+    tissue = tissue_of(cells, preset)
+    twin = TissueTwin(*reference(preset), cells)
+    at = tissue.to_particles(tissue.start)
+    distance = np.linalg.norm(at[:, None] - twin.start, axis=2)
+    assert tissue.particles == len(twin.start)
+    assert distance.min(axis=1).max() < 1e-9
+    return tissue, twin, distance.argmin(axis=1)
+
+
+def test_forces_energy_and_dissipation_are_those_of_the_twin(case):
+    tissue, twin, order = case
+    x, v = shaken(tissue)
+    motion = Motion(tissue)
+    motion.place(x, v)
+    there = np.empty_like(x), np.empty_like(v)
+    there[0][order], there[1][order] = x, v
+    f, energy, lost = twin.evaluate(*there)
+    np.testing.assert_allclose(motion.forces(), f[order], rtol=0, atol=1e-10 * abs(f).max())
+    assert motion.elastic_energy() == pytest.approx(energy, rel=1e-12)
+    assert motion.dissipation_rate() == pytest.approx(lost, rel=1e-10)
+    np.testing.assert_array_equal(tissue.mass.reshape(-1)[tissue.where], twin.mass[order])
+
+
+def test_mass_is_that_of_the_macro_scale(case):
+    tissue, *_ = case
+    area = float(np.prod(tissue.size))
+    assert tissue.mass.sum() == pytest.approx(tissue.cell.density * area, rel=1e-14)
+
+
+def test_paper_s_bar_has_its_particles(tissue_of):
+    tissue = tissue_of((16, 16))
+    assert (tissue.particles, tissue.wall_particles) == (9281, 5185)
+
+
+def test_forces_sum_to_zero(case):
+    tissue, *_ = case
+    motion = Motion(tissue)
+    motion.place(*shaken(tissue))
+    f = motion.forces()
+    assert abs(f.sum(axis=0)).max() < 1e-12 * abs(f).max() * len(f)
+
+
+def test_force_is_minus_the_gradient_of_the_energy(case):
+    tissue, *_ = case
+    motion = Motion(tissue)
+    x, _ = shaken(tissue)
+    motion.place(x)
+    f = motion.forces()
+    step = 1e-4
+    for seed in range(3):
+        direction = np.random.default_rng(seed).normal(size=x.shape)
+        energy = []
+        for sign in (1, -1):
+            motion.place(x + sign * step * direction)
+            energy.append(motion.elastic_energy())
+        slope = (energy[0] - energy[1]) / (2 * step)
+        size = np.linalg.norm(f) * np.linalg.norm(direction)
+        assert slope == pytest.approx(-np.sum(f * direction), abs=1e-7 * size)
+
+
+@pytest.mark.parametrize(("cells", "preset"), [((1, 1), "water"), ((3, 2), "printed")])
+def test_periodic_patch_under_affine_deformation_is_one_rve(cells, preset, tissue_of, reference):
+    """Particles at F X with velocities Ḟ X: Cauchy–Born (eq. 64)."""
+    cell, position, rest_length = reference(preset)
+    F = np.array([[1.05, 0.06], [-0.03, 0.96]])
+    F_dot = np.array([[0.01, -0.004], [0.006, 0.008]])
+    tissue = tissue_of(cells, preset, periodic=True)
+    motion = Motion(tissue, F=F, F_dot=F_dot)
+    X = tissue.to_particles(tissue.start)
+    motion.place(X @ F.T, X @ F_dot.T)
+    expected = RveLaw(cell, "cauchy-born").respond(F[None], F_dot[None]).stress[0]
+    np.testing.assert_allclose(motion.mean_stress(), expected, rtol=0, atol=1e-9)
+    assert tissue.particles == len(position) * cells[0] * cells[1]
+    own = tissue.where // TILE % tissue.own
+    f, *_ = Twin(cell, rest_length).evaluate(position, F, F_dot)
+    np.testing.assert_allclose(motion.forces(), f[own], rtol=0, atol=1e-10 * abs(f).max())

@@ -1,0 +1,184 @@
+"""Leapfrog steps: order, momentum, neighbour lists that follow, threads that do not matter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.load_case import LoadCase
+from surrofe2.tissue import Motion, TissueSettings, make_tissue, relax, simulate_tissue
+from tests.tissue.twin import TissueTwin
+
+LOAD_CASE = LoadCase(
+    width=50.0, height=25.0, watched=(50.0, 12.5), body_force=(0.0, -2.0), duration=1.0,
+    output_interval=0.25,
+)  # fmt: skip
+
+
+def run(reference, preset, micro_step, **changes):
+    cell, position, rest_length = reference(preset)
+    tissue = make_tissue(replace(cell, **changes), position, rest_length, (2, 1))
+    settings = TissueSettings(micro_step=micro_step, residual=1e-8, frames=2, energy_steps=4)
+    return simulate_tissue(LOAD_CASE, tissue, settings)
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "order"),
+    [
+        ("printed", {}, 1),
+        ("water", {}, 1),
+        (
+            "printed",
+            {"wall_damping_ratio": 0.0, "contact_damping_ratio": 0.0, "viscosity": 0.0},
+            2,
+        ),
+    ],
+)
+def test_order_of_displacement_and_of_energy_balance(reference, preset, changes, order):
+    """Lagged velocities in the dashpots: first order; without damping leapfrog's second."""
+    steps = (1e-3, 5e-4, 2.5e-4)
+    runs = [run(reference, preset, step, **changes) for step in steps]
+    last = [one.curve.displacement[-1, 1] for one in runs]
+    balance = [abs(one.energies["balance"]).max() for one in runs]
+    rate = np.log2((last[0] - last[1]) / (last[1] - last[2]))
+    assert rate == pytest.approx(order, abs=0.25)
+    assert np.log2(balance[1] / balance[2]) == pytest.approx(order, abs=0.3)
+    assert balance[0] < 1e-3 * runs[0].energies["load"].max()
+    assert abs(last[0] - last[2]) < 1e-3 * abs(last[2])
+
+
+def test_energies_are_shared_out(reference):
+    energies = run(reference, "water", 1e-3).energies
+    assert energies["kinetic"][0] == energies["load"][0] == energies["elastic"][0] == 0.0
+    assert (np.diff(energies["dissipated"]) > 0.0).all()
+    assert energies["load"][1] > 0.0
+
+
+def test_balanced_load_leaves_momentum_alone(tissue_of):
+    tissue = tissue_of((2, 2), "water")
+    load = np.random.default_rng(5).normal(size=(tissue.particles, 2))
+    load -= load.mean(axis=0)
+    motion = Motion(tissue, load=load)
+    start = motion.x
+    steps = np.full(200, 1e-3)
+    motion.leap(steps, steps, np.ones(200))
+    mass = motion.free_mass[:, None]
+    size = np.sum(mass * abs(motion.v))
+    assert size > 1.0
+    assert abs(np.sum(mass * motion.v, axis=0)).max() < 1e-12 * size
+    moved = np.sum(mass * (motion.x - start), axis=0) / mass.sum()
+    assert abs(moved).max() < 1e-12
+
+
+def test_pair_that_comes_close_later_is_seen(tissue_of, reference):
+    """A tissue squeezed to two thirds: pairs from beyond the lists come within the cut-off."""
+    cell, position, rest_length = reference("water")
+    tissue, twin = tissue_of((2, 2), "water"), TissueTwin(cell, position, rest_length, (2, 2))
+    motion = Motion(tissue, skin=0.5)
+    start = motion.x
+    order = np.linalg.norm(start[:, None] - twin.start, axis=2).argmin(axis=1)
+    squeeze = -start * np.array([1.0, 0.0])
+    motion.place(start, squeeze)
+    steps = np.full(340, 1e-3)
+    motion.leap(0.0 * steps, steps, 0.0 * steps)
+    assert motion.counts["list_builds"] > 3
+    there = np.empty_like(start), np.empty_like(start)
+    there[0][order], there[1][order] = motion.x, motion.v
+    expected, *_ = twin.evaluate(*there)
+    np.testing.assert_allclose(
+        motion.forces(), expected[order], rtol=0, atol=1e-9 * abs(expected).max()
+    )
+    before, after = (np.hypot(*(at[twin.j] - at[twin.i]).T) for at in (twin.start, there[0]))
+    late = (twin.contact > 0) & (before > cell.repulsion_cutoff + 2 * 0.5)
+    assert (late & (after < cell.repulsion_cutoff)).sum() > 100
+
+
+def test_lists_only_change_the_cost(tissue_of):
+    runs = []
+    for skin in (0.3, 4.0):
+        motion = Motion(tissue_of((2, 1)), skin=skin)
+        steps = np.full(300, 1e-3)
+        motion.leap(steps, steps, 0.0 * steps)
+        runs.append((motion.x, motion.counts["list_builds"]))
+    (x, builds), (y, fewer) = runs
+    assert builds > fewer
+    np.testing.assert_allclose(x, y, rtol=0, atol=1e-9)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two cores")
+def test_number_of_threads_does_not_matter(tissue_of):
+    ends = []
+    before = numba.get_num_threads()
+    try:
+        for threads in (1, 2):
+            numba.set_num_threads(threads)
+            motion = Motion(tissue_of((8, 8)))
+            steps = np.full(20, 1e-3)
+            motion.leap(steps, steps, 0.0 * steps)
+            ends.append(motion.x)
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(*ends)
+
+
+def test_held_wall_stays(reference):
+    done = run(reference, "printed", 2e-3)
+    held = done.is_wall & (abs(done.position[:, 0]) < 1e-9)
+    assert held.sum() == 11
+    assert not done.frames.displacement[-1, held].any()
+    assert abs(done.frames.displacement[-1, ~held]).max() > 0.1
+
+
+def test_relaxed_tissue_shrinks_where_its_boundary_is_free(tissue_of):
+    """Outer walls bulge; outer rows shrink by about 5 %, the inside by 0.2 to 0.7 %."""
+    from surrofe2.tissue.simulation import make_motion
+
+    tissue = tissue_of((6, 6))
+    load_case = LoadCase(width=150.0, height=150.0, watched=(150.0, 75.0))
+    motion = make_motion(load_case, tissue, TissueSettings())
+    x = relax(motion, 1e-6)
+    assert abs(motion.free_forces()).max() <= 1e-6
+    start = tissue.to_particles(tissue.start)
+
+    def at(point):
+        return x[np.linalg.norm(start - np.array(point), axis=1).argmin()]
+
+    row = [at((25.0 * a, 75.0))[0] for a in range(7)]
+    strain = np.diff(row) / 25.0 - 1.0
+    assert -0.06 < strain[-1] < -0.04
+    assert (strain[:5] < -0.002).all()
+    assert (strain[:5] > -0.008).all()
+    assert at((150.0, 62.5))[0] - at((150.0, 50.0))[0] > 2.0
+
+
+def test_step_that_is_too_long_is_named(tissue_of):
+    with pytest.raises(SimulationError, match="micro_step") as caught:
+        simulate_tissue(LOAD_CASE, tissue_of((2, 1)), TissueSettings(micro_step=8e-3))
+    assert caught.value.partial.finished is False
+
+
+def test_wrong_extent_is_named(tissue_of):
+    with pytest.raises(InputError, match=r"3 x 1 plant cells .* must fill"):
+        simulate_tissue(LOAD_CASE, tissue_of((3, 1)))
+    with pytest.raises(InputError, match="periodic"):
+        simulate_tissue(LOAD_CASE, tissue_of((2, 1), periodic=True))
+
+
+@pytest.mark.parametrize("cells", [(0, 1), (2.0, 1), (1,)])
+def test_wrong_number_of_cells(reference, cells):
+    with pytest.raises(InputError, match=r"tissue\.cells"):
+        make_tissue(*reference("printed"), cells)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"micro_step": 0.0}, {"residual": "small"}, {"skin": -1.0}, {"frames": 1},
+     {"energy_steps": 0}],
+)  # fmt: skip
+def test_settings_out_of_range(change):
+    with pytest.raises(InputError, match=rf"tissue\.{next(iter(change))}: .*must be"):
+        TissueSettings(**change)

@@ -1,0 +1,94 @@
+"""Checkpoints of tissue runs: what is carried on is what would have been, bit by bit."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.load_case import LoadCase
+from surrofe2.tissue import TissueSettings, TissueState, simulate_tissue
+
+LOAD_CASE = LoadCase(
+    width=50.0, height=50.0, watched=(50.0, 25.0), body_force=(0.5, -2.0), duration=3.0,
+    output_interval=0.25, amplitude=((0.0, 0.0), (0.5, 1.0)),
+)  # fmt: skip
+SETTINGS = TissueSettings(skin=0.4, frames=5)
+
+
+class Stop(KeyboardInterrupt):
+    """Only ours, so that a real interrupt still ends the tests."""
+
+
+@pytest.fixture(scope="module")
+def whole(tissue_of):
+    return simulate_tissue(LOAD_CASE, tissue_of((2, 2)), SETTINGS)
+
+
+def stopped_at(tissue, when):
+    states = []
+
+    def stop(t, duration):
+        assert duration == LOAD_CASE.duration
+        if t >= when:
+            raise Stop
+
+    with pytest.raises(Stop):
+        simulate_tissue(LOAD_CASE, tissue, SETTINGS, progress=stop, checkpoint=states.append)
+    (state,) = states
+    return state
+
+
+def test_interrupted_run_resumes_bit_by_bit(whole, tissue_of):
+    state = stopped_at(tissue_of((2, 2)), 1.5)
+    assert state.rows == 7
+    assert state.list_builds > 1
+    resumed = simulate_tissue(
+        LOAD_CASE, tissue_of((2, 2)), SETTINGS, resume=TissueState.from_arrays(state.to_arrays())
+    )
+    np.testing.assert_array_equal(resumed.curve.t, LOAD_CASE.output_times())
+    np.testing.assert_array_equal(resumed.curve.displacement, whole.curve.displacement)
+    for name, expected in whole.energies.items():
+        np.testing.assert_array_equal(resumed.energies[name], expected, err_msg=name)
+    for item in fields(whole.frames):
+        np.testing.assert_array_equal(
+            getattr(resumed.frames, item.name), getattr(whole.frames, item.name)
+        )
+    assert resumed.counts == whole.counts
+
+
+def test_results_belong_together(whole):
+    assert whole.finished
+    frames = whole.frames
+    assert frames.t.tolist() == [0.0, 0.75, 1.5, 2.25, 3.0]
+    watched = abs(frames.displacement[-1] - whole.curve.displacement[-1]).sum(axis=1).argmin()
+    assert whole.position[watched] == pytest.approx([50.0, 25.0], abs=6.0)
+    assert whole.position[watched, 0] > 40.0
+    assert whole.counts["particle_steps"] == whole.counts["steps"] * len(whole.position)
+    lengths = np.linalg.norm(np.diff(whole.position[whole.bonds], axis=1)[:, 0], axis=1)
+    assert len(whole.bonds) == 2 * 3 * 2 * 10
+    assert 1.5 < lengths.min() < lengths.max() < 4.0
+    assert whole.is_wall[whole.bonds].all()
+
+
+def test_checkpoints_come_with_every_output_time_when_asked(whole, tissue_of):
+    states = []
+    simulate_tissue(
+        LOAD_CASE, tissue_of((2, 2)), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0
+    )
+    assert [state.rows for state in states] == list(range(2, 14))
+    last = simulate_tissue(LOAD_CASE, tissue_of((2, 2)), SETTINGS, resume=states[-1])
+    np.testing.assert_array_equal(last.curve.displacement, whole.curve.displacement)
+
+
+def test_checkpoint_of_another_run_is_refused(tissue_of):
+    state = stopped_at(tissue_of((2, 2)), 0.5)
+    other = replace(LOAD_CASE, body_force=(0.5, -1.0))
+    with pytest.raises(MismatchError, match=r"resume: .* are not those of the checkpoint"):
+        simulate_tissue(other, tissue_of((2, 2)), SETTINGS, resume=state)
+    arrays = state.to_arrays()
+    del arrays["listed"]
+    with pytest.raises(InputError, match="listed"):
+        TissueState.from_arrays(arrays)
