@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -198,6 +199,8 @@ def tissue(
 
     Next: [bold]surrofe2 compare out/tissue out/rve --out out/comparison[/bold]
     """
+    # Its threads meet every 0.1 ms; they must not fall asleep in between, as others should.
+    os.environ.setdefault("GOMP_SPINCOUNT", "20000")
     from surrofe2.config import load_recipe
 
     study = load_recipe(recipe)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,10 +15,10 @@ from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.list_assembly import Lists
 from surrofe2.tissue.neighbour_lists import Lister
 from surrofe2.tissue.stored_energy import stored_energy
+from surrofe2.tissue.threads import ThreadChoice
 
 Array = NDArray[np.float64]
 
-TILES_PER_THREAD = 4
 _REST = np.zeros((2, 2))
 
 
@@ -54,6 +51,7 @@ class Motion:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
         self._lister = Lister(tissue, skin)
+        self._threads = ThreadChoice(tissue.tiles)
         self.free_mass = tissue.mass.reshape(-1)[tissue.where]
         if held is not None:
             self.free_mass[held] = 0.0
@@ -118,7 +116,7 @@ class Motion:
         body = self._body._replace(keep=keep)
         done, renewed = 0, False
         while done < len(kicks):
-            with _threads_for(self.tissue.tiles):
+            with self._threads.set_for(len(kicks) - done):
                 taken = leap(
                     self._x, self._v, self._f, self._lists, self._lister.grid, self._fluid, c,
                     self._periods, body, self._watch, kicks[done:], drifts[done:],
@@ -203,17 +201,6 @@ class Motion:
             self._listed, np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE)),
             np.zeros((tiles, TILE)),
         )  # fmt: skip
-
-
-@contextmanager
-def _threads_for(tiles: int) -> Iterator[None]:
-    """No more threads than have work enough to be worth waiting for each other."""
-    allowed = numba.get_num_threads()
-    numba.set_num_threads(max(1, min(allowed, tiles // TILES_PER_THREAD)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(allowed)
 
 
 def _per_mass(tissue: Tissue, free_mass: Array) -> Array:
