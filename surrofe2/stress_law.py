@@ -28,6 +28,7 @@ class Status(IntEnum):
     OUT_OF_RANGE = 3
     NOT_FINITE = 4
     LIST_TOO_SHORT = 5
+    NOT_TRUSTED = 6
 
 
 _SENTENCES = {
@@ -41,6 +42,8 @@ _SENTENCES = {
     Status.NOT_FINITE: "the stress came out as NaN or infinite",
     Status.LIST_TOO_SHORT: "particles moved farther than the pair list covers; the deformation is "
     "beyond the supported range",
+    Status.NOT_TRUSTED: "the bound of the surrogate's error exceeds the stress tolerance; use the "
+    "cached law, raise the tolerance or train on more data",
 }
 
 

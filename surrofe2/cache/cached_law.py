@@ -67,7 +67,7 @@ class CachedLaw:
         """Stress at n points; a point that neither part can answer has the fallback's status."""
         if not (_is_ready(F) and _is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
-        stress, status = self.surrogate.lookup(F, F_dot)
+        stress, status, _ = self.surrogate.lookup(F, F_dot)
         missed = status.nonzero()[0]
         if not len(missed):
             effort = {**_NO_EFFORT, "hits": len(status)}

@@ -28,11 +28,13 @@ class Surrogate(Protocol):
     def density(self) -> float:
         """Mass per reference area, ng/µm²."""
 
-    def lookup(self, F: Array, F_dot: Array) -> tuple[Array, NDArray[np.int8]]:
-        """(stress (n, 2, 2) in µN/µm, status (n,)) in one pass.
+    def lookup(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[Array, NDArray[np.int8], Array]:
+        """(stress (n, 2, 2), status (n,), bound (n,) of its error) in one pass, µN/µm.
 
         Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
-        det F > 0 and the answer is one to be used.
+        det F > 0, the point is in range and the bound is at most `tolerance`.
         """
 
 

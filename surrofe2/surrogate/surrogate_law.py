@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains
-from surrofe2.stress_law import Acceptance, StressResponse, check_deformation
+from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
 from surrofe2.surrogate.compiled import evaluate, response_at_rest
 from surrofe2.surrogate.components import rotate_back, to_inputs
 from surrofe2.surrogate.network import StressNetwork
@@ -90,7 +90,7 @@ class SurrogateLaw:
     def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
         """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data."""
         F, F_dot = check_deformation(F, F_dot)
-        stress, status = self.lookup(F, F_dot)
+        stress, status, _ = self.lookup(F, F_dot)
         return StressResponse(stress, status, state, {"surrogate_points": len(F)})
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
@@ -101,12 +101,22 @@ class SurrogateLaw:
         """(n,) whether U and RᵀḞ are within the range of the data; False where not a number."""
         return contains(self.range, F, F_dot)
 
-    def lookup(self, F: Array, F_dot: Array) -> tuple[Array, NDArray[np.int8]]:
-        """(stress (n, 2, 2), status (n,)) in one compiled pass, without checking the input.
+    def lookup(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[Array, NDArray[np.int8], Array]:
+        """(stress (n, 2, 2), status (n,), bound (n,)) in one compiled pass; input is not checked.
+
+        The bound of the error in µN/µm is infinite where none is known, and then no finite
+        tolerance accepts the stress.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        return evaluate(F, F_dot, self._weights)
+        stress, status = evaluate(F, F_dot, self._weights)
+        bound = np.full(len(F), np.inf)
+        if tolerance < np.inf:
+            status[status == 0] = Status.NOT_TRUSTED
+            stress[:] = np.nan
+        return stress, status, bound
 
     def reference(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""
