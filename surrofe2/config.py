@@ -34,10 +34,14 @@ _STRICT = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleSettings:
-    """How many samples of the range, by which seed of the low-discrepancy sequence."""
+    """How many samples of the range, by which seed of the low-discrepancy sequence.
+
+    `tangents`: whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress.
+    """
 
     count: int = 16384
     seed: int = 1
+    tangents: bool = False
 
     def __post_init__(self) -> None:
         if self.count < 1:
