@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.sampling import StressSamples
 from surrofe2.surrogate.components import input_scale, to_components, to_inputs
+from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.network import (
     COVARIANTS,
@@ -87,6 +88,7 @@ def train(
         errors={},
         data_fingerprint=samples.fingerprint,
         rest_length=samples.rest_length,
+        domain=fit_domain(samples),
     )
     return replace(law, errors=measure_errors(law, _subset(valid, held_out)))
 
