@@ -107,7 +107,7 @@ def _ask(paths: Paths, law: StressLaw, progress: Callable[[int], None]) -> Truth
     return Truth(paths, *true_stress(paths, law, progress))
 
 
-def summary(surrogate: SurrogateLaw) -> str:
+def summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
     """What the calibration found, in a line."""
     import numpy as np
 
@@ -117,4 +117,12 @@ def summary(surrogate: SurrogateLaw) -> str:
             "bound: none, because the RVE has no stress on too many paths within the domain; "
             "narrow [range] or generate more samples"
         )
-    return ""
+    at_rest = surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0]
+    everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
+    edge = everywhere[np.isfinite(everywhere)].max(initial=at_rest)
+    centre, edge = (100.0 * bound / calibration.stress_spread for bound in (at_rest, edge))
+    paths = sum(kind["paths"] for kind in calibration.kinds.values())
+    return (
+        f"bound: {centre:.2g} % of the spread of stress at the centre, {edge:.2g} % at the edge, "
+        f"{paths} paths, nominal share {100.0 * calibration.share:g} %"
+    )

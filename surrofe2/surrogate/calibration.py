@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, SimulationError
 from surrofe2.paths import Paths
 from surrofe2.sampling import SamplingRange, StressSamples
 from surrofe2.stress_error import stress_error, stress_spread
@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 
 _LEAST_SCALE = 1e-2  # of the largest error: s never is below this
 _EXACT = 1e-13  # of the spread: errors below are rounding
+_MOST_ADDED = 300  # states that bind the local scale, in one round
+_SLACK = 1e-6  # of the largest error
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +200,6 @@ def _fit_scale(law: SurrogateLaw, shaping: Sequence[Truth], spread: float) -> Ar
 
     A linear program: minimise mean s subject to s ≥ error at every state, coefficients ≥ 0.
     """
-    from scipy.optimize import linprog  # here, because it takes long to import
-
     table = scale_table()
     bases, errors = [], []
     for truth in shaping:
@@ -215,11 +215,26 @@ def _fit_scale(law: SurrogateLaw, shaping: Sequence[Truth], spread: float) -> Ar
         return floor
     cost = sum(basis.mean(axis=0) for basis in bases if len(basis))
     basis, error = np.concatenate(bases), np.concatenate(errors) / largest
-    found = linprog(
-        cost,
-        A_ub=-basis,
-        b_ub=-error,
-        bounds=[(floor[0] / largest, None), *[(0.0, None)] * (len(table) - 1)],
-        method="highs",
-    )
-    return floor if found.x is None else largest * np.maximum(found.x, 0.0)
+    return largest * _smallest_cover(cost, basis, error, floor / largest)
+
+
+def _smallest_cover(cost: Array, basis: Array, error: Array, least: Array) -> Array:
+    """c ≥ least (k,) of smallest cost·c with basis (n, k) c ≥ error (n,).
+
+    Only few states bind, so those that the solution violates most are added until none is left.
+    """
+    from scipy.optimize import linprog  # here, because it takes long to import
+
+    kept = np.argsort(error)[-_MOST_ADDED:]
+    while True:
+        bounds = [(low, None) for low in least]
+        found = linprog(cost, -basis[kept], -error[kept], bounds=bounds, method="highs")
+        if found.x is None:  # never so: basis[:, 0] is 1
+            raise SimulationError(f"calibration: no local scale: {found.message}")
+        coefficients = np.maximum(found.x, least)
+        lacking = error - basis @ coefficients
+        worst = np.argsort(lacking)[-_MOST_ADDED:]
+        worst = worst[lacking[worst] > _SLACK]
+        if not len(np.setdiff1d(worst, kept)):
+            return coefficients
+        kept = np.union1d(kept, worst)
