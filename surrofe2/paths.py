@@ -53,9 +53,7 @@ class Paths:
                 "be (length, n, 2, 2)"
             )
         if np.shape(self.owner) != shape[1:2]:
-            raise InputError(
-                f"paths.owner: shape {np.shape(self.owner)}; it must be ({shape[1]},)"
-            )
+            raise InputError(f"paths.owner: shape {np.shape(self.owner)}; it must be ({shape[1]},)")
 
     @property
     def count(self) -> int:
@@ -130,11 +128,9 @@ def random_loads(load: LoadCase, count: int, seed: int) -> list[LoadCase]:
     for _ in np.arange(count):
         angle, factor = rng.uniform(-np.pi, np.pi), rng.uniform(*_LOAD_FACTOR)
         force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
-        amplitude = tuple(zip(times.tolist(), rng.uniform(-1.0, 1.0, len(times)).tolist()))
+        amplitude = tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist())
         loads.append(
-            replace(
-                load, body_force=tuple(force.tolist()), amplitude=amplitude, duration=duration
-            )
+            replace(load, body_force=tuple(force.tolist()), amplitude=amplitude, duration=duration)
         )
     return loads
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,15 +11,16 @@ from surrofe2.errors import SimulationError
 
 if TYPE_CHECKING:
     from surrofe2.config import Recipe
+    from surrofe2.load_case import LoadCase
     from surrofe2.macro import MacroSettings
-    from surrofe2.paths import Paths
+    from surrofe2.paths import Paths, State
     from surrofe2.sampling import StressSamples
     from surrofe2.stress_law import StressLaw
     from surrofe2.surrogate import SurrogateLaw
     from surrofe2.surrogate.calibration import Truth
 
 _MOST_ELEMENTS = 4  # of the bar's elements in each direction, in runs that make paths
-_SHAPING = 0.5  # paths that shape the local scale, for each that calibrates it
+_SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
 
 Report = Callable[[float, str], None]
 
@@ -49,9 +51,9 @@ def calibrate_surrogate(
         done += len(truth.status)
         return truth
 
-    truths = [[asked(paths) for paths in part] for part in (shaping, testing)]
+    shapes, tests = ([asked(paths) for paths in part] for part in (shaping, testing))
     settings = recipe.calibration
-    return calibrate(surrogate, samples, *truths, settings.share, settings.to_dict())
+    return calibrate(surrogate, samples, shapes, tests, settings.share, settings.to_dict())
 
 
 def _make_paths(
@@ -72,10 +74,10 @@ def _make_paths(
     if states:
         yield random_states(recipe.range, states, seeds[1])
     if runs:
-        mesh = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
+        along, across = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
         macro = replace(
             recipe.macro,
-            elements=tuple(mesh),
+            elements=(along, across),
             integrator="explicit",
             frames=2,
             record_dissipation=False,
@@ -84,19 +86,17 @@ def _make_paths(
         for k, load in enumerate(random_loads(recipe.load, runs, seeds[2])):
             report(0.0, f"run {k + 1} of {runs}")
             met.append(_states_met(load, surrogate, macro))
-        yield run_paths(met, (settings.length + 1) // 2)
+        yield run_paths(met, -(-settings.length // 3))
 
 
-def _states_met(load, surrogate: StressLaw, macro: MacroSettings):  # type: ignore[no-untyped-def]
-    """(F, F_dot) of all points at the steps of a run on the surrogate, until it leaves its range."""
+def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> list[State]:
+    """(F, F_dot) of all points at the steps of a run on the surrogate, while it is in range."""
     from surrofe2.macro import simulate
     from surrofe2.paths import WatchedLaw
 
     watched = WatchedLaw(surrogate)
-    try:
+    with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
         simulate(load, watched, macro)
-    except SimulationError:
-        pass  # a load beyond the surrogate's range: the path ends there
     return watched.met
 
 

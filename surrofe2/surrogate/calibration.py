@@ -125,7 +125,7 @@ def calibrate(
     domain = fit_domain(samples, _failures(shaping))
     law = replace(law, domain=domain, calibration=None)
     spread = stress_spread(samples.valid.stress)
-    scale = _fit_scale(law, shaping, spread)
+    scale = _fit_scale(law, domain.scale, shaping, spread)
     kinds = {}
     for truth in testing:
         error, inside = errors_along(law, truth)
@@ -195,7 +195,9 @@ def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
     return (F, F_dot) if len(F) else None
 
 
-def _fit_scale(law: SurrogateLaw, shaping: Sequence[Truth], spread: float) -> Array:
+def _fit_scale(
+    law: SurrogateLaw, input_scale: Array, shaping: Sequence[Truth], spread: float
+) -> Array:
     """Coefficients of the smallest scale, in the mean over all kinds, that covers all errors.
 
     A linear program: minimise mean s subject to s ≥ error at every state, coefficients ≥ 0.
@@ -205,7 +207,7 @@ def _fit_scale(law: SurrogateLaw, shaping: Sequence[Truth], spread: float) -> Ar
     for truth in shaping:
         error, inside = errors_along(law, truth)
         kept = inside & np.isfinite(error)
-        x = scaled_inputs(*truth.paths.states, law.domain.scale)[kept]
+        x = scaled_inputs(*truth.paths.states, input_scale)[kept]
         bases.append(products(even_rows(x), table))
         errors.append(error[kept])
     largest = max((error.max(initial=0.0) for error in errors), default=0.0)

@@ -14,13 +14,13 @@ _LEAST = {"walks": 0, "states": 0, "runs": 0, "length": 1, "seed": 0}
 class CalibrationSettings:
     """Number and kind of the paths along which the true stress is asked.
 
-    Half as many again of each kind shape the local scale, which the others then calibrate.
+    A third as many again of each kind shape the local scale, which the others then calibrate.
 
     Attributes:
         walks: random walks in the sampling range.
         states: single random states of it.
         runs: short runs of the recipe's bar under random loads; all points of a run are one path.
-        length: states taken along a walk; along a run half as many.
+        length: states taken along a walk; along a run a third as many.
         share: of new paths on which the bound may break, the nominal share; each kind that is
             used needs at least 1/share − 1 paths.
         seed: of the paths.

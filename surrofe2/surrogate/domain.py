@@ -28,9 +28,9 @@ from surrofe2.surrogate.trust_features import (
     cliff_table,
     feature_scale,
     has_square_symmetry,
+    products,
     scaled_inputs,
     sum_of_products,
-    products,
     with_one,
 )
 
@@ -75,7 +75,7 @@ class Domain:
         reach = _reach(features(x, self.square), self.pairs, self.signs)
         inside: Bools = (reach <= self.limits).all(axis=1)
         if len(self.cliff):
-            inside &= cliff_height(x, self.square, self.cliff) <= 0.0
+            inside = inside & (cliff_height(x, self.square, self.cliff) <= 0.0)
         return inside
 
     def to_dict(self) -> dict[str, Any]:

@@ -57,9 +57,7 @@ def pack_trust(domain: Domain | None, calibration: Calibration | None) -> Trust:
         used = calibration.scale > 0.0
         bound_table = scale_table()[used]
         bound = calibration.quantile * calibration.scale[used]
-    return Trust(
-        factor, np.array([int(square)]), pairs, faces, table, cliff, bound_table, bound
-    )
+    return Trust(factor, np.array([int(square)]), pairs, faces, table, cliff, bound_table, bound)
 
 
 EVERYWHERE_UNKNOWN = pack_trust(None, None)
