@@ -8,14 +8,14 @@ leaves slow modes as they are and damps fast ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Solved
-from surrofe2.macro.right_hand_side import Evaluation, RightHandSide, TrialError
+from surrofe2.macro.right_hand_side import Evaluation, MovedError, RightHandSide, TrialError
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangent_assembly import require_tangents
 from surrofe2.macro.time_integration import MAX_HALVINGS
@@ -104,9 +104,9 @@ class ImplicitStepper:
         )
         u, v = y.reshape(2, -1, 2)
         self.start = right_hand_side.evaluate(t, u, v)
-        right_hand_side.accept()
-        a = self._method.acceleration(self.start)
-        self._standing = _Standing(self.start, a, 1.0, _rate(self.start, a))
+        start = right_hand_side.accept()
+        a = self._method.acceleration(start)
+        self._standing = _Standing(start, a, 1.0, _rate(start, a))
         self._h = first_step or self._first_step(a)
 
     @property
@@ -115,7 +115,10 @@ class ImplicitStepper:
         return self._h
 
     def advance(self) -> ImplicitStep:
-        """The next accepted step; failed trials halve it, ten times at most."""
+        """The next accepted step; failed trials halve it, ten times at most.
+
+        A trial in which points left their branch of the law is repeated at its length.
+        """
         counts = self._right_hand_side.tally.counts
         halvings, grow = 0, _GROW
         while True:
@@ -127,10 +130,9 @@ class ImplicitStepper:
                     "below rounding; loosen the tolerances"
                 )
             try:
-                solved = self._try(h)
+                solved = self._try_on_one_branch(h)
                 error = self._error(solved, h)
-                if error <= 1.0:
-                    self._right_hand_side.accept()
+                start = self._right_hand_side.accept() if error <= 1.0 else solved.now
             except TrialError:
                 counts["failed_trials"] += 1
                 if halvings == MAX_HALVINGS:
@@ -146,7 +148,7 @@ class ImplicitStepper:
             wanted = h * min(grow, max(_SHRINK, factor))
             # A step cut short to meet the end says nothing against the longer one.
             self._h = min(self._settings.largest_step, max(wanted, self._h if last else 0.0))
-            return self._commit(solved, h, last)
+            return self._commit(solved, start, h, last)
 
     def _length(self) -> tuple[float, bool]:
         """Length to try, and whether it is cut to end at t_end."""
@@ -155,6 +157,16 @@ class ImplicitStepper:
         if h * (1.0 + 1e-9) >= left:
             return left, True
         return (0.5 * left, False) if 2.0 * h > left else (h, False)
+
+    def _try_on_one_branch(self, h: float) -> Solved:
+        """`_try`, begun anew as long as points leave their branch of the law."""
+        while True:
+            try:
+                return self._try(h)
+            except MovedError as found:
+                now = self._right_hand_side.begin_anew(found.moved)
+                rate = _rate(now, self._method.acceleration(now))
+                self._standing = replace(self._standing, now=now, rate=rate)
 
     def _try(self, h: float) -> Solved:
         at = self._standing
@@ -181,10 +193,12 @@ class ImplicitStepper:
         ]
         return float(np.sqrt(np.mean((np.concatenate(filtered) / scale) ** 2)))
 
-    def _commit(self, solved: Solved, h: float, last: bool) -> ImplicitStep:
+    def _commit(self, solved: Solved, start: Evaluation, h: float, last: bool) -> ImplicitStep:
+        """Stand at `start`, the end of the step as the law answers there from now on."""
         at, now = self._standing, solved.now
         rate = _rate(now, self._method.acceleration(now))
-        self._standing = _Standing(now, solved.a, h, rate, at.rate)
+        begin = rate if start is now else _rate(start, self._method.acceleration(start))
+        self._standing = _Standing(start, solved.a, h, begin, at.rate)
         return ImplicitStep(
             t_old=at.now.t,
             t=self._t_end if last else now.t,

@@ -12,7 +12,13 @@ from scipy.sparse import csc_matrix
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.mesh import Bar, make_bar
-from surrofe2.macro.right_hand_side import Evaluation, RightHandSide, Tally, TrialError
+from surrofe2.macro.right_hand_side import (
+    Evaluation,
+    MovedError,
+    RightHandSide,
+    Tally,
+    TrialError,
+)
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangent_assembly import (
     Pattern,
@@ -135,7 +141,25 @@ def _rest_of(
     settings: MacroSettings,
     path: Array,
 ) -> Rest:
-    """The equilibrium at `factor` by Newton from u; the law commits it."""
+    """The equilibrium at `factor` by Newton from u; the law commits it.
+
+    Newton begins anew as long as points leave their branch of the law.
+    """
+    while True:
+        try:
+            return _rest_on_one_branch(rhs, pattern, factor, u, settings, path)
+        except MovedError as found:
+            rhs.begin_anew(found.moved)
+
+
+def _rest_on_one_branch(
+    rhs: RightHandSide,
+    pattern: Pattern,
+    factor: float,
+    u: Array,
+    settings: MacroSettings,
+    path: Array,
+) -> Rest:
     now = rhs.evaluate(factor, u, np.zeros_like(u), tangents=True)
     residuals = [_relative_residual(rhs.bar, now)]
     while residuals[-1] > settings.newton_tolerance:

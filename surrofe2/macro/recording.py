@@ -24,6 +24,7 @@ COUNTS = (
     "steps",
     "rejected_steps",
     "failed_trials",
+    "repeated_steps",
     "right_hand_sides",
     "factorisations",
     "stress_calls",
