@@ -143,9 +143,7 @@ class RveLaw:
         stable = np.empty((len(tired), TILE), dtype=np.bool_)
         topology, constants = self._covering_topology(state), self.unit_cell.constants
         if self.initialisation == "slow-manifold":
-            renew_slow(
-                state.F, state.relaxed, factors.address, tired, topology, constants, stable
-            )
+            renew_slow(state.F, state.relaxed, factors.address, tired, topology, constants, stable)
         else:
             rate = felt_rate(self.initialisation, state.F_dot)
             renew(state.F, rate, state.z, factors, tired, topology, constants, stable)
