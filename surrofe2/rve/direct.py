@@ -246,10 +246,10 @@ def _limit(step):
         longest = 0.0
         for i in range(step.shape[0]):
             longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest == np.inf:
-            step[:, k] = 0.0
-        elif longest > LONGEST_STEP:
-            step[:, k] *= LONGEST_STEP / longest
+        if longest > LONGEST_STEP:
+            factor = LONGEST_STEP / longest
+            for i in range(step.shape[0]):
+                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
 
 
 @kernel
