@@ -18,7 +18,7 @@ from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Solved
 from surrofe2.macro.right_hand_side import Evaluation, MovedError, RightHandSide, TrialError
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangent_assembly import require_tangents
-from surrofe2.macro.time_integration import MAX_HALVINGS
+from surrofe2.macro.time_integration import MAX_HALVINGS, NO_MEMORY
 
 Array = NDArray[np.float64]
 
@@ -35,6 +35,7 @@ class ImplicitStep:
         rates: (2, 4 n_free) [v, ü] at both ends.
         y_old: (4 n_free,) state at t_old.
         end_powers: (2, 2) internal and load power at both ends.
+        memory: see `ImplicitStepper.memory`.
         residuals: of Newton, see `generalised_alpha.Solved`.
     """
 
@@ -47,6 +48,7 @@ class ImplicitStep:
     rates: Array
     end_powers: Array
     residuals: tuple[float, ...]
+    memory: Array
 
     def interpolate(self, t: float) -> Array:
         """(4 n_free,) y within the step: the cubic with the values and rates of both ends."""
@@ -82,6 +84,23 @@ class _Standing:
     rate: Array
     rate_old: Array | None = None
 
+    @property
+    def memory(self) -> Array:
+        """What cannot be computed from `now`, as one array."""
+        old = NO_MEMORY if self.rate_old is None else self.rate_old
+        return np.concatenate([[self.h], self.a.ravel(), old])
+
+    def remembering(self, memory: Array) -> _Standing:
+        """The same place with the past that `memory` was taken of."""
+        size = self.a.size
+        old = memory[1 + size :]
+        return replace(
+            self,
+            h=float(memory[0]),
+            a=memory[1 : 1 + size].reshape(self.a.shape),
+            rate_old=old if old.size else None,
+        )
+
 
 class ImplicitStepper:
     """Accepted steps, one after another, from (t, y) to t_end; takes the place of `Stepper`."""
@@ -94,6 +113,7 @@ class ImplicitStepper:
         t_end: float,
         settings: MacroSettings,
         first_step: float | None = None,
+        memory: Array | None = None,
     ) -> None:
         require_tangents(right_hand_side.law, "integrator implicit")
         self._right_hand_side = right_hand_side
@@ -107,12 +127,20 @@ class ImplicitStepper:
         start = right_hand_side.accept()
         a = self._method.acceleration(start)
         self._standing = _Standing(start, a, 1.0, _rate(start, a))
+        if memory is not None:
+            self._standing = self._standing.remembering(memory)
         self._h = first_step or self._first_step(a)
 
     @property
     def next_step(self) -> float:
         """Length proposed for the next step, µs."""
         return self._h
+
+    @property
+    def memory(self) -> Array:
+        """(1 + 2 n_free,) or, after the first step, (1 + 6 n_free,): length of the last step in
+        µs, algorithmic acceleration, [v, ü] a step before. With y all that the method needs."""
+        return self._standing.memory
 
     def advance(self) -> ImplicitStep:
         """The next accepted step; failed trials halve it, ten times at most.
@@ -209,6 +237,7 @@ class ImplicitStepper:
             rates=np.stack([at.rate, rate]),
             end_powers=np.stack([at.now.powers, now.powers]),
             residuals=solved.residuals,
+            memory=self.memory,
         )
 
     def _first_step(self, a: Array) -> float:

@@ -28,6 +28,7 @@ from surrofe2.macro.settings import MacroSettings
 Array = NDArray[np.float64]
 
 MAX_HALVINGS = 10
+NO_MEMORY: Array = np.empty(0)
 
 # Where in the step the evaluations of one trial lie: stages 2 to 6, then the end point.
 _TIME_FRACTIONS = (*RK45.C[1:], 1.0)
@@ -46,6 +47,8 @@ class AcceptedStep(Protocol):
     def next_step(self) -> float: ...  # noqa: D102
     @property
     def evaluation(self) -> Evaluation: ...  # noqa: D102
+    @property
+    def memory(self) -> Array: ...  # noqa: D102
     @property
     def interpolate(self) -> Callable[[float], Array]: ...  # noqa: D102
     def work(self, t: float) -> Array: ...  # noqa: D102
@@ -71,6 +74,11 @@ class Step:
     interpolate: Callable[[float], Array]
     evaluation: Evaluation
     stage_powers: Array
+
+    @property
+    def memory(self) -> Array:
+        """Nothing: the method starts anew from y at each step."""
+        return NO_MEMORY
 
     def work(self, t: float) -> Array:
         """(2,) internal and load work from t_old to t, pJ.
@@ -109,6 +117,11 @@ class Stepper:
     def next_step(self) -> float:
         """Length proposed for the next step, µs."""
         return float(self._solver.h_abs)
+
+    @property
+    def memory(self) -> Array:
+        """See `Step.memory`."""
+        return NO_MEMORY
 
     def advance(self) -> Step:
         """The next accepted step.
