@@ -73,9 +73,9 @@ class Domain:
     def holds(self, x: Array) -> Bools:
         """The same for scaled inputs (n, 7)."""
         reach = _reach(features(x, self.square), self.pairs, self.signs)
-        inside: Bools = (reach <= self.limits).all(axis=1)
+        inside: Bools = np.asarray((reach <= self.limits).all(axis=1))
         if len(self.cliff):
-            inside = inside & (cliff_height(x, self.square, self.cliff) <= 0.0)
+            inside &= cliff_height(x, self.square, self.cliff) <= 0.0
         return inside
 
     def to_dict(self) -> dict[str, Any]:
