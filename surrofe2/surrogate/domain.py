@@ -9,7 +9,7 @@ Not a box around the samples but what they reach, in the scaled inputs of `trust
   of the inputs to degree 4 (logistic regression of failure), moved in until every failed sample
   is outside, and further by what failures it had not seen fell short in cross-validation.
 
-So every failed sample is outside. What lies between valid samples is taken to be valid.
+So every failed sample is outside, and few failures that are not among the samples are inside. What lies between valid samples is taken to be valid.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ _SUMS = (0, 3)
 _COUPLED = ((1, 4), (2, 5))
 FEATURES = INPUTS + len(_COUPLED)
 _FOLDS = 5
+_MARGIN = 0.5  # of the logarithm of the odds of failure, on top of what cross-validation wants
 _RIDGE = 1e-4
 _NEWTON_STEPS = 30
 
@@ -175,7 +176,7 @@ def _fit_cliff(good: Array, bad: Array, square: bool) -> Array:
         edge = (basis_bad[~unseen] @ others).min()
         shortfall = max(shortfall, edge - (basis_bad[unseen] @ others).min())
     edge = (basis_bad @ coefficients).min()
-    margin = max(shortfall, SLACK * (1.0 + abs(edge)))
+    margin = shortfall + _MARGIN
     coefficients[0] -= edge - margin
     return coefficients
 
