@@ -16,9 +16,8 @@ _REASONS = {
 
 def effort_of(count: int, why: NDArray[np.int8]) -> dict[str, int]:
     """Of `count` points, hits and fallbacks, the latter also by the surrogate's reason (k,)."""
-    by_reason = {
-        f"fallbacks_{name}": int(np.count_nonzero(why == code)) for code, name in _REASONS.items()
-    }
+    counts = np.bincount(why, minlength=len(Status)).tolist()
+    by_reason = {f"fallbacks_{name}": counts[code] for code, name in _REASONS.items()}
     return {"hits": count - len(why), "fallbacks": len(why), **by_reason}
 
 

@@ -8,7 +8,7 @@ leaves slow modes as they are and damps fast ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,14 @@ class _Standing:
             rate_old=old if old.size else None,
         )
 
+    def on_another_branch(self, now: Evaluation, rate: Array) -> _Standing:
+        """The same place where the law answers otherwise: what was known moves by the jump, so
+        that neither the error nor the first guess of the next step takes it for a motion."""
+        jump = rate - self.rate
+        a = self.a + jump.reshape(2, -1, 2)[1]
+        rate_old = None if self.rate_old is None else self.rate_old + jump
+        return _Standing(now, a, self.h, rate, rate_old)
+
 
 class ImplicitStepper:
     """Accepted steps, one after another, from (t, y) to t_end; takes the place of `Stepper`."""
@@ -187,24 +195,35 @@ class ImplicitStepper:
         return (0.5 * left, False) if 2.0 * h > left else (h, False)
 
     def _try_on_one_branch(self, h: float) -> Solved:
-        """`_try`, begun anew as long as points leave their branch of the law."""
+        """A step of h, begun anew as long as points leave their branch of the law.
+
+        Newton goes on from where it found them.
+        """
+        guess = None
         while True:
+            at, a = self._standing, self._acceleration(h)
             try:
-                return self._try(h)
+                return self._method.solve(at.now, a, self._guess(a, h) if guess is None else guess, h)
             except MovedError as found:
                 now = self._right_hand_side.begin_anew(found.moved)
                 rate = _rate(now, self._method.acceleration(now))
-                self._standing = replace(self._standing, now=now, rate=rate)
+                self._standing = at.on_another_branch(now, rate)
+                guess = self._method.acceleration_to(found.u, now, self._acceleration(h), h)
 
-    def _try(self, h: float) -> Solved:
+    def _acceleration(self, h: float) -> Array:
+        """The algorithmic acceleration: its lag is that of the last step, bring it to this one's."""
         at = self._standing
-        # The lag of a is that of the step which made it: bring it to this step's.
         acceleration = at.rate.reshape(2, -1, 2)[1]
-        a = acceleration + h / at.h * (at.a - acceleration)
-        guess = a
-        if at.rate_old is not None:
-            guess = a + h / at.h * (acceleration - at.rate_old.reshape(2, -1, 2)[1])
-        return self._method.solve(at.now, a, guess, h)
+        a: Array = acceleration + h / at.h * (at.a - acceleration)
+        return a
+
+    def _guess(self, a: Array, h: float) -> Array:
+        """The same at the end of the step, carried on straight."""
+        at = self._standing
+        if at.rate_old is None:
+            return a
+        change = at.rate.reshape(2, -1, 2)[1] - at.rate_old.reshape(2, -1, 2)[1]
+        return np.asarray(a + h / at.h * change)
 
     def _error(self, solved: Solved, h: float) -> float:
         """Root mean square of the error of y relative to what is allowed."""
@@ -225,8 +244,10 @@ class ImplicitStepper:
         """Stand at `start`, the end of the step as the law answers there from now on."""
         at, now = self._standing, solved.now
         rate = _rate(now, self._method.acceleration(now))
-        begin = rate if start is now else _rate(start, self._method.acceleration(start))
-        self._standing = _Standing(start, solved.a, h, begin, at.rate)
+        self._standing = _Standing(now, solved.a, h, rate, at.rate)
+        if start is not now:
+            begin = _rate(start, self._method.acceleration(start))
+            self._standing = self._standing.on_another_branch(start, begin)
         return ImplicitStep(
             t_old=at.now.t,
             t=self._t_end if last else now.t,

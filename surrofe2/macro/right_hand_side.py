@@ -43,11 +43,14 @@ class TrialError(Exception):
 
 
 class MovedError(Exception):
-    """Points left their branch of the law within a step; it must be begun anew."""
+    """Points left their branch of the law within a step; it must be begun anew.
 
-    def __init__(self, t: float, moved: NDArray[np.int8]) -> None:
+    t, u: where they were found.
+    """
+
+    def __init__(self, t: float, u: Array, moved: NDArray[np.int8]) -> None:
         super().__init__(f"{np.count_nonzero(moved)} points changed their branch of the law")
-        self.t, self.moved = t, moved
+        self.t, self.u, self.moved = t, u, moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +147,8 @@ class RightHandSide:
             point = int(np.argmin(J > 0.0))
             self.fail(t, point, F, f"det F = {J[point]:.6g}; the element is inverted there")
         response = self._respond(t, F, F_dot, tangents)
+        if response.moved is not None:
+            raise MovedError(t, u, response.moved)
         internal = internal_force(self.bar, F, response.stress)
         load = self.amplitude_at(t) * self.bar.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
@@ -220,8 +225,6 @@ class RightHandSide:
         self.tally.counts["stress_calls"] += 1
         self.tally.counts["stress_points"] += len(F)
         self._check_status(t, F, response.status)
-        if response.moved is not None:
-            raise MovedError(t, response.moved)
         return response
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
