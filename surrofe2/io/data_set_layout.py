@@ -67,10 +67,10 @@ def create_file(path: Path, header: DataSetHeader) -> None:
     """Lay out an empty data set, whole or not at all."""
     with replacing(path) as partial, h5py.File(partial, "w") as file:
         for name, unit in _ARRAYS.items():
-            _lay_out(file, name, (header.count, 2, 2), np.float64).attrs["unit"] = unit
+            lay_out(file, name, (header.count, 2, 2), np.float64).attrs["unit"] = unit
         for name, unit in _TANGENT_UNITS.items() if header.tangents else ():
-            _lay_out(file, name, (header.count, *[2] * 4), np.float64).attrs["unit"] = unit
-        status = _lay_out(file, "status", (header.count,), np.int8)
+            lay_out(file, name, (header.count, *[2] * 4), np.float64).attrs["unit"] = unit
+        status = lay_out(file, "status", (header.count,), np.int8)
         status.attrs["meaning"] = json.dumps({int(code): describe(code) for code in Status})
         file["completed"] = np.int64(0)
         file.attrs.update(
@@ -93,7 +93,7 @@ def create_file(path: Path, header: DataSetHeader) -> None:
             file.attrs["rest_length"] = header.rest_length
 
 
-def _lay_out(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type) -> h5py.Dataset:
+def lay_out(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type) -> h5py.Dataset:
     """A contiguous array whose place in the file is fixed now, so a kill cannot move it."""
     plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -127,7 +127,7 @@ def samples_of(path: Path, file: h5py.File) -> StressSamples:
     try:
         given = [name for name in TANGENTS if name in file]
         arrays = {name: file[name][:] for name in (*_ARRAYS, "status", *given)}
-        interval = {k: _tuples(v) for k, v in json.loads(file.attrs["range"]).items()}
+        interval = {k: tuples_of(v) for k, v in json.loads(file.attrs["range"]).items()}
         return StressSamples(
             **arrays,
             cell=CellParameters(**json.loads(file.attrs["cell"])),
@@ -144,5 +144,6 @@ def _float_or_none(value: Any) -> float | None:
     return None if value is None else float(value)
 
 
-def _tuples(value: Any) -> Any:
+def tuples_of(value: Any) -> Any:
+    """A JSON list as the tuple it was."""
     return tuple(value) if isinstance(value, list) else value
