@@ -95,7 +95,9 @@ class Trust:
             self.switch_off(step, finding)
             return
         self.factor = factor
-        self._note(step, f"{finding}; its bound counts {factor:.3g} times from here on", "tightened")
+        self._note(
+            step, f"{finding}; its bound counts {factor:.3g} times from here on", "tightened"
+        )
 
     def _note(self, step: int, sentence: str, action: str) -> None:
         _log.warning("cache, step %d: %s", step, sentence)

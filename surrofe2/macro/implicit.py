@@ -8,7 +8,7 @@ leaves slow modes as they are and damps fast ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +203,9 @@ class ImplicitStepper:
         while True:
             at, a = self._standing, self._acceleration(h)
             try:
-                return self._method.solve(at.now, a, self._guess(a, h) if guess is None else guess, h)
+                return self._method.solve(
+                    at.now, a, self._guess(a, h) if guess is None else guess, h
+                )
             except MovedError as found:
                 now = self._right_hand_side.begin_anew(found.moved)
                 rate = _rate(now, self._method.acceleration(now))
@@ -211,7 +213,7 @@ class ImplicitStepper:
                 guess = self._method.acceleration_to(found.u, now, self._acceleration(h), h)
 
     def _acceleration(self, h: float) -> Array:
-        """The algorithmic acceleration: its lag is that of the last step, bring it to this one's."""
+        """The algorithmic acceleration, its lag brought from the last step's to this one's."""
         at = self._standing
         acceleration = at.rate.reshape(2, -1, 2)[1]
         a: Array = acceleration + h / at.h * (at.a - acceleration)

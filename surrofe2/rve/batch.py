@@ -186,7 +186,7 @@ class Batch:
         found = lost & (self.iterations > 0) & (self.status == Status.OK)
         np.copyto(self.state.relaxed, elastic, where=lost[:, None, None, :])
         np.copyto(self.state.z, elastic, where=lost[:, None, None, :])
-        stable, tiles = np.empty_like(lost), lost.any(axis=1)
+        stable, tiles = np.empty_like(lost), np.asarray(lost.any(axis=1))
         self.state = replace(self.state, factors=self.state.factors.renewed(tiles))
         renew_slow(
             self.F, self.state.relaxed, self.state.factors.address, tiles, topology,
@@ -213,7 +213,7 @@ class Batch:
     def _newton(self, topology: Topology, F: Array, rate: Array, z: Array) -> None:
         failed = self.iterations < 0
         self.newton_solves += int(failed.sum())
-        tiles = failed.any(axis=1)
+        tiles = np.asarray(failed.any(axis=1))
         factors, stable = self.state.factors.renewed(tiles), np.ones_like(failed)
         newton(
             F, rate, z, factors.address, np.where(tiles, SOLVE, SKIP).astype(np.int8), topology,

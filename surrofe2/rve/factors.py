@@ -97,7 +97,7 @@ class Factors:
 @intrinsic
 def _singles_at(typing: Any, address: Any) -> Any:
     """Pointer to the single-precision numbers at an address."""
-    pointer = types.CPointer(types.float32)
+    pointer = types.CPointer(types.float32)  # type: ignore[attr-defined]
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.inttoptr(args[0], ir.FloatType().as_pointer())

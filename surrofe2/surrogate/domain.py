@@ -9,7 +9,8 @@ Not a box around the samples but what they reach, in the scaled inputs of `trust
   of the inputs to degree 4 (logistic regression of failure), moved in until every failed sample
   is outside, and further by what failures it had not seen fell short in cross-validation.
 
-So every failed sample is outside, and few failures that are not among the samples are inside. What lies between valid samples is taken to be valid.
+So every failed sample is outside, and few failures that are not among the samples are inside.
+What lies between valid samples is taken to be valid.
 """
 
 from __future__ import annotations

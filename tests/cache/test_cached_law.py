@@ -11,6 +11,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.stress_law import Acceptance, Status, StressResponse
 from tests.cache.fakes import CELL, ZERO, Surrogate, TrueLaw, exact, stretched
 
+
 @pytest.fixture
 def fallback():
     return TrueLaw()
