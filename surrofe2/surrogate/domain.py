@@ -45,6 +45,7 @@ _FOLDS = 5
 _MARGIN = 0.5  # of the logarithm of the odds of failure, on top of what cross-validation wants
 _RIDGE = 1e-4
 _NEWTON_STEPS = 30
+_CONVERGED = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -196,5 +197,8 @@ def _logistic(good: Array, bad: Array) -> Array:
         gradient = _RIDGE * coefficients - basis.T @ (weight * doubt * label)
         curvature = (basis * (weight * doubt * (1.0 - doubt))[:, None]).T @ basis
         curvature[np.diag_indices_from(curvature)] += _RIDGE
-        coefficients = coefficients - np.linalg.solve(curvature, gradient)
+        step = np.linalg.solve(curvature, gradient)
+        coefficients = coefficients - step
+        if np.abs(step).max() <= _CONVERGED * np.abs(coefficients).max():
+            break
     return coefficients

@@ -60,17 +60,16 @@ def test_failures_it_has_not_seen_are_outside_too():
     assert inside[~failed].mean() > 0.85
 
 
-@pytest.mark.parametrize("kept", [1, 3, 20])
-def test_a_few_failures_are_outside(kept):
-    samples = samples_that_fail(buckles)
-    failed = np.flatnonzero(samples.status)
-    status = samples.status.copy()
-    status[failed[kept:]] = 0
-    stress = np.where((status != 0)[:, None, None], np.nan, lattice_samples(4000).stress)
-    samples = replace(samples, status=status, stress=stress)
+@pytest.mark.parametrize("count", [1, 3, 20])
+def test_a_few_failures_are_outside(count):
+    """The most compressed samples of all fail."""
+    compressed = lattice_samples(4000)
+    lowest = to_inputs(compressed.F, compressed.F_dot)[0][:, 0]
+    samples = samples_that_fail(lambda x: x[:, 0] <= np.sort(lowest)[count - 1])
     inside = fit_domain(samples).contains(samples.F, samples.F_dot)
-    assert not inside[failed[:kept]].any()
-    assert inside[samples.status == 0].mean() > 0.5
+    assert (samples.status != 0).sum() == count
+    assert not inside[samples.status != 0].any()
+    assert inside[samples.status == 0].mean() > 0.7
 
 
 def test_failures_found_later_are_outside():
@@ -89,7 +88,7 @@ def test_it_is_no_box():
     """Data along a diagonal do not make the other diagonal known."""
     samples = lattice_samples(4000)
     x = to_inputs(samples.F, samples.F_dot)[0]
-    diagonal = np.abs(x[:, 0] - 10.0 * x[:, 3]) < 0.06
+    diagonal = np.abs(x[:, 0] - 8.0 * x[:, 3]) < 0.06
     narrow = replace(
         samples,
         **{k: getattr(samples, k)[diagonal] for k in ("F", "F_dot", "stress", "status")},
@@ -97,7 +96,7 @@ def test_it_is_no_box():
     domain = fit_domain(narrow)
     inside = domain.contains(samples.F, samples.F_dot)
     assert inside[diagonal].all()
-    far = np.abs(x[:, 0] - 10.0 * x[:, 3]) > 0.065
+    far = np.abs(x[:, 0] - 8.0 * x[:, 3]) > 0.061
     assert far.sum() > 500
     assert not inside[far].any()
     assert contains(RANGE, samples.F[far], samples.F_dot[far]).all()
@@ -120,7 +119,7 @@ def test_rotation_and_D4_make_no_difference(fails):
 
 def test_without_symmetry_only_rotation_is_used(monkeypatch):
     monkeypatch.setattr(domains, "has_square_symmetry", lambda cell: False)
-    samples = samples_that_fail(lambda x: (x[:, 2] > 0.05) | (x[:, 1] < -0.1))
+    samples = samples_that_fail(lambda x: (x[:, 2] > 0.05) | (x[:, 1] < -0.1), 1500)
     domain = fit_domain(samples)
     inside = domain.contains(samples.F, samples.F_dot)
     assert not domain.square
