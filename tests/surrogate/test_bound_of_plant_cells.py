@@ -32,14 +32,6 @@ FULL = [
     for how in ("constrained-runs", "slow-manifold")
 ]
 UNSTABLE = ("bending-bar-water", "constrained-runs", WIDE, *FULL[0][3:])
-    "bending-bar-water",
-    "constrained-runs",
-    WIDE,
-    16384,
-    500,
-    CalibrationSettings(),
-    20_000,
-)
 
 
 class Study:
@@ -152,6 +144,6 @@ def test_the_bar_is_accepted(study):
         assert recipe.range is WIDE  # the bar with `water` leaves a range that narrow in shear
         return
     F, F_dot = (np.concatenate([met[part] for met in watched.met[::4]]) for part in (0, 1))
-    error, bound, accepted = study.errors(F, F_dot, study.tolerance)
+    error, _, accepted = study.errors(F, F_dot, study.tolerance)
     assert accepted.mean() >= 0.99
     assert (error[accepted] <= study.tolerance).all()
