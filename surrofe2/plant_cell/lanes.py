@@ -87,12 +87,13 @@ def pack(values: NDArray[Any]) -> NDArray[Any]:
     n = len(values)
     count = tiles_for(n)
     index = np.minimum(np.arange(count * TILE), n - 1).reshape(count, TILE)
-    return np.ascontiguousarray(np.moveaxis(values[index], 1, -1))
+    tiles = values[index]
+    return np.ascontiguousarray(tiles.transpose(0, *range(2, tiles.ndim), 1))
 
 
 def unpack(tiles: NDArray[Any], points: int) -> NDArray[Any]:
     """(tiles, …, TILE) → (n, …); inverse of `pack`."""
-    lanes = np.moveaxis(tiles, -1, 1)
+    lanes = tiles.transpose(0, tiles.ndim - 1, *range(1, tiles.ndim - 1))
     return np.ascontiguousarray(lanes.reshape(-1, *lanes.shape[2:])[:points])
 
 

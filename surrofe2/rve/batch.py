@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.lanes import Topology, pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, stress_at
+from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
 from surrofe2.rve.micro_state import list_covers
 from surrofe2.rve.rve_state import RveState
 from surrofe2.rve.slow_manifold import follow, renew_slow
@@ -151,8 +151,8 @@ class Batch:
         if self.cold:
             self.iterations[:] = -1
         else:
-            chord(
-                self.F, self.rate, z, before.F, felt_rate(self.law.initialisation, before.F_dot),
+            solve_tiles(
+                chord, self.F, self.rate, z, before.F, felt_rate(self.law.initialisation, before.F_dot),
                 before.factors.address, topology, self.unit.constants, self.unit.area,
                 self.settings.tolerance, self.stress, self.iterations,
             )  # fmt: skip
@@ -215,10 +215,10 @@ class Batch:
         self.newton_solves += int(failed.sum())
         tiles = np.asarray(failed.any(axis=1))
         factors, stable = self.state.factors.renewed(tiles), np.ones_like(failed)
-        newton(
-            F, rate, z, factors.address, np.where(tiles, SOLVE, SKIP).astype(np.int8), topology,
-            self.unit.constants, self.unit.area, self.settings.tolerance, self.stress,
-            self.iterations, stable,
+        task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
+        solve_tiles(
+            newton, F, rate, z, factors.address, task, topology, self.unit.constants,
+            self.unit.area, self.settings.tolerance, self.stress, self.iterations, stable,
         )  # fmt: skip
         self.status[failed & ~stable] = Status.UNSTABLE
         self.state = replace(self.state, factors=factors)

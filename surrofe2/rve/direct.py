@@ -14,7 +14,7 @@ single precision (they only precondition; the residual is double), and the slope
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -79,16 +79,17 @@ def chord(F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stre
     iterations (tiles, TILE): force evaluations used, or −1 where the point did not converge.
     """
     for t in numba.prange(z.shape[0]):
-        _chord_tile(
+        chord_tile(
             F[t], rate[t], z[t], at_F[t], at_rate[t], factors[t], topology, c, area, tolerance,
             stress[t], iterations[t],
         )  # fmt: skip
 
 
 @kernel
-def _chord_tile(
+def chord_tile(
     F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stress, iterations
 ):
+    """`chord` for one tile, arrays without their first axis."""
     work, free = make_workspace(topology), 2 * topology.particles - 2
     lu, slopes = kept(factors, free)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
@@ -175,11 +176,19 @@ def newton(F, rate, z, factors, task, topology, c, area, tolerance, stress, iter
       definite.
     """
     for t in numba.prange(z.shape[0]):
-        if task[t] != SKIP:
-            _newton_tile(
-                F[t], rate[t], z[t], factors[t], task[t], topology, c, area, tolerance, stress[t],
-                iterations[t], stable[t],
-            )  # fmt: skip
+        newton_tile(
+            F[t], rate[t], z[t], factors[t], task[t], topology, c, area, tolerance, stress[t],
+            iterations[t], stable[t],
+        )  # fmt: skip
+
+
+def solve_tiles(kernel: Any, *arguments: Any) -> None:
+    """`chord` or `newton`; a single tile without threads, which take longer to start."""
+    if len(arguments[0]) > 1:
+        kernel(*arguments)
+    else:
+        one = chord_tile if kernel is chord else newton_tile
+        one(*(part[0] if isinstance(part, np.ndarray) else part for part in arguments))
 
 
 def renew(
@@ -189,13 +198,16 @@ def renew(
     """Check stability of every tile; write the factors of the `wanted` (tiles,) ones."""
     nothing = np.empty((len(z), 2, 2, TILE)), np.empty((len(z), TILE), dtype=np.int32)
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
-    newton(F, rate, z, factors.address, task, topology, c, 1.0, 0.0, *nothing, stable)
+    solve_tiles(newton, F, rate, z, factors.address, task, topology, c, 1.0, 0.0, *nothing, stable)
 
 
 @kernel
-def _newton_tile(
+def newton_tile(
     F, rate, z, factors, task, topology, c, area, tolerance, stress, iterations, stable
 ):
+    """`newton` for one tile, arrays without their first axis."""
+    if task == SKIP:
+        return
     work, matrices = make_workspace(topology), make_matrices(topology.particles)
     copy_particles(z, work.z)
     if task >= SOLVE:

@@ -1,0 +1,96 @@
+"""Kept factorisations: which state owns what, and that a state never changes once it is given."""
+
+import numpy as np
+import pytest
+
+from surrofe2.plant_cell.lanes import pack
+from surrofe2.plant_cell.simd import TILE
+from surrofe2.rve.factors import Factors
+from surrofe2.stress_law import Status
+from tests.rve.test_rve_law import PRESETS, deformations, law
+
+
+def numbered(points, rows=6):
+    """Factors whose every entry tells its point."""
+    tiles = pack(np.arange(points, dtype=np.float32))
+    return Factors.of([np.tile(lanes, (rows, 1)) for lanes in tiles])
+
+
+def points_of(factors, points):
+    lanes = [block[:, lane] for block in factors.blocks for lane in range(TILE)]
+    assert all((lane == lane[0]).all() for lane in lanes)
+    return [int(lane[0]) for lane in lanes[:points]]
+
+
+def test_points_can_be_taken_in_any_order_and_the_last_tile_is_filled_up():
+    index = np.array([18, 3, 3, 0, 11, 9, 10, 1, 17, 2])
+    part = numbered(19).take(index)
+    assert points_of(part, 2 * TILE) == [*index, *[2] * 6]
+
+
+def test_points_that_are_put_replace_their_own_lanes_in_new_blocks_and_others_are_shared():
+    whole, part = numbered(19), numbered(19).take(np.array([18, 17]))
+    put = whole.put(np.array([2, 0]), part)
+    assert points_of(put, 19) == [17, 1, 18, *range(3, 19)]
+    assert points_of(whole, 19) == list(range(19))
+    assert [a is b for a, b in zip(put.blocks, whole.blocks, strict=True)] == [False, True, True]
+    assert [put.blocks[k].ctypes.data for k in range(3)] == put.address.tolist()
+
+
+def test_only_wanted_tiles_are_renewed():
+    whole = numbered(19)
+    renewed = whole.renewed(np.array([False, True, False]))
+    assert [a is b for a, b in zip(renewed.blocks, whole.blocks, strict=True)] == [
+        True, False, True,
+    ]  # fmt: skip
+    assert [renewed.blocks[k].ctypes.data for k in range(3)] == renewed.address.tolist()
+
+
+def test_rves_at_rest_share_one_block():
+    state = law("printed").rest_state(20_480)
+    assert len({id(block) for block in state.factors.blocks}) == 1
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("initialisation", ["constrained-runs", "slow-manifold"])
+def test_an_old_state_answers_to_the_bit_as_it_did_before_accept_renewed_tiles(
+    preset, initialisation
+):
+    """Two of three tiles move so far that their factors tire; the third keeps its block."""
+    this = law(preset, initialisation)
+    F, F_dot = deformations(preset, n=3 * TILE, corners=False)
+    F = np.eye(2) + 0.3 * (F - np.eye(2))
+    old = this.respond(F, F_dot).state
+    moved = F.copy()
+    moved[: 2 * TILE] += {"printed": 0.1, "water": 0.3}[preset] * (F[: 2 * TILE] - np.eye(2))[::-1]
+    answer = this.respond(moved, F_dot, old)
+    assert (answer.status == Status.OK).all()
+    assert answer.effort["newton_solves"] == 0
+    new = this.accept(moved, F_dot, answer).state
+    shared = [a is b for a, b in zip(new.factors.blocks, old.factors.blocks, strict=True)]
+    assert shared == [False, False, True]
+    later = this.respond(moved * 1.001, F_dot, new)
+    assert (this.accept(moved * 1.001, F_dot, later).status == Status.OK).all()
+    for state in (old, answer.state):
+        first = this.respond(moved, F_dot, state)
+        again = this.respond(moved, F_dot, state)
+        np.testing.assert_array_equal(first.stress, again.stress)
+    np.testing.assert_array_equal(this.respond(moved, F_dot, old).stress, answer.stress)
+    # what was renewed serves better: fewer force evaluations from the same place
+    stale = this.respond(moved * 1.001, F_dot, answer.state)
+    assert later.effort["force_evaluations"] < stale.effort["force_evaluations"]
+    np.testing.assert_allclose(later.stress, stale.stress, rtol=0, atol=1e-8)
+
+
+def test_answers_with_new_factors_leave_the_old_ones_alone():
+    """A jump that only Newton can make: blocks of the state it starts from stay to the bit."""
+    this = law("printed")
+    F, F_dot = deformations("printed", n=TILE + 2)
+    start = this.respond(F, F_dot).state
+    blocks = [block.copy() for block in start.factors.blocks]
+    jumped = this.respond(F + 0.03, F_dot, start)
+    assert jumped.effort["newton_solves"] > 0
+    np.testing.assert_array_equal(start.factors.blocks, blocks)
+    assert any(
+        a is not b for a, b in zip(jumped.state.factors.blocks, start.factors.blocks, strict=True)
+    )
