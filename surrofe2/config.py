@@ -17,6 +17,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
+from surrofe2.cache.table_settings import TableSettings
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
@@ -66,8 +67,10 @@ class Recipe:
     load: LoadCase
     macro: MacroSettings
     tissue: TissueSettings
+    table: TableSettings
     data_file: str | None = None
     training_file: str | None = None
+    added_files: tuple[str, ...] = ()
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -76,6 +79,10 @@ class Recipe:
     def training_path(self) -> Path:
         """Where the trained surrogate lies."""
         return self._path_of("training", self.training_file, "trained surrogate (.pt)")
+
+    def added_paths(self) -> tuple[Path, ...]:
+        """Harvests that training takes in besides the data set."""
+        return tuple(Path(os.path.normpath(self.path.parent / name)) for name in self.added_files)
 
     def _path_of(self, section: str, file: str | None, what: str) -> Path:
         if file is None:
@@ -87,10 +94,14 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        names = ("rve", "range", "samples", "training", "calibration", "load", "macro", "tissue")
+        names = (
+            "rve", "range", "samples", "training", "calibration", "load", "macro", "tissue",
+            "table",
+        )  # fmt: skip
         sections = {name: asdict(getattr(self, name)) for name in names}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["samples"]["file"] = self.data_file
+        sections["samples"]["add"] = self.added_files
         sections["training"]["file"] = self.training_file
         plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
         return plainly
@@ -106,10 +117,11 @@ SECTIONS: dict[str, type] = {
     "load": LoadCase,
     "macro": MacroSettings,
     "tissue": TissueSettings,
+    "table": TableSettings,
 }
 _EXTRA_KEYS: dict[str, dict[str, Any]] = {
     "cell": {"preset": (str, "printed")},
-    "samples": {"file": (str, None)},
+    "samples": {"file": (str, None), "add": (tuple[str, ...], ())},
     "training": {"file": (str, None)},
 }
 
@@ -143,6 +155,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
     given = {name: _checked(name, table.get(name, {})) for name in SECTIONS}
     preset = given["cell"].pop("preset", "printed")
+    added = given["samples"].pop("add", ())
     files = {name: given[name].pop("file", None) for name in ("samples", "training")}
     return Recipe(
         path=path,
@@ -156,8 +169,10 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         load=_make(LoadCase, "load", given),
         macro=_make(MacroSettings, "macro", given),
         tissue=_make(TissueSettings, "tissue", given),
+        table=_make(TableSettings, "table", given),
         data_file=files["samples"],
         training_file=files["training"],
+        added_files=added,
     )
 
 

@@ -95,6 +95,39 @@ def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:
     return inside
 
 
+def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange:
+    """The least range that holds another one and these points, (n, 2, 2) each."""
+    if contains(range, F, F_dot).all():
+        return range
+    R_transposed = transpose(rotation(F))
+    U, A = R_transposed @ F, R_transposed @ F_dot
+    stretches = np.concatenate([U[:, 0, 0], U[:, 1, 1]])
+    low, high = range.stretch
+    return SamplingRange(
+        stretch=(min(low, float(stretches.min())), max(high, float(stretches.max()))),
+        shear=max(range.shear, float(np.abs(U[:, 0, 1]).max())),
+        rate=max(range.rate, float(np.abs(A).max())),
+    )
+
+
+def neighbours(
+    range: SamplingRange, F: Array, F_dot: Array, count: int, seed: int, distance: float = 0.1
+) -> tuple[Array, Array]:
+    """`count` points (F, F_dot) about the given ones, (n, 2, 2) each, n ≥ 1, taken in turn.
+
+    U and RᵀḞ of each are drawn evenly within `distance` times the half widths of the range from
+    those of its point; F is symmetric, as of `sample`.
+    """
+    random = np.random.default_rng(seed)
+    at = random.permutation(len(F))[np.arange(count) % len(F)]
+    R_transposed = transpose(rotation(F[at]))
+    low, high = range.stretch
+    half = distance * np.array([0.5 * (high - low)] * 2 + [range.shear] + [range.rate] * 4)
+    moved = half * random.uniform(-1.0, 1.0, (count, _INPUTS))
+    U = R_transposed @ F[at] + moved[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    return 0.5 * (U + transpose(U)), R_transposed @ F_dot[at] + moved[:, 3:].reshape(-1, 2, 2)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StressSamples:
     """Stress of one RVE at sampled deformations, and whose stress it is.

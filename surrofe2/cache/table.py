@@ -23,7 +23,7 @@ from surrofe2.cache.table_inputs import (
     to_components,
     to_inputs,
 )
-from surrofe2.cache.table_lookup import look_up
+from surrofe2.cache.table_lookup import MANY, look_up
 from surrofe2.cache.table_probing import probed_records
 from surrofe2.cache.table_records import Records, joined, no_records
 from surrofe2.cache.table_tree import make_tree
@@ -85,7 +85,7 @@ class StressTable:
         self.symmetry: str = getattr(law.cell, "symmetry", "D4")
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = input_scale(range)
-        self._keep(records if records is not None else no_records())
+        self.restore(records if records is not None else no_records())
 
     @property
     def cell(self) -> CellParameters:
@@ -123,7 +123,7 @@ class StressTable:
         F, F_dot: contiguous float64 (n, 2, 2).
         """
         return look_up(
-            F, F_dot, float(tolerance), self.tolerance, self._images, self._records, self._tree
+            F, F_dot, float(tolerance), self.tolerance, self.images, self._records, self._tree
         )
 
     def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
@@ -147,13 +147,13 @@ class StressTable:
         s = to_components(transpose(R) @ stress @ R)
         old = self._records
         records = old._replace(curvature=old.curvature.copy(), extent=old.extent.copy())
-        covered, counts = weigh(x, s, self.tolerance, self._images, records)
+        covered, counts = weigh(x, s, self.tolerance, self.images, records)
         left = np.flatnonzero(~covered)
         while len(left) and len(records.centre) < self.most_records:
             chosen = left[self._apart(x[left], records)][: self.most_records - len(records.centre)]
             new = self._solved(x[chosen], R[chosen], state, chosen)
             left = np.setdiff1d(left, chosen, assume_unique=True)
-            covered, more = weigh(x[left], s[left], self.tolerance, self._images, new)
+            covered, more = weigh(x[left], s[left], self.tolerance, self.images, new)
             left = left[~covered]
             records = joined(records, new)
             counts = {name: counts[name] + more[name] for name in counts}
@@ -161,13 +161,27 @@ class StressTable:
         for name, count in counts.items():
             self.counts[name] += count
         if any(counts.values()):
-            self._keep(records)
+            self.restore(records)
+
+    def warm_up(self) -> None:
+        """Compile everything by letting an empty table of the same law learn once."""
+        F = np.array([[[1.0, 1e-3], [0.0, 1.0]]])
+        probe = StressTable(self.law, self.tolerance, self.range, self.stress_spread)
+        answer = self.law.respond(F, 0.0 * F)
+        state = self.law.accept(F, 0.0 * F, answer).state
+        probe.learn(F, 0.0 * F, answer.stress, state)
+        probe.learn(1.001 * F, 0.0 * F, answer.stress, state)
+        probe.lookup(F, 0.0 * F)
+        many = np.repeat(F, MANY, axis=0)
+        probe.lookup(many, 0.0 * many)
 
     @property
-    def _images(self) -> int:
+    def images(self) -> int:
+        """How many images the symmetry of the cell makes of a state."""
         return 4 if self.symmetry == "D4" else 1
 
-    def _keep(self, records: Records) -> None:
+    def restore(self, records: Records) -> None:
+        """Know these records and no others."""
         self._records = records
         self._tree = make_tree(records.centre, records.half_width(self.tolerance))
 

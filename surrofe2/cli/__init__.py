@@ -17,9 +17,11 @@ from surrofe2.cli.generate import generate
 from surrofe2.cli.memory import memory
 from surrofe2.cli.modes import modes
 from surrofe2.cli.moduli import moduli
+from surrofe2.cli.refine import refine
 from surrofe2.cli.reproduce import reproduce
 from surrofe2.cli.rest import rest
 from surrofe2.cli.run import run
+from surrofe2.cli.table import table
 from surrofe2.cli.tissue import tissue
 from surrofe2.cli.train import train
 
@@ -36,6 +38,10 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
   the tissue by true FE²
 [bold]surrofe2 run RECIPE --law cached --out out/cached[/bold]
   the same through the surrogate, true where it does not hold
+[bold]surrofe2 run RECIPE --law table --out out/table[/bold]
+  the same through a table that learns as it goes, without any training
+[bold]surrofe2 refine RECIPE[/bold]
+  run, harvest what the surrogate did not know and train again, until it knows enough
 [bold]surrofe2 tissue RECIPE --out out/tissue[/bold]
   the same with every particle of every plant cell, nothing homogenised
 [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
@@ -94,10 +100,11 @@ def options(
 
 
 _COMMANDS = (
-    generate, train, run, tissue, compare, rest, modes, demo, reproduce, moduli, memory,
+    generate, train, run, refine, tissue, compare, rest, modes, demo, reproduce, moduli, memory,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command(help=_flowing(_command.__doc__))(_command)
+app.add_typer(table, name="table")
 
 
 def main() -> None:

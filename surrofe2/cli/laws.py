@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,44 +12,112 @@ from typing import TYPE_CHECKING, Any
 from surrofe2.errors import InputError, MismatchError
 
 if TYPE_CHECKING:
+    from surrofe2.cache import StressTable
+    from surrofe2.cache.parts import Fallback, Keep
     from surrofe2.config import Recipe
     from surrofe2.stress_law import StressLaw
 
-LAWS = ("rve", "surrogate", "cached")
+LAWS = ("rve", "surrogate", "cached", "table")
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenLaw:
-    """A law, the laws it is made of, and what to record of its surrogate."""
+    """A law, the laws it is made of, and what to record of its surrogate; its table, if any."""
 
     law: StressLaw
     parts: tuple[StressLaw, ...]
     surrogate: Mapping[str, Any] | None = None
+    table: StressTable | None = None
 
 
-def choose_law(recipe: Recipe, kind: str, surrogate_file: Path | None = None) -> ChosenLaw:
+def choose_law(
+    recipe: Recipe,
+    kind: str,
+    surrogate_file: Path | None = None,
+    tables: Sequence[Path] = (),
+    keep: Keep | None = None,
+) -> ChosenLaw:
     """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
 
+    Args:
+        tables: files of tables to start from.
+        keep: is given true answers at accepted steps, see `CachedLaw`.
+
     Raises:
-        MismatchError: the surrogate was trained for other cell parameters or initialisation.
+        MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
     from surrofe2.rve import RveLaw
 
+    if tables and kind not in ("cached", "table"):
+        raise InputError(f"--table: not with --law {kind}; it must be cached or table")
     if kind == "rve":
         rve = RveLaw.from_settings(recipe.cell, recipe.rve)
         return ChosenLaw(rve, (rve,))
-    from surrofe2.cache import CachedLaw
+    from surrofe2.cache import CachedLaw, TableBehind
+
+    if kind == "table":
+        rve = RveLaw.from_settings(recipe.cell, recipe.rve)
+        table = make_table(recipe, rve, tables)
+        law = CachedLaw(table, fallback=rve, keep=keep)
+        return ChosenLaw(law, (rve,), _record_of(tables), table)
     from surrofe2.io.runs import file_fingerprint
     from surrofe2.surrogate import SurrogateLaw
 
     path = surrogate_file or recipe.training_path()
     surrogate = SurrogateLaw.load(path)
-    record = {"file": path.name, "fingerprint": file_fingerprint(path), "errors": surrogate.errors}
+    record: dict[str, Any] = {
+        "file": path.name,
+        "fingerprint": file_fingerprint(path),
+        "errors": surrogate.errors,
+    }
     _check_surrogate(recipe, surrogate, path)
     if kind == "surrogate":
         return ChosenLaw(surrogate, (surrogate,), record)
     rve = RveLaw.from_settings(recipe.cell, recipe.rve)
-    return ChosenLaw(CachedLaw(surrogate, fallback=rve), (surrogate, rve), record)
+    if not (recipe.table.enabled or tables):
+        return ChosenLaw(CachedLaw(surrogate, fallback=rve, keep=keep), (surrogate, rve), record)
+    table = make_table(recipe, rve, tables, getattr(surrogate, "stress_spread", None))
+    record |= {"tables": _record_of(tables)}
+    law = CachedLaw(TableBehind(surrogate, table), fallback=rve, keep=keep)
+    return ChosenLaw(law, (surrogate, rve), record, table)
+
+
+def make_table(
+    recipe: Recipe, law: Fallback, files: Sequence[Path] = (), spread: float | None = None
+) -> StressTable:
+    """A table for a recipe, empty or with the records of these files.
+
+    Args:
+        spread: of the stress, µN/µm; else that of the first file, or sampled.
+
+    Raises:
+        MismatchError: a file is of other cell parameters or initialisation.
+    """
+    from surrofe2.cache import StressTable, sampled_spread
+    from surrofe2.cache.table_merge import merged
+    from surrofe2.io.tables import check_table, read_table
+
+    found = [read_table(path) for path in files]
+    for path, stored in zip(files, found, strict=True):
+        check_table(path, stored, recipe.cell, recipe.rve.initialisation)
+    if spread is None:
+        spread = found[0].spread if found else sampled_spread(law, recipe.range)
+    tolerance = recipe.table.tolerance * spread
+    table = StressTable(
+        law, tolerance, recipe.range, spread, most_records=recipe.table.most_records
+    )
+    for stored in found:
+        table.restore(merged(table.records, stored.records, tolerance, table.images))
+    return table
+
+
+def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
+    from surrofe2.io.runs import file_fingerprint
+
+    if not tables:
+        return None
+    names, prints = [path.name for path in tables], [file_fingerprint(path) for path in tables]
+    return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}}
 
 
 def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
@@ -67,7 +135,7 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
         )
 
 
-def warm_up(laws: tuple[StressLaw, ...]) -> float:
+def warm_up(laws: tuple[StressLaw, ...], table: StressTable | None = None) -> float:
     """Ask each law once, so that compilation is not in the run's clock; seconds it took."""
     import numpy as np
 
@@ -76,6 +144,8 @@ def warm_up(laws: tuple[StressLaw, ...]) -> float:
     for law in laws:
         answer = law.respond(F, 0.0 * F)
         law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
+    if table is not None:
+        table.warm_up()
     return time.perf_counter() - begin
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.reaping import Reaping, counts_of
 from surrofe2.errors import SimulationError
 
 if TYPE_CHECKING:
+    from surrofe2.cache import StressTable
     from surrofe2.cli.laws import ChosenLaw
     from surrofe2.config import Recipe
     from surrofe2.io.runs import RunRecord
@@ -28,6 +30,8 @@ def run_study(
     *,
     chosen: ChosenLaw | None = None,
     surrogate_file: Path | None = None,
+    tables: Sequence[Path] = (),
+    harvest: bool = True,
     threads: int | None = None,
     resume: bool = False,
     force: bool = False,
@@ -39,6 +43,8 @@ def run_study(
 
     Args:
         chosen: the law to use, where it is not the recipe's.
+        tables: files of tables to start from; the run's own is written into the folder.
+        harvest: whether true answers of a cached run are kept in the folder.
         report: called with the time reached in µs and a remark.
 
     Raises:
@@ -50,7 +56,8 @@ def run_study(
     from surrofe2.macro import MacroState, simulate
 
     used = use_threads(threads)
-    chosen = chosen or choose_law(recipe, kind, surrogate_file)
+    reaping = Reaping(recipe, folder, harvest and kind in ("cached", "table"))
+    chosen = chosen or choose_law(recipe, kind, surrogate_file, tables, reaping.keep)
     record = new_record(recipe, kind, chosen, used)
     earlier = open_run_folder(folder, record, resume=resume, force=force)
     if earlier is not None and earlier.status == "finished":
@@ -59,26 +66,35 @@ def run_study(
     state = None
     if earlier is not None and checkpoint.exists():
         state = MacroState.from_arrays(read_checkpoint(checkpoint, of))
+        reaping.resume(chosen.table)
     write_record(folder, record)
-    compilation = warm_up(chosen.parts)
+    compilation = warm_up(chosen.parts, chosen.table)
+
+    def store_checkpoint(state: MacroState) -> None:
+        reaping.store(chosen.table)
+        write_checkpoint(checkpoint, state.to_arrays(), of)
+
     try:
         done = simulate(
             recipe.load,
             chosen.law,
             recipe.macro,
             progress=lambda t, duration: report(t, ""),
-            checkpoint=lambda state: write_checkpoint(checkpoint, state.to_arrays(), of),
+            checkpoint=store_checkpoint,
             checkpoint_interval=CHECKPOINT_INTERVAL,
             resume=state,
         )
     except SimulationError as error:
         record = ended(record, "failed", str(error))
-        _store(folder, record, cast("MacroRun | None", error.partial), compilation)
+        reaping.store(chosen.table)
+        partial = cast("MacroRun | None", error.partial)
+        _store(folder, record, partial, compilation, chosen.table)
         raise
     except KeyboardInterrupt:
         write_record(folder, ended(record, "interrupted"))
         raise
-    record = _store(folder, ended(record, "finished"), done, compilation)
+    reaping.store(chosen.table)
+    record = _store(folder, ended(record, "finished"), done, compilation, chosen.table)
     checkpoint.unlink(missing_ok=True)
     return record
 
@@ -107,7 +123,13 @@ def new_record(recipe: Recipe, kind: str, chosen: ChosenLaw, threads: int) -> Ru
     )
 
 
-def _store(folder: Path, record: RunRecord, run: MacroRun | None, compilation: float) -> RunRecord:
+def _store(
+    folder: Path,
+    record: RunRecord,
+    run: MacroRun | None,
+    compilation: float,
+    table: StressTable | None = None,
+) -> RunRecord:
     """Write everything of a run; run.json last, so that a finished record has all its files."""
     from surrofe2.io.fields import write_fields
     from surrofe2.io.runs import write_curve, write_energies, write_record
@@ -119,7 +141,7 @@ def _store(folder: Path, record: RunRecord, run: MacroRun | None, compilation: f
         record = replace(
             record,
             wall_time={**run.wall_time, "compilation": compilation},
-            counts={**run.counts, **run.effort},
+            counts={**run.counts, **run.effort, **counts_of(table)},
             met=_met(run),
             threads=run.threads,
         )
@@ -135,16 +157,27 @@ def _met(run: MacroRun) -> dict[str, Any]:
 def run(
     recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
     law: Annotated[
-        Literal["rve", "surrogate", "cached"],
+        Literal["rve", "surrogate", "cached", "table"],
         typer.Option(
-            help="True RVEs, the surrogate alone, or the surrogate with RVEs where it "
-            "is out of its range."
+            help="True RVEs, the surrogate alone, the surrogate with RVEs where it is out of "
+            "its range, or a table that learns from RVEs as it goes, without any training."
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")],
     surrogate: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Surrogate (.pt); default: the recipe's.")
     ] = None,
+    table: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; more than one are "
+            "merged. Default: an empty one.",
+        ),
+    ] = None,
+    harvest: Annotated[
+        bool, typer.Option(help="Keep the true answers of cached runs in DIR/harvest.h5.")
+    ] = True,
     initialisation: Annotated[
         str | None, typer.Option(help="How RVEs are initialised; default: the recipe's.")
     ] = None,
@@ -166,7 +199,8 @@ def run(
     """Run the recipe's load case: a tissue clamped at its left, pulled by a body force.
 
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of the watched
-    point in µm), energies.csv (pJ) and fields.xdmf for ParaView.
+    point in µm), energies.csv (pJ) and fields.xdmf for ParaView; with --law table the table, with
+    --law cached or table the harvest of true stresses.
 
     Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
 
@@ -184,6 +218,8 @@ def run(
                 law,
                 out,
                 surrogate_file=surrogate,
+                tables=table or (),
+                harvest=harvest,
                 threads=threads,
                 resume=resume,
                 force=force,
@@ -230,6 +266,8 @@ def costs(counts: Mapping[str, int]) -> str:
         if name.startswith("fallbacks_") and n
     ]
     fallbacks = f"{counts.get('fallbacks', 0)} fallbacks"
-    return f"{text}, {counts['hits']} hits, {fallbacks}" + (
+    text += f", {counts['hits']} hits, {fallbacks}" + (
         f" ({', '.join(reasons)})" if reasons else ""
     )
+    records = counts.get("table_records")
+    return text if records is None else f"{text}, table of {records} records"

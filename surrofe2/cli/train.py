@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from surrofe2.cli.adding import with_harvests
 from surrofe2.cli.calibrate import calibrate_surrogate
 from surrofe2.cli.calibrate import summary as calibration_summary
 from surrofe2.cli.console import InterruptedWork, Report, duration, progress, say, show_table
@@ -48,6 +49,7 @@ def train_surrogate(
     resume: bool = False,
     keep: bool = False,
     force: bool = False,
+    add: Sequence[Path] = (),
     stage: Stage = _silent,
 ) -> Trained:
     """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
@@ -59,6 +61,7 @@ def train_surrogate(
         keep: take the surrogate that is there if it was trained and calibrated on this very data
             by these settings.
         force: replace the surrogate that is there.
+        add: harvests to train on too, besides those that the recipe names.
         stage: begins the display of a stage, as `console.progress` does.
 
     Raises:
@@ -74,6 +77,7 @@ def train_surrogate(
         raise FileError(f"{path}: exists; replace it with --force")
     samples = read_data_set(source)
     _check_data(recipe, samples, source)
+    samples = with_harvests(samples, [*recipe.added_paths(), *add])
     surrogate = _matching(recipe, samples) if (keep or resume) and path.exists() else None
     if surrogate is not None and _is_calibrated(recipe, surrogate):
         return Trained(path, surrogate, True, calibration_summary(surrogate, samples))
@@ -168,6 +172,13 @@ def train(
         bool, typer.Option("--resume", help="Continue an interrupted training.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing surrogate.")] = False,
+    add: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Harvest (harvest.h5) of a cached run to train on too; may be repeated.",
+        ),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
     ] = None,
@@ -190,7 +201,7 @@ def train(
     use_threads(threads)
     begin = time.perf_counter()
     try:
-        trained = train_surrogate(study, resume=resume, force=force, stage=progress)
+        trained = train_surrogate(study, resume=resume, force=force, add=add or (), stage=progress)
     except KeyboardInterrupt:
         raise InterruptedWork(
             f"the iterations so far are kept; continue with: surrofe2 train {recipe} --resume"

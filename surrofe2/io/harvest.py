@@ -28,7 +28,12 @@ Array = NDArray[np.float64]
 
 SCHEMA = "surrofe2-harvest"
 SCHEMA_VERSION = 1
-WHY = {0: "asked of the RVE because the cache might not answer", 1: "audit of the cache's answer"}
+WHY = {
+    0: "asked of the RVE because the cache might not answer",
+    1: "audit of the cache's answer",
+    2: "neighbour of such a state",
+    3: "sample of the range widened to hold such states",
+}
 CHUNK = 4096
 _UNITS = {"F": NONE, "F_dot": RATE, "stress": STRESS, "status": NONE, "why": NONE}
 

@@ -19,7 +19,7 @@ SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 1
 FILES = (
     "run.json", "curve.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
-    "checkpoint.h5",
+    "checkpoint.h5", "table.h5", "harvest.h5",
 )  # fmt: skip
 CURVE_HEADER = "t_us,u_x_um,u_y_um"
 
@@ -32,7 +32,7 @@ class RunRecord:
         status: "running", "finished", "interrupted" or "failed".
         error: the sentence of a failed run, else None.
         recipe: the whole recipe, defaults filled in.
-        law: "rve", "surrogate", "cached", or "tissue" for the full microscopic one; with
+        law: "rve", "surrogate", "cached", "table", or "tissue" for the full microscopic one; with
             `initialisation` and `solver`.
         surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
         wall_time: seconds: total = law + macro; compilation and warm-up came before.

@@ -152,7 +152,8 @@ class Batch:
             self.iterations[:] = -1
         else:
             solve_tiles(
-                chord, self.F, self.rate, z, before.F, felt_rate(self.law.initialisation, before.F_dot),
+                chord, self.F, self.rate, z, before.F,
+                felt_rate(self.law.initialisation, before.F_dot),
                 before.factors.address, topology, self.unit.constants, self.unit.area,
                 self.settings.tolerance, self.stress, self.iterations,
             )  # fmt: skip
