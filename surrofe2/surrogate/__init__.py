@@ -1,7 +1,8 @@
 """A learnt stress law: samples in, `SurrogateLaw` out.
 
 Reading order: `settings`, `components` (what is learnt), `network`, `training`,
-`held_out_errors`, `surrogate_law`, `checkpoint`, and for speed `packing`, `compiled`,
+`held_out_errors`, `surrogate_law`, `checkpoint`; where it may be trusted: `domain`,
+`calibration`, `trust_features`; and for speed `packing`, `compiled`, `error_bound`,
 `vector_tanh`. torch is imported when it is first needed, so that recipes can be checked without it.
 """
 
