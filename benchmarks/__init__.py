@@ -4,8 +4,10 @@ One module an item of what must hold; each has a TITLE and `run(setting) -> list
 
     force_evaluation   lanes against a scalar loop and the numpy twin
     rve_solve          Jacobian, warm and cold solves, stability
+    initialisations    slow manifold and tangents beside constrained runs
     paper_scheme       `direct` against the paper's iteration
     bar                the bending bar by true and by cached FE²
+    tissue             the bar by FE² against the full tissue
     macro_overhead     a right-hand side but for its stress law
     inference          the cached law against torch
     data_set           samples a second

@@ -17,8 +17,10 @@ from benchmarks.setting import ROOT, Setting
 NAMES = (
     "force_evaluation",
     "rve_solve",
+    "initialisations",
     "paper_scheme",
     "bar",
+    "tissue",
     "macro_overhead",
     "inference",
     "data_set",

@@ -18,9 +18,11 @@ from benchmarks import (
 from benchmarks import (
     force_evaluation,
     inference,
+    initialisations,
     linear_cost,
     macro_overhead,
     paper_scheme,
+    tissue,
 )
 from benchmarks.report import Outcome, make_report, to_markdown
 from benchmarks.row import Row
@@ -28,6 +30,7 @@ from benchmarks.setting import Setting, rve
 from benchmarks.timing import side_by_side
 from benchmarks.watched_law import RecordingLaw, TimedLaw
 from surrofe2 import LoadCase, MacroSettings, simulate
+from surrofe2.displacement_curve import DisplacementCurve
 
 ROOT = Path(__file__).parents[1]
 SMALL = MacroSettings(elements=(2, 2))
@@ -111,7 +114,7 @@ def test_plain_and_lane_forces_are_those_of_the_twin(setting):
     assert max(errors) < 1e-12
 
 
-@pytest.mark.parametrize("module", [macro_overhead, inference, linear_cost])
+@pytest.mark.parametrize("module", [macro_overhead, inference, initialisations, linear_cost])
 def test_a_piece_gives_well_formed_rows(module, setting):
     rows = module.run(setting)
     assert rows
@@ -147,6 +150,27 @@ def test_a_replayed_run_gives_the_stresses_of_the_run():
     iterated = paper_scheme.Replay(rve("printed", solver="iterated"), stride=1)
     iterated.answer(law.asked)
     assert 1e-6 < paper_scheme._error(iterated.kept, exact) < 0.1
+
+
+def test_the_largest_step_that_holds_the_error_over_the_whole_run_is_taken(monkeypatch):
+    t = np.linspace(0.0, 10.0, 21)
+
+    def run(preset, cells, duration, step):
+        if step > 2.35e-3:
+            return tissue.TissueTime(0.0, 0.0, None)
+        late = 0.1 if step > 2.25e-3 else 1e-4  # one breaks after the first tenth
+        u = np.stack([0.0 * t, -t - late * (t > 5.0)], axis=1)[t <= duration]
+        return tissue.TissueTime(1.0, 2.0, DisplacementCurve(t[t <= duration], u))
+
+    monkeypatch.setattr(tissue, "_tissue", run)
+    u = np.stack([0.0 * t, -t], axis=1)
+    reference = tissue.TissueTime(1.0, 2.0, DisplacementCurve(t, u))
+    step, _, error = tissue._largest_step("printed", 16, 10.0, reference)
+    assert step == 2.2e-3
+    assert error == pytest.approx(1e-5)
+    monkeypatch.setattr(tissue, "ERROR", 1e-6)
+    with pytest.raises(RuntimeError, match="no micro step"):
+        tissue._largest_step("printed", 16, 10.0, reference)
 
 
 def test_a_timed_law_changes_nothing():
