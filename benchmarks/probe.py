@@ -31,9 +31,10 @@ def main() -> None:
 
     recipe = load_recipe(given.recipe)
     chosen = choose_law(recipe, given.law, given.surrogate)
-    warm_up(chosen.parts)
+    settings = MacroSettings(elements=(given.elements, given.elements))
+    warm_up(chosen.parts, settings)
     load = replace(recipe.load, duration=given.duration)
-    done = simulate(load, chosen.law, MacroSettings(elements=(given.elements, given.elements)))
+    done = simulate(load, chosen.law, settings)
     print(
         json.dumps(
             {

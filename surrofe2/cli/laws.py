@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,12 @@ if TYPE_CHECKING:
     from surrofe2.cache import StressTable
     from surrofe2.cache.parts import Fallback, Keep
     from surrofe2.config import Recipe
+    from surrofe2.macro import MacroSettings
     from surrofe2.stress_law import StressLaw
 
 LAWS = ("rve", "surrogate", "cached", "table")
+_MANY_POINTS = 2048
+"""So many points make every law use all cores if any number does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,15 +139,30 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
         )
 
 
-def warm_up(laws: tuple[StressLaw, ...], table: StressTable | None = None) -> float:
-    """Ask each law once, so that compilation is not in the run's clock; seconds it took."""
+def warm_up(
+    laws: tuple[StressLaw, ...], settings: MacroSettings, table: StressTable | None = None
+) -> float:
+    """Compile all that a run with these settings calls, outside its clock; seconds it took.
+
+    Each law is asked for a single point and for as many as the run has, up to where no law takes
+    another way for more; and a bar of one element moves for an instant.
+    """
     import numpy as np
 
+    from surrofe2.errors import SimulationError
+    from surrofe2.load_case import LoadCase
+    from surrofe2.macro import simulate
+    from surrofe2.macro.selective_quadrature import N_POINTS
+
     begin = time.perf_counter()
-    F = np.array([[[1.0, 1e-3], [0.0, 1.0]]])
+    nx, ny = settings.elements
     for law in laws:
-        answer = law.respond(F, 0.0 * F)
-        law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
+        for points in (1, min(N_POINTS * nx * ny, _MANY_POINTS)):
+            F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
+            answer = law.respond(F, 0.0 * F)
+            law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
+    with suppress(SimulationError):  # a law that cannot start says so in the run itself
+        simulate(LoadCase(duration=1e-3), laws[-1], replace(settings, elements=(1, 1)))
     if table is not None:
         table.warm_up()
     return time.perf_counter() - begin

@@ -68,7 +68,7 @@ def run_study(
         state = MacroState.from_arrays(read_checkpoint(checkpoint, of))
         reaping.resume(chosen.table)
     write_record(folder, record)
-    compilation = warm_up(chosen.parts, chosen.table)
+    compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
 
     def store_checkpoint(state: MacroState) -> None:
         reaping.store(chosen.table)

@@ -153,9 +153,9 @@ class Batch:
         else:
             solve_tiles(
                 chord, self.F, self.rate, z, before.F,
-                felt_rate(self.law.initialisation, before.F_dot),
-                before.factors.address, topology, self.unit.constants, self.unit.area,
-                self.settings.tolerance, self.stress, self.iterations,
+                felt_rate(self.law.initialisation, before.F_dot), before.factors.address,
+                topology, self.unit.constants, self.unit.area, self.settings.tolerance,
+                self.stress, self.iterations,
             )  # fmt: skip
         self._newton_where_open(topology, z)
         self.status[self.iterations < 0] = Status.NOT_CONVERGED

@@ -27,6 +27,7 @@ from surrofe2.plant_cell.simd import TILE
 
 SLOPES = 8
 _BYTES = 4
+_Pointer: Any = types.CPointer  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +58,7 @@ class Factors:
         """The first tile's factors for `tiles` tiles."""
         return Factors(self.blocks[:1] * tiles, np.repeat(self.address[:1], tiles))
 
-    def renewed(self, wanted: NDArray[np.bool_]) -> Factors:
+    def renewed(self, wanted: Any) -> Factors:
         """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks."""
         blocks, address = list(self.blocks), self.address.copy()
         for tile in wanted.nonzero()[0].tolist():
@@ -97,7 +98,7 @@ class Factors:
 @intrinsic
 def _singles_at(typing: Any, address: Any) -> Any:
     """Pointer to the single-precision numbers at an address."""
-    pointer = types.CPointer(types.float32)  # type: ignore[attr-defined]
+    pointer = _Pointer(types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.inttoptr(args[0], ir.FloatType().as_pointer())
