@@ -51,7 +51,7 @@ def rest_study(
     stated = {"factor": factor, "load_steps": load_steps}
     record = replace(record, recipe={**record.recipe, "rest": stated})
     open_run_folder(folder, record, force=force)
-    compilation = warm_up(chosen.parts)
+    compilation = warm_up(chosen.parts, recipe.macro)
     begin = time.perf_counter()
     path: list[Rest] = []
 
