@@ -11,12 +11,13 @@ import difflib
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, asdict, dataclass, fields
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
+from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table_settings import TableSettings
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
@@ -68,6 +69,7 @@ class Recipe:
     macro: MacroSettings
     tissue: TissueSettings
     table: TableSettings
+    cache: CacheSettings = field(default_factory=CacheSettings)
     data_file: str | None = None
     training_file: str | None = None
     added_files: tuple[str, ...] = ()
@@ -96,7 +98,7 @@ class Recipe:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
         names = (
             "rve", "range", "samples", "training", "calibration", "load", "macro", "tissue",
-            "table",
+            "table", "cache",
         )  # fmt: skip
         sections = {name: asdict(getattr(self, name)) for name in names}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
@@ -118,6 +120,7 @@ SECTIONS: dict[str, type] = {
     "macro": MacroSettings,
     "tissue": TissueSettings,
     "table": TableSettings,
+    "cache": CacheSettings,
 }
 _EXTRA_KEYS: dict[str, dict[str, Any]] = {
     "cell": {"preset": (str, "printed")},
@@ -170,6 +173,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         macro=_make(MacroSettings, "macro", given),
         tissue=_make(TissueSettings, "tissue", given),
         table=_make(TableSettings, "table", given),
+        cache=_make(CacheSettings, "cache", given),
         data_file=files["samples"],
         training_file=files["training"],
         added_files=added,

@@ -82,7 +82,8 @@ def test_unknown_section(changed_recipe):
     path = changed_recipe("[load]", "[lood]")
     assert message(InputError, path) == (
         "recipe.toml: lood: unknown section; did you mean load? "
-        "known are calibration, cell, load, macro, range, rve, samples, tissue, training"
+        "known are cache, calibration, cell, load, macro, range, rve, samples, table, tissue, "
+        "training"
     )
 
 

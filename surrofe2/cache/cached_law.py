@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from inspect import signature
 from typing import Any
@@ -190,14 +191,8 @@ class CachedLaw:
             held = state.held.and_also(new, moved[new], answer.state)
             return Acceptance(status, replace(state, held=held), stress)
 
-    def report(self) -> dict[str, Any]:
-        """Audit what still waits, time the true law, and say how the cache did: plain values."""
-        self._hold_audit()
-        cost = None
-        if self._latest is not None:
-            calls = self._meter.calls / max(self._meter.steps, 1)
-            true = time_true_law(self.fallback, *self._latest, calls)
-            cost = cost_of(self._meter, true) if true is not None else None
+    def history(self) -> dict[str, Any]:
+        """How the cache has done so far, as plain values: what `restore` takes."""
         return {
             "tolerance": {
                 "share": self.settings.tolerance,
@@ -211,11 +206,21 @@ class CachedLaw:
                 **self._audit.record.to_dict(),
             },
             "trust": self._trust.to_dict(),
-            "cost": cost.to_dict() if cost else None,
+            "cost": None,
         }
 
-    def restore(self, report: dict[str, Any]) -> None:
-        """Go on from the counts, audits and trust of an earlier `report` of the same run."""
+    def report(self) -> dict[str, Any]:
+        """`history` at the end of a run: what still waits is audited, and the true law timed."""
+        self._hold_audit()
+        cost = None
+        if self._latest is not None:
+            calls = self._meter.calls / max(self._meter.steps, 1)
+            true = time_true_law(self.fallback, *self._latest, calls)
+            cost = cost_of(self._meter, true) if true is not None else None
+        return self.history() | {"cost": cost.to_dict() if cost else None}
+
+    def restore(self, report: Mapping[str, Any]) -> None:
+        """Go on from the counts, audits and trust of an earlier part of the same run."""
         self._counts = {name: report["accepted"].get(name, 0) for name in self._counts}
         self._audit.record.restore(report["audit"])
         self._trust.restore(report["trust"])

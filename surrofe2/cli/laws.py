@@ -62,7 +62,7 @@ def choose_law(
     if kind == "table":
         rve = RveLaw.from_settings(recipe.cell, recipe.rve)
         table = make_table(recipe, rve, tables)
-        law = CachedLaw(table, fallback=rve, keep=keep)
+        law = CachedLaw(table, rve, recipe.cache, keep)
         return ChosenLaw(law, (rve,), _record_of(tables), table)
     from surrofe2.io.runs import file_fingerprint
     from surrofe2.surrogate import SurrogateLaw
@@ -79,10 +79,11 @@ def choose_law(
         return ChosenLaw(surrogate, (surrogate,), record)
     rve = RveLaw.from_settings(recipe.cell, recipe.rve)
     if not (recipe.table.enabled or tables):
-        return ChosenLaw(CachedLaw(surrogate, fallback=rve, keep=keep), (surrogate, rve), record)
+        law = CachedLaw(surrogate, rve, recipe.cache, keep)
+        return ChosenLaw(law, (surrogate, rve), record)
     table = make_table(recipe, rve, tables, getattr(surrogate, "stress_spread", None))
     record |= {"tables": _record_of(tables)}
-    law = CachedLaw(TableBehind(surrogate, table), fallback=rve, keep=keep)
+    law = CachedLaw(TableBehind(surrogate, table), rve, recipe.cache, keep)
     return ChosenLaw(law, (surrogate, rve), record, table)
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.cache_notes import cache_notes, cache_report, resume_cache
+from surrofe2.cli.console import InterruptedWork, complain, duration, progress, say
 from surrofe2.cli.reaping import Reaping, counts_of
 from surrofe2.errors import SimulationError
 
@@ -67,12 +68,15 @@ def run_study(
     if earlier is not None and checkpoint.exists():
         state = MacroState.from_arrays(read_checkpoint(checkpoint, of))
         reaping.resume(chosen.table)
+    if earlier is not None and earlier.cache is not None:
+        resume_cache(chosen.law, earlier.cache)
     write_record(folder, record)
     compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
 
     def store_checkpoint(state: MacroState) -> None:
         reaping.store(chosen.table)
         write_checkpoint(checkpoint, state.to_arrays(), of)
+        write_record(folder, replace(record, cache=cache_report(chosen.law)))
 
     try:
         done = simulate(
@@ -85,16 +89,18 @@ def run_study(
             resume=state,
         )
     except SimulationError as error:
-        record = ended(record, "failed", str(error))
+        record = replace(ended(record, "failed", str(error)), cache=cache_report(chosen.law))
         reaping.store(chosen.table)
         partial = cast("MacroRun | None", error.partial)
         _store(folder, record, partial, compilation, chosen.table)
         raise
     except KeyboardInterrupt:
-        write_record(folder, ended(record, "interrupted"))
+        cache = cache_report(chosen.law)
+        write_record(folder, replace(ended(record, "interrupted"), cache=cache))
         raise
     reaping.store(chosen.table)
-    record = _store(folder, ended(record, "finished"), done, compilation, chosen.table)
+    record = replace(ended(record, "finished"), cache=cache_report(chosen.law, whole=True))
+    record = _store(folder, record, done, compilation, chosen.table)
     checkpoint.unlink(missing_ok=True)
     return record
 
@@ -188,6 +194,21 @@ def run(
         Literal["explicit", "implicit"] | None,
         typer.Option(help="Time integration (implicit: --law rve); default: the recipe's."),
     ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Cached: allowed error of a stress relative to the spread of stress; default: "
+            "the recipe's.",
+        ),
+    ] = None,
+    audit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Cached: share of its answers that RVEs check, 1: all; default: the recipe's.",
+        ),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
     ] = None,
@@ -209,6 +230,7 @@ def run(
     from surrofe2.config import load_recipe
 
     study = change_rve(load_recipe(recipe), initialisation, solver)
+    study = change_cache(study, tolerance, audit)
     if integrator is not None:
         study = replace(study, macro=replace(study.macro, integrator=integrator))
     try:
@@ -231,6 +253,8 @@ def run(
             "with --resume"
         ) from None
     say(f"{out}: {summary(record)}")
+    for sentence, is_warning in cache_notes(record):
+        (complain if is_warning else say)(sentence)
 
 
 def change_rve(recipe: Recipe, initialisation: str | None, solver: str | None) -> Recipe:
@@ -242,6 +266,17 @@ def change_rve(recipe: Recipe, initialisation: str | None, solver: str | None) -
         solver=solver or usual.solver,
     )
     return replace(recipe, rve=rve)
+
+
+def change_cache(recipe: Recipe, tolerance: float | None, audit: float | None) -> Recipe:
+    """The recipe with another tolerance or audit of the cache."""
+    usual = recipe.cache
+    cache = replace(
+        usual,
+        tolerance=usual.tolerance if tolerance is None else tolerance,
+        audit=usual.audit if audit is None else audit,
+    )
+    return replace(recipe, cache=cache)
 
 
 def summary(record: RunRecord) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.files import read_json, reported, write_json, write_text
-from surrofe2.units import ENERGY, LENGTH, TIME
+from surrofe2.units import ENERGY, LENGTH, STRESS, TIME
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 1
@@ -21,6 +21,7 @@ FILES = (
     "run.json", "curve.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
     "checkpoint.h5", "table.h5", "harvest.h5",
 )  # fmt: skip
+_WITHOUT_CACHE = ("rve", "surrogate", "tissue")
 CURVE_HEADER = "t_us,u_x_um,u_y_um"
 
 
@@ -38,6 +39,8 @@ class RunRecord:
         wall_time: seconds: total = law + macro; compilation and warm-up came before.
         counts: steps, stress calls and what the law's answers cost: RVE solves, hits,
             fallbacks by reason, …
+        cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
+            audit with the errors found, trust with what became of it, cost against true RVEs.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run.
     """
@@ -56,17 +59,24 @@ class RunRecord:
     surrogate: Mapping[str, Any] | None = None
     wall_time: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
+    cache: Mapping[str, Any] | None = None
     met: Mapping[str, Any] = field(default_factory=dict)
     platform: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(
-        default_factory=lambda: {"time": TIME, "length": LENGTH, "energy": ENERGY, "wall_time": "s"}
+        default_factory=lambda: {
+            "time": TIME,
+            "length": LENGTH,
+            "energy": ENERGY,
+            "stress": STRESS,
+            "wall_time": "s",
+        }
     )
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""
         flat: dict[str, Any] = {
             f"{name}.{key}": self.recipe[name][key]
-            for name in ("cell", "rve", "load", "macro", "tissue")
+            for name in ("cell", "rve", "load", "macro", "tissue", *self._sections_of_law())
             for key in self.recipe.get(name, {})
         }
         surrogate = self.surrogate and self.surrogate["fingerprint"]
@@ -77,6 +87,9 @@ class RunRecord:
             "surrogate": surrogate,
             "version": self.package_version,
         }
+
+    def _sections_of_law(self) -> tuple[str, ...]:
+        return () if self.law in _WITHOUT_CACHE else ("cache",)
 
 
 @dataclass(frozen=True, slots=True)

@@ -202,10 +202,10 @@ class ImplicitStepper:
         guess = None
         while True:
             at, a = self._standing, self._acceleration(h)
+            if guess is None:
+                guess = self._guess(a, h)
             try:
-                return self._method.solve(
-                    at.now, a, self._guess(a, h) if guess is None else guess, h
-                )
+                return self._method.solve(at.now, a, guess, h)
             except MovedError as found:
                 now = self._right_hand_side.begin_anew(found.moved)
                 rate = _rate(now, self._method.acceleration(now))

@@ -22,10 +22,10 @@ def sound_bound(F, F_dot):
     return 0.02 + 0.4 * abs(F[:, 1, 0])
 
 
-SMALL_ERROR = shear_error(0.01)
+SMALL = shear_error(0.01)
 
 
-def run(error=SMALL_ERROR, bound=sound_bound, audit=0.05, **more):
+def run(error=SMALL, bound=sound_bound, audit=0.05, **more):
     """A bar on a cache with tolerance 0.1 µN/µm; the cache and what it reports."""
     cached = CachedLaw(
         Learnt(error, bound, **more), Truth(), CacheSettings(tolerance=0.01, audit=audit)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import sys
 
+import numpy as np
 import pytest
 
 from surrofe2.io.runs import read_record
-from tests.fakes import SoftLaw
+from surrofe2.stress_law import Status
+from surrofe2.surrogate import SurrogateLaw
+from tests.fakes import SoftLaw, StoppingLaw
 
 
 @pytest.fixture
@@ -97,3 +101,85 @@ def test_demo_away_from_the_repository(invoke, tmp_path, monkeypatch):
     assert refused.stderr == (
         "error: data/bending-bar.toml: cannot be read: No such file or directory\n"
     )
+
+
+@pytest.fixture
+def bias(_trained, monkeypatch):
+    """The trained surrogate as if it knew its error; bias[0] µN/µm is added to its stress."""
+    size, plain = [0.0], SurrogateLaw.lookup
+
+    def lookup(self, F, F_dot, tolerance=np.inf):
+        stress, status, _ = plain(self, F, F_dot)
+        bound = 0.004 + 0.1 * abs(F[:, 1, 0])
+        status[(status == 0) & ~(bound <= tolerance)] = Status.NOT_TRUSTED
+        stress[status != 0] = np.nan
+        return stress + size[0], status, bound
+
+    monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
+    monkeypatch.setattr(SurrogateLaw, "stress_spread", 10.0, raising=False)
+    return size
+
+
+@pytest.mark.usefixtures("bias")
+def test_the_record_tells_how_wrong_the_cache_was(invoke, recipe_path, tmp_path):
+    done = invoke(
+        "run", recipe_path, "--law", "cached", "--out", tmp_path / "cached",
+        "--tolerance", "2e-3", "--audit", "1.0",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    record = read_record(tmp_path / "cached")
+    assert record.recipe["cache"] == {"tolerance": 2e-3, "audit": 1.0, "seed": 1}
+    cache = record.cache
+    assert cache["tolerance"] == {"share": 2e-3, "spread": 10.0, "absolute": pytest.approx(0.02)}
+    assert cache["audit"]["audited"] == cache["accepted"]["hits"] > 100
+    assert cache["audit"]["largest"] <= 0.02
+    assert cache["audit"]["worst"]["error"] == cache["audit"]["largest"]
+    assert cache["trust"] == {"factor": 1.0, "off": False, "events": []}
+    assert cache["cost"]["true"] > 0.0
+    assert f"audit: {cache['audit']['audited']} of {cache['audit']['audited']}" in done.stdout
+    assert "0 above the tolerance of 0.02 µN/µm" in done.stdout
+    # Laws without cells are cheap: a cache, every answer of which is audited, cannot pay.
+    assert not cache["cost"]["pays"]
+    assert "cost: the cache does not pay here; use --law rve" in done.stderr
+
+
+def test_a_corrupted_surrogate_is_switched_off_loudly(invoke, recipe_path, tmp_path, bias):
+    bias[0] = 1.0
+    done = invoke(
+        "run", recipe_path, "--law", "cached", "--out", tmp_path / "cached", "--audit", "1.0"
+    )
+    assert done.exit_code == 0, done.output
+    trust = read_record(tmp_path / "cached").cache["trust"]
+    assert trust["off"]
+    assert trust["events"][0]["action"] == "off"
+    assert "audited answers are off by more than the tolerance" in done.stderr
+    assert "the cache is off from here on, RVEs answer" in done.stderr
+
+
+@pytest.mark.usefixtures("bias")
+def test_an_interrupted_run_keeps_its_audit(invoke, recipe_path, tmp_path, monkeypatch):
+    out = tmp_path / "cached"
+    monkeypatch.setattr(sys.modules["surrofe2.cli.run"], "CHECKPOINT_INTERVAL", 0.0)
+    command = ("run", recipe_path, "--law", "cached", "--out", out, "--audit", "1.0")
+    invoke(*command, law=StoppingLaw(12))
+    before = read_record(out)
+    assert before.status == "interrupted"
+    assert before.cache["audit"]["audited"] > 50
+    done = invoke(*command, "--resume")
+    assert done.exit_code == 0, done.output
+    after = read_record(out).cache
+    # The stopped law was at an audit, of one step of 20 points: that one is lost.
+    assert after["audit"]["audited"] == after["accepted"]["hits"] - 20
+    assert after["accepted"]["hits"] > before.cache["accepted"]["hits"]
+    refused = invoke(*command, "--resume", "--tolerance", "1e-2")
+    assert refused.exit_code == 1
+    assert "cache.tolerance: this run has 0.01, the one in the folder 0.001" in refused.stderr
+
+
+@pytest.mark.usefixtures("_trained")
+def test_cache_options_out_of_bounds(invoke, recipe_path, tmp_path):
+    refused = invoke(
+        "run", recipe_path, "--law", "cached", "--out", tmp_path / "cached", "--audit", "2"
+    )
+    assert refused.exit_code == 1
+    assert refused.stderr == "error: cache.audit: 2.0; it must be within [0, 1]\n"
