@@ -11,7 +11,8 @@ from surrofe2.tensors import transpose
 Array = NDArray[np.float64]
 
 SILENT_STEPS, SILENT_POINTS = 20, 1000
-"""Accepted steps and points without one hit after which there should have been some."""
+"""Accepted steps and points from the start of a run, at rest, that should have had a hit. Later
+silence may be honest: the tissue left the range, or what the tolerance allows."""
 PATIENCE_WITH_LEARNERS = 40
 """As many times longer is waited for a surrogate that begins empty and learns."""
 EVERY = 8
@@ -36,6 +37,7 @@ class CollapseWatch:
         self._steps = self._silent_steps = self._silent_points = 0
         self._one_answer = self._dead_bound = 0
         self._bound: float | None = None
+        self._has_hit = False
 
     def look(
         self,
@@ -55,8 +57,8 @@ class CollapseWatch:
         """
         self._steps += 1
         if not len(hits):
-            return self._silence(why)
-        self._silent_steps = self._silent_points = 0
+            return None if self._has_hit else self._silence(why)
+        self._has_hit = True
         if self._steps % EVERY or not _differ(F[hits]):
             return None
         self._one_answer = self._one_answer + 1 if _is_one_answer(stress[hits]) else 0

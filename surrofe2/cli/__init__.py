@@ -21,6 +21,7 @@ from surrofe2.cli.refine import refine
 from surrofe2.cli.reproduce import reproduce
 from surrofe2.cli.rest import rest
 from surrofe2.cli.run import run
+from surrofe2.cli.sweep import sweep
 from surrofe2.cli.table import table
 from surrofe2.cli.tissue import tissue
 from surrofe2.cli.train import train
@@ -46,6 +47,8 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
   the same with every particle of every plant cell, nothing homogenised
 [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
   difference and speed-up
+[bold]surrofe2 sweep RECIPE --out out/sweep[/bold]
+  what a stress tolerance buys: error, hits and speed over tolerances
 
 [bold]surrofe2 rest[/bold] finds the tissue at rest under its load, [bold]surrofe2 modes[/bold] its
 small oscillations. [bold]surrofe2 demo[/bold] does all steps above. [bold]surrofe2
@@ -100,7 +103,8 @@ def options(
 
 
 _COMMANDS = (
-    generate, train, run, refine, tissue, compare, rest, modes, demo, reproduce, moduli, memory,
+    generate, train, run, refine, tissue, compare, sweep, rest, modes, demo, reproduce, moduli,
+    memory,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command(help=_flowing(_command.__doc__))(_command)
