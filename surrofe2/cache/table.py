@@ -115,9 +115,10 @@ class StressTable:
     ) -> tuple[Array, NDArray[np.int8], Array]:
         """(stress (n, 2, 2), status (n,), bound (n,)) in one compiled pass; input is not checked.
 
-        The bound of the error in µN/µm is the table's tolerance times the squared radius within
-        the ellipsoid, for the error of a linear model is quadratic: an estimate that true answers
-        correct, no guarantee. Status 3 where no ellipsoid holds the point (bound infinite), 6
+        The bound of the error in µN/µm is the table's tolerance times the radius within the
+        ellipsoid, 0 at the record and 1 at the surface. By the law through the errors seen it
+        would be the squared radius, as of every linear model; what lies between is the margin. It
+        is an estimate that true answers correct, no guarantee. Status 3 where no ellipsoid holds the point (bound infinite), 6
         where the bound is above `tolerance`.
 
         F, F_dot: contiguous float64 (n, 2, 2).

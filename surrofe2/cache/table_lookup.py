@@ -81,8 +81,8 @@ def _some(  # type: ignore[no-untyped-def]
                 break
         if best < 0:
             continue
-        bound[p] = value
-        if value > tolerance:
+        bound[p] = np.sqrt(value * own)
+        if bound[p] > tolerance:
             status[p] = _NOT_TRUSTED
             continue
         for i in range(INPUTS):
