@@ -118,8 +118,8 @@ class StressTable:
         The bound of the error in µN/µm is the table's tolerance times the radius within the
         ellipsoid, 0 at the record and 1 at the surface. By the law through the errors seen it
         would be the squared radius, as of every linear model; what lies between is the margin. It
-        is an estimate that true answers correct, no guarantee. Status 3 where no ellipsoid holds the point (bound infinite), 6
-        where the bound is above `tolerance`.
+        is an estimate that true answers correct, no guarantee. Status 3 where no ellipsoid holds
+        the point (bound infinite), 6 where the bound is above `tolerance`.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """

@@ -283,11 +283,12 @@ def test_a_corrupted_surrogate_falls_back_at_every_point():
             lattice_stress(F, F_dot), np.zeros(len(F), dtype=np.int8)
         ),
     )
-    sound = CachedLaw(law, true_law)
+    unbounded = CacheSettings(tolerance=np.inf)
+    sound = CachedLaw(law, true_law, unbounded)
     assert sound.respond(samples.F, samples.F_dot).effort["hits"] == 200
     with torch.no_grad():
         law.network.layers[0].weight[0, 0] = float("nan")
-    corrupted = CachedLaw(replace(law), true_law)
+    corrupted = CachedLaw(replace(law), true_law, unbounded)
     answer = corrupted.respond(samples.F, samples.F_dot)
     assert answer.effort["fallbacks_not_finite"] == 200
     np.testing.assert_allclose(answer.stress, samples.stress)

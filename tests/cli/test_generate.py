@@ -146,7 +146,8 @@ def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
     assert refused.stdout == ""
     assert refused.stderr == (
         "error: recipe.toml: sell: unknown section; did you mean cell? "
-        "known are cell, load, macro, range, rve, samples, tissue, training\n"
+        "known are cache, calibration, cell, load, macro, range, rve, samples, table, tissue, "
+        "training\n"
     )
     for wanted in (
         invoke("--traceback", "generate", path),
