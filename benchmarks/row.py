@@ -12,7 +12,8 @@ class Row:
     """A figure, its limit, and the same work done in another way.
 
     Attributes:
-        name: what was measured, `value` in `unit`; the median where it was repeated.
+        name: what was measured, `value` in `unit`; the median where it was repeated; None: it
+            could not be measured, `note` says why.
         spread: interquartile range of the repeats, in `unit`.
         limit: what must hold: value ≤ limit, or value ≥ limit where `at_least`; None: nothing.
         baseline: what it is compared with, `baseline_value` in `unit`.
@@ -23,7 +24,7 @@ class Row:
     """
 
     name: str
-    value: float
+    value: float | None
     unit: str
     spread: float | None = None
     limit: float | None = None
@@ -42,7 +43,7 @@ class Row:
         """Whether the limit is kept; None where there is none."""
         if self.limit is None:
             return None
-        if not math.isfinite(self.value):
+        if self.value is None or not math.isfinite(self.value):
             return False
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
