@@ -20,7 +20,7 @@ _STYLES: dict[str, dict[str, Any]] = {
     "cauchy-born": {"color": "#CC79A7", "linestyle": ":", "marker": "^"},
     "elastic": {"color": "#D55E00", "linestyle": "--", "marker": "s"},
     "constrained-runs": {"color": "#0072B2", "linestyle": "-.", "marker": "o"},
-    "slow-manifold": {"color": "#009E73", "linestyle": "-", "marker": "x"},
+    "slow-manifold": {"color": "#009E73", "linestyle": "-", "marker": "x", "zorder": 1.5},
     "direct": {"color": "#56B4E9", "linestyle": "-", "marker": "D"},
     "micro-integration": _REFERENCE,
     "tissue": _REFERENCE,
@@ -61,6 +61,11 @@ def _draw(axes: Axes, panel: Panel) -> None:
         axes.set_xscale("symlog" if _has_zero(panel) else "log", **_linear_part(panel))
     if panel.log_y:
         axes.set_yscale("log")
+    if panel.x_ticks:
+        axes.set_xticks(panel.x_ticks, [f"{x:g}" for x in panel.x_ticks])
+        axes.set_xticks([], minor=True)
+    if panel.zero:
+        axes.axhline(0.0, color="black", linewidth=0.8)
     axes.grid(alpha=0.25)
     axes.margins(x=0.03)
 

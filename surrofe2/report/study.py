@@ -46,7 +46,12 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One pair of axes; labels carry units."""
+    """One pair of axes; labels carry units.
+
+    Attributes:
+        x_ticks: where x is marked, by these numbers; empty: wherever it suits.
+        zero: whether the line y = 0 is drawn and in sight.
+    """
 
     x_label: str
     y_label: str
@@ -54,6 +59,8 @@ class Panel:
     title: str = ""
     log_x: bool = False
     log_y: bool = False
+    x_ticks: tuple[float, ...] = ()
+    zero: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

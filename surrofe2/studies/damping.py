@@ -205,6 +205,9 @@ def _panel(found: list[Damping]) -> Panel:
         curves.append(Curve(method, n, excess))
     return Panel(
         x_label="elements a side",
-        y_label="decrement, excess over the tissue's (%)",
+        y_label="decrement over the tissue's − 1 (%)",
         curves=tuple(curves),
+        log_x=True,
+        x_ticks=tuple(dict.fromkeys(n for curve in curves for n in curve.x)),
+        zero=True,
     )

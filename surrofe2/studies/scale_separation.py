@@ -171,6 +171,9 @@ def _panel(rows: list[dict[str, Any]], key: str, word: str, method: str) -> Pane
     return Panel(
         title=f"{method}: {word}",
         x_label="plant cells a side",
-        y_label="FE² − tissue (%)",
+        y_label="FE² over tissue − 1 (%)",
         curves=tuple(curves),
+        log_x=True,
+        x_ticks=tuple(dict.fromkeys(float(row["plant_cells"]) for row in rows)),
+        zero=True,
     )
