@@ -1,12 +1,13 @@
 # make demo   set up and run the main job: data set, training, true and cached FE², comparison
 # make test   set up and run the tests
 # make bench  set up and run the benchmarks in full, on a quiet machine; MODE=quick: less of each
+# make accept-cache  set up and audit every answer of the cache on five bars, into docs/trust.md
 # make paper  set up and reproduce the paper's figures with both presets, into out/paper
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: paper demo test test-slow lint bench bench-quick clean
+.PHONY: paper demo test test-slow lint bench bench-quick accept-cache clean
 
 demo: .venv/.installed
 	$(BIN)/surrofe2 demo
@@ -28,6 +29,9 @@ bench: .venv/.installed
 
 bench-quick: .venv/.installed
 	$(BIN)/python -m benchmarks --quick
+
+accept-cache: .venv/.installed
+	$(BIN)/python -m benchmarks --only trust
 
 paper: .venv/.installed
 	for preset in printed water; do \

@@ -8,6 +8,7 @@ One module an item of what must hold; each has a TITLE and `run(setting) -> list
     paper_scheme       `direct` against the paper's iteration
     bar                the bending bar by true and by cached FE²
     tissue             the bar by FE² against the full tissue
+    trust              the cache's error against its tolerance
     macro_overhead     a right-hand side but for its stress law
     inference          the cached law against torch
     data_set           samples a second

@@ -21,6 +21,7 @@ NAMES = (
     "paper_scheme",
     "bar",
     "tissue",
+    "trust",
     "macro_overhead",
     "inference",
     "data_set",

@@ -23,14 +23,17 @@ from benchmarks import (
     macro_overhead,
     paper_scheme,
     tissue,
+    trust,
 )
 from benchmarks.report import Outcome, make_report, to_markdown
 from benchmarks.row import Row
 from benchmarks.setting import Setting, rve
 from benchmarks.timing import side_by_side
 from benchmarks.watched_law import RecordingLaw, TimedLaw
-from surrofe2 import LoadCase, MacroSettings, simulate
 from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
+from surrofe2.cache import CacheSettings
+from tests.cache.fakes import Learnt, Truth
 
 ROOT = Path(__file__).parents[1]
 SMALL = MacroSettings(elements=(2, 2))
@@ -190,3 +193,40 @@ def test_quick_mode_runs_as_a_command(tmp_path):
     report = json.loads((tmp_path / "benchmarks.json").read_text(encoding="utf-8"))
     assert [found["name"] for found in report["benchmarks"]] == list(runner.NAMES)
     assert all(found["rows"] for found in report["benchmarks"])
+
+
+@pytest.mark.parametrize(("error", "kept"), [(0.5, True), (1.5, False)])
+def test_trust_compares_every_accepted_answer_with_the_tolerance(error, kept):
+    law = CachedLaw(
+        Learnt(
+            lambda F, F_dot: 0.01 * error + 0.0 * F[:, 0, 0],
+            lambda F, F_dot: 0.005 + F[:, 0, 1] ** 2,
+        ),
+        Truth(),
+        CacheSettings(tolerance=1e-3, audit=1.0),
+    )
+    load = LoadCase(width=60.0, height=40.0, watched=(60.0, 20.0), duration=2.0)
+    case = trust.Case("tiny", load, SMALL)
+    rows, report = trust.measure("a tiny bar", law, case)
+    assert report["audit"]["audited"] == report["accepted"]["hits"] > 0
+    quotient, hits, calls, displacement = rows
+    assert quotient.value == pytest.approx(error, rel=0.05)
+    assert quotient.met is kept
+    assert hits.value <= 100.0
+    assert calls.value == pytest.approx(1.0, abs=0.5)
+    # Every answer wrong: the first audit switches the cache off, and the run is the true one.
+    assert (displacement.value > 0.0) is kept
+    outcome = Outcome("trust", trust.TITLE, rows)
+    page = trust.to_page(make_report([outcome], quick=False, load=0.0), outcome, [report])
+    assert (
+        f"| a tiny bar | {report['audit']['audited']:,} | {report['audit']['violations']} |" in page
+    )
+    assert ("missed" in page.split("Errors incurred")[0]) is not all(
+        row.met is not False for row in rows
+    )
+
+
+def test_the_push_of_the_trust_cases_reverses():
+    case = trust.cases(250.0)[-1]
+    assert case.load.amplitude_at(50.0) == 1.0
+    assert case.load.amplitude_at(200.0) == -1.0

@@ -39,7 +39,10 @@ def run_both(study, recipe_name):
     comparison = json.loads(
         (study / "out" / recipe_name / "comparison/comparison.json").read_text()
     )
-    return comparison, json.loads((folders[1] / "run.json").read_text())
+    true, cached = (json.loads((folder / "run.json").read_text()) for folder in folders)
+    calls = [record["counts"]["right_hand_sides"] for record in (true, cached)]
+    assert calls[1] <= 1.05 * calls[0]  # switching does not disturb the steps
+    return comparison, cached
 
 
 def test_default_surrogate_meets_its_accuracy(study):
@@ -49,12 +52,15 @@ def test_default_surrogate_meets_its_accuracy(study):
         assert errors["worst"][component] < 0.005
 
 
-def test_cached_bar_follows_the_true_one_without_a_fallback(study):
+def test_cached_bar_follows_the_true_one_nearly_without_a_fallback(study):
     comparison, cached = run_both(study, "bending-bar")
     assert comparison["reference"] == "rve"
-    assert comparison["runs"][0]["difference"]["largest"] < 0.005
-    assert cached["counts"]["fallbacks"] == 0
+    assert comparison["runs"][0]["difference"]["largest"] < 0.001
     assert cached["counts"]["hits"] > 100_000
+    assert cached["counts"]["fallbacks"] <= 0.01 * cached["counts"]["hits"]
+    assert cached["cache"]["audit"]["audited"] > 50
+    assert cached["cache"]["audit"]["violations"] <= 1
+    assert not cached["cache"]["trust"]["off"]
 
 
 def test_double_load_leaves_the_range_and_falls_back_where_it_does(study):
@@ -62,6 +68,7 @@ def test_double_load_leaves_the_range_and_falls_back_where_it_does(study):
     assert comparison["reference"] == "rve"
     assert comparison["runs"][0]["difference"]["largest"] < 0.005
     counts = cached["counts"]
-    assert counts["fallbacks"] == counts["fallbacks_out_of_range"] > 1000
+    assert counts["fallbacks_out_of_range"] > 1000
+    assert counts["fallbacks_not_finite"] == 0
     assert counts["rve_solves"] >= counts["fallbacks"]
     assert counts["hits"] > counts["fallbacks"]

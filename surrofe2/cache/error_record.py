@@ -95,10 +95,3 @@ class ErrorRecord:
         histogram = stored["histogram"]
         self.bins[:] = 0
         self.bins[np.array(histogram["bins"], dtype=np.intp)] = histogram["counts"]
-
-
-def bin_edges(histogram: Mapping[str, Any]) -> Array:
-    """(k, 2) lower and upper edge of each filled bin of a stored histogram, µN/µm."""
-    first, per_decade = histogram["smallest_edge"], histogram["bins_a_decade"]
-    upper = first * 10.0 ** (np.array(histogram["bins"], dtype=np.float64) / per_decade)
-    return np.stack([upper * 10.0 ** (-1.0 / per_decade), upper], axis=1)

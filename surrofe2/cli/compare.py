@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -66,6 +67,22 @@ def show_comparison(result: Comparison) -> None:
         for run in result.runs
     ]
     show_table(f"Against {result.reference}", columns, rows)
+    for run in result.runs:
+        if run.audit is not None and run.audit["audited"]:
+            say(f"{run.name}: {audit_line(run.audit)}")
+
+
+def audit_line(audit: Mapping[str, Any]) -> str:
+    """What an audit found, in short."""
+    quantiles = ", ".join(
+        f"{value:.2g} µN/µm at {100 * float(share):g} %"
+        for share, value in audit["quantiles"].items()
+    )
+    off = "; the cache was switched off" if audit["trust"]["off"] else ""
+    return (
+        f"{audit['audited']} answers audited, {audit['violations']} above the tolerance of "
+        f"{float(audit['tolerance']):.2g} µN/µm; error {quantiles}{off}"
+    )
 
 
 def ratio(value: float | None) -> str:

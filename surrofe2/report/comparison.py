@@ -19,6 +19,7 @@ class ComparedRun:
         name: the run's folder.
         difference: of the watched displacement, relative to the reference's largest.
         wall_time: seconds of law and macro together; compilation is not in it.
+        audit: of a cached run, the errors its audit found and the tolerance, µN/µm; else None.
         speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
             is None where this run needed none of it.
     """
@@ -30,6 +31,7 @@ class ComparedRun:
     wall_time: float
     counts: Mapping[str, int]
     speed_up: Mapping[str, float | None]
+    audit: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +99,14 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
                 ("rve_solves", *_both(reference, run, _rve_solves)),
             )
         },
+        audit=audit_of(run),
     )
+
+
+def audit_of(run: StoredRun) -> Mapping[str, Any] | None:
+    """What the audit of a cached run found, with what became of the trust; else None."""
+    cache = run.record.cache
+    return None if cache is None else {**cache["audit"], "trust": cache["trust"]}
 
 
 def _both(reference: StoredRun, run: StoredRun, figure: Any) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from surrofe2.io.files import replacing
 from surrofe2.io.runs import StoredRun
+from surrofe2.report.audit_plot import draw_audits, has_audit
 from surrofe2.report.comparison import ComparedRun, Comparison, order_runs
 
 # Okabe and Ito's palette, told apart by readers of every colour vision; the reference is black.
@@ -23,11 +24,12 @@ def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[Sto
     reference, *others = order_runs(runs)
     figure = Figure(figsize=(8.0, 6.6), layout="constrained")
     FigureCanvasAgg(figure)
-    above, below, table = figure.subplots(
-        3,
-        1,
-        height_ratios=(3.0, 1.6, 0.32 * (len(others) + 2)),
-    )
+    audited = [run for run in others if has_audit(run)]
+    heights = [3.0, 1.6, *([1.6] if audited else []), 0.32 * (len(others) + 2)]
+    figure.set_figheight(6.6 + (1.9 if audited else 0.0))
+    above, below, *middle, table = figure.subplots(len(heights), 1, height_ratios=heights)
+    for axes in middle:
+        draw_audits(axes, audited, [_COLOURS[others.index(run) % len(_COLOURS)] for run in audited])
     below.sharex(above)
     _draw_curves(above, reference, others)
     _draw_differences(below, reference, others)

@@ -189,8 +189,12 @@ def test_a_surrogate_of_other_parameters_with_a_forged_label_is_caught():
         Stiffer(shear_error(0.0), sound_bound), Truth(), CacheSettings(tolerance=0.001, audit=0.2)
     )
     cached.surrogate.bound = lambda F, F_dot: 1e-3 + 1e-3 * abs(F[:, 1, 0])
-    simulate(LOAD_CASE, cached, SETTINGS)
-    assert cached.is_off
+    run = simulate(LOAD_CASE, cached, SETTINGS)
+    event = cached.report()["trust"]["events"][0]
+    assert event["action"] in ("tightened", "off")
+    assert event["step"] < 0.2 * run.counts["steps"]
+    # All but what hardly deforms is answered by the true law from there on.
+    assert cached.counts["hits"] < 0.3 * cached.counts["fallbacks"]
 
 
 def test_a_surrogate_without_a_bound_says_so(caplog):

@@ -22,7 +22,7 @@ def _bounded(invoke, recipe_path, monkeypatch):
 
     def lookup(self, F, F_dot, tolerance=np.inf):
         stress, status, _ = plain(self, F, F_dot)
-        bound = 0.004 + abs(F[:, 1, 0])
+        bound = 0.004 + 4.0 * abs(F[:, 1, 0])
         stress += 0.5 * (bound - 0.004)[:, None, None] * np.array([[0.8, 0.0], [0.0, -0.6]])
         status[(status == 0) & ~(bound <= tolerance)] = Status.NOT_TRUSTED
         stress[status != 0] = np.nan
@@ -45,7 +45,7 @@ def test_a_tolerance_buys_hits_for_error(invoke, recipe_path, tmp_path):
     for row in rows:
         assert row["violations"] == 0
         assert row["error_99"] <= row["error_largest"] <= row["tolerance"]
-        assert row["right_hand_sides"] == pytest.approx(1.0, abs=0.06)
+        assert row["right_hand_sides"] == pytest.approx(1.0, abs=0.2)  # a step of 6 is 0.16
         assert row["displacement_error"] < 0.05
         record = read_record(out / f"tolerance-{row['tolerance']:g}")
         assert record.recipe["cache"]["tolerance"] == row["tolerance"]

@@ -1,0 +1,199 @@
+"""Does the cache keep its tolerance? Every accepted answer of each bar audited.
+
+At a tolerance of 1e-3 of the spread of stress: the bar as it ships, under twice and three times
+its body force, of other proportions and mesh, and under a sideways push that reverses, for which
+nothing was trained. A full run writes docs/trust.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import isfinite, nan
+from typing import Any
+
+from benchmarks.report import Outcome, make_report, to_markdown
+from benchmarks.row import Row
+from benchmarks.setting import ROOT, Setting, rve
+from benchmarks.timing import all_cores
+from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
+from surrofe2.cache import CacheSettings
+from surrofe2.cache.parts import Surrogate
+from surrofe2.displacement_curve import difference
+from surrofe2.io.files import write_json, write_text
+from surrofe2.macro import MacroRun
+
+TITLE = "The cache against its tolerance, every accepted answer audited"
+TOLERANCE = 1e-3
+PRESETS = ("printed", "water")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A bar; hits: least share of the points within the range of the data."""
+
+    name: str
+    load: LoadCase
+    macro: MacroSettings = MacroSettings()  # noqa: RUF009 - frozen
+    hits: float = 0.95
+
+
+def cases(duration: float) -> tuple[Case, ...]:
+    """The bars of the issue, each for so long."""
+    usual = LoadCase(duration=duration)
+    x, y = usual.body_force
+    push = tuple((t * duration, a) for t, a in ((0.0, 0.0), (0.1, 1.0), (0.4, 1.0), (0.6, -1.0)))
+    return (
+        Case("default bar", usual, hits=0.99),
+        Case("twice the body force", replace(usual, body_force=(2.0 * x, 2.0 * y))),
+        Case("three times the body force", replace(usual, body_force=(3.0 * x, 3.0 * y))),
+        Case(
+            "500 × 300 µm, 10 × 6 elements",
+            replace(usual, width=500.0, height=300.0, watched=(500.0, 150.0)),
+            MacroSettings(elements=(10, 6)),
+        ),
+        Case(
+            "sideways push that reverses",
+            replace(usual, body_force=(0.2, -0.1), amplitude=push),
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A surrogate to be tried; runs: of one case, the last of which counts, for one that learns."""
+
+    name: str
+    make: Callable[[Setting, str], Surrogate]
+    runs: int = 1
+    hits: float | None = None
+
+
+SUBJECTS = (Subject("network", lambda setting, preset: setting.surrogate(preset)),)
+
+
+def run(setting: Setting) -> list[Row]:
+    """Every case by each subject for each preset; the table of docs/trust.md."""
+    rows, reports = [], []
+    for preset in setting.pick(PRESETS, PRESETS[:1]):
+        for subject in SUBJECTS:
+            for case in cases(setting.pick(250.0, 10.0)):
+                settings = CacheSettings(tolerance=TOLERANCE, audit=1.0)
+                law = CachedLaw(subject.make(setting, preset), rve(preset), settings)
+                least = replace(case, hits=subject.hits or case.hits)
+                name = f"{preset}, {subject.name}, {case.name}"
+                found, report = measure(name, law, least, subject.runs, full=not setting.quick)
+                rows += found
+                reports.append(report)
+    outcome = Outcome("trust", TITLE, rows)
+    write_json(setting.out / "trust.json", reports)
+    if not setting.quick:
+        report = make_report([outcome], quick=False, load=0.0)
+        write_text(ROOT / "docs" / "trust.md", to_page(report, outcome, reports))
+    return rows
+
+
+def measure(
+    name: str, law: CachedLaw, case: Case, runs: int = 1, *, full: bool = True
+) -> tuple[list[Row], dict[str, Any]]:
+    """The case by the law and by its fallback alone: figures with limits, the cache's report."""
+    true = simulate(case.load, law.fallback, case.macro)
+    for _ in range(runs):
+        law.reset_counts()
+        cached = simulate(case.load, law, case.macro)
+    report = {"case": name, **law.report()}
+    return rows_of(name, case, true, cached, report, full=full), report
+
+
+def rows_of(
+    name: str,
+    case: Case,
+    true: MacroRun,
+    cached: MacroRun,
+    report: Mapping[str, Any],
+    *,
+    full: bool = True,
+) -> list[Row]:
+    """What must hold of one case; without a tolerance, which is infinite, nothing is held."""
+    audit, accepted = report["audit"], report["accepted"]
+    allowed = report["tolerance"]["absolute"]
+    error = audit["quantiles"].get("0.99", nan) / allowed if isfinite(allowed) else nan
+    calls = [done.counts["right_hand_sides"] for done in (cached, true)]
+    displacement = difference(cached.curve, true.curve).largest
+    events = "; ".join(event["finding"] for event in report["trust"]["events"])
+    return [
+        Row(
+            name=f"{name}: error that 99 % of the accepted answers keep / tolerance",
+            value=error,
+            unit="",
+            limit=1.0,
+            threads=all_cores(),
+            note=f"{audit['violations']} of {audit['audited']:,} above; {events or 'no alarm'}",
+        ),
+        Row(
+            name=f"{name}: hits of the points within the range",
+            value=100.0 * accepted["hits"] / max(accepted["in_domain"], 1),
+            unit="%",
+            limit=100.0 * case.hits,
+            at_least=True,
+            threads=all_cores(),
+            note=f"{accepted['fallbacks']:,} points by RVEs, "
+            f"{accepted['fallbacks_out_of_range']:,} out of range",
+        ),
+        Row(
+            name=f"{name}: right-hand sides / those of true FE²",
+            value=calls[0] / calls[1],
+            unit="",
+            limit=1.05,
+            threads=all_cores(),
+            note=f"{calls[0]:,}, {cached.counts['repeated_steps']} steps begun anew",
+        ),
+        Row(
+            name=f"{name}: displacement error",
+            value=100.0 * displacement,
+            unit="%",
+            limit=0.1 if full and case.hits > 0.95 else None,
+            threads=all_cores(),
+        ),
+    ]
+
+
+def to_page(report: Mapping[str, Any], outcome: Outcome, reports: list[dict[str, Any]]) -> str:
+    """docs/trust.md: the limits, then the distribution of the errors incurred."""
+    table = to_markdown(report, [outcome]).split("\n## ")
+    head = (
+        "# The cache against its tolerance\n\n"
+        "Written by `make accept-cache`; do not edit. Stress tolerance "
+        f"{TOLERANCE:g} of the spread of stress, every accepted answer of the cache audited by a "
+        f"true RVE. surrofe2 {report['version']}, {report['date'][:10]}.\n"
+    )
+    lines = [
+        "| case | audited | above | 50 % | 90 % | 99 % | 99.9 % | largest | worst at F | Ḟ |",
+        "|" + " --- |" * 10,
+        *(_distribution(each) for each in reports),
+    ]
+    return (
+        f"{head}\n## {table[1]}\n## Errors incurred\n\nRelative to the tolerance.\n\n"
+        + "\n".join(lines)
+        + "\n"
+    )
+
+
+def _distribution(report: Mapping[str, Any]) -> str:
+    audit, allowed = report["audit"], report["tolerance"]["absolute"]
+    quantiles = [f"{value / allowed:.2g}" for value in audit["quantiles"].values()] or ["–"] * 4
+    worst = audit["worst"]
+    cells = [
+        report["case"],
+        f"{audit['audited']:,}",
+        str(audit["violations"]),
+        *quantiles,
+        "–" if worst is None else f"{audit['largest'] / allowed:.2g}",
+        "–" if worst is None else _entries(worst["F"]),
+        "–" if worst is None else _entries(worst["F_dot"]),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _entries(tensor: list[list[float]]) -> str:
+    return ", ".join(f"{entry:.3g}" for row in tensor for entry in row)
