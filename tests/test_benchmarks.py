@@ -30,9 +30,9 @@ from benchmarks.row import Row
 from benchmarks.setting import Setting, rve
 from benchmarks.timing import side_by_side
 from benchmarks.watched_law import RecordingLaw, TimedLaw
-from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings
+from surrofe2.displacement_curve import DisplacementCurve
 from tests.cache.fakes import Learnt, Truth
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.audit import BATCH
-from surrofe2.cache.error_record import ErrorRecord, bin_edges
+from surrofe2.cache.error_record import ErrorRecord
 from surrofe2.errors import InputError
 from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Status, StressResponse
@@ -61,9 +61,8 @@ def test_all_are_audited_and_every_error_is_found():
 
 
 def test_a_share_is_audited_spread_over_time_and_points():
-    cached = law(audit=0.1)
     kept = []
-    cached._keep = lambda F, F_dot, stress, status, why: kept.append((F, why))
+    cached = law(audit=0.1, keep=lambda F, F_dot, stress, status, why: kept.append((F, why)))
     walk(cached, 100)
     assert cached.report()["audit"]["audited"] == pytest.approx(400, abs=60)
     assert {code for _, why in kept for code in why} == {1}
@@ -177,7 +176,7 @@ def test_what_an_audit_finds_wrong_is_learnt():
     learnt = []
     cached = law(audit=1.0, error=lambda F, F_dot: np.where(F[:, 0, 1] > 0.002, 0.2, 0.01))
     cached.surrogate.learn = lambda *answers: learnt.append(answers)
-    cached._learn = cached.surrogate.learn
+    cached.reset_counts()
     walked = walk(cached, 3, points=20)
     (F, _, stress, _), *_ = learnt
     wrong = walked[2][0][:, 0, 1] > 0.002
@@ -213,9 +212,6 @@ def test_record_goes_on_where_it_was_left():
     a, b = whole.to_dict(), rest.to_dict()
     assert a.pop("rms") == pytest.approx(b.pop("rms"))
     assert a == b
-    edges = bin_edges(a["histogram"])
-    inside = ((errors > edges[:, :1] * (1 - 1e-9)) & (errors <= edges[:, 1:] * (1 + 1e-9))).sum(1)
-    np.testing.assert_array_equal(inside >= 1, True)
     assert sum(a["histogram"]["counts"]) == 1000
 
 
