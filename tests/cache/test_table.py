@@ -1,0 +1,334 @@
+"""The table: what it answers, how it learns, and faults planted in it."""
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw, StressTable, TableBehind, sampled_spread
+from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, canonical_image
+from surrofe2.cache.table_merge import merged
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.stress_error import stress_error
+from surrofe2.stress_law import Status
+from tests.cache.square_law import Points, SquareLaw, square_stress
+from tests.cache.test_table_inputs import RANGE, states, to_components, to_inputs, transpose
+
+SPREAD = 3.0
+
+
+def make(law=None, tolerance=1e-2, **settings):
+    return StressTable(law or SquareLaw(), tolerance * SPREAD, RANGE, SPREAD, **settings)
+
+
+def taught(F, F_dot, table=None):
+    table = table or make()
+    table.learn(F, F_dot, square_stress(F, F_dot))
+    return table
+
+
+def test_an_empty_table_knows_nothing():
+    stress, status, bound = make().lookup(*states())
+    assert np.isnan(stress).all()
+    assert (status == Status.OUT_OF_RANGE).all()
+    assert np.isposinf(bound).all()
+
+
+def test_what_it_learnt_it_knows_within_the_tolerance():
+    F, F_dot = states(500)
+    table = taught(F, F_dot)
+    stress, status, bound = table.lookup(F, F_dot)
+    assert (status == 0).all()
+    error = stress_error(stress, square_stress(F, F_dot))
+    assert error.max() <= table.tolerance
+    assert bound.max() <= table.tolerance
+    assert error.max() > 0.1 * table.tolerance  # linear models, not stored answers
+    assert 10 < len(table) < 300
+
+
+def test_new_states_among_known_ones_are_known_within_the_tolerance():
+    table = taught(*states(2000))
+    F, F_dot = sample(RANGE, 3000, 77)
+    stress, status, bound = table.lookup(F, F_dot)
+    known = status == 0
+    assert known.mean() > 0.8
+    error = stress_error(stress, square_stress(F, F_dot))[known]
+    assert np.quantile(error, 0.99) <= table.tolerance
+    assert (error > bound[known]).mean() < 0.01
+
+
+def test_lookup_is_what_plain_numpy_gives():
+    table = taught(*states(300))
+    F, F_dot = states(200, angle=-1.1)
+    stress, status, bound = table.lookup(F, F_dot)
+    x, R = to_inputs(F, F_dot)
+    records, checked = table.records, 0
+    for p in range(len(F)):
+        for other in range(4):
+            image = canonical_image(x[p : p + 1], "D4")[0] ^ other
+            d = x[p] * INPUT_SIGNS[image] - records.centre
+            bounds = np.einsum("ni,nij,nj->n", d, records.curvature, d)
+            k = bounds.argmin()
+            if bounds[k] <= table.tolerance:
+                break
+        else:
+            assert status[p] == Status.OUT_OF_RANGE
+            continue
+        s = (records.stress[k] + records.slope[k] @ d[k]) * OUTPUT_SIGNS[image]
+        rotated = to_components(transpose(R[p : p + 1]) @ stress[p : p + 1] @ R[p : p + 1])[0]
+        np.testing.assert_allclose(rotated, s, atol=1e-10)
+        assert bound[p] == pytest.approx(np.sqrt(bounds[k] * table.tolerance), abs=1e-10)
+        checked += 1
+    assert checked > 100
+
+
+def test_many_points_are_answered_as_few():
+    table = taught(*states(300))
+    F, F_dot = states(3000)
+    whole = table.lookup(F, F_dot)
+    parts = [table.lookup(F[k : k + 500], F_dot[k : k + 500]) for k in range(0, 3000, 500)]
+    for k in range(3):
+        np.testing.assert_array_equal(whole[k], np.concatenate([part[k] for part in parts]))
+
+
+def test_lookup_is_pure_and_learning_leaves_older_records_alone():
+    table = taught(*states(100))
+    F, F_dot = states(100)
+    before = [part.copy() for part in table.records]
+    held = table.records
+    first, second = table.lookup(F, F_dot), table.lookup(F, F_dot)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a, b)
+    taught(*sample(RANGE, 300, 9), table)
+    assert table.counts["grown"] > 0
+    for a, b in zip(before, held, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_second_lesson_adds_nothing():
+    F, F_dot = states(200)
+    table = taught(F, F_dot)
+    count, solves = len(table), table.law.solves
+    taught(F, F_dot, table)
+    assert (len(table), table.law.solves) == (count, solves)
+
+
+def test_rotation_and_group_are_for_nothing():
+    F, F_dot = states(1)
+    table = taught(F, F_dot)
+    assert len(table) == 1
+    turn, mirror = np.array([[0.0, -1.0], [1.0, 0.0]]), np.diag([1.0, -1.0])
+    for G in (turn, turn @ turn, mirror @ turn):
+        same = (turn @ F @ G, turn @ F_dot @ G) if G is not mirror @ turn else (F, F_dot)
+        stress, status, bound = table.lookup(*map(np.ascontiguousarray, same))
+        assert status[0] == 0
+        assert bound[0] < 1e-6
+        np.testing.assert_allclose(stress, square_stress(*same), atol=1e-9)
+    mirrored = mirror @ F @ mirror, mirror @ F_dot @ mirror
+    np.testing.assert_allclose(table.lookup(*mirrored)[0], square_stress(*mirrored), atol=1e-9)
+
+
+def test_a_record_at_the_edge_of_a_sector_is_valid_across_it():
+    """U₁₁ − U₂₂ = ±1e-3, far from U₁₂ = 0: no sign can be flipped to bring one to the other."""
+    sides = [np.array([[[1.0 + e, 0.04], [0.04, 1.0 - e]]]) for e in (5e-4, -5e-4)]
+    rate = np.array([[[0.0, 0.004], [-0.002, 0.001]]])
+    table = taught(sides[0], rate)
+    stress, status, bound = table.lookup(sides[1], rate)
+    assert status[0] == 0
+    assert 0.0 < bound[0] <= table.tolerance
+    assert stress_error(stress, square_stress(sides[1], rate))[0] <= table.tolerance
+    nothing = StressTable(SquareLaw(), table.tolerance, RANGE, SPREAD)
+    nothing.symmetry = "none"
+    taught(sides[0], rate, nothing)
+    assert nothing.lookup(sides[1], rate)[1][0] == 0
+
+
+def test_without_symmetry_images_are_told_apart():
+    F, F_dot = np.array([[[1.05, 0.0], [0.0, 1.0]]]), np.zeros((1, 2, 2))
+    turned = F[:, ::-1, ::-1].copy()
+    table = make(tolerance=1e-4)
+    table.symmetry = "none"
+    taught(F, F_dot, table)
+    assert table.lookup(F, F_dot)[1][0] == 0
+    assert table.lookup(turned, F_dot)[1][0] == Status.OUT_OF_RANGE
+    assert taught(F, F_dot, make(tolerance=1e-4)).lookup(turned, F_dot)[1][0] == 0
+
+
+def test_a_tighter_tolerance_is_answered_closer_to_the_records():
+    F, F_dot = states(300)
+    table = taught(F, F_dot)
+    new = sample(RANGE, 500, 8)
+    loose, tight = (table.lookup(*new, share * table.tolerance)[1] for share in (1.0, 0.3))
+    assert (loose[tight == 0] == 0).all()
+    assert 0 < (tight == 0).sum() < (loose == 0).sum()
+    assert (tight[(loose == 0) & (tight != 0)] == Status.NOT_TRUSTED).all()
+
+
+@pytest.mark.parametrize(
+    ("F", "rate"),
+    [
+        (np.full((2, 2), np.nan), 0.0),
+        (np.diag([1.0, -1.0]), 0.0),
+        (np.eye(2), np.inf),
+        (1.5 * np.eye(2), 0.0),
+        (np.eye(2), 1.0),
+    ],
+)
+def test_no_answer_to_what_is_no_deformation_or_far_off(F, rate):
+    table = taught(*states(300))
+    stress, status, _ = table.lookup(F[None].copy(), np.full((1, 2, 2), rate))
+    assert status[0] == Status.OUT_OF_RANGE
+    assert np.isnan(stress).all()
+
+
+def test_a_planted_fault_is_caught_by_true_answers():
+    """A slope of one record is corrupted; an audit shrinks its ellipsoid and puts a record in."""
+    F, F_dot = states(300)
+    table = taught(F, F_dot)
+    records = table.records
+    slope = records.slope.copy()
+    slope[:, 0, 0] += 5.0
+    table.restore(records._replace(slope=slope))
+    true = square_stress(F, F_dot)
+    wrong = stress_error(table.lookup(F, F_dot)[0], true) > table.tolerance
+    assert wrong.mean() > 0.05
+    table.learn(F, F_dot, true)
+    assert table.counts["shrunk"] > 0
+    stress, status, _ = table.lookup(F, F_dot)
+    error = stress_error(stress, true)[status == 0]
+    assert (error > table.tolerance).mean() < 0.02
+
+
+def test_records_begin_warm_from_the_state_of_their_points():
+    F, F_dot = states(3)
+    law = SquareLaw()
+    table = make(law)
+    table.learn(F, F_dot, square_stress(F, F_dot), Points(F.copy()))
+    asked = law.states[0].F
+    assert np.array_equal(asked, np.repeat(F[:1], 8, axis=0))
+
+
+def test_where_a_neighbour_fails_the_ellipsoid_is_the_small_one():
+    F, F_dot = np.array([[[1.06, 0.0], [0.0, 1.0]]]), np.zeros((1, 2, 2))
+    whole, cut = (taught(F, F_dot, make(SquareLaw(fails_above=above))) for above in (2.0, 1.0601))
+    assert len(cut) == 1
+    widths = [table.records.half_width(table.tolerance)[0] for table in (whole, cut)]
+    assert (widths[1] < widths[0]).any()
+    assert widths[1].min() < 0.1 * widths[0].min()
+
+
+def test_a_point_without_tangents_gets_no_record():
+    F, F_dot = np.array([[[1.06, 0.0], [0.0, 1.0]]]), np.zeros((1, 2, 2))
+    table = taught(F, F_dot, make(SquareLaw(fails_above=1.05)))
+    assert len(table) == 0
+    assert table.lookup(F, F_dot)[1][0] == Status.OUT_OF_RANGE
+
+
+def test_a_full_table_takes_no_more_records():
+    table = taught(*states(300), make(most_records=7))
+    assert len(table) == 7
+
+
+def test_what_cannot_be_a_table():
+    with pytest.raises(InputError, match="positive"):
+        make(tolerance=0.0)
+    law = SquareLaw()
+    law.solver = "iterated"
+    with pytest.raises(InputError, match="use solver direct"):
+        make(law)
+    with pytest.raises(InputError, match="no sample"):
+        sampled_spread(SquareLaw(fails_above=0.1), RANGE)
+
+
+def test_spread_is_that_of_the_samples():
+    stress = square_stress(*sample(RANGE, 512, 1))
+    expected = np.sqrt(((stress - stress.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean())
+    assert sampled_spread(SquareLaw(), RANGE) == pytest.approx(expected)
+
+
+def test_merged_tables_know_what_both_know():
+    first, second = taught(*states(100)), taught(*sample(RANGE, 100, 9))
+    both = make()
+    both.restore(merged(first.records, second.records, both.tolerance, 4))
+    assert len(first) < len(both) <= len(first) + len(second)
+    F, F_dot = sample(RANGE, 1000, 10)
+    known = [table.lookup(F, F_dot)[1] == 0 for table in (first, second, both)]
+    assert (known[0] | known[1])[known[2]].mean() == 1.0
+    assert known[2].sum() > max(known[0].sum(), known[1].sum())
+    again = merged(both.records, first.records, both.tolerance, 4)
+    assert len(again.centre) == len(both)
+
+
+def test_a_merged_table_is_cut_where_the_other_knows_better():
+    F, F_dot = states(200)
+    table, sound = taught(F, F_dot), taught(*sample(RANGE, 300, 4))
+    slope = table.records.slope.copy()
+    slope[:, 0, 0] += 20.0
+    records = merged(sound.records, table.records._replace(slope=slope), table.tolerance, 4)
+    volume = np.linalg.det(records.curvature)
+    before = np.concatenate([np.linalg.det(t.records.curvature) for t in (sound, table)])
+    assert volume.sum() > 2.0 * before.sum()
+
+
+class Half:
+    """Knows F₁₁ ≤ 1, off by 0.01."""
+
+    def __init__(self, law):
+        self.cell, self.initialisation, self.density = law.cell, law.initialisation, law.density
+
+    def lookup(self, F, F_dot, tolerance=np.inf):
+        stress, status = square_stress(F, F_dot) + 0.01, np.zeros(len(F), dtype=np.int8)
+        status[F[:, 0, 0] > 1.0] = Status.OUT_OF_RANGE
+        stress[status != 0] = np.nan
+        return stress, status, np.where(status == 0, 0.01, np.inf)
+
+
+def test_a_table_behind_a_surrogate_answers_the_rest():
+    law = SquareLaw()
+    table = make(law)
+    F, F_dot = sample(RANGE, 200, 3)
+    cached = CachedLaw(TableBehind(Half(law), table), law)
+    for _ in range(2):
+        cached.reset_counts()
+        answer = cached.respond(F, F_dot)
+        counts = cached.counts
+        cached.accept(F, F_dot, answer)
+    left = F[:, 0, 0] > 1.0
+    assert counts["hits"] == 200
+    exact = square_stress(F, F_dot)
+    np.testing.assert_allclose(answer.stress[~left], exact[~left] + 0.01, atol=1e-12)
+    assert stress_error(answer.stress, exact)[left].max() <= table.tolerance
+    assert 0 < len(table) < left.sum()
+
+
+def test_a_table_of_another_cell_is_refused_behind_a_surrogate():
+    other = SquareLaw(CellParameters.preset("water"))
+    with pytest.raises(MismatchError, match="use a table of these parameters"):
+        TableBehind(Half(SquareLaw()), make(other))
+
+
+def test_a_cached_law_teaches_its_table_only_at_kept_steps():
+    law, kept = SquareLaw(fails_above=1.2), []
+    cached = CachedLaw(make(law), law, keep=lambda *answers: kept.append(answers))
+    F, F_dot = states(20, angle=0.0)
+    answer = cached.respond(F, F_dot)
+    assert len(cached.surrogate) == 0
+    assert not kept
+    cached.accept(F, F_dot, answer)
+    assert len(cached.surrogate) > 0
+    np.testing.assert_array_equal(kept[0][2], square_stress(F, F_dot))
+    assert not kept[0][4].any()
+    beyond = F.copy()
+    beyond[0, 0, 0] = 1.5
+    count = len(cached.surrogate)
+    cached.accept(beyond, F_dot, cached.respond(beyond, F_dot))
+    assert len(cached.surrogate) == count
+    assert len(kept) == 1
+
+
+def test_the_range_of_a_table_may_be_a_point_in_some_inputs():
+    flat = SamplingRange(stretch=(0.95, 1.05), shear=0.0, rate=0.0)
+    table = StressTable(SquareLaw(), 0.03, flat, SPREAD)
+    F, F_dot = sample(flat, 50, 1)
+    taught(F, F_dot, table)
+    assert (table.lookup(F, F_dot)[1] == 0).all()

@@ -1,0 +1,83 @@
+"""Inputs of a table: rotation and group taken out, slopes along them."""
+
+import numpy as np
+import pytest
+
+from surrofe2.cache.table_inputs import (
+    INPUT_SIGNS,
+    OUTPUT_SIGNS,
+    canonical_image,
+    from_inputs,
+    input_scale,
+    input_slopes,
+    to_components,
+    to_inputs,
+)
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.tensors import transpose
+from tests.cache.square_law import SquareLaw, square_stress
+
+RANGE = SamplingRange(stretch=(0.93, 1.07), shear=0.06, rate=0.016)
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+MIRROR = np.diag([1.0, -1.0])
+
+
+def states(count=50, angle=0.4):
+    U, A = sample(RANGE, count, 5)
+    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return R @ U, R @ A
+
+
+def test_there_and_back():
+    F, F_dot = states()
+    again = from_inputs(*to_inputs(F, F_dot))
+    np.testing.assert_allclose(again[0], F, atol=1e-14)
+    np.testing.assert_allclose(again[1], F_dot, atol=1e-16)
+
+
+@pytest.mark.parametrize("image", range(4))
+def test_images_are_the_group_of_the_square(image):
+    """Bit 0 turns the cell by 90°, bit 1 reflects it: F → G⁻¹ F G in the rotated frame."""
+    U, A = states(angle=0.0)
+    turned, mirrored = image & 1, image >> 1
+    if turned:
+        U, A = TURN.T @ U @ TURN, TURN.T @ A @ TURN
+    if mirrored:
+        U, A = MIRROR @ U @ MIRROR, MIRROR @ A @ MIRROR
+    x = to_inputs(*states(angle=0.0))[0]
+    np.testing.assert_allclose(to_inputs(U, A)[0], x * INPUT_SIGNS[image], atol=1e-15)
+    s = to_components(square_stress(*states(angle=0.0)))
+    np.testing.assert_allclose(to_components(square_stress(U, A)), s * OUTPUT_SIGNS[image])
+
+
+def test_canonical_image_is_in_one_sector():
+    x = to_inputs(*states(400))[0]
+    image = canonical_image(x, "D4")
+    assert set(image) == {0, 1, 2, 3}
+    home = x * INPUT_SIGNS[image]
+    assert (home[:, 1] >= 0.0).all()
+    assert (home[:, 2] >= 0.0).all()
+    assert not canonical_image(x, "none").any()
+
+
+def test_slopes_are_derivatives_along_the_inputs():
+    F, F_dot = states(20)
+    x, R = to_inputs(F, F_dot)
+    law = SquareLaw()
+    answer = law.respond(F, F_dot, tangents=True)
+    slopes = input_slopes(R, *answer.tangents.cauchy(F, answer.stress))
+    for i in range(7):
+        step = np.zeros(7)
+        step[i] = 1e-5
+        sides = [
+            to_components(transpose(R) @ square_stress(*from_inputs(x + sign * step, R)) @ R)
+            for sign in (1.0, -1.0)
+        ]
+        expected = (sides[0] - sides[1]) / 2e-5
+        np.testing.assert_allclose(slopes[:, :, i], expected, atol=1e-6)
+
+
+def test_scale_is_the_half_width_of_each_input():
+    np.testing.assert_allclose(input_scale(RANGE), [0.14, 0.14, 0.12] + [0.032] * 4)
+    still = SamplingRange(stretch=(0.9, 1.1), shear=0.0, rate=0.0)
+    np.testing.assert_allclose(input_scale(still), [0.2, 0.2, 1, 1, 1, 1, 1])
