@@ -107,7 +107,9 @@ class StressTable:
         """What the table knows."""
         return self._records
 
-    def __len__(self) -> int:
+    @property
+    def size(self) -> int:
+        """How many records it has."""
         return len(self._records.centre)
 
     def lookup(
@@ -158,7 +160,7 @@ class StressTable:
             left = left[~covered]
             records = joined(records, new)
             counts = {name: counts[name] + more[name] for name in counts}
-        counts["added"] = len(records.centre) - len(self)
+        counts["added"] = len(records.centre) - self.size
         for name, count in counts.items():
             self.counts[name] += count
         if any(counts.values()):

@@ -71,4 +71,4 @@ def counts_of(table: StressTable | None) -> dict[str, int]:
     if table is None:
         return {}
     changed = {name.removeprefix("table_"): count for name, count in table.counts.items()}
-    return {"table_records": len(table), **{f"table_{name}": n for name, n in changed.items()}}
+    return {"table_records": table.size, **{f"table_{name}": n for name, n in changed.items()}}

@@ -1,0 +1,227 @@
+"""Runs by table, harvests, training on them and refining, over laws without cells."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from surrofe2.io.harvest import read_harvest
+from surrofe2.io.runs import read_record
+from surrofe2.io.tables import read_table
+from surrofe2.surrogate import SurrogateLaw
+from tests.cache.square_law import SquareLaw, square_stress
+from tests.fakes import SoftLaw
+
+
+def run(invoke, recipe, out, *more, law=None):
+    return invoke("run", recipe, "--out", out, *more, law=law or SquareLaw())
+
+
+@pytest.fixture
+def first(invoke, changed_recipe, tmp_path):
+    """A finished run by table."""
+    recipe = changed_recipe("-0.1]", "-0.5]")
+    done = run(invoke, recipe, tmp_path / "first", "--law", "table")
+    assert done.exit_code == 0, done.output
+    return tmp_path / "first"
+
+
+def test_a_table_serves_alone_and_better_the_second_time(invoke, first, recipe_path, tmp_path):
+    second = tmp_path / "second"
+    done = run(invoke, recipe_path, second, "--law", "table", "--table", first / "table.h5")
+    assert done.exit_code == 0, done.output
+    counts = [read_record(folder).counts for folder in (first, second)]
+    hits = [entry["hits"] / (entry["hits"] + entry["fallbacks"]) for entry in counts]
+    assert 0.5 < hits[0] < hits[1]
+    assert hits[1] > 0.9
+    assert counts[0]["table_added"] == counts[0]["table_records"] > 0
+    assert read_table(second / "table.h5").records.centre.shape[0] == counts[1]["table_records"]
+    assert f"table of {counts[1]['table_records']} records" in done.stdout
+    assert read_record(second).surrogate["file"] == "table.h5"
+
+
+def test_true_answers_of_a_run_are_harvested(invoke, first, recipe_path, tmp_path):
+    harvest = read_harvest(first / "harvest.h5")
+    np.testing.assert_allclose(harvest.stress, square_stress(harvest.F, harvest.F_dot), atol=1e-12)
+    assert not harvest.why.any()
+    assert 0 < len(harvest.F) <= read_record(first).counts["fallbacks"]
+    without = run(invoke, recipe_path, tmp_path / "no", "--law", "table", "--no-harvest")
+    assert without.exit_code == 0
+    assert not (tmp_path / "no" / "harvest.h5").exists()
+
+
+def test_tables_merge(invoke, first, recipe_path, changed_recipe, tmp_path):
+    changed_recipe("[0.0, -0.5]", "[0.4, 0.0]")
+    run(invoke, recipe_path, tmp_path / "second", "--law", "table")
+    files = [first / "table.h5", tmp_path / "second" / "table.h5"]
+    merged = tmp_path / "merged.h5"
+    done = invoke("table", "merge", *files, "--out", merged)
+    assert done.exit_code == 0, done.output
+    sizes = [len(read_table(path).records.centre) for path in (*files, merged)]
+    assert max(sizes[:2]) < sizes[2] <= sum(sizes[:2])
+    assert invoke("table", "merge", *files, "--out", merged).exit_code == 1
+    shown = invoke("table", "show", merged)
+    assert f"{sizes[2]} records, constrained-runs" in shown.stdout
+    both = [part for path in files for part in ("--table", path)]
+    again = run(invoke, recipe_path, tmp_path / "third", "--law", "table", *both)
+    assert again.exit_code == 0, again.output
+    assert read_record(tmp_path / "third").counts["table_records"] >= sizes[2]
+
+
+def test_a_table_of_other_parameters_is_refused(
+    invoke, first, recipe_path, changed_recipe, tmp_path
+):
+    changed_recipe('preset = "printed"', "viscosity = 0.2")
+    law = SquareLaw()
+    refused = run(
+        invoke,
+        recipe_path,
+        tmp_path / "x",
+        "--law",
+        "table",
+        "--table",
+        first / "table.h5",
+        law=law,
+    )
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {first / 'table.h5'}: a table for cell.viscosity = 0.1, not 0.2; start an empty "
+        "one or use one of these parameters\n"
+    )
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_table_is_not_for_true_runs(invoke, first, recipe_path, tmp_path):
+    refused = run(
+        invoke, recipe_path, tmp_path / "x", "--law", "rve", "--table", first / "table.h5"
+    )
+    assert refused.exit_code == 1
+    assert "--table: not with --law rve; it must be cached or table" in refused.stderr
+
+
+class StopsAfter(SquareLaw):
+    """Ctrl-C after so many answers."""
+
+    def __init__(self, calls):
+        super().__init__()
+        self.left = calls
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().respond(F, F_dot, state, tangents=tangents)
+
+
+def test_an_interrupted_run_keeps_table_and_harvest(invoke, changed_recipe, tmp_path):
+    recipe, out = changed_recipe("-0.1]", "-0.5]"), tmp_path / "out"
+    stopped = run(invoke, recipe, out, "--law", "table", law=StopsAfter(40))
+    assert stopped.exit_code == 130, stopped.output
+    kept = len(read_table(out / "table.h5").records.centre)
+    harvested = len(read_harvest(out / "harvest.h5").F)
+    assert kept > 0
+    assert harvested > 0
+    done = run(invoke, recipe, out, "--law", "table", "--resume")
+    assert done.exit_code == 0, done.output
+    counts = read_record(out).counts
+    assert counts["table_added"] == counts["table_records"] - kept
+    assert len(read_harvest(out / "harvest.h5").F) >= harvested
+
+
+@pytest.fixture
+def _trained(invoke, recipe_path):
+    for command in ("generate", "train"):
+        assert invoke(command, recipe_path, law=SquareLaw()).exit_code == 0
+
+
+@pytest.mark.usefixtures("_trained")
+def test_a_table_behind_the_network_takes_what_it_may_not_answer(
+    invoke, recipe_path, changed_recipe, tmp_path
+):
+    changed_recipe("-0.1]", "-2.0]")
+    alone = run(invoke, recipe_path, tmp_path / "alone", "--law", "cached")
+    changed_recipe("[load]", "[table]\nenabled = true\ntolerance = 1e-2\n\n[load]")
+    both = run(invoke, recipe_path, tmp_path / "both", "--law", "cached")
+    assert both.exit_code == alone.exit_code == 0, both.output
+    counts = [read_record(tmp_path / name).counts for name in ("alone", "both")]
+    assert counts[0]["fallbacks"] > 1000
+    assert counts[1]["fallbacks"] < 0.5 * counts[0]["fallbacks"]
+    assert counts[1]["table_records"] > 0
+
+
+@pytest.mark.usefixtures("_trained")
+def test_a_harvest_is_added_to_the_training_data(invoke, first, recipe_path, changed_recipe):
+    surrogate = recipe_path.parent / "cells.pt"
+    before = SurrogateLaw.load(surrogate)
+    harvest = first / "harvest.h5"
+    done = invoke("train", recipe_path, "--force", "--add", harvest)
+    assert done.exit_code == 0, done.output
+    after = SurrogateLaw.load(surrogate)
+    assert after.data_fingerprint != before.data_fingerprint
+    assert after.errors["points"] > before.errors["points"]
+    assert after.range == before.range
+    changed_recipe('file = "cells.h5"', f'file = "cells.h5"\nadd = ["{harvest}"]')
+    assert invoke("train", recipe_path, "--force").exit_code == 0
+    assert SurrogateLaw.load(surrogate).data_fingerprint == after.data_fingerprint
+
+
+@pytest.mark.usefixtures("_trained")
+def test_a_harvest_of_another_initialisation_is_refused(invoke, recipe_path, tmp_path):
+    out = tmp_path / "elastic"
+    made = run(invoke, recipe_path, out, "--law", "table", "--initialisation", "elastic")
+    assert made.exit_code == 0, made.output
+    refused = invoke("train", recipe_path, "--force", "--add", out / "harvest.h5")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {out / 'harvest.h5'}: harvested for initialisation elastic, not "
+        "constrained-runs; leave it out\n"
+    )
+
+
+@pytest.fixture
+def leaving_recipe(changed_recipe):
+    """Its bar leaves the range."""
+    return changed_recipe("-0.1]", "-1.0]")
+
+
+def test_refine_teaches_what_a_run_meets(invoke, leaving_recipe, tmp_path):
+    out = tmp_path / "refined"
+    done = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
+    assert done.exit_code == 0, done.output
+    rows = json.loads((out / "refine.json").read_text(encoding="utf-8"))["rounds"]
+    assert len(rows) > 1
+    assert rows[0]["unknown"] > 0
+    assert (rows[-1]["unknown"], rows[-1]["hits"]) == (0, 1.0)
+    assert rows[1]["samples"] == rows[0]["samples"] + rows[0]["added"]
+    low, high = (row["range"] for row in (rows[0], rows[1]))
+    assert high != low
+    assert high["rate"] >= low["rate"]
+    assert (
+        SurrogateLaw.load(out / "surrogate.pt").range.to_dict()["rate"] == rows[-1]["range"]["rate"]
+    )
+    for word in ("round", "hits", "unknown", "held-out", "audit", "settled"):
+        assert word in done.stdout
+    begun = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
+    assert begun.exit_code == 1
+    assert "continue them with --resume" in begun.stderr
+
+
+def test_refine_that_does_not_settle_says_so_and_goes_on(invoke, leaving_recipe, tmp_path):
+    out = tmp_path / "refined"
+    short = invoke("refine", leaving_recipe, "--out", out, "--rounds", 1, law=SoftLaw())
+    assert short.exit_code == 1
+    assert "states still unknown after 1 rounds; go on with --resume --rounds 2" in short.stderr
+    done = invoke("refine", leaving_recipe, "--out", out, "--resume", law=SoftLaw())
+    assert done.exit_code == 0, done.output
+    assert done.stdout.count("round 0:") == 1
+
+
+def test_refine_of_another_recipe_is_not_resumed(invoke, leaving_recipe, changed_recipe, tmp_path):
+    out = tmp_path / "refined"
+    invoke("refine", leaving_recipe, "--out", out, "--rounds", 1, law=SoftLaw())
+    changed_recipe("-1.0]", "-1.1]")
+    refused = invoke("refine", leaving_recipe, "--out", out, "--resume", law=SoftLaw())
+    assert refused.exit_code == 1
+    assert "its rounds are of another recipe" in refused.stderr
