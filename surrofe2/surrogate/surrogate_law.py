@@ -16,9 +16,10 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
 from surrofe2.surrogate.compiled import evaluate, response_at_rest
-from surrofe2.surrogate.components import rotate_back, to_inputs
+from surrofe2.surrogate.components import to_inputs
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.packing import Weights, pack
+from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.surrogate.settings import TrainingSettings
 
 Array = NDArray[np.float64]
@@ -34,10 +35,12 @@ def package_version() -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurrogateLaw:
-    """σ(F, Ḟ) of one RVE, learnt; rotation and D4 hold exactly, σ(I, 0) = 0, no sector edges.
+    """σ(F, Ḟ) of one RVE, learnt; rotation and, for the square cell, D4 hold exactly.
+
+    Smooth everywhere; for the square cell σ(I, 0) = 0, and with an energy P(F, 0) = ∂W/∂F.
 
     Attributes:
-        network: components of S = Rᵀ σ R from those of U and RᵀḞ; see `network`.
+        network: components of RᵀP from those of U and RᵀḞ; see `network`.
         cell: parameters of the plant cell whose stress was learnt.
         initialisation: how its RVE was initialised.
         range: bounds of the data, outside which no stress is given.
@@ -121,8 +124,8 @@ class SurrogateLaw:
     def reference(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""
         F, F_dot = check_deformation(F, F_dot)
-        inputs, R = to_inputs(F, F_dot)
+        inputs, _ = to_inputs(F, F_dot)
         with torch.no_grad():
             precision = self.network.input_scale.dtype
             components = self.network(torch.as_tensor(inputs, dtype=precision))
-        return rotate_back(components.double().numpy(), R)
+        return to_cauchy(F, components.double().numpy())
