@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
-from surrofe2.surrogate.compiled import evaluate, response_at_rest
+from surrofe2.surrogate.compiled import evaluate, without_rest
 from surrofe2.surrogate.components import to_inputs
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.packing import Weights, pack
@@ -65,8 +65,7 @@ class SurrogateLaw:
 
     def __post_init__(self) -> None:
         weights = pack(self.network, self.range)
-        weights = weights._replace(at_rest=response_at_rest(weights))
-        object.__setattr__(self, "_weights", weights)
+        object.__setattr__(self, "_weights", without_rest(weights, self.network.features))
 
     @classmethod
     def load(cls, path: str | Path) -> SurrogateLaw:
