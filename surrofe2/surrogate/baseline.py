@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.network import StressNetwork, products, slope_table
 
 _BLOCK = 1024
@@ -57,15 +58,15 @@ def fit_baseline(
 def columns(network: StressNetwork, x: torch.Tensor) -> torch.Tensor:
     """(n, 4, m): what a unit of each coefficient, those of the energy first, adds to P̂."""
     f = network.features
-    energy = x.new_zeros(len(x), len(f.energy_monomials), 3)
+    energy = x.new_zeros(len(x), len(f.energy_monomials), STRETCH)
     if f.energy_monomials:
         owner, coefficient, shapes = slope_table(f.energy_monomials)
         values = products(x, shapes) * x.new_tensor([number for _, number in coefficient])
         flat = torch.tensor([3 * k + o for (k, _), o in zip(coefficient, owner, strict=True)])
         energy = energy.reshape(len(x), -1).index_add(1, flat, values).reshape(energy.shape)
     count = len(f.energy_monomials)
-    repeated = x.repeat_interleave(count, dim=0)
-    elastic = network.elastic(energy.reshape(-1, 3), repeated).reshape(len(x), count, 4)
+    repeated = x[:, :STRETCH].repeat_interleave(count, dim=0)
+    elastic = network.elastic(energy.reshape(-1, STRETCH), repeated).reshape(len(x), count, 4)
     rest = x.new_zeros(len(x), len(f.monomials), 4)
     if f.monomials:
         owner = torch.tensor([component for _, component in f.monomials])

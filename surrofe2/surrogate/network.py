@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -75,6 +76,17 @@ class Member(torch.nn.Module):
             self.energy = TanhNetwork((STRETCH, *settings.energy_hidden, 1), generator)
 
 
+class Shapes(NamedTuple):
+    """What the parts of a network are functions of; fixed in training.
+
+    invariants (n, i); terms (n, t), their products; stretch (n, 3), scaled s, d, g.
+    """
+
+    invariants: torch.Tensor
+    terms: torch.Tensor
+    stretch: torch.Tensor
+
+
 class StressNetwork(torch.nn.Module):
     """P̂(x) for inputs (n, 7) of `components.to_inputs`; output (n, 4) in µN/µm.
 
@@ -88,6 +100,9 @@ class StressNetwork(torch.nn.Module):
     energy_scale: torch.Tensor
     coefficients: torch.Tensor
     energy_coefficients: torch.Tensor
+    resting: torch.Tensor
+    factor_of: torch.Tensor
+    owner: torch.Tensor
 
     def __init__(self, settings: TrainingSettings, symmetry: str = "D4") -> None:
         super().__init__()
@@ -96,46 +111,47 @@ class StressNetwork(torch.nn.Module):
         self.members = torch.nn.ModuleList(
             Member(self.features, settings, settings.seed + k) for k in range(settings.members)
         )
-        for name, size in (
-            ("input_scale", INPUTS),
-            ("output_scale", 4),
-            ("energy_scale", 1),
-        ):
+        for name, size in (("input_scale", INPUTS), ("output_scale", 4), ("energy_scale", 1)):
             self.register_buffer(name, torch.ones(size, dtype=torch.float64))
-        for name, terms in (
+        for name, products_ in (
             ("coefficients", self.features.monomials),
             ("energy_coefficients", self.features.energy_monomials),
         ):
-            self.register_buffer(name, torch.zeros(len(terms), dtype=torch.float64))
+            self.register_buffer(name, torch.zeros(len(products_), dtype=torch.float64))
+        for name, matrix in _incidence(self.features).items():
+            self.register_buffer(name, matrix, persistent=False)
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Components of P̂ (n, 4), µN/µm."""
         x = inputs / self.input_scale
-        total = sum(self.correction(member, x) for member in self.members)
+        shapes = self.shapes(x)
+        total = sum(self.correction(member, shapes) for member in self.members)
         return self.baseline(x) + total / len(self.members)
 
-    def correction(self, member: Member, x: torch.Tensor) -> torch.Tensor:
-        """What one network adds to the baseline (n, 4), µN/µm, at scaled inputs."""
+    def shapes(self, x: torch.Tensor) -> Shapes:
+        """All that `correction` needs of scaled inputs (n, 7)."""
         f = self.features
-        factors = member.factors(products(x, f.invariants))
-        if f.vanishes_at_rest and any(not term.product for term in f.terms):
-            at_rest = member.factors(x.new_zeros(1, len(f.invariants)))
-            resting = x.new_tensor([not p for p in _by_factor(f)])
-            factors = factors - resting * at_rest
-        shapes = products(x, [term.product for term in f.terms])
-        terms = factors[:, [term.factor for term in f.terms]] * shapes
-        P = x.new_zeros(len(x), 4).index_add(
-            1, torch.tensor([term.component for term in f.terms]), terms
-        )
-        P = P * self.output_scale
+        terms = [term.product for term in f.terms]
+        return Shapes(products(x, f.invariants), products(x, terms), x[:, :STRETCH])
+
+    def correction(self, member: Member, shapes: Shapes) -> torch.Tensor:
+        """What one network adds to the baseline (n, 4), µN/µm."""
+        factors = member.factors(shapes.invariants)
+        if self.resting.any():
+            factors = factors - self.resting * member.factors(self.resting.new_zeros(
+                1, len(self.features.invariants)
+            ))
+        P = (factors @ self.factor_of) * shapes.terms @ self.owner * self.output_scale
         if member.energy is not None:
-            P = P + self.elastic(self.energy_scale * self._energy_slope(member.energy, x), x)
+            slope = self._energy_slope(member.energy, shapes.stretch)
+            P = P + self.elastic(self.energy_scale * slope, shapes.stretch)
         return P
 
-    def elastic(self, slope: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-        """P̂ (n, 4) from ∂W by the scaled s, d, g (n, 3)."""
-        biot = 2.0 * slope / self.input_scale[:STRETCH]
-        s, d, g = (x[:, :STRETCH] * self.input_scale[:STRETCH]).T
+    def elastic(self, slope: torch.Tensor, stretch: torch.Tensor) -> torch.Tensor:
+        """P̂ (n, 4) from ∂W by the scaled s, d, g, (n, 3), at these."""
+        widths = self.input_scale[:STRETCH]
+        biot = 2.0 * slope / widths
+        s, d, g = (stretch * widths).T
         spin = (biot[:, 1] * g - biot[:, 2] * d) / (2.0 + s)
         return torch.cat([biot, spin[:, None]], dim=1)
 
@@ -148,17 +164,15 @@ class StressNetwork(torch.nn.Module):
             shapes = products(x, [product for product, _ in f.monomials])
             values = values.index_add(1, owner, shapes * self.coefficients)
         if f.energy_monomials:
-            values = values + self.elastic(self._polynomial_slope(x), x)
+            values = values + self.elastic(self._polynomial_slope(x), x[:, :STRETCH])
         return values
 
-    def _energy_slope(self, energy: TanhNetwork, x: torch.Tensor) -> torch.Tensor:
+    def _energy_slope(self, energy: TanhNetwork, stretch: torch.Tensor) -> torch.Tensor:
         """∂W/∂(s, d, g) (n, 3) of the energy network; under D4 less what it is at rest."""
-        powers = self.features.powers
-        stretch = x[:, :STRETCH]
-        squared = torch.tensor([power == 2 for power in powers])
+        squared = torch.tensor([power == 2 for power in self.features.powers])
         back = energy.gradient(torch.where(squared, stretch**2, stretch))
         if self.features.vanishes_at_rest:
-            back = back - ~squared * energy.gradient(x.new_zeros(1, STRETCH))
+            back = back - ~squared * energy.gradient(stretch.new_zeros(1, STRETCH))
         return back * torch.where(squared, 2.0 * stretch, torch.ones_like(stretch))
 
     def _polynomial_slope(self, x: torch.Tensor) -> torch.Tensor:
@@ -198,8 +212,14 @@ def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:
     return torch.stack([column(product) for product in factors], dim=1)
 
 
-def _by_factor(features: Features) -> list[Product]:
-    shapes: list[Product] = [()] * features.factors
-    for term in features.terms:
-        shapes[term.factor] = term.product
-    return shapes
+def _incidence(features: Features) -> dict[str, torch.Tensor]:
+    """As matrices of 0 and 1: whether a factor is subtracted at rest, which term has which factor
+    and belongs to which component."""
+    count = len(features.terms)
+    resting = torch.zeros(features.factors, dtype=torch.float64)
+    factor_of = torch.zeros(features.factors, count, dtype=torch.float64)
+    owner = torch.zeros(count, 4, dtype=torch.float64)
+    for k, term in enumerate(features.terms):
+        factor_of[term.factor, k] = owner[k, term.component] = 1.0
+        resting[term.factor] = float(features.vanishes_at_rest and not term.product)
+    return {"resting": resting, "factor_of": factor_of, "owner": owner}

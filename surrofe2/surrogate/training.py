@@ -22,7 +22,7 @@ from surrofe2.surrogate.baseline import fit_baseline
 from surrofe2.surrogate.components import INPUTS, input_scale, to_inputs
 from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.features import STRETCH
-from surrofe2.surrogate.network import Member, StressNetwork
+from surrofe2.surrogate.network import Member, Shapes, StressNetwork
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
@@ -33,6 +33,7 @@ Checkpoint = Callable[[dict[str, Any]], None]
 
 LEAST_SAMPLES = 20
 _ITERATIONS_A_ROUND = 20
+_TANGENTS = ("P_by_F", "P_by_F_dot")  # of the samples, where they were asked for
 _LEAST_SPREAD = 1e-3  # a component below this share of the largest is not worth more effort
 
 
@@ -116,11 +117,10 @@ def _read(samples: StressSamples, settings: TrainingSettings) -> _Data:
     inputs, _ = to_inputs(samples.F, samples.F_dot)
     scale = input_scale(samples.range)
     target = torch.from_numpy(to_piola(samples.F, samples.stress))
-    P_by_F = getattr(samples, "P_by_F", None)
-    P_by_F_dot = getattr(samples, "P_by_F_dot", None)
+    tangents = [getattr(samples, name, None) for name in _TANGENTS]
     slopes = None
-    if settings.tangent_weight > 0.0 and P_by_F is not None and P_by_F_dot is not None:
-        slopes = torch.from_numpy(to_slopes(samples.F, P_by_F, P_by_F_dot) * scale)
+    if settings.tangent_weight > 0.0 and tangents[0] is not None:
+        slopes = torch.from_numpy(to_slopes(samples.F, *tangents) * scale)
     return _Data(torch.from_numpy(inputs / scale), target, slopes)
 
 
@@ -128,30 +128,31 @@ def _read(samples: StressSamples, settings: TrainingSettings) -> _Data:
 class _Task:
     """What a network is to add to the baseline; `weight` (4,): of its square, by component.
 
-    `slope` (n, 4): of it along `direction` (n, 7), both None where there are no tangents.
+    `slope` (n, 4): of it along one direction a sample, along which the shapes have the slopes
+    `moving`; both None where there are no tangents.
     """
 
-    x: torch.Tensor
+    shapes: Shapes
     target: torch.Tensor
     weight: torch.Tensor
-    direction: torch.Tensor | None = None
+    moving: Shapes | None = None
     slope: torch.Tensor | None = None
     slope_weight: float = 0.0
 
     def loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes."""
-        if self.direction is None:
-            error = network.correction(member, self.x) - self.target
+        if self.moving is None:
+            error = network.correction(member, self.shapes) - self.target
             return (error**2 * self.weight).mean()
         found, slope = torch.func.jvp(
-            lambda x: network.correction(member, x), (self.x,), (self.direction,)
+            lambda *shapes: network.correction(member, Shapes(*shapes)), self.shapes, self.moving
         )
         by_stress = ((found - self.target) ** 2 * self.weight).mean()
         return by_stress + self.slope_weight * ((slope - self.slope) ** 2 * self.weight).mean()
 
     def stress_loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
         """The mean square error of stress alone."""
-        return replace(self, direction=None).loss(network, member)
+        return replace(self, moving=None).loss(network, member)
 
 
 def _fit_baseline(network: StressNetwork, data: _Data, settings: TrainingSettings) -> None:
@@ -166,7 +167,7 @@ def _spread(target: torch.Tensor) -> torch.Tensor:
 
 def _make_task(network: StressNetwork, data: _Data, settings: TrainingSettings) -> _Task:
     task = _Task(
-        x=data.x,
+        shapes=network.shapes(data.x),
         target=data.target - network.baseline(data.x),
         weight=1.0 / _spread(data.target) ** 2,
     )
@@ -176,7 +177,8 @@ def _make_task(network: StressNetwork, data: _Data, settings: TrainingSettings) 
     direction = torch.from_numpy(directions)
     below = torch.func.jvp(network.baseline, (data.x,), (direction,))[1]
     slope = torch.einsum("nkj,nj->nk", data.slopes, direction) - below
-    return replace(task, direction=direction, slope=slope, slope_weight=settings.tangent_weight)
+    moving = torch.func.jvp(network.shapes, (data.x,), (direction,))[1]
+    return replace(task, moving=moving, slope=slope, slope_weight=settings.tangent_weight)
 
 
 def _set_scales(network: StressNetwork, task: _Task) -> None:
@@ -315,5 +317,6 @@ def _restore(
 
 
 def _subset(samples: StressSamples, chosen: NDArray[np.int64]) -> StressSamples:
-    arrays = {name: getattr(samples, name)[chosen] for name in ("F", "F_dot", "stress", "status")}
-    return replace(samples, **arrays)
+    names = ["F", "F_dot", "stress", "status"]
+    names += [name for name in _TANGENTS if getattr(samples, name, None) is not None]
+    return replace(samples, **{name: getattr(samples, name)[chosen] for name in names})
