@@ -83,10 +83,10 @@ def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[n
     inside = np.empty(BLOCK, dtype=np.bool_)
     y = np.zeros((4, BLOCK), dtype=weights.input_factor.dtype)
     x = np.empty((INPUTS + 1, BLOCK), dtype=weights.input_factor.dtype)
-    _read(start, F, F_dot, frame)
-    _take_rotation_out(frame)
+    read_points(start, F, F_dot, frame)
+    take_rotation_out(frame)
     _test_range(frame, weights.bounds, inside)
-    _scale_inputs(frame, weights.input_factor, x)
+    scale_inputs(frame, weights.input_factor, x)
     _combine(x, network_factors(x, weights), weights, y)
     _add_polynomials(x, weights.monomials, weights.coefficients, y)
     if weights.powers[0]:
@@ -97,7 +97,7 @@ def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[n
 
 
 @kernel
-def _read(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
+def read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
         for i in range(2):
@@ -107,7 +107,7 @@ def _read(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
+def take_rotation_out(frame):  # type: ignore[no-untyped-def]
     """Rows 8, 9: cos and sin of R; rows 10 to 12: U₁₁, U₁₂, U₂₂; rows 0 to 3: A = RᵀḞ."""
     for p in range(BLOCK):
         xx, xy, yx, yy = frame[0, p], frame[1, p], frame[2, p], frame[3, p]
@@ -138,7 +138,7 @@ def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
+def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
     for p in range(BLOCK):
         x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
         x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]
@@ -169,7 +169,7 @@ def network_factors(x, weights):  # type: ignore[no-untyped-def]
             matrix = layers.weights[member, first : first + size].reshape(rows, columns)
             bias = layers.biases[member, first_bias : first_bias + rows]
             target = np.empty((rows, BLOCK), dtype=x.dtype)
-            _apply_layer(matrix, bias, source, target)
+            apply_layer(matrix, bias, source, target)
             if layer + 1 < sizes.shape[0]:
                 fill_tanh(target)
             source = target
@@ -199,7 +199,7 @@ def energy_slope(x, weights):  # type: ignore[no-untyped-def]
             matrix = layers.weights[member, first : first + rows * columns].reshape(rows, columns)
             end = begin + columns
             bias = layers.biases[member, first_bias : first_bias + rows]
-            _apply_layer(matrix, bias, hidden[begin:end], hidden[end : end + rows])
+            apply_layer(matrix, bias, hidden[begin:end], hidden[end : end + rows])
             fill_tanh(hidden[end : end + rows])
             begin = end
             first += rows * columns
@@ -218,7 +218,7 @@ def energy_slope(x, weights):  # type: ignore[no-untyped-def]
             first -= rows * columns
             matrix = layers.turned[member, first : first + rows * columns].reshape(columns, rows)
             before = np.empty((columns, BLOCK), dtype=x.dtype)
-            _apply_layer(matrix, none, back, before)
+            apply_layer(matrix, none, back, before)
             back = before
             begin -= columns
         for row in range(sizes[0]):
@@ -228,7 +228,7 @@ def energy_slope(x, weights):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
+def apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
     for j in range(0, matrix.shape[0], 2):
         for p in range(BLOCK):
             target[j, p] = bias[j]

@@ -54,8 +54,7 @@ def to_slopes(F: Array, P_by_F: Array, P_by_F_dot: Array) -> Array:
 def to_tangents(F: Array, F_dot: Array, components: Array, slopes: Array) -> Tangents:
     """∂P/∂F and ∂P/∂Ḟ from the components of P̂ (n, 4) and their slopes (n, 4, 7)."""
     inputs, R = to_inputs(F, F_dot)
-    unit = np.broadcast_to(np.eye(4).reshape(4, 2, 2), (len(F), 4, 2, 2))
-    B = np.einsum("nec,kef->nkcf", R, unit[0])  # RᵀdF for the four unit dF
+    B = np.einsum("nec,kef->nkcf", R, np.eye(4).reshape(4, 2, 2))  # RᵀdF for the four unit dF
     U, A = transpose(R) @ F, transpose(R) @ F_dot
     turned = (B[:, :, 1, 0] - B[:, :, 0, 1]) / (2.0 + inputs[:, :1])
     dU = B - turned[..., None, None] * (TURN @ U)[:, None]

@@ -14,12 +14,19 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains
-from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    Tangents,
+    check_deformation,
+)
 from surrofe2.surrogate.compiled import evaluate, without_rest
+from surrofe2.surrogate.compiled_slopes import evaluate_slopes
 from surrofe2.surrogate.components import to_inputs
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.packing import Weights, pack
-from surrofe2.surrogate.piola import to_cauchy
+from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.settings import TrainingSettings
 
 Array = NDArray[np.float64]
@@ -89,11 +96,26 @@ class SurrogateLaw:
         """Mass per reference area, ng/µm²."""
         return self.cell.density
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
-        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data."""
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data.
+
+        With `tangents`, ∂P/∂F and ∂P/∂Ḟ of the surrogate too, NaN where the stress is.
+        """
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
-        return StressResponse(stress, status, state, {"surrogate_points": len(F)})
+        slopes = self._tangents(F, F_dot, status) if tangents else None
+        return StressResponse(stress, status, state, {"surrogate_points": len(F)}, slopes)
+
+    def _tangents(self, F: Array, F_dot: Array, status: NDArray[np.int8]) -> Tangents:
+        answered = np.flatnonzero(status == Status.OK)
+        P_by_F, P_by_F_dot = (np.full((len(F), 2, 2, 2, 2), np.nan) for _ in range(2))
+        if len(answered):
+            F, F_dot = F[answered], F_dot[answered]
+            found = to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self._weights))
+            P_by_F[answered], P_by_F_dot[answered] = found.P_by_F, found.P_by_F_dot
+        return Tangents(P_by_F, P_by_F_dot)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Nothing is left to check or to commit."""
