@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.network import StressNetwork, products, slope_table
+from surrofe2.surrogate.network_slopes import along
 
 _BLOCK = 1024
 _LEAST_EIGENVALUE = 1e-13
@@ -69,9 +70,8 @@ def columns(network: StressNetwork, x: torch.Tensor) -> torch.Tensor:
     elastic = network.elastic(energy.reshape(-1, STRETCH), repeated).reshape(len(x), count, 4)
     rest = x.new_zeros(len(x), len(f.monomials), 4)
     if f.monomials:
-        owner = torch.tensor([component for _, component in f.monomials])
-        shapes = products(x, [product for product, _ in f.monomials])
-        rest = torch.nn.functional.one_hot(owner, 4) * shapes[:, :, None]
+        component = torch.nn.functional.one_hot(torch.tensor([k for _, k in f.monomials]), 4)
+        rest = component * products(x, [product for product, _ in f.monomials])[:, :, None]
     return torch.cat([elastic, rest], dim=1).transpose(1, 2)
 
 
@@ -90,7 +90,7 @@ def _sloped(
     for k in range(x.shape[1]):
         direction = torch.zeros_like(x)
         direction[:, k] = root
-        slope = torch.func.jvp(lambda at: columns(network, at), (x,), (direction,))[1]
+        slope = along(lambda at: columns(network, at), (x,), (direction,))[1]
         parts.append((slope, root * slopes[:, :, k]))
     return parts
 

@@ -98,6 +98,7 @@ def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[n
 
 @kernel
 def read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
+    """Rows 0 to 3: F, rows 4 to 7: Ḟ; behind the last point it is repeated."""
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
         for i in range(2):
@@ -139,6 +140,7 @@ def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
 
 @kernel
 def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
+    """The inputs of `components`, scaled, and a row of ones."""
     for p in range(BLOCK):
         x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
         x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]
@@ -153,10 +155,9 @@ def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
 @kernel
 def network_factors(x, weights):  # type: ignore[no-untyped-def]
     """Rows of the factors of the terms at scaled inputs x (8, BLOCK), summed over the members."""
-    layers = weights.factors
-    sizes = layers.sizes
+    sizes = weights.sizes
     total = np.zeros((sizes[-1], BLOCK), dtype=x.dtype)
-    for member in range(layers.weights.shape[0]):
+    for member in range(weights.weights.shape[0]):
         source = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
         for k in range(weights.invariants.shape[0]):
             a, b, c = weights.invariants[k]
@@ -166,8 +167,8 @@ def network_factors(x, weights):  # type: ignore[no-untyped-def]
         for layer in range(1, sizes.shape[0]):
             rows, columns = sizes[layer], sizes[layer - 1]
             size = rows * columns
-            matrix = layers.weights[member, first : first + size].reshape(rows, columns)
-            bias = layers.biases[member, first_bias : first_bias + rows]
+            matrix = weights.weights[member, first : first + size].reshape(rows, columns)
+            bias = weights.biases[member, first_bias : first_bias + rows]
             target = np.empty((rows, BLOCK), dtype=x.dtype)
             apply_layer(matrix, bias, source, target)
             if layer + 1 < sizes.shape[0]:
@@ -184,11 +185,10 @@ def network_factors(x, weights):  # type: ignore[no-untyped-def]
 @kernel
 def energy_slope(x, weights):  # type: ignore[no-untyped-def]
     """Rows of ∂W by the invariants of U (4, BLOCK), summed over the members: forward and back."""
-    layers = weights.energy
-    sizes = layers.sizes
+    sizes = weights.energy_sizes
     total = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
     none = np.zeros(sizes.max(), dtype=x.dtype)
-    for member in range(layers.weights.shape[0]):
+    for member in range(weights.energy_weights.shape[0]):
         hidden = np.zeros((sizes[:-1].sum(), BLOCK), dtype=x.dtype)
         for k in range(3):
             for p in range(BLOCK):
@@ -196,15 +196,17 @@ def energy_slope(x, weights):  # type: ignore[no-untyped-def]
         begin, first, first_bias = 0, 0, 0
         for layer in range(1, sizes.shape[0] - 1):
             rows, columns = sizes[layer], sizes[layer - 1]
-            matrix = layers.weights[member, first : first + rows * columns].reshape(rows, columns)
+            matrix = weights.energy_weights[member, first : first + rows * columns].reshape(
+                rows, columns
+            )
             end = begin + columns
-            bias = layers.biases[member, first_bias : first_bias + rows]
+            bias = weights.energy_biases[member, first_bias : first_bias + rows]
             apply_layer(matrix, bias, hidden[begin:end], hidden[end : end + rows])
             fill_tanh(hidden[end : end + rows])
             begin = end
             first += rows * columns
             first_bias += rows
-        last = layers.weights[member, first : first + sizes[-2]]
+        last = weights.energy_weights[member, first : first + sizes[-2]]
         back = np.empty((sizes[-2], BLOCK), dtype=x.dtype)
         for row in range(sizes[-2]):
             for p in range(BLOCK):
@@ -216,7 +218,9 @@ def energy_slope(x, weights):  # type: ignore[no-untyped-def]
                     h = hidden[begin + row, p]
                     back[row, p] *= 1.0 - h * h
             first -= rows * columns
-            matrix = layers.turned[member, first : first + rows * columns].reshape(columns, rows)
+            matrix = weights.energy_turned[member, first : first + rows * columns].reshape(
+                columns, rows
+            )
             before = np.empty((columns, BLOCK), dtype=x.dtype)
             apply_layer(matrix, none, back, before)
             back = before
@@ -229,6 +233,7 @@ def energy_slope(x, weights):  # type: ignore[no-untyped-def]
 
 @kernel
 def apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
+    """target = matrix source + bias, (rows, BLOCK)."""
     for j in range(0, matrix.shape[0], 2):
         for p in range(BLOCK):
             target[j, p] = bias[j]

@@ -79,10 +79,9 @@ def _set_product(x, factors, row, slopes):  # type: ignore[no-untyped-def]
 
 @kernel
 def _factors(x, weights, factors, dfactors):  # type: ignore[no-untyped-def]
-    layers = weights.factors
-    sizes = layers.sizes
+    sizes = weights.sizes
     none = np.zeros(sizes.max(), dtype=x.dtype)
-    for member in range(layers.weights.shape[0]):
+    for member in range(weights.weights.shape[0]):
         source = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
         dsource = np.zeros((INPUTS, sizes[0], BLOCK), dtype=x.dtype)
         for row in range(weights.invariants.shape[0]):
@@ -91,10 +90,10 @@ def _factors(x, weights, factors, dfactors):  # type: ignore[no-untyped-def]
         for layer in range(1, sizes.shape[0]):
             rows, columns = sizes[layer], sizes[layer - 1]
             size = rows * columns
-            matrix = layers.weights[member, first : first + size].reshape(rows, columns)
+            matrix = weights.weights[member, first : first + size].reshape(rows, columns)
             target = np.empty((rows, BLOCK), dtype=x.dtype)
             dtarget = np.empty((INPUTS, rows, BLOCK), dtype=x.dtype)
-            apply_layer(matrix, layers.biases[member, first_bias:], source, target)
+            apply_layer(matrix, weights.biases[member, first_bias:], source, target)
             for k in range(INPUTS):
                 apply_layer(matrix, none, dsource[k], dtarget[k])
             if layer + 1 < sizes.shape[0]:
@@ -113,7 +112,7 @@ def _factors(x, weights, factors, dfactors):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_terms(x, weights, y, dy):  # type: ignore[no-untyped-def]
-    count = weights.factors.sizes[-1]
+    count = weights.sizes[-1]
     factors = np.zeros((count, BLOCK), dtype=x.dtype)
     dfactors = np.zeros((INPUTS, count, BLOCK), dtype=x.dtype)
     _factors(x, weights, factors, dfactors)
@@ -163,10 +162,9 @@ def _add_polynomials(x, table, coefficients, y, dy):  # type: ignore[no-untyped-
 @kernel
 def _energy_slope(x, weights, slope, dslope):  # type: ignore[no-untyped-def]
     """∂W by the invariants of U (rows, BLOCK) and its slopes by s, d, g: forward over reverse."""
-    layers = weights.energy
-    sizes = layers.sizes
+    sizes = weights.energy_sizes
     none = np.zeros(sizes.max(), dtype=x.dtype)
-    for member in range(layers.weights.shape[0]):
+    for member in range(weights.energy_weights.shape[0]):
         hidden = np.zeros((sizes[:-1].sum(), BLOCK), dtype=x.dtype)
         dhidden = np.zeros((STRETCH, hidden.shape[0], BLOCK), dtype=x.dtype)
         for k in range(STRETCH):
@@ -177,10 +175,12 @@ def _energy_slope(x, weights, slope, dslope):  # type: ignore[no-untyped-def]
         begin, first, first_bias = 0, 0, 0
         for layer in range(1, sizes.shape[0] - 1):
             rows, columns = sizes[layer], sizes[layer - 1]
-            matrix = layers.weights[member, first : first + rows * columns].reshape(rows, columns)
+            matrix = weights.energy_weights[member, first : first + rows * columns].reshape(
+                rows, columns
+            )
             middle = begin + columns
             end = middle + rows
-            bias = layers.biases[member, first_bias : first_bias + rows]
+            bias = weights.energy_biases[member, first_bias : first_bias + rows]
             apply_layer(matrix, bias, hidden[begin:middle], hidden[middle:end])
             fill_tanh(hidden[middle:end])
             for k in range(STRETCH):
@@ -194,22 +194,24 @@ def _energy_slope(x, weights, slope, dslope):  # type: ignore[no-untyped-def]
         back = np.empty((sizes[-2], BLOCK), dtype=x.dtype)
         dback = np.zeros((STRETCH, sizes[-2], BLOCK), dtype=x.dtype)
         for row in range(sizes[-2]):
-            back[row] = layers.weights[member, first + row]
+            back[row] = weights.energy_weights[member, first + row]
         for layer in range(sizes.shape[0] - 2, 0, -1):
             rows, columns = sizes[layer], sizes[layer - 1]
             for k in range(STRETCH):
                 for row in range(rows):
                     for p in range(BLOCK):
                         h = hidden[begin + row, p]
-                        dback[k, row, p] = (1.0 - h * h) * dback[k, row, p] - (
-                            h + h
-                        ) * dhidden[k, begin + row, p] * back[row, p]
+                        dback[k, row, p] = (1.0 - h * h) * dback[k, row, p] - (h + h) * dhidden[
+                            k, begin + row, p
+                        ] * back[row, p]
             for row in range(rows):
                 for p in range(BLOCK):
                     h = hidden[begin + row, p]
                     back[row, p] *= 1.0 - h * h
             first -= rows * columns
-            matrix = layers.turned[member, first : first + rows * columns].reshape(columns, rows)
+            matrix = weights.energy_turned[member, first : first + rows * columns].reshape(
+                columns, rows
+            )
             before = np.empty((columns, BLOCK), dtype=x.dtype)
             dbefore = np.empty((STRETCH, columns, BLOCK), dtype=x.dtype)
             apply_layer(matrix, none, back, before)
@@ -223,7 +225,7 @@ def _energy_slope(x, weights, slope, dslope):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_elastic(x, frame, weights, y, dy):  # type: ignore[no-untyped-def]
-    rows = weights.energy.sizes[0]
+    rows = weights.energy_sizes[0]
     slope = np.zeros((rows, BLOCK), dtype=x.dtype)
     dslope = np.zeros((STRETCH, rows, BLOCK), dtype=x.dtype)
     _energy_slope(x, weights, slope, dslope)

@@ -66,6 +66,9 @@ class TanhNetwork(torch.nn.Module):
 class Member(torch.nn.Module):
     """One network of the ensemble: factors of the terms and, in forms with an energy, W."""
 
+    factors: TanhNetwork
+    energy: TanhNetwork | None
+
     def __init__(self, features: Features, settings: TrainingSettings, seed: int) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
@@ -121,11 +124,16 @@ class StressNetwork(torch.nn.Module):
         for name, matrix in _incidence(self.features).items():
             self.register_buffer(name, matrix, persistent=False)
 
+    @property
+    def ensemble(self) -> list[Member]:
+        """The members, as what they are."""
+        return [member for member in self.members if isinstance(member, Member)]
+
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Components of P̂ (n, 4), µN/µm."""
         x = inputs / self.input_scale
         shapes = self.shapes(x)
-        total = sum(self.correction(member, shapes) for member in self.members)
+        total = sum(self.correction(member, shapes) for member in self.ensemble)
         return self.baseline(x) + total / len(self.members)
 
     def shapes(self, x: torch.Tensor) -> Shapes:
@@ -138,9 +146,9 @@ class StressNetwork(torch.nn.Module):
         """What one network adds to the baseline (n, 4), µN/µm."""
         factors = member.factors(shapes.invariants)
         if self.resting.any():
-            factors = factors - self.resting * member.factors(self.resting.new_zeros(
-                1, len(self.features.invariants)
-            ))
+            factors = factors - self.resting * member.factors(
+                self.resting.new_zeros(1, len(self.features.invariants))
+            )
         P = (factors @ self.factor_of) * shapes.terms @ self.owner * self.output_scale
         if member.energy is not None:
             slope = self._energy_slope(member.energy, shapes.stretch)

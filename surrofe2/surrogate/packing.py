@@ -16,21 +16,6 @@ from surrofe2.surrogate.network import StressNetwork, TanhNetwork, slope_table
 _ONE = INPUTS  # behind the inputs stands a row of ones, so that every product has three factors
 
 
-class Layers(NamedTuple):
-    """Networks of one shape; p: their precision.
-
-    Attributes:
-        sizes: (layers + 1,) int64, padded.
-        weights, biases: (members, …) p; all layers one after the other, padded.
-        turned: (members, …) p; the transposed matrices of all layers, likewise.
-    """
-
-    sizes: NDArray[np.int64]
-    weights: NDArray[Any]
-    biases: NDArray[Any]
-    turned: NDArray[Any]
-
-
 class Weights(NamedTuple):
     """A network as the arrays its kernel reads; p: its precision.
 
@@ -48,7 +33,10 @@ class Weights(NamedTuple):
         invariants: (i, 3) int64 factors.
         terms: (t, 5) int64 factors, component, number of the network's factor.
         powers: (3,) int64 of s, d, g in the invariants of the energy; 0: no energy.
-        factors, energy: the layers.
+        sizes: (layers + 1,) int64, padded, of the networks of factors.
+        weights, biases: (members, …) p; all layers one after the other, padded.
+        energy_sizes, energy_weights, energy_biases: of the energy networks; empty: no energy.
+        energy_turned: (members, …) p; the transposed matrices of all layers, likewise.
     """
 
     bounds: NDArray[np.float64]
@@ -64,8 +52,13 @@ class Weights(NamedTuple):
     invariants: NDArray[np.int64]
     terms: NDArray[np.int64]
     powers: NDArray[np.int64]
-    factors: Layers
-    energy: Layers
+    sizes: NDArray[np.int64]
+    weights: NDArray[Any]
+    biases: NDArray[Any]
+    energy_sizes: NDArray[np.int64]
+    energy_weights: NDArray[Any]
+    energy_biases: NDArray[Any]
+    energy_turned: NDArray[Any]
 
 
 def pack(network: StressNetwork, range: SamplingRange) -> Weights:
@@ -74,7 +67,7 @@ def pack(network: StressNetwork, range: SamplingRange) -> Weights:
     scale = network.input_scale.numpy()
     precision = scale.dtype
     low, high = range.stretch
-    members = list(network.members)
+    members = network.ensemble
     owner, numbers, shapes = slope_table(features.energy_monomials)
     to_biot = (2.0 / scale[:STRETCH]).astype(precision)
     monomials, coefficients = _chain(features.monomials, network.coefficients.numpy())
@@ -86,6 +79,8 @@ def pack(network: StressNetwork, range: SamplingRange) -> Weights:
     energy_monomials, energy_coefficients = _chain(
         zip(shapes, owner, strict=True), np.array(biot_coefficients, dtype=precision)
     )
+    factors = _layers([member.factors for member in members])
+    energies = _layers([member.energy for member in members if member.energy is not None])
     return Weights(
         bounds=np.array(
             [low - SLACK, high + SLACK, range.shear + SLACK, range.rate + SLACK * range.rate]
@@ -102,15 +97,27 @@ def pack(network: StressNetwork, range: SamplingRange) -> Weights:
         invariants=np.array([_three(product) for product in features.invariants]),
         terms=np.array([(*_three(t.product), t.component, t.factor) for t in features.terms]),
         powers=np.array(features.powers or (0,) * STRETCH),
-        factors=_layers([member.factors for member in members]),
-        energy=_layers([member.energy for member in members if member.energy is not None]),
+        sizes=factors.sizes,
+        weights=factors.weights,
+        biases=factors.biases,
+        energy_sizes=energies.sizes,
+        energy_weights=energies.weights,
+        energy_biases=energies.biases,
+        energy_turned=energies.turned,
     )
 
 
-def _layers(networks: list[TanhNetwork]) -> Layers:
+class _Layers(NamedTuple):
+    sizes: NDArray[np.int64]
+    weights: NDArray[Any]
+    biases: NDArray[Any]
+    turned: NDArray[Any]
+
+
+def _layers(networks: list[TanhNetwork]) -> _Layers:
     if not networks:
         none = np.empty((0, 0))
-        return Layers(np.empty(0, dtype=np.int64), none, none, none)
+        return _Layers(np.empty(0, dtype=np.int64), none, none, none)
     weights, biases, turned = [], [], []
     for network in networks:
         values = [parameter.detach().numpy() for parameter in network.layers.parameters()]
@@ -119,7 +126,7 @@ def _layers(networks: list[TanhNetwork]) -> Layers:
         turned.append(np.concatenate([matrix.T.ravel() for matrix in matrices]))
         biases.append(np.concatenate([_padded(bias[:, None])[:, 0] for bias in values[1::2]]))
     sizes = np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)])
-    return Layers(sizes, np.stack(weights), np.stack(biases), np.stack(turned))
+    return _Layers(sizes, np.stack(weights), np.stack(biases), np.stack(turned))
 
 
 def _padded(matrix: NDArray[Any]) -> NDArray[Any]:

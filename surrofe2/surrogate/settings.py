@@ -59,9 +59,7 @@ class TrainingSettings:
         for name in ("hidden", "energy_hidden"):
             object.__setattr__(self, name, _sizes(name, getattr(self, name)))
         if self.form not in FORMS:
-            raise InputError(
-                f"training.form: {self.form!r}; it must be one of {', '.join(FORMS)}"
-            )
+            raise InputError(f"training.form: {self.form!r}; it must be one of {', '.join(FORMS)}")
         weight = self.tangent_weight
         number = isinstance(weight, int | float) and not isinstance(weight, bool)
         if not number or not 0.0 <= weight < float("inf"):

@@ -1,8 +1,9 @@
 """From samples to a `SurrogateLaw`: polynomial by least squares, network by L-BFGS.
 
 Samples with tangents are trained on those as well (Sobolev): the polynomial on all of them, the
-network on the slope along one random direction of the inputs a sample. For a network this small and a stress this smooth, full-batch quasi-Newton steps in float64 reach
-errors that stochastic gradients do not in the same time.
+network on the slope along one random direction of the inputs a sample. For a network this small
+and a stress this smooth, full-batch quasi-Newton steps in float64 reach errors that stochastic
+gradients do not in the same time.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.sampling import StressSamples
 from surrofe2.surrogate.baseline import fit_baseline
 from surrofe2.surrogate.components import INPUTS, input_scale, to_inputs
-from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.features import STRETCH
+from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.network import Member, Shapes, StressNetwork
+from surrofe2.surrogate.network_slopes import along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
@@ -117,7 +119,7 @@ def _read(samples: StressSamples, settings: TrainingSettings) -> _Data:
     inputs, _ = to_inputs(samples.F, samples.F_dot)
     scale = input_scale(samples.range)
     target = torch.from_numpy(to_piola(samples.F, samples.stress))
-    tangents = [getattr(samples, name, None) for name in _TANGENTS]
+    tangents: list[Any] = [getattr(samples, name, None) for name in _TANGENTS]
     slopes = None
     if settings.tangent_weight > 0.0 and tangents[0] is not None:
         slopes = torch.from_numpy(to_slopes(samples.F, *tangents) * scale)
@@ -144,7 +146,7 @@ class _Task:
         if self.moving is None:
             error = network.correction(member, self.shapes) - self.target
             return (error**2 * self.weight).mean()
-        found, slope = torch.func.jvp(
+        found, slope = along(
             lambda *shapes: network.correction(member, Shapes(*shapes)), self.shapes, self.moving
         )
         by_stress = ((found - self.target) ** 2 * self.weight).mean()
@@ -175,9 +177,9 @@ def _make_task(network: StressNetwork, data: _Data, settings: TrainingSettings) 
         return task
     directions = np.random.default_rng(settings.seed).standard_normal((len(data.x), INPUTS))
     direction = torch.from_numpy(directions)
-    below = torch.func.jvp(network.baseline, (data.x,), (direction,))[1]
+    below = along(network.baseline, (data.x,), (direction,))[1]
     slope = torch.einsum("nkj,nj->nk", data.slopes, direction) - below
-    moving = torch.func.jvp(network.shapes, (data.x,), (direction,))[1]
+    moving = along(network.shapes, (data.x,), (direction,))[1]
     return replace(task, moving=moving, slope=slope, slope_weight=settings.tangent_weight)
 
 
@@ -238,7 +240,7 @@ class _Run:
         checkpoint: Checkpoint | None,
     ) -> int:
         """Iterate until the settings' number or until nothing is gained; the iterations done."""
-        member = self.network.members[self.number]
+        member = self.network.ensemble[self.number]
         # the first steps of L-BFGS want a loss of order 1
         scale = 1.0 / float((task.weight * self.network.output_scale**2).max())
 
@@ -279,7 +281,7 @@ class _Run:
 
     def figures(self, task: _Task, test: _Task) -> tuple[dict[str, float], float]:
         """Errors of stress for the eye, and the loss that is minimised."""
-        member = self.network.members[self.number]
+        member = self.network.ensemble[self.number]
         with torch.no_grad():
             loss = float(task.loss(self.network, member))
             fitted, held_out = (
