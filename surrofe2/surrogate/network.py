@@ -53,12 +53,13 @@ class TanhNetwork(torch.nn.Module):
 
     def gradient(self, values: torch.Tensor) -> torch.Tensor:
         """(n, inputs) gradient of the first output."""
+        *inner, last = (layer for layer in self.layers if isinstance(layer, torch.nn.Linear))
         slopes = []
-        for layer in self.layers[:-1]:
+        for layer in inner:
             values = torch.tanh(layer(values))
             slopes.append(1.0 - values**2)
-        back = self.layers[-1].weight[:1]
-        for layer, slope in zip(reversed(self.layers[:-1]), reversed(slopes), strict=True):
+        back = last.weight[:1]
+        for layer, slope in zip(reversed(inner), reversed(slopes), strict=True):
             back = (back * slope) @ layer.weight
         return back
 
@@ -162,6 +163,14 @@ class StressNetwork(torch.nn.Module):
         s, d, g = (stretch * widths).T
         spin = (biot[:, 1] * g - biot[:, 2] * d) / (2.0 + s)
         return torch.cat([biot, spin[:, None]], dim=1)
+
+    def to_cauchy(self, x: torch.Tensor) -> torch.Tensor:
+        """(n, 4, 4) that takes components of P̂ to those of S = P̂ U/det U, at scaled inputs."""
+        s, d, g = (x[:, :STRETCH] * self.input_scale[:STRETCH]).T
+        t, none = 2.0 + s, torch.zeros_like(s)
+        rows = ((t, d, g, none), (d, t, none, -g), (g, none, t, d), (none, -g, d, t))
+        matrix = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+        return matrix * (2.0 / (t**2 - d**2 - g**2))[:, None, None]
 
     def baseline(self, x: torch.Tensor) -> torch.Tensor:
         """The polynomial part (n, 4), µN/µm, at scaled inputs."""

@@ -25,7 +25,7 @@ _SPINLESS = 3
 def to_piola(F: Array, stress: Array) -> Array:
     """Components (n, 4) of P̂ from the Cauchy stress (n, 2, 2)."""
     R = rotation(F)
-    P = det(F)[:, None, None] * stress @ transpose(np.linalg.inv(F))
+    P = det(F)[:, None, None] * np.einsum("nac,nbc->nab", stress, np.linalg.inv(F))
     return to_components(transpose(R) @ P)
 
 

@@ -46,6 +46,7 @@ def train(
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     resume: dict[str, Any] | None = None,
+    symmetry: str | None = None,
 ) -> SurrogateLaw:
     """Fit a surrogate to the valid samples; the same seed and threads give the same surrogate.
 
@@ -55,6 +56,7 @@ def train(
         checkpoint: called now and then, and when interrupted by the keyboard, with a state of
             tensors and plain data that `torch.load(…, weights_only=True)` reads back.
         resume: such a state, to carry on from.
+        symmetry: "D4" or "none"; None: that of the plant cell's arrangement.
 
     Raises:
         InputError: fewer than `LEAST_SAMPLES` valid samples, or form "potentials" for constrained
@@ -73,7 +75,7 @@ def train(
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
 
     data = _read(valid, settings)
-    network = StressNetwork(settings, getattr(samples.cell, "symmetry", "D4"))
+    network = StressNetwork(settings, symmetry or getattr(samples.cell, "symmetry", "D4"))
     network.input_scale.copy_(torch.from_numpy(input_scale(valid.range)))
     _fit_baseline(network, data.at(fitted), settings)
     task, test = (_make_task(network, data.at(part), settings) for part in (fitted, held_out))
@@ -128,14 +130,16 @@ def _read(samples: StressSamples, settings: TrainingSettings) -> _Data:
 
 @dataclass(frozen=True)
 class _Task:
-    """What a network is to add to the baseline; `weight` (4,): of its square, by component.
+    """What a network is to add to the baseline, and the matrices that take it to Cauchy stress.
 
-    `slope` (n, 4): of it along one direction a sample, along which the shapes have the slopes
-    `moving`; both None where there are no tangents.
+    `weight` (4,): of the squared error of a component of S = Rᵀ σ R. `slope` (n, 4): of P̂ along
+    one direction a sample, along which the shapes have the slopes `moving`; both None where there
+    are no tangents.
     """
 
     shapes: Shapes
     target: torch.Tensor
+    to_cauchy: torch.Tensor
     weight: torch.Tensor
     moving: Shapes | None = None
     slope: torch.Tensor | None = None
@@ -144,13 +148,16 @@ class _Task:
     def loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes."""
         if self.moving is None:
-            error = network.correction(member, self.shapes) - self.target
-            return (error**2 * self.weight).mean()
+            return self._mean_square(network.correction(member, self.shapes) - self.target)
         found, slope = along(
             lambda *shapes: network.correction(member, Shapes(*shapes)), self.shapes, self.moving
         )
-        by_stress = ((found - self.target) ** 2 * self.weight).mean()
-        return by_stress + self.slope_weight * ((slope - self.slope) ** 2 * self.weight).mean()
+        by_stress = self._mean_square(found - self.target)
+        return by_stress + self.slope_weight * self._mean_square(slope - self.slope)
+
+    def _mean_square(self, error: torch.Tensor) -> torch.Tensor:
+        cauchy = torch.matmul(self.to_cauchy, error[:, :, None])[:, :, 0]
+        return (cauchy**2 * self.weight).mean()
 
     def stress_loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
         """The mean square error of stress alone."""
@@ -168,10 +175,12 @@ def _spread(target: torch.Tensor) -> torch.Tensor:
 
 
 def _make_task(network: StressNetwork, data: _Data, settings: TrainingSettings) -> _Task:
+    to_cauchy = network.to_cauchy(data.x)
     task = _Task(
         shapes=network.shapes(data.x),
         target=data.target - network.baseline(data.x),
-        weight=1.0 / _spread(data.target) ** 2,
+        to_cauchy=to_cauchy,
+        weight=1.0 / _spread(torch.einsum("nij,nj->ni", to_cauchy, data.target)) ** 2,
     )
     if data.slopes is None:
         return task
