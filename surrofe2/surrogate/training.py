@@ -75,7 +75,8 @@ def train(
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
 
     data = _read(valid, settings)
-    network = StressNetwork(settings, symmetry or getattr(samples.cell, "symmetry", "D4"))
+    symmetry = str(symmetry or getattr(samples.cell, "symmetry", "D4"))
+    network = StressNetwork(settings, symmetry)
     network.input_scale.copy_(torch.from_numpy(input_scale(valid.range)))
     _fit_baseline(network, data.at(fitted), settings)
     task, test = (_make_task(network, data.at(part), settings) for part in (fitted, held_out))
