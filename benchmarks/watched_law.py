@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.setting import Array
-from surrofe2.plant_cell.lanes import unpack
+from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Acceptance, StressResponse
 
@@ -54,10 +54,9 @@ class TimedLaw:
         acceptance = self.law.accept(F, F_dot, response)
         self.accept_seconds += perf_counter() - begin
         self.accepted += len(F)
-        before, after = response.state.lu, acceptance.state.lu
-        if after is not before:
-            changed = (after != before).any(axis=(1, 2))
-            self.renewed += int(unpack(changed, len(F)).sum())
+        before, after = response.state.factors, acceptance.state.factors
+        tiles = after.address != before.address
+        self.renewed += int(np.repeat(tiles, TILE)[: len(F)].sum())
         return acceptance
 
 

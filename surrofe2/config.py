@@ -24,6 +24,7 @@ from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
+from surrofe2.surrogate.calibration_settings import CalibrationSettings
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 from surrofe2.units import NONE
@@ -34,10 +35,14 @@ _STRICT = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleSettings:
-    """How many samples of the range, by which seed of the low-discrepancy sequence."""
+    """How many samples of the range, by which seed of the low-discrepancy sequence.
+
+    `tangents`: whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress.
+    """
 
     count: int = 16384
     seed: int = 1
+    tangents: bool = False
 
     def __post_init__(self) -> None:
         if self.count < 1:
@@ -57,6 +62,7 @@ class Recipe:
     range: SamplingRange
     samples: SampleSettings
     training: TrainingSettings
+    calibration: CalibrationSettings
     load: LoadCase
     macro: MacroSettings
     tissue: TissueSettings
@@ -81,7 +87,7 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        names = ("rve", "range", "samples", "training", "load", "macro", "tissue")
+        names = ("rve", "range", "samples", "training", "calibration", "load", "macro", "tissue")
         sections = {name: asdict(getattr(self, name)) for name in names}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["samples"]["file"] = self.data_file
@@ -96,6 +102,7 @@ SECTIONS: dict[str, type] = {
     "range": SamplingRange,
     "samples": SampleSettings,
     "training": TrainingSettings,
+    "calibration": CalibrationSettings,
     "load": LoadCase,
     "macro": MacroSettings,
     "tissue": TissueSettings,
@@ -145,6 +152,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         range=_make(SamplingRange, "range", given),
         samples=_make(SampleSettings, "samples", given),
         training=_make(TrainingSettings, "training", given),
+        calibration=_make(CalibrationSettings, "calibration", given),
         load=_make(LoadCase, "load", given),
         macro=_make(MacroSettings, "macro", given),
         tissue=_make(TissueSettings, "tissue", given),

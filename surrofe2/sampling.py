@@ -20,6 +20,7 @@ from surrofe2.tensors import rotation, transpose
 Array = NDArray[np.float64]
 
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
+TANGENTS = ("P_by_F", "P_by_F_dot")
 _INPUTS = 7
 _MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
 
@@ -108,6 +109,9 @@ class StressSamples:
         range: bounds the points were drawn from.
         seed: seed of their sequence.
         rest_length: wall rest length in µm, if known.
+        P_by_F: (n, 2, 2, 2, 2) ∂P/∂F in µN/µm as in `Tangents`, finite where `status` is 0; None
+            where the samples have no tangents.
+        P_by_F_dot: the same by Ḟ, µN µs/µm; given if and only if `P_by_F` is.
     """
 
     F: Array
@@ -119,20 +123,31 @@ class StressSamples:
     range: SamplingRange
     seed: int
     rest_length: float | None = None
+    P_by_F: Array | None = None
+    P_by_F_dot: Array | None = None
 
     def __post_init__(self) -> None:
         count = len(self.F)
-        for name in ("F", "F_dot", "stress"):
-            shape = np.shape(getattr(self, name))
-            if shape != (count, 2, 2):
-                raise InputError(f"samples.{name}: shape {shape}; it must be ({count}, 2, 2)")
+        if (self.P_by_F is None) != (self.P_by_F_dot is None):
+            raise InputError("samples.P_by_F, samples.P_by_F_dot: give both or neither")
+        arrays = self._float_arrays
+        for name, array in arrays.items():
+            shape = (count, 2, 2, 2, 2) if name in TANGENTS else (count, 2, 2)
+            if np.shape(array) != shape:
+                raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {shape}")
         if np.shape(self.status) != (count,):
             raise InputError(
                 f"samples.status: shape {np.shape(self.status)}; it must be ({count},)"
             )
-        for name in ("F", "F_dot", "stress"):
-            if not np.isfinite(getattr(self, name)[self.status == 0]).all():
+        for name, array in arrays.items():
+            if not np.isfinite(array[self.status == 0]).all():
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
+
+    @property
+    def _float_arrays(self) -> dict[str, Array]:
+        """The arrays of numbers that the samples have, by name."""
+        arrays = {name: getattr(self, name) for name in ("F", "F_dot", "stress", *TANGENTS)}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     @property
     def fingerprint(self) -> str:
@@ -140,8 +155,8 @@ class StressSamples:
         digest = hashlib.sha256()
         identity = (self.cell.fingerprint, self.initialisation, self.range.to_dict(), self.seed)
         digest.update(repr((*identity, self.rest_length)).encode())
-        for name in ("F", "F_dot", "stress"):
-            digest.update(np.ascontiguousarray(getattr(self, name), dtype=np.float64).tobytes())
+        for array in self._float_arrays.values():
+            digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
         digest.update(np.ascontiguousarray(self.status, dtype=np.int8).tobytes())
         return digest.hexdigest()[:16]
 
@@ -149,8 +164,8 @@ class StressSamples:
     def valid(self) -> StressSamples:
         """The samples that have a stress: status 0."""
         kept = self.status == 0
-        arrays = {name: getattr(self, name)[kept] for name in ("F", "F_dot", "stress", "status")}
-        return replace(self, **arrays)
+        arrays = {name: array[kept] for name, array in self._float_arrays.items()}
+        return replace(self, status=self.status[kept], **arrays)
 
 
 def _sobol(count: int, seed: int, start: int) -> Array:

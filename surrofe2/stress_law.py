@@ -92,6 +92,9 @@ class StressResponse:
         state: warm start (or history) for the next call; opaque to everyone but its law.
         effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
         tangents: derivatives of the stress, where they were asked for.
+        moved: (n,) int8, None from most laws: not 0 where the law answers by another branch than
+            it would have at the start of this step. The step then mixes both and must be begun
+            anew, see `Switching`.
     """
 
     stress: Array
@@ -99,6 +102,7 @@ class StressResponse:
     state: Any = None
     effort: Mapping[str, int] = field(default_factory=dict)
     tangents: Tangents | None = None
+    moved: NDArray[np.int8] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +112,13 @@ class Acceptance:
     Attributes:
         status: (n,) int8 codes; a law may check here what is too dear for every trial.
         state: the state to carry into the next step.
+        stress: (n, 2, 2) by which the next step begins at the same (F, Ḟ), where the law answers
+            by another branch from there on; None from most laws: the stress that was accepted.
     """
 
     status: NDArray[np.int8]
     state: Any = None
+    stress: Array | None = None
 
 
 class StressLaw(Protocol):
@@ -139,6 +146,26 @@ class StressLaw(Protocol):
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Commit the answer `response` that was given at (F, F_dot), the end of a kept step."""
+
+
+class Switching(StressLaw, Protocol):
+    """A law of several branches that gives `StressResponse.moved`; other laws need none of this.
+
+    Within a step a point may leave a branch but not come back. The first answer of a step that
+    finds a point to leave marks it `moved`; whoever steps then asks `begin_anew` at the start of
+    the step, takes its state and stress, and repeats the step at the same length.
+    """
+
+    def begin_anew(
+        self, F: Array, F_dot: Array, response: StressResponse, moved: NDArray[np.int8]
+    ) -> Acceptance:
+        """The start of a step once more, with the points `moved` on their new branch.
+
+        Args:
+            F, F_dot: (n, 2, 2) at the start of the step.
+            response: stress and status there, and the committed state.
+            moved: (n,) of the answer that found the points.
+        """
 
 
 def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:

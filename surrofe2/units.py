@@ -32,4 +32,5 @@ STRESS = "µN/µm"
 DENSITY = "ng/µm²"
 ENERGY = "pJ"
 RATE = "1/µs"
+VISCOSITY = "µN µs/µm"  # the same as ng/µs
 NONE = "1"

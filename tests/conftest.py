@@ -26,6 +26,13 @@ baseline_degree = 1
 iterations = 40
 checkpoint_interval = 20
 
+[calibration]
+walks = 9
+states = 20
+runs = 9
+length = 6
+share = 0.1
+
 [load]
 width = 100.0
 height = 100.0

@@ -82,7 +82,7 @@ def test_unknown_section(changed_recipe):
     path = changed_recipe("[load]", "[lood]")
     assert message(InputError, path) == (
         "recipe.toml: lood: unknown section; did you mean load? "
-        "known are cell, load, macro, range, rve, samples, tissue, training"
+        "known are calibration, cell, load, macro, range, rve, samples, tissue, training"
     )
 
 

@@ -1,5 +1,7 @@
 """The range of deformations, its sequence of points, and the samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -158,3 +160,19 @@ def test_samples_of_the_wrong_shape_or_without_a_number_are_refused():
         samples(status=np.zeros(9, dtype=np.int8))
     with pytest.raises(InputError, match=r"samples\.stress: not finite"):
         samples(stress=np.full((8, 2, 2), np.nan))
+
+
+def test_tangents_belong_to_the_samples():
+    slopes = np.random.default_rng(0).normal(size=(2, 8, 2, 2, 2, 2))
+    status = np.array([0, 1, 0, 2, 0, 0, 0, 0], dtype=np.int8)
+    slopes[:, status != 0] = np.nan
+    whole = samples(status=status, P_by_F=slopes[0], P_by_F_dot=slopes[1])
+    assert np.array_equal(whole.valid.P_by_F_dot, slopes[1][status == 0])
+    other = replace(whole, P_by_F_dot=slopes[1] * (1.0 + 1e-15))
+    assert len({samples().fingerprint, whole.fingerprint, other.fingerprint}) == 3
+    with pytest.raises(InputError, match="give both or neither"):
+        samples(P_by_F=slopes[0])
+    with pytest.raises(InputError, match=r"samples\.P_by_F: shape \(8, 2, 2\); it must be"):
+        samples(P_by_F=np.ones((8, 2, 2)), P_by_F_dot=slopes[1])
+    with pytest.raises(InputError, match=r"samples\.P_by_F: not finite"):
+        samples(P_by_F=slopes[0], P_by_F_dot=slopes[1])

@@ -14,7 +14,18 @@ Array = NDArray[np.float64]
 
 
 class Surrogate(Protocol):
-    """A stress that is quick to look up, and says where it may not be asked."""
+    """A stress that is quick to look up, and says where it may not be asked.
+
+    It may have more, each of which the cache uses where it is there:
+
+    - ``stress_spread: float``, µN/µm, the unit of the user's tolerance. Without it the surrogate
+      is taken to know no bound of its error, and its range alone decides, with a warning.
+    - ``tangents(F, F_dot) -> Tangents`` of the answers of `lookup`, or
+      ``respond(F, F_dot, tangents=True)``: for implicit macro steps.
+    - ``learn(F, F_dot, stress, state)``: true answers of the fallback at ends of kept steps, all
+      of status 0, with its state for these points (or None). Called from `CachedLaw.accept` only,
+      with what was not answered by the surrogate and what an audit found wrong.
+    """
 
     @property
     def cell(self) -> CellParameters:
@@ -34,7 +45,7 @@ class Surrogate(Protocol):
         """(stress (n, 2, 2), status (n,), bound (n,) of its error) in one pass, µN/µm.
 
         Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
-        det F > 0, the point is in range and the bound is at most `tolerance`.
+        det F > 0, the point is in range and the bound is at most `tolerance`. Pure.
         """
 
 
@@ -58,3 +69,12 @@ class PointStates(Protocol):
 
     def put(self, indices: NDArray[np.intp], state: Any) -> Any:
         """This state with that of these points replaced."""
+
+
+class Keep(Protocol):
+    """Takes every true answer that a run has paid for, at accepted steps."""
+
+    def __call__(
+        self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
+    ) -> None:
+        """Points (n, 2, 2) with stress and status of the fallback; why: 0 fallback, 1 audit."""

@@ -15,8 +15,10 @@ from surrofe2.cli.console import CarefulGroup
 from surrofe2.cli.demo import demo
 from surrofe2.cli.generate import generate
 from surrofe2.cli.memory import memory
+from surrofe2.cli.modes import modes
 from surrofe2.cli.moduli import moduli
 from surrofe2.cli.reproduce import reproduce
+from surrofe2.cli.rest import rest
 from surrofe2.cli.run import run
 from surrofe2.cli.tissue import tissue
 from surrofe2.cli.train import train
@@ -39,8 +41,10 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
 [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
   difference and speed-up
 
-[bold]surrofe2 demo[/bold] does all of them. [bold]surrofe2 reproduce[/bold] draws the paper's
-figures; [bold]surrofe2 moduli[/bold] and [bold]surrofe2 memory[/bold] characterise a plant cell.
+[bold]surrofe2 rest[/bold] finds the tissue at rest under its load, [bold]surrofe2 modes[/bold] its
+small oscillations. [bold]surrofe2 demo[/bold] does all steps above. [bold]surrofe2
+reproduce[/bold] draws the paper's figures; [bold]surrofe2 moduli[/bold] and [bold]surrofe2
+memory[/bold] characterise a plant cell.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """
@@ -89,7 +93,10 @@ def options(
     """Options before the command."""
 
 
-for _command in (generate, train, run, tissue, compare, demo, reproduce, moduli, memory):
+_COMMANDS = (
+    generate, train, run, tissue, compare, rest, modes, demo, reproduce, moduli, memory,
+)  # fmt: skip
+for _command in _COMMANDS:
     app.command(help=_flowing(_command.__doc__))(_command)
 
 

@@ -34,11 +34,9 @@ def run_demo(recipe: Recipe, out: Path, *, force: bool = False) -> Comparison:
         made = generate_data_set(recipe, resume=not force, force=force, report=report)
     say(f"    {data_summary(made)}")
     say(f"2/4 surrogate {recipe.training_path()}")
-    with progress("train", recipe.training.iterations, "iterations") as report:
-        trained = train_surrogate(
-            recipe, resume=not force, keep=not force, force=True, report=report
-        )
+    trained = train_surrogate(recipe, resume=not force, keep=not force, force=True, stage=progress)
     say(f"    {training_summary(trained)}")
+    say(f"    {trained.bound}")
     for k, law in enumerate(LAWS):
         say(f"3/4 FE² by {law}: {out / law}" if k == 0 else f"    FE² by {law}: {out / law}")
         with progress(f"run by {law}", recipe.load.duration, "µs") as report:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -48,15 +48,22 @@ def generate_data_set(
     Args:
         law: asked instead of the recipe's RVE.
         report: called with the number of samples done and a remark.
+
+    Raises:
+        InputError: tangents are wanted of RVEs that have none.
     """
     from importlib.metadata import version
 
+    from surrofe2.errors import InputError
     from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
     from surrofe2.rve import RveLaw
     from surrofe2.sampling import sample
     from surrofe2.stress_law import describe
 
     path, settings = recipe.data_path(), recipe.samples
+    if settings.tangents and recipe.rve.solver == "iterated":
+        raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
+    wish: dict[str, Any] = {"tangents": True} if settings.tangents else {}
     law = law or RveLaw.from_settings(recipe.cell, recipe.rve)
     header = DataSetHeader(
         cell=recipe.cell,
@@ -68,6 +75,7 @@ def generate_data_set(
         version=version("surrofe2"),
         recipe=recipe.to_dict(),
         rest_length=getattr(law, "rest_length", None),
+        tangents=settings.tangents,
     )
     with writing_data_set(path, header, resume=resume, force=force) as data:
         added = settings.count - data.completed
@@ -78,8 +86,8 @@ def generate_data_set(
             F, F_dot = sample(
                 recipe.range, min(chunk, settings.count - start), settings.seed, start=start
             )
-            answer = law.respond(F, F_dot)
-            data.append(F, F_dot, answer.stress, answer.status)
+            answer = law.respond(F, F_dot, **wish)
+            data.append(F, F_dot, answer.stress, answer.status, answer.tangents)
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
         counts = data.status_counts()
@@ -101,7 +109,8 @@ def generate(
     """Compute plant-cell stresses over a range of (F, Ḟ) into a data set.
 
     The recipe's [bold]\\[range][/bold] says how far F and Ḟ (1/µs) go, [bold]\\[samples][/bold]
-    how many samples and which file. Samples whose RVE fails stay in the file, with the reason.
+    how many samples and which file, and with [bold]tangents = true[/bold] stores ∂P/∂F and ∂P/∂Ḟ
+    too. Samples whose RVE fails stay in the file, with the reason.
 
     Example: [bold]surrofe2 generate data/bending-bar.toml[/bold]
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.report.study import Study
 
-Figure = Literal["fig5", "fig6", "fig8", "rates"]
+Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping"]
 Preset = Literal["printed", "water"]
 
 
@@ -22,22 +22,39 @@ def reproduce(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figure's files.")],
     preset: Annotated[Preset, typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")] = "printed",
     meshes: Annotated[
-        str, typer.Option(metavar="N,…", help="fig8: elements a side of each mesh.")
-    ] = "4,8",
+        str | None,
+        typer.Option(
+            metavar="N,…",
+            help="fig8, scales, damping: elements a side of each mesh; default 4,8 for fig8, "
+            "else 4,8,16.",
+        ),
+    ] = None,
+    sizes: Annotated[
+        str, typer.Option(metavar="N,…", help="scales: plant cells a side of each bar.")
+    ] = "8,16,32",
     tissue: Annotated[
         bool, typer.Option("--tissue/--no-tissue", help="fig8: the full tissue as well.")
     ] = True,
-    duration: Annotated[float, typer.Option(metavar="µs", help="fig8: length of a run.")] = 250.0,
+    duration: Annotated[
+        float,
+        typer.Option(metavar="µs", help="fig8, scales, damping: length of a run of 16 x 16 cells."),
+    ] = 250.0,
     force: Annotated[bool, typer.Option("--force", help="Replace files in DIR.")] = False,
 ) -> None:
     """A figure of the paper, its data as CSV and its numbers as JSON.
 
     fig5: stress of one RVE over shear steps. fig6: mean force and error over iterations. fig8: the
     bending bar by FE² with each initialisation against the full tissue. rates: error of each
-    initialisation against micro-integration as the rate goes down (not in the paper).
+    initialisation against micro-integration as the rate goes down. scales: slow manifold against
+    full tissues of 8 x 8, 16 x 16 and 32 x 32 plant cells. damping: decrements over mesh,
+    tolerances, micro step and ways to fit. The last three are not in the paper; scales and damping
+    keep each run's curve in DIR/curves and take it from there when called again.
 
     Example: [bold]surrofe2 reproduce fig5 --preset water --out out/paper[/bold]
+
+    Next: look at DIR/fig5-water.png; [bold]surrofe2 reproduce fig8[/bold] compares whole bars.
     """
+    from surrofe2.cli.long_studies import damping_study, scales_study
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.report.study_files import check_free, write_study
 
@@ -45,10 +62,20 @@ def reproduce(
     if not force:
         check_free(out, name)
     cell = CellParameters.preset(preset)
+    mesh_numbers = _numbers("--meshes", meshes or ("4,8" if figure == "fig8" else "4,8,16"))
     if figure == "fig8":
-        study = _bar(cell, preset, name, _numbers(meshes), tissue, duration)
+        study = _bar(cell, preset, name, mesh_numbers, tissue, duration)
+    elif figure == "scales":
+        study = scales_study(
+            cell, preset, name, out, _numbers("--sizes", sizes), mesh_numbers, duration
+        )
+    elif figure == "damping":
+        study = damping_study(cell, preset, name, out, mesh_numbers, duration)
     else:
         study = _rve_figure(figure, cell, preset, name)
+    if study.shown:
+        rows = [list(row) for row in zip(*study.shown.values(), strict=True)]
+        show_table(f"{name}: {' '.join(study.title.split())}", list(study.shown), rows)
     for path in write_study(out, study, cell, preset):
         say(str(path))
 
@@ -96,21 +123,6 @@ def _bar(
                     cell, method, (n, n), load_case, progress=lambda t, _: report(t, "")
                 )
             runs.append(run)
-    show_table(
-        f"Watched point, preset {preset}",
-        ["run", "first minimum (µm)", "period (µs)", "decrement", "fit residual (µm)", "time (s)"],
-        [
-            [
-                run.name,
-                f"{run.minimum[1]:.2f}",
-                f"{run.fit.first.period:.2f}",
-                f"{run.fit.first.decrement:.4f}",
-                f"{run.fit.residual:.3f}",
-                f"{run.seconds:.1f}",
-            ]
-            for run in runs
-        ],
-    )
     return bars.describe(
         tuple(runs), load_case, preset, name,
         relative_tolerance=bars.RELATIVE_TOLERANCE, absolute_tolerance=bars.ABSOLUTE_TOLERANCE,
@@ -118,7 +130,7 @@ def _bar(
     )  # fmt: skip
 
 
-def _numbers(text: str) -> tuple[int, ...]:
+def _numbers(option: str, text: str) -> tuple[int, ...]:
     from surrofe2.errors import InputError
 
     try:
@@ -126,5 +138,5 @@ def _numbers(text: str) -> tuple[int, ...]:
     except ValueError:
         numbers = ()
     if not numbers or min(numbers) < 1:
-        raise InputError(f"--meshes: {text!r}; it must be integers of at least 1 with commas")
+        raise InputError(f"{option}: {text!r}; it must be integers of at least 1 with commas")
     return numbers

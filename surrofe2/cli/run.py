@@ -51,7 +51,7 @@ def run_study(
 
     used = use_threads(threads)
     chosen = chosen or choose_law(recipe, kind, surrogate_file)
-    record = _new_record(recipe, kind, chosen, used)
+    record = new_record(recipe, kind, chosen, used)
     earlier = open_run_folder(folder, record, resume=resume, force=force)
     if earlier is not None and earlier.status == "finished":
         return earlier
@@ -83,7 +83,8 @@ def run_study(
     return record
 
 
-def _new_record(recipe: Recipe, kind: str, chosen: ChosenLaw, threads: int) -> RunRecord:
+def new_record(recipe: Recipe, kind: str, chosen: ChosenLaw, threads: int) -> RunRecord:
+    """The record of a run by the law called `kind` that is about to start."""
     from datetime import UTC, datetime
     from importlib.metadata import version
 

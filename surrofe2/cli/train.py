@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, duration, progress, say, show_table
+from surrofe2.cli.calibrate import calibrate_surrogate
+from surrofe2.cli.calibrate import summary as calibration_summary
+from surrofe2.cli.console import InterruptedWork, Report, duration, progress, say, show_table
 from surrofe2.errors import FileError, MismatchError
 
 if TYPE_CHECKING:
@@ -23,11 +26,20 @@ STRESSES = ("xx", "xy", "yx", "yy")
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained surrogate and its file; `kept`: it was already there."""
+    """A trained surrogate and its file; `kept`: it was already there. `bound`: a line on it."""
 
     path: Path
     surrogate: SurrogateLaw
     kept: bool
+    bound: str
+
+
+Stage = Callable[[str, float, str], AbstractContextManager[Report]]
+"""What is done, how much of it and in which unit: gives a function (done, remark)."""
+
+
+def _silent(what: str, total: float, unit: str) -> AbstractContextManager[Report]:
+    return nullcontext(lambda done, note: None)
 
 
 def train_surrogate(
@@ -36,16 +48,18 @@ def train_surrogate(
     resume: bool = False,
     keep: bool = False,
     force: bool = False,
-    report: Callable[[float, str], None] = lambda done, note: None,
+    stage: Stage = _silent,
 ) -> Trained:
-    """Train on the recipe's data set and write the recipe's surrogate.
+    """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
+
+    The surrogate is written before its calibration too, with no bound yet.
 
     Args:
-        resume: carry an interrupted training on, where one is there.
-        keep: take the surrogate that is there if it was trained on this very data by these
-            settings.
+        resume: carry an interrupted training or calibration on, where one is there.
+        keep: take the surrogate that is there if it was trained and calibrated on this very data
+            by these settings.
         force: replace the surrogate that is there.
-        report: called with the number of iterations done and a remark.
+        stage: begins the display of a stage, as `console.progress` does.
 
     Raises:
         FileError: the surrogate's file exists and neither `keep` nor `force` is set.
@@ -54,31 +68,58 @@ def train_surrogate(
     """
     from surrofe2.io.data_sets import read_data_set
     from surrofe2.io.files import reported
-    from surrofe2.surrogate import SurrogateLaw, train
 
     path, source = recipe.training_path(), recipe.data_path()
-    if path.exists() and not (keep or force):
+    if path.exists() and not (keep or force or resume):
         raise FileError(f"{path}: exists; replace it with --force")
     samples = read_data_set(source)
     _check_data(recipe, samples, source)
-    if keep and path.exists():
-        surrogate = SurrogateLaw.load(path)
-        same_data = surrogate.data_fingerprint == samples.fingerprint
-        if same_data and surrogate.settings == recipe.training:
-            return Trained(path, surrogate, kept=True)
-    with reported(path, "written"):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    surrogate = _matching(recipe, samples) if (keep or resume) and path.exists() else None
+    if surrogate is not None and _is_calibrated(recipe, surrogate):
+        return Trained(path, surrogate, True, calibration_summary(surrogate, samples))
+    if surrogate is None:
+        if path.exists() and not (keep or force):
+            raise FileError(f"{path}: exists; replace it with --force")
+        with reported(path, "written"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        surrogate = _train(recipe, samples, resume, stage)
+    with stage("calibrate", 1.0, "of the paths") as report:
+        surrogate = calibrate_surrogate(recipe, surrogate, samples, report)
+    surrogate.save(path)
+    return Trained(path, surrogate, False, calibration_summary(surrogate, samples))
+
+
+def _matching(recipe: Recipe, samples: StressSamples) -> SurrogateLaw | None:
+    """The recipe's surrogate where it was trained on these samples by these settings."""
+    from surrofe2.surrogate import SurrogateLaw
+
+    surrogate = SurrogateLaw.load(recipe.training_path())
+    same_data = surrogate.data_fingerprint == samples.fingerprint
+    return surrogate if same_data and surrogate.settings == recipe.training else None
+
+
+def _is_calibrated(recipe: Recipe, surrogate: SurrogateLaw) -> bool:
+    settings = surrogate.calibration.settings if surrogate.calibration else None
+    return surrogate.is_calibrated and settings == recipe.calibration.to_dict()
+
+
+def _train(recipe: Recipe, samples: StressSamples, resume: bool, stage: Stage) -> SurrogateLaw:
+    """A surrogate without a bound, in the recipe's file."""
+    from surrofe2.surrogate import train
+
+    path = recipe.training_path()
     unfinished = path.with_suffix(".unfinished.pt")
-    surrogate = train(
-        samples,
-        recipe.training,
-        progress=lambda i, n, figures: report(i, _note(figures)),
-        checkpoint=lambda state: _write_state(unfinished, state),
-        resume=_read_state(unfinished) if resume and unfinished.exists() else None,
-    )
+    with stage("train", recipe.training.iterations, "iterations") as report:
+        surrogate = train(
+            samples,
+            recipe.training,
+            progress=lambda i, n, figures: report(i, _note(figures)),
+            checkpoint=lambda state: _write_state(unfinished, state),
+            resume=_read_state(unfinished) if resume and unfinished.exists() else None,
+        )
     surrogate.save(path)
     unfinished.unlink(missing_ok=True)
-    return Trained(path, surrogate, kept=False)
+    return surrogate
 
 
 def _check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
@@ -134,7 +175,9 @@ def train(
     """Fit a surrogate of the plant-cell stress to the recipe's data set.
 
     Shows the errors on samples that training never saw, for each stress component, relative to
-    that component's standard deviation over them.
+    that component's standard deviation over them. Then calibrates the bound of the error that
+    holds at a single point, by true RVEs along paths as the recipe's
+    [bold]\\[calibration][/bold] has it.
 
     Example: [bold]surrofe2 train data/bending-bar.toml[/bold]
 
@@ -147,8 +190,7 @@ def train(
     use_threads(threads)
     begin = time.perf_counter()
     try:
-        with progress("train", study.training.iterations, "iterations") as report:
-            trained = train_surrogate(study, resume=resume, force=force, report=report)
+        trained = train_surrogate(study, resume=resume, force=force, stage=progress)
     except KeyboardInterrupt:
         raise InterruptedWork(
             f"the iterations so far are kept; continue with: surrofe2 train {recipe} --resume"
@@ -159,6 +201,7 @@ def train(
         ["stress", "spread (µN/µm)", "RMS", "worst"],
         [[name, f"{errors['spread'][name]:.3g}", *_percents(errors, name)] for name in STRESSES],
     )
+    say(trained.bound)
     say(f"{trained.path}: {summary(trained)}, {duration(time.perf_counter() - begin)}")
 
 

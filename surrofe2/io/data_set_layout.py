@@ -15,20 +15,22 @@ import numpy as np
 from surrofe2.errors import FileError, MismatchError
 from surrofe2.io.files import plain, replacing
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange, StressSamples
+from surrofe2.sampling import TANGENTS, SamplingRange, StressSamples
 from surrofe2.stress_law import Status, describe
-from surrofe2.units import NONE, RATE, STRESS
+from surrofe2.units import NONE, RATE, STRESS, VISCOSITY
 
 SCHEMA = "surrofe2-data-set"
 SCHEMA_VERSION = 1
 _ARRAYS = {"F": NONE, "F_dot": RATE, "stress": STRESS}
+_TANGENT_UNITS = dict(zip(TANGENTS, (STRESS, VISCOSITY), strict=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataSetHeader:
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
-    `recipe` and `rest_length` (of the walls, µm) are carried along and not compared.
+    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and `rest_length` (of the
+    walls, µm) are carried along and not compared.
     """
 
     cell: CellParameters
@@ -40,6 +42,7 @@ class DataSetHeader:
     version: str
     recipe: Mapping[str, Any]
     rest_length: float | None = None
+    tangents: bool = False
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, flat, by the names a recipe uses."""
@@ -47,7 +50,12 @@ class DataSetHeader:
             "cell": self.cell.to_dict(),
             "rve": dict(self.rve),
             "range": asdict(self.range),
-            "samples": {"count": self.count, "seed": self.seed, "chunk": self.chunk},
+            "samples": {
+                "count": self.count,
+                "seed": self.seed,
+                "chunk": self.chunk,
+                "tangents": self.tangents,
+            },
             "surrofe2": {"version": self.version},
         }
         return {
@@ -59,8 +67,10 @@ def create_file(path: Path, header: DataSetHeader) -> None:
     """Lay out an empty data set, whole or not at all."""
     with replacing(path) as partial, h5py.File(partial, "w") as file:
         for name, unit in _ARRAYS.items():
-            _lay_out(file, name, (header.count, 2, 2), np.float64).attrs["unit"] = unit
-        status = _lay_out(file, "status", (header.count,), np.int8)
+            lay_out(file, name, (header.count, 2, 2), np.float64).attrs["unit"] = unit
+        for name, unit in _TANGENT_UNITS.items() if header.tangents else ():
+            lay_out(file, name, (header.count, *[2] * 4), np.float64).attrs["unit"] = unit
+        status = lay_out(file, "status", (header.count,), np.int8)
         status.attrs["meaning"] = json.dumps({int(code): describe(code) for code in Status})
         file["completed"] = np.int64(0)
         file.attrs.update(
@@ -83,7 +93,7 @@ def create_file(path: Path, header: DataSetHeader) -> None:
             file.attrs["rest_length"] = header.rest_length
 
 
-def _lay_out(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type) -> h5py.Dataset:
+def lay_out(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type) -> h5py.Dataset:
     """A contiguous array whose place in the file is fixed now, so a kill cannot move it."""
     plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -103,7 +113,7 @@ def check_schema(path: Path, file: h5py.File) -> None:
 
 def check_header(path: Path, file: h5py.File, header: DataSetHeader) -> None:
     """Refuse to continue a data set that was begun with other settings."""
-    there = json.loads(file.attrs["compared"])
+    there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
     for name, value in header.compared().items():
         if there.get(name) != value:
             raise MismatchError(
@@ -115,8 +125,9 @@ def check_header(path: Path, file: h5py.File, header: DataSetHeader) -> None:
 def samples_of(path: Path, file: h5py.File) -> StressSamples:
     """All samples of an open data set, as the numerics know them."""
     try:
-        arrays = {name: file[name][:] for name in (*_ARRAYS, "status")}
-        interval = {k: _tuples(v) for k, v in json.loads(file.attrs["range"]).items()}
+        given = [name for name in TANGENTS if name in file]
+        arrays = {name: file[name][:] for name in (*_ARRAYS, "status", *given)}
+        interval = {k: tuples_of(v) for k, v in json.loads(file.attrs["range"]).items()}
         return StressSamples(
             **arrays,
             cell=CellParameters(**json.loads(file.attrs["cell"])),
@@ -133,5 +144,6 @@ def _float_or_none(value: Any) -> float | None:
     return None if value is None else float(value)
 
 
-def _tuples(value: Any) -> Any:
+def tuples_of(value: Any) -> Any:
+    """A JSON list as the tuple it was."""
     return tuple(value) if isinstance(value, list) else value

@@ -25,7 +25,7 @@ from surrofe2.io.data_set_layout import (
 )
 from surrofe2.io.files import opened_hdf5, replacing, reported
 from surrofe2.sampling import StressSamples
-from surrofe2.stress_law import describe
+from surrofe2.stress_law import Tangents, describe
 
 
 class DataSetWriter:
@@ -56,10 +56,13 @@ class DataSetWriter:
         F_dot: NDArray[np.float64],
         stress: NDArray[np.float64],
         status: NDArray[np.int8],
+        tangents: Tangents | None = None,
     ) -> None:
-        """Write the next rows, then count them."""
+        """Write the next rows, then count them; with tangents if the data set holds them."""
         rows = slice(self.completed, self.completed + len(F))
         arrays = {"F": F, "F_dot": F_dot, "stress": stress, "status": status}
+        if tangents is not None:
+            arrays |= {"P_by_F": tangents.P_by_F, "P_by_F_dot": tangents.P_by_F_dot}
         with reported(self._path, "written"):
             for name, values in arrays.items():
                 self._file[name][rows] = values

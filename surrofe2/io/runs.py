@@ -17,7 +17,10 @@ from surrofe2.units import ENERGY, LENGTH, TIME
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 1
-FILES = ("run.json", "curve.csv", "energies.csv", "fields.xdmf", "fields.h5", "checkpoint.h5")
+FILES = (
+    "run.json", "curve.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
+    "checkpoint.h5",
+)  # fmt: skip
 CURVE_HEADER = "t_us,u_x_um,u_y_um"
 
 
@@ -169,6 +172,11 @@ def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarra
     """Write energies.csv: each energy in pJ over t in µs."""
     header = ",".join(["t_us", *(f"{name}_pJ" for name in energies)])
     _write_table(folder / "energies.csv", header, [t, *energies.values()])
+
+
+def write_load_path(folder: Path, path: np.ndarray) -> None:
+    """Write path.csv: factor of the load, displacement of the watched point in µm; (m, 3)."""
+    _write_table(folder / "path.csv", "factor,u_x_um,u_y_um", list(path.T))
 
 
 def _write_table(path: Path, header: str, columns: list[np.ndarray]) -> None:

@@ -7,7 +7,7 @@ tangent_assembly; generalised_alpha, implicit (time); quasi_static, modes (no ti
 
 from surrofe2.macro.modes import Modes, find_modes
 from surrofe2.macro.quasi_static import Rest, find_rest
-from surrofe2.macro.results import Frames, MacroRun, MetRange
+from surrofe2.macro.results import Frames, MacroRun, MetRange, rest_frames
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.simulation import simulate
 from surrofe2.macro.state import MacroState
@@ -22,5 +22,6 @@ __all__ = [
     "Rest",
     "find_modes",
     "find_rest",
+    "rest_frames",
     "simulate",
 ]

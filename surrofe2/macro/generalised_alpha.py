@@ -85,6 +85,12 @@ class GeneralisedAlpha:
         """(n_free, 2) ü = M⁻¹ (l − f)."""
         return self._right_hand_side.bar.solve_mass(now.load - now.internal)
 
+    def acceleration_to(self, u: Array, start: Evaluation, a: Array, h: float) -> Array:
+        """(n_free, 2) algorithmic acceleration at the end of a step that leads to u."""
+        w = self.weights
+        known = start.u + h * start.v + h**2 * (0.5 - w.beta) * a
+        return np.asarray((u - known) / (h**2 * w.beta))
+
     def solve(self, start: Evaluation, a: Array, guess: Array, h: float) -> Solved:
         """The step of length h from `start` with algorithmic acceleration a.
 

@@ -8,17 +8,17 @@ leaves slow modes as they are and damps fast ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Solved
-from surrofe2.macro.right_hand_side import Evaluation, RightHandSide, TrialError
+from surrofe2.macro.right_hand_side import Evaluation, MovedError, RightHandSide, TrialError
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangent_assembly import require_tangents
-from surrofe2.macro.time_integration import MAX_HALVINGS
+from surrofe2.macro.time_integration import MAX_HALVINGS, NO_MEMORY
 
 Array = NDArray[np.float64]
 
@@ -35,6 +35,7 @@ class ImplicitStep:
         rates: (2, 4 n_free) [v, ü] at both ends.
         y_old: (4 n_free,) state at t_old.
         end_powers: (2, 2) internal and load power at both ends.
+        memory: see `ImplicitStepper.memory`.
         residuals: of Newton, see `generalised_alpha.Solved`.
     """
 
@@ -47,6 +48,7 @@ class ImplicitStep:
     rates: Array
     end_powers: Array
     residuals: tuple[float, ...]
+    memory: Array
 
     def interpolate(self, t: float) -> Array:
         """(4 n_free,) y within the step: the cubic with the values and rates of both ends."""
@@ -82,6 +84,31 @@ class _Standing:
     rate: Array
     rate_old: Array | None = None
 
+    @property
+    def memory(self) -> Array:
+        """What cannot be computed from `now`, as one array."""
+        old = NO_MEMORY if self.rate_old is None else self.rate_old
+        return np.concatenate([[self.h], self.a.ravel(), old])
+
+    def remembering(self, memory: Array) -> _Standing:
+        """The same place with the past that `memory` was taken of."""
+        size = self.a.size
+        old = memory[1 + size :]
+        return replace(
+            self,
+            h=float(memory[0]),
+            a=memory[1 : 1 + size].reshape(self.a.shape),
+            rate_old=old if old.size else None,
+        )
+
+    def on_another_branch(self, now: Evaluation, rate: Array) -> _Standing:
+        """The same place where the law answers otherwise: what was known moves by the jump, so
+        that neither the error nor the first guess of the next step takes it for a motion."""
+        jump = rate - self.rate
+        a = self.a + jump.reshape(2, -1, 2)[1]
+        rate_old = None if self.rate_old is None else self.rate_old + jump
+        return _Standing(now, a, self.h, rate, rate_old)
+
 
 class ImplicitStepper:
     """Accepted steps, one after another, from (t, y) to t_end; takes the place of `Stepper`."""
@@ -94,6 +121,7 @@ class ImplicitStepper:
         t_end: float,
         settings: MacroSettings,
         first_step: float | None = None,
+        memory: Array | None = None,
     ) -> None:
         require_tangents(right_hand_side.law, "integrator implicit")
         self._right_hand_side = right_hand_side
@@ -104,9 +132,11 @@ class ImplicitStepper:
         )
         u, v = y.reshape(2, -1, 2)
         self.start = right_hand_side.evaluate(t, u, v)
-        right_hand_side.accept()
-        a = self._method.acceleration(self.start)
-        self._standing = _Standing(self.start, a, 1.0, _rate(self.start, a))
+        start = right_hand_side.accept()
+        a = self._method.acceleration(start)
+        self._standing = _Standing(start, a, 1.0, _rate(start, a))
+        if memory is not None:
+            self._standing = self._standing.remembering(memory)
         self._h = first_step or self._first_step(a)
 
     @property
@@ -114,8 +144,17 @@ class ImplicitStepper:
         """Length proposed for the next step, µs."""
         return self._h
 
+    @property
+    def memory(self) -> Array:
+        """(1 + 2 n_free,) or, after the first step, (1 + 6 n_free,): length of the last step in
+        µs, algorithmic acceleration, [v, ü] a step before. With y all that the method needs."""
+        return self._standing.memory
+
     def advance(self) -> ImplicitStep:
-        """The next accepted step; failed trials halve it, ten times at most."""
+        """The next accepted step; failed trials halve it, ten times at most.
+
+        A trial in which points left their branch of the law is repeated at its length.
+        """
         counts = self._right_hand_side.tally.counts
         halvings, grow = 0, _GROW
         while True:
@@ -127,10 +166,9 @@ class ImplicitStepper:
                     "below rounding; loosen the tolerances"
                 )
             try:
-                solved = self._try(h)
+                solved = self._try_on_one_branch(h)
                 error = self._error(solved, h)
-                if error <= 1.0:
-                    self._right_hand_side.accept()
+                start = self._right_hand_side.accept() if error <= 1.0 else solved.now
             except TrialError:
                 counts["failed_trials"] += 1
                 if halvings == MAX_HALVINGS:
@@ -146,7 +184,7 @@ class ImplicitStepper:
             wanted = h * min(grow, max(_SHRINK, factor))
             # A step cut short to meet the end says nothing against the longer one.
             self._h = min(self._settings.largest_step, max(wanted, self._h if last else 0.0))
-            return self._commit(solved, h, last)
+            return self._commit(solved, start, h, last)
 
     def _length(self) -> tuple[float, bool]:
         """Length to try, and whether it is cut to end at t_end."""
@@ -156,15 +194,38 @@ class ImplicitStepper:
             return left, True
         return (0.5 * left, False) if 2.0 * h > left else (h, False)
 
-    def _try(self, h: float) -> Solved:
+    def _try_on_one_branch(self, h: float) -> Solved:
+        """A step of h, begun anew as long as points leave their branch of the law.
+
+        Newton goes on from where it found them.
+        """
+        guess = None
+        while True:
+            at, a = self._standing, self._acceleration(h)
+            try:
+                return self._method.solve(
+                    at.now, a, self._guess(a, h) if guess is None else guess, h
+                )
+            except MovedError as found:
+                now = self._right_hand_side.begin_anew(found.moved)
+                rate = _rate(now, self._method.acceleration(now))
+                self._standing = at.on_another_branch(now, rate)
+                guess = self._method.acceleration_to(found.u, now, self._acceleration(h), h)
+
+    def _acceleration(self, h: float) -> Array:
+        """The algorithmic acceleration, its lag brought from the last step's to this one's."""
         at = self._standing
-        # The lag of a is that of the step which made it: bring it to this step's.
         acceleration = at.rate.reshape(2, -1, 2)[1]
-        a = acceleration + h / at.h * (at.a - acceleration)
-        guess = a
-        if at.rate_old is not None:
-            guess = a + h / at.h * (acceleration - at.rate_old.reshape(2, -1, 2)[1])
-        return self._method.solve(at.now, a, guess, h)
+        a: Array = acceleration + h / at.h * (at.a - acceleration)
+        return a
+
+    def _guess(self, a: Array, h: float) -> Array:
+        """The same at the end of the step, carried on straight."""
+        at = self._standing
+        if at.rate_old is None:
+            return a
+        change = at.rate.reshape(2, -1, 2)[1] - at.rate_old.reshape(2, -1, 2)[1]
+        return np.asarray(a + h / at.h * change)
 
     def _error(self, solved: Solved, h: float) -> float:
         """Root mean square of the error of y relative to what is allowed."""
@@ -181,10 +242,14 @@ class ImplicitStepper:
         ]
         return float(np.sqrt(np.mean((np.concatenate(filtered) / scale) ** 2)))
 
-    def _commit(self, solved: Solved, h: float, last: bool) -> ImplicitStep:
+    def _commit(self, solved: Solved, start: Evaluation, h: float, last: bool) -> ImplicitStep:
+        """Stand at `start`, the end of the step as the law answers there from now on."""
         at, now = self._standing, solved.now
         rate = _rate(now, self._method.acceleration(now))
         self._standing = _Standing(now, solved.a, h, rate, at.rate)
+        if start is not now:
+            begin = _rate(start, self._method.acceleration(start))
+            self._standing = self._standing.on_another_branch(start, begin)
         return ImplicitStep(
             t_old=at.now.t,
             t=self._t_end if last else now.t,
@@ -195,6 +260,7 @@ class ImplicitStepper:
             rates=np.stack([at.rate, rate]),
             end_powers=np.stack([at.now.powers, now.powers]),
             residuals=solved.residuals,
+            memory=self.memory,
         )
 
     def _first_step(self, a: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -12,7 +13,13 @@ from scipy.sparse import csc_matrix
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.mesh import Bar, make_bar
-from surrofe2.macro.right_hand_side import Evaluation, RightHandSide, Tally, TrialError
+from surrofe2.macro.right_hand_side import (
+    Evaluation,
+    MovedError,
+    RightHandSide,
+    Tally,
+    TrialError,
+)
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangent_assembly import (
     Pattern,
@@ -41,7 +48,7 @@ class Rest:
         bar: mesh, mass and load.
         factor: factor of the body force.
         u: (n_free, 2) displacement of the free nodes, µm.
-        F: (n_points, 2, 2) deformation gradient.
+        F, stress: (n_points, 2, 2) deformation gradient; Cauchy stress, µN/µm.
         stiffness, damping: (2 n_free, 2 n_free) K = ∂f/∂u and C = ∂f/∂v there.
         path: (steps + 1, 3) factor and displacement of the watched point at each load step, from
             (0, 0, 0) on.
@@ -53,6 +60,7 @@ class Rest:
     factor: float
     u: Array
     F: Array
+    stress: Array
     stiffness: csc_matrix
     damping: csc_matrix
     path: Array
@@ -72,6 +80,7 @@ def find_rest(
     *,
     factor: float = 1.0,
     load_steps: int = 1,
+    reached: Callable[[Rest], None] | None = None,
 ) -> Rest:
     """Equilibrium internal force(u, v = 0) = factor · load, reached from factor 0.
 
@@ -82,6 +91,7 @@ def find_rest(
         factor: of the body force; 0 is the bar without load. The load case's amplitude in time
             has no say here.
         load_steps: load steps to begin with.
+        reached: called with each equilibrium on the way, the one without load first.
 
     Raises:
         InputError: the law has no tangents.
@@ -102,6 +112,8 @@ def find_rest(
         rest = _rest_of(rhs, pattern, 0.0, np.zeros((len(bar.free), 2)), settings, path)
     except TrialError as failure:
         raise SimulationError(f"the load cannot start: {failure}") from None
+    if reached is not None:
+        reached(rest)
     step, failed = factor / load_steps, False
     while rest.factor != factor:
         left = factor - rest.factor
@@ -117,6 +129,8 @@ def find_rest(
                     f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}", partial=rest
                 ) from None
         else:
+            if reached is not None:
+                reached(rest)
             step, failed = (step if failed else 2.0 * step), False
             if abs(step) > abs(factor) / load_steps:
                 step = factor / load_steps
@@ -135,7 +149,25 @@ def _rest_of(
     settings: MacroSettings,
     path: Array,
 ) -> Rest:
-    """The equilibrium at `factor` by Newton from u; the law commits it."""
+    """The equilibrium at `factor` by Newton from u; the law commits it.
+
+    Newton begins anew as long as points leave their branch of the law.
+    """
+    while True:
+        try:
+            return _rest_on_one_branch(rhs, pattern, factor, u, settings, path)
+        except MovedError as found:
+            rhs.begin_anew(found.moved)
+
+
+def _rest_on_one_branch(
+    rhs: RightHandSide,
+    pattern: Pattern,
+    factor: float,
+    u: Array,
+    settings: MacroSettings,
+    path: Array,
+) -> Rest:
     now = rhs.evaluate(factor, u, np.zeros_like(u), tangents=True)
     residuals = [_relative_residual(rhs.bar, now)]
     while residuals[-1] > settings.newton_tolerance:
@@ -148,7 +180,18 @@ def _rest_of(
     rhs.tally.counts["load_steps"] += factor != 0.0
     here = np.append(factor, rhs.bar.at_watched_point(now.u))
     path = np.vstack([path, here]) if factor != path[-1, 0] else path
-    return Rest(rhs.bar, factor, now.u, now.F, K, C, path, tuple(residuals), _counts(rhs.tally))
+    return Rest(
+        bar=rhs.bar,
+        factor=factor,
+        u=now.u,
+        F=now.F,
+        stress=now.response.stress,
+        stiffness=K,
+        damping=C,
+        path=path,
+        residuals=tuple(residuals),
+        counts=_counts(rhs.tally),
+    )
 
 
 def _corrected(rhs: RightHandSide, pattern: Pattern, now: Evaluation) -> Evaluation:

@@ -24,6 +24,7 @@ COUNTS = (
     "steps",
     "rejected_steps",
     "failed_trials",
+    "repeated_steps",
     "right_hand_sides",
     "factorisations",
     "stress_calls",
@@ -40,6 +41,7 @@ class _Mark:
     t: float
     y: Array
     next_step: float
+    memory: Array
     work: Array
     rows: int
     samples: int
@@ -77,7 +79,7 @@ class Recorder:
         self._frame_element = np.empty((2, n_frames, n_el, 2, 2))
         self._mark: _Mark
 
-    def begin(self, start: Evaluation, next_step: float) -> None:
+    def begin(self, start: Evaluation, next_step: float, memory: Array) -> None:
         """Record the state at rest at t = 0."""
         self._watched[0] = self._bar.at_watched_point(start.u)
         self._energies[:, 0] = _kinetic(self._bar, start.v), 0.0, 0.0
@@ -88,7 +90,7 @@ class Recorder:
         widen_extremes(lowest, highest, start.F, start.F_dot)
         y = np.concatenate([start.u.ravel(), start.v.ravel()])
         samples = 1 if self._record_dissipation else 0
-        self._mark = _Mark(0.0, y, next_step, np.zeros(2), 1, samples, 1, lowest, highest)
+        self._mark = _Mark(0.0, y, next_step, memory, np.zeros(2), 1, samples, 1, lowest, highest)
 
     def record(self, step: AcceptedStep) -> None:
         """Record an accepted step."""
@@ -110,7 +112,16 @@ class Recorder:
         widen_extremes(lowest, highest, step.evaluation.F, step.evaluation.F_dot)
         work = mark.work + step.work(step.t)
         self._mark = _Mark(
-            step.t, step.y, step.next_step, work, rows, samples, frames, lowest, highest
+            t=step.t,
+            y=step.y,
+            next_step=step.next_step,
+            memory=step.memory,
+            work=work,
+            rows=rows,
+            samples=samples,
+            frames=frames,
+            lowest=lowest,
+            highest=highest,
         )
 
     def state(self) -> MacroState:
@@ -121,6 +132,7 @@ class Recorder:
             t=mark.t,
             y=mark.y.copy(),
             next_step=mark.next_step,
+            memory=mark.memory,
             work=mark.work,
             output_t=self._t[: mark.rows].copy(),
             watched=self._watched[: mark.rows].copy(),
@@ -164,6 +176,7 @@ class Recorder:
             t=state.t,
             y=state.y,
             next_step=state.next_step,
+            memory=state.memory,
             work=state.work,
             rows=rows,
             samples=samples,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -10,7 +11,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.mesh import Bar
+from surrofe2.macro.quasi_static import Rest
+from surrofe2.macro.selective_quadrature import CENTRE, N_POINTS
 from surrofe2.macro.state import MacroState
 
 Array = NDArray[np.float64]
@@ -102,6 +106,20 @@ class MacroRun:
     effort: dict[str, int]
     threads: int
     finished: bool
+
+
+def rest_frames(path: Sequence[Rest]) -> Frames:
+    """Whole fields of states of rest, the factor of the load in the place of time."""
+    bar = path[0].bar
+    displacement = np.stack([bar.on_all_nodes(rest.u) for rest in path])
+    stress = [element_mean_stress(bar, np.linalg.det(rest.F), rest.stress) for rest in path]
+    return Frames(
+        t=np.array([rest.factor for rest in path]),
+        displacement=displacement,
+        velocity=np.zeros_like(displacement),
+        stress=np.stack(stress),
+        F=np.stack([rest.F[CENTRE::N_POINTS] for rest in path]),
+    )
 
 
 def make_run(bar: Bar, state: MacroState, finished: bool) -> MacroRun:

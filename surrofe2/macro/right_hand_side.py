@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.mesh import Bar
-from surrofe2.stress_law import Status, StressLaw, StressResponse, describe
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressLaw,
+    StressResponse,
+    Switching,
+    describe,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,6 +40,17 @@ class TrialError(Exception):
             f"F = [{entries}]: {reason}"
         )
         self.t = t
+
+
+class MovedError(Exception):
+    """Points left their branch of the law within a step; it must be begun anew.
+
+    t, u: where they were found.
+    """
+
+    def __init__(self, t: float, u: Array, moved: NDArray[np.int8]) -> None:
+        super().__init__(f"{np.count_nonzero(moved)} points changed their branch of the law")
+        self.t, self.u, self.moved = t, u, moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +96,7 @@ class RightHandSide:
     Attributes:
         clock: how a message calls the time; a quasi-static load has a factor in its place.
         last: the latest evaluation; after a step of Dormand–Prince, that of its end point.
+        start: the evaluation by which the step under way began.
         recent_powers: (2,) powers of the latest six evaluations: after a step, those of its
             stages 2 to 7.
         calls: evaluations since it was last set to 0.
@@ -97,26 +116,30 @@ class RightHandSide:
         self.tally = tally
         self.clock = clock
         self.last: Evaluation | None = None
+        self.start: Evaluation
         self.recent_powers: deque[Array] = deque(maxlen=N_STAGES)
         self.calls = 0
         self._committed: Any = None
 
     def __call__(self, t: float, y: Array) -> Array:
-        """(4 n_free,) rate of y; raises `TrialError` where there is no stress."""
+        """(4 n_free,) rate of y; raises as `evaluate` does."""
         self.calls += 1
-        n_free = len(self.bar.free)
-        u, v = y.reshape(2, n_free, 2)
+        u, v = y.reshape(2, -1, 2)
         now = self.evaluate(t, u, v)
         self.recent_powers.append(now.powers)
-        rate = np.empty_like(y)
-        rate[: 2 * n_free] = y[2 * n_free :]
-        rate[2 * n_free :] = self.bar.solve_mass(now.load - now.internal).ravel()
-        return rate
+        return self.rate(now)
+
+    def rate(self, now: Evaluation) -> Array:
+        """(4 n_free,) rate of y by an evaluation."""
+        acceleration = self.bar.solve_mass(now.load - now.internal)
+        return np.concatenate([now.v.ravel(), acceleration.ravel()])
 
     def evaluate(self, t: float, u: Array, v: Array, *, tangents: bool = False) -> Evaluation:
         """Stress, internal force and load at (t, u, v); the law's tangents where asked for.
 
-        Raises `TrialError` where there is no stress.
+        Raises:
+            TrialError: there is no stress somewhere.
+            MovedError: the law left a branch; the step must be begun anew.
         """
         self.tally.counts["right_hand_sides"] += 1
         F, F_dot, J = deformation_gradient(self.bar, u, v)
@@ -124,6 +147,8 @@ class RightHandSide:
             point = int(np.argmin(J > 0.0))
             self.fail(t, point, F, f"det F = {J[point]:.6g}; the element is inverted there")
         response = self._respond(t, F, F_dot, tangents)
+        if response.moved is not None:
+            raise MovedError(t, u, response.moved)
         internal = internal_force(self.bar, F, response.stress)
         load = self.amplitude_at(t) * self.bar.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
@@ -133,14 +158,41 @@ class RightHandSide:
         self.last = Evaluation(t, u, v, F, F_dot, J, response, internal, load, powers)
         return self.last
 
-    def accept(self) -> None:
-        """Let the law commit its latest answer; raises `TrialError` if the law objects."""
+    def accept(self) -> Evaluation:
+        """Let the law commit its latest answer: the evaluation by which the next step begins.
+
+        Raises `TrialError` if the law objects.
+        """
         last = self.evaluation
         started = perf_counter()
         acceptance = self.law.accept(last.F, last.F_dot, last.response)
         self.tally.law_seconds += perf_counter() - started
-        self._check_status(last.t, last.F, acceptance.status)
+        return self._begin(last, acceptance)
+
+    def begin_anew(self, moved: NDArray[np.int8]) -> Evaluation:
+        """The start of the step under way with these points on another branch of the law."""
+        start, law = self.start, cast(Switching, self.law)
+        response = replace(start.response, state=self._committed)
+        started = perf_counter()
+        acceptance = law.begin_anew(start.F, start.F_dot, response, moved)
+        self.tally.law_seconds += perf_counter() - started
+        self.tally.counts["repeated_steps"] += 1
+        return self._begin(start, acceptance)
+
+    def _begin(self, at: Evaluation, acceptance: Acceptance) -> Evaluation:
+        """Commit what the law said of an evaluation."""
+        self._check_status(at.t, at.F, acceptance.status)
         self._committed = acceptance.state
+        if acceptance.stress is not None:
+            internal = internal_force(self.bar, at.F, acceptance.stress)
+            at = replace(
+                at,
+                response=replace(at.response, stress=acceptance.stress, moved=None, tangents=None),
+                internal=internal,
+                powers=np.array([np.vdot(internal, at.v), at.powers[1]]),
+            )
+        self.start = self.last = at
+        return at
 
     @property
     def evaluation(self) -> Evaluation:

@@ -50,8 +50,8 @@ def simulate(
             passed since it last was, and upon an interrupt, which then goes its way.
         checkpoint_interval: s.
         resume: a state that `checkpoint` was given, of the same load case, mesh and density.
-            The law starts cold, so a law with a history must not be resumed; an implicit run
-            starts its algorithmic acceleration anew, within the tolerance.
+            The law starts cold, so a law with a history must not be resumed; the results of one
+            without a state are those of the uninterrupted run to the bit.
 
     Raises:
         SimulationError: ten halvings in a row found no acceptable step; `partial` is the
@@ -105,20 +105,34 @@ def _start(
     t, y, first_step = 0.0, np.zeros(4 * len(right_hand_side.bar.free)), None
     if resume is not None:
         _check_same_run(resume, right_hand_side.bar, load_case)
+        _check_same_integrator(resume, settings)
         t, y, first_step = resume.t, resume.y, resume.next_step
         tally = right_hand_side.tally
         tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
         tally.law_seconds = resume.wall_time["law"]
-    kind = ImplicitStepper if settings.integrator == "implicit" else Stepper
+    place = (right_hand_side, t, y, load_case.duration, settings, first_step)
+    stepper: Stepper | ImplicitStepper
     try:
-        stepper = kind(right_hand_side, t, y, load_case.duration, settings, first_step)
+        if settings.integrator == "implicit":
+            stepper = ImplicitStepper(*place, memory=resume.memory if resume else None)
+        else:
+            stepper = Stepper(*place)
     except TrialError as failure:
         raise SimulationError(f"the run cannot start: {failure}") from None
     if resume is None:
-        recorder.begin(stepper.start, stepper.next_step)
+        recorder.begin(stepper.start, stepper.next_step, stepper.memory)
     else:
         recorder.restore(resume)
     return stepper
+
+
+def _check_same_integrator(state: MacroState, settings: MacroSettings) -> None:
+    there = "implicit" if state.memory.size else "explicit"
+    if there != settings.integrator:
+        raise MismatchError(
+            f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {there} "
+            "run: resume with that or run anew"
+        )
 
 
 def _check_same_run(state: MacroState, bar: Bar, load_case: LoadCase) -> None:

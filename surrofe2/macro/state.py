@@ -22,6 +22,8 @@ class MacroState:
     Attributes:
         t: µs. y: (4 n_free,) displacement and velocity of the free nodes.
         next_step: length proposed for the next step, µs.
+        memory: what the integrator knows besides y, see `ImplicitStepper.memory`; empty if and
+            only if it is the explicit one.
         work: (2,) internal and load work since t = 0, pJ.
         output_t: (r,) output times passed; watched: (r, 2) displacement there;
             energies: (3, r) kinetic energy, internal and load work there.
@@ -36,6 +38,7 @@ class MacroState:
     t: float
     y: Array
     next_step: float
+    memory: Array
     work: Array
     output_t: Array
     watched: Array

@@ -22,8 +22,12 @@ Index = NDArray[np.int64]
 
 
 def require_tangents(law: StressLaw, purpose: str) -> None:
-    """An `InputError` unless `law.respond` takes `tangents`."""
-    if "tangents" not in inspect.signature(law.respond).parameters:
+    """An `InputError` unless `law.respond` takes `tangents`.
+
+    A law whose parts decide says so by an attribute `has_tangents`.
+    """
+    knows = "tangents" in inspect.signature(law.respond).parameters
+    if not (knows and getattr(law, "has_tangents", True)):
         raise InputError(
             f"{purpose}: {type(law).__name__} has no tangents; use true RVEs (--law rve) or "
             "integrator explicit"

@@ -1,7 +1,8 @@
 """Dormand–Prince 5(4) steps that a failing stress law can turn back.
 
 scipy's RK45 chooses and tries the steps; it is wrapped, never altered. A trial that has no stress
-leaves it through `TrialError`, before it has moved.
+leaves it through `TrialError`, before it has moved, and one that finds the law on another branch
+through `MovedError`: that step is tried again at the same length, its first stage anew.
 """
 
 from __future__ import annotations
@@ -15,12 +16,19 @@ from numpy.typing import NDArray
 from scipy.integrate import RK45
 
 from surrofe2.errors import SimulationError
-from surrofe2.macro.right_hand_side import N_STAGES, Evaluation, RightHandSide, TrialError
+from surrofe2.macro.right_hand_side import (
+    N_STAGES,
+    Evaluation,
+    MovedError,
+    RightHandSide,
+    TrialError,
+)
 from surrofe2.macro.settings import MacroSettings
 
 Array = NDArray[np.float64]
 
 MAX_HALVINGS = 10
+NO_MEMORY: Array = np.empty(0)
 
 # Where in the step the evaluations of one trial lie: stages 2 to 6, then the end point.
 _TIME_FRACTIONS = (*RK45.C[1:], 1.0)
@@ -39,6 +47,8 @@ class AcceptedStep(Protocol):
     def next_step(self) -> float: ...  # noqa: D102
     @property
     def evaluation(self) -> Evaluation: ...  # noqa: D102
+    @property
+    def memory(self) -> Array: ...  # noqa: D102
     @property
     def interpolate(self) -> Callable[[float], Array]: ...  # noqa: D102
     def work(self, t: float) -> Array: ...  # noqa: D102
@@ -64,6 +74,11 @@ class Step:
     interpolate: Callable[[float], Array]
     evaluation: Evaluation
     stage_powers: Array
+
+    @property
+    def memory(self) -> Array:
+        """Nothing: the method starts anew from y at each step."""
+        return NO_MEMORY
 
     def work(self, t: float) -> Array:
         """(2,) internal and load work from t_old to t, pJ.
@@ -93,52 +108,66 @@ class Stepper:
         self._settings = settings
         self._t_end = t_end
         right_hand_side(t, y)
-        right_hand_side.accept()
         self.start = right_hand_side.evaluation
-        self._first_powers = self.start.powers
+        right_hand_side.accept()
         self._solver = self._restart(t, y, first_step)
+        self._first_powers = right_hand_side.start.powers
 
     @property
     def next_step(self) -> float:
         """Length proposed for the next step, µs."""
         return float(self._solver.h_abs)
 
+    @property
+    def memory(self) -> Array:
+        """See `Step.memory`."""
+        return NO_MEMORY
+
     def advance(self) -> Step:
         """The next accepted step.
 
         Each failed trial halves the length that was tried. After ten halvings in a row
-        `TrialError` is passed on.
+        `TrialError` is passed on. A trial in which points left their branch of the law is
+        repeated as it was; each time there are more of them, so that comes to an end.
         """
-        for halvings in range(MAX_HALVINGS + 1):
+        halvings, rejected = 0, False
+        while True:
             try:
-                return self._try_step(after_failure=halvings > 0)
+                return self._try_step(may_grow=halvings == 0 and not rejected)
+            except MovedError:
+                rejected = rejected or self._right_hand_side.calls > N_STAGES
             except TrialError:
                 self._right_hand_side.tally.counts["failed_trials"] += 1
                 if halvings == MAX_HALVINGS:
                     raise
-        raise AssertionError("unreachable")
+                halvings += 1
 
-    def _try_step(self, after_failure: bool) -> Step:
+    def _try_step(self, may_grow: bool) -> Step:
         solver, right_hand_side = self._solver, self._right_hand_side
         t_old, y_old = solver.t, solver.y
         right_hand_side.calls = 0
         try:
             message = solver.step()
-        except TrialError as failure:
+        except (TrialError, MovedError) as failure:
             self._count_rejected()
             stage = (right_hand_side.calls - 1) % N_STAGES
-            solver.h_abs = 0.5 * (failure.t - t_old) / _TIME_FRACTIONS[stage]
+            length = (failure.t - t_old) / _TIME_FRACTIONS[stage]
+            solver.h_abs = 0.5 * length
+            if isinstance(failure, MovedError):
+                self._begin_at(right_hand_side.begin_anew(failure.moved))
+                solver.h_abs = length
             raise
         self._count_rejected()
         if solver.status == "failed":
             raise SimulationError(f"time integration stopped at t = {t_old:.6g} µs: {message}")
         length = solver.t - t_old
+        evaluation = right_hand_side.evaluation
         try:
-            right_hand_side.accept()
+            start = right_hand_side.accept()
         except TrialError:
             self._solver = self._restart(t_old, y_old, 0.5 * length)
             raise
-        if after_failure:
+        if not may_grow:
             # As after a step of too large an error, do not grow straight back into failure.
             solver.h_abs = min(solver.h_abs, length)
         step = Step(
@@ -147,27 +176,36 @@ class Stepper:
             y=solver.y,
             next_step=solver.h_abs,
             interpolate=solver.dense_output(),
-            evaluation=right_hand_side.evaluation,
+            evaluation=evaluation,
             stage_powers=np.array([self._first_powers, *right_hand_side.recent_powers]),
         )
-        self._first_powers = step.evaluation.powers
+        self._begin_at(start)
         right_hand_side.tally.counts["steps"] += 1
         return step
+
+    def _begin_at(self, start: Evaluation) -> None:
+        """Take an evaluation at the time reached for the first stage of the next trial."""
+        self._first_powers = start.powers
+        self._solver.f = self._right_hand_side.rate(start)
 
     def _restart(self, t: float, y: Array, first_step: float | None) -> RK45:
         """A solver that stands at (t, y); the law's committed state is where it was."""
         if first_step is not None:
             first_step = min(first_step, self._t_end - t) or None
-        return RK45(
-            self._right_hand_side,
-            t,
-            y,
-            self._t_end,
-            first_step=first_step,
-            max_step=self._settings.largest_step,
-            atol=self._settings.absolute_tolerance,
-            rtol=self._settings.relative_tolerance,
-        )
+        while True:
+            try:
+                return RK45(
+                    self._right_hand_side,
+                    t,
+                    y,
+                    self._t_end,
+                    first_step=first_step,
+                    max_step=self._settings.largest_step,
+                    atol=self._settings.absolute_tolerance,
+                    rtol=self._settings.relative_tolerance,
+                )
+            except MovedError as found:
+                self._right_hand_side.begin_anew(found.moved)
 
     def _count_rejected(self) -> None:
         """All trials of one step but the last were complete and too inaccurate."""

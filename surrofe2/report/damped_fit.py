@@ -1,6 +1,6 @@
-"""Two damped modes in a displacement curve: period and logarithmic decrement (model.md).
+"""Damped modes in a displacement curve: period and logarithmic decrement (model.md).
 
-Least squares of a constant and two exponentially damped cosines::
+Least squares of a constant and exponentially damped cosines, two unless told otherwise::
 
     u(t) ≈ c + Σₖ e^(−δₖ t) (aₖ cos ωₖ t + bₖ sin ωₖ t),    k = 1, 2
 
@@ -37,29 +37,35 @@ class Mode:
 @dataclass(frozen=True, slots=True)
 class DampedFit:
     """constant: the state of rest, µm. first: the mode of largest amplitude. residual: largest
-    difference between fit and curve, rms: its root mean square, µm."""
+    difference between fit and curve, rms: its root mean square, µm. decrement_error: standard
+    error of the first mode's decrement from the residuals' covariance."""
 
     constant: float
     first: Mode
     second: Mode
     residual: float
     rms: float
+    decrement_error: float
 
 
-def fit_damped_modes(t: Array, u: Array) -> DampedFit:
-    """Fit a constant and two damped modes to u(t); t in µs, evenly spaced, u in µm.
+def fit_damped_modes(t: Array, u: Array, count: int = 2) -> DampedFit:
+    """Fit a constant and `count` damped modes to u(t); t in µs, evenly spaced, u in µm.
 
     Raises:
-        InputError: fewer than 20 samples, or a curve that does not move.
+        InputError: fewer than 20 samples, a curve that does not move, or a count below 2.
     """
+    if count < 2:
+        raise InputError(f"damped fit: {count} modes; it must be at least 2")
     t, u = np.asarray(t, np.float64) - t[0], np.asarray(u, np.float64)
     if t.ndim != 1 or t.shape != u.shape or len(t) < 20:
         raise InputError(f"damped fit: t {t.shape} and u {u.shape}; both must be (m,), m ≥ 20")
     if not np.isfinite(u).all() or np.ptp(u) == 0.0:
         raise InputError("damped fit: the curve must be finite and move")
-    one = min((_refined(t, u, [(w, 0.0)]) for w in _frequencies(t, u, [])), key=_cost(t, u))
-    trials = [_refined(t, u, [*one, (w, 0.0)]) for w in _frequencies(t, u, one)]
-    return _summary(t, u, min(trials, key=_cost(t, u)))
+    modes: Modes = []
+    for _ in range(count):
+        trials = [_refined(t, u, [*modes, (w, 0.0)]) for w in _frequencies(t, u, modes)]
+        modes = min(trials, key=_cost(t, u))
+    return _summary(t, u, modes)
 
 
 def first_minimum(t: Array, u: Array) -> tuple[float, float]:
@@ -133,6 +139,7 @@ def _pairs(flat: Array) -> Modes:
 
 def _summary(t: Array, u: Array, modes: Modes) -> DampedFit:
     coefficients = _coefficients(t, u, modes)
+    errors = _decrement_errors(t, u, modes)
     found = [
         Mode(
             period=2.0 * np.pi / omega,
@@ -141,12 +148,40 @@ def _summary(t: Array, u: Array, modes: Modes) -> DampedFit:
         )
         for k, (omega, delta) in enumerate(modes)
     ]
-    found.sort(key=lambda mode: -mode.amplitude)
+    order = sorted(range(len(found)), key=lambda k: -found[k].amplitude)
     left = _residual(t, u, modes)
     return DampedFit(
         constant=float(coefficients[0]),
-        first=found[0],
-        second=found[1],
+        first=found[order[0]],
+        second=found[order[1]],
         residual=float(np.abs(left).max()),
         rms=float(np.sqrt(np.mean(left**2))),
+        decrement_error=float(errors[order[0]]),
     )
+
+
+def _decrement_errors(t: Array, u: Array, modes: Modes) -> Array:
+    """(m,) standard errors of the decrements 2π δ/ω.
+
+    The covariance s² (JᵀJ)⁻¹ of (ω, δ), J by central differences of the projected residual, times
+    (1 + r)/(1 − r), r the correlation of neighbouring residuals: samples that err alike count less.
+    """
+    flat = np.array(modes).ravel()
+    step = 1e-6 / t[-1]
+    slopes = [
+        (_residual(t, u, _pairs(flat + e)) - _residual(t, u, _pairs(flat - e))) / (2.0 * step)
+        for e in step * np.eye(len(flat))
+    ]
+    J = np.stack(slopes, axis=1)
+    left = _residual(t, u, modes)
+    power = float(left @ left)
+    alike = float(np.clip(left[1:] @ left[:-1] / power, 0.0, 0.999)) if power > 0.0 else 0.0
+    freedom = max(len(t) - 2 * len(flat) - 1, 1)
+    variance = power / freedom * (1.0 + alike) / (1.0 - alike)
+    covariance = variance * np.linalg.pinv(J.T @ J)
+    errors = []
+    for k, (omega, delta) in enumerate(modes):
+        slope = np.array([-2.0 * np.pi * delta / omega**2, 2.0 * np.pi / omega])
+        part = covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+        errors.append(np.sqrt(max(slope @ part @ slope, 0.0)))
+    return np.array(errors)

@@ -68,6 +68,7 @@ class Study:
         results: the numbers of the study, for JSON.
         units: of the entries of `results`, by name.
         settings: what the study was told besides the cell.
+        shown: the table for people, column heading to texts; the first column names. Empty: none.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Study:
     results: Mapping[str, Any]
     units: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    shown: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         lengths = {len(column) for column in self.table.values()}

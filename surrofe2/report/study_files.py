@@ -1,4 +1,4 @@
-"""The files of a study: NAME.png, NAME.csv, NAME.json."""
+"""The files of a study: NAME.png, NAME.csv, NAME.json, NAME.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.figures import write_figure
 from surrofe2.report.study import Study
 
-SUFFIXES = ("png", "csv", "json")
+SUFFIXES = ("png", "csv", "json", "md")
 
 
 def check_free(out: Path, name: str) -> None:
@@ -28,12 +28,17 @@ def check_free(out: Path, name: str) -> None:
 
 
 def write_study(out: Path, study: Study, cell: CellParameters, preset: str) -> list[Path]:
-    """Write figure, table and numbers of a study into `out`; their paths."""
+    """Write figure, table and numbers of a study into `out`; their paths.
+
+    The table for people is written where the study has one.
+    """
     paths = [out / f"{study.name}.{suffix}" for suffix in SUFFIXES]
+    if study.shown:
+        write_text(paths[3], to_markdown(study))
     write_json(paths[2], to_record(study, cell, preset))
     write_text(paths[1], to_csv(study))
     write_figure(paths[0], study)
-    return paths
+    return paths if study.shown else paths[:3]
 
 
 def to_record(study: Study, cell: CellParameters, preset: str) -> dict[str, Any]:
@@ -59,6 +64,14 @@ def to_csv(study: Study) -> str:
     for row in zip(*study.table.values(), strict=True):
         writer.writerow([_field(value) for value in row])
     return text.getvalue()
+
+
+def to_markdown(study: Study) -> str:
+    """The table for people, its figures aligned to the right."""
+    columns = list(study.shown)
+    lines = [columns, [":--", *["--:"] * (len(columns) - 1)]]
+    lines += [list(row) for row in zip(*study.shown.values(), strict=True)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _field(value: Any) -> str:

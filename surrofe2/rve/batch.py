@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.lanes import Topology, pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.direct import chord, newton, stress_at
+from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, stress_at
 from surrofe2.rve.micro_state import list_covers
 from surrofe2.rve.rve_state import RveState
 from surrofe2.rve.slow_manifold import follow, renew_slow
@@ -53,15 +53,7 @@ class Batch:
         self.newton_solves = 0
         self.before = state
         self.cold = cold
-        self.state = replace(
-            state,
-            z=state.z.copy(),
-            elastic=state.elastic.copy(),
-            fluctuation=state.fluctuation.copy(),
-            F=F,
-            F_dot=F_dot,
-            iterations=self.iterations,
-        )
+        self.state = replace(state, F=F, F_dot=F_dot, iterations=self.iterations)
 
     def solve(self, level: int = 0) -> None:
         """Initialise every RVE; where the list of contacts was too short, again with a longer."""
@@ -96,7 +88,7 @@ class Batch:
         constants, area = self.unit.constants, self.unit.area
         if self.law.initialisation == "slow-manifold":
             slow_tangents(
-                self.F, self.F_dot, state.z, state.elastic, topology, constants, area, values
+                self.F, self.F_dot, state.z, state.relaxed, topology, constants, area, values
             )
         else:
             kind = self.law.initialisation
@@ -124,7 +116,7 @@ class Batch:
         elif self.law.initialisation == "slow-manifold":
             self._follow(topology)
         else:
-            self._solve_directly(topology, self.state.z)
+            self._solve_directly(topology)
             if self.law.initialisation == "elastic":
                 self._evaluate(topology)
 
@@ -139,7 +131,7 @@ class Batch:
         """The paper's iteration from the last state, carried along by the incremental F."""
         before = self.before
         x = np.einsum("tabl,tbpl->tapl", self.F, before.z)
-        v = np.einsum("tabl,tbpl->tapl", self.rate, before.z) + before.fluctuation
+        v = np.einsum("tabl,tbpl->tapl", self.rate, before.z) + before.beyond_affine
         iterate(
             self.F, self.rate, x, v, self.unit.patches[0].mass, topology, self.unit.constants,
             self.unit.area, self.settings.micro_step, self.settings.stop,
@@ -153,15 +145,15 @@ class Batch:
         if self.law.initialisation == "elastic":
             self._evaluate(topology)
 
-    def _solve_directly(self, topology: Topology, z: Array) -> None:
-        before = self.before
-        z[:] = before.z
+    def _solve_directly(self, topology: Topology) -> None:
+        before, z = self.before, self.before.z.copy()
+        self.state = replace(self.state, z=z, factors=before.factors)
         if self.cold:
             self.iterations[:] = -1
         else:
             chord(
                 self.F, self.rate, z, before.F, felt_rate(self.law.initialisation, before.F_dot),
-                before.lu, before.slopes, topology, self.unit.constants, self.unit.area,
+                before.factors.address, topology, self.unit.constants, self.unit.area,
                 self.settings.tolerance, self.stress, self.iterations,
             )  # fmt: skip
         self._newton_where_open(topology, z)
@@ -176,22 +168,29 @@ class Batch:
     def _follow(self, topology: Topology) -> None:
         """Slow manifold: warm where possible, else from a fresh elastic equilibrium."""
         before = self.before
-        self.state.z[:], self.state.elastic[:] = before.z, before.elastic
+        self.state = replace(
+            self.state,
+            z=before.z.copy(),
+            elastic=before.relaxed.copy(),
+            fluctuation=before.beyond_affine.copy(),
+            factors=before.factors,
+        )
         self.iterations[:] = -1
         if not self.cold:
             self._follow_from(before.F, before.F_dot, topology)
         lost = self.iterations < 0
         if not lost.any():
             return
-        elastic = np.where(lost[:, None, None, :], before.elastic, self.state.elastic)
+        elastic = np.where(lost[:, None, None, :], before.relaxed, self.state.relaxed)
         self._newton_where_open(topology, elastic)
         found = lost & (self.iterations > 0) & (self.status == Status.OK)
-        np.copyto(self.state.elastic, elastic, where=lost[:, None, None, :])
+        np.copyto(self.state.relaxed, elastic, where=lost[:, None, None, :])
         np.copyto(self.state.z, elastic, where=lost[:, None, None, :])
-        stable = np.empty_like(lost)
+        stable, tiles = np.empty_like(lost), np.asarray(lost.any(axis=1))
+        self.state = replace(self.state, factors=self.state.factors.renewed(tiles))
         renew_slow(
-            self.F, self.state.elastic, self.state.lu, self.state.slopes, lost.any(axis=1),
-            topology, self.unit.constants, stable,
+            self.F, self.state.relaxed, self.state.factors.address, tiles, topology,
+            self.unit.constants, stable,
         )  # fmt: skip
         solved, stress, z = self.iterations.copy(), self.stress.copy(), self.state.z.copy()
         at_rest = np.where(lost[:, None, None, :], 0.0, self.F_dot)
@@ -207,21 +206,22 @@ class Batch:
         state = self.state
         follow(
             self.F, self.F_dot, state.z, state.elastic, state.fluctuation, at_F, at_rate,
-            state.lu, state.slopes, topology, self.unit.constants, self.unit.area,
+            state.factors.address, topology, self.unit.constants, self.unit.area,
             self.settings.tolerance, self.stress, self.iterations,
         )  # fmt: skip
 
     def _newton(self, topology: Topology, F: Array, rate: Array, z: Array) -> None:
         failed = self.iterations < 0
         self.newton_solves += int(failed.sum())
-        lu, slopes = self.state.lu.copy(), self.state.slopes.copy()
-        stable = np.ones_like(failed)
+        tiles = np.asarray(failed.any(axis=1))
+        factors, stable = self.state.factors.renewed(tiles), np.ones_like(failed)
         newton(
-            F, rate, z, lu, slopes, failed.any(axis=1), topology, self.unit.constants,
-            self.unit.area, self.settings.tolerance, self.stress, self.iterations, stable,
+            F, rate, z, factors.address, np.where(tiles, SOLVE, SKIP).astype(np.int8), topology,
+            self.unit.constants, self.unit.area, self.settings.tolerance, self.stress,
+            self.iterations, stable,
         )  # fmt: skip
         self.status[failed & ~stable] = Status.UNSTABLE
-        self.state = replace(self.state, lu=lu, slopes=slopes)
+        self.state = replace(self.state, factors=factors)
 
     def _walk(self, topology: Topology, z_found: Array) -> None:
         """Reach points that Newton misses in growing numbers of steps from F = I."""

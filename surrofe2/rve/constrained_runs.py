@@ -13,7 +13,14 @@ import numpy as np
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.micro_state import cauchy_stress, local_forces, make_workspace, mean_force
+from surrofe2.rve.micro_state import (
+    cauchy_stress,
+    copy_particles,
+    keep_lane,
+    local_forces,
+    make_workspace,
+    mean_force,
+)
 
 
 @parallel_kernel
@@ -24,22 +31,23 @@ def iterate(F, rate, x, v, mass, topology, c, area, dt, stop, limit, stress, res
     (tiles, 1, TILE): mean force at the end.
     """
     for t in numba.prange(x.shape[0]):
-        _iterate_tile(
+        iterate_tile(
             F[t], rate[t], x[t], v[t], mass, topology, c, area, dt, stop, limit, stress[t],
             residual[t], iterations[t],
         )  # fmt: skip
 
 
 @kernel
-def _iterate_tile(
+def iterate_tile(
     F, rate, x_own, v_own, mass, topology, c, area, dt, stop, limit, stress, residual, iterations
 ):
+    """`iterate` for one tile, arrays without their first axis."""
     own = topology.particles
     work = make_workspace(topology)
     sigma, mean = np.empty((2, 2, TILE)), np.empty((1, TILE))
     rescale = _rescaling(F, rate, dt)
-    work.x[:, :own] = x_own
-    work.v[:, :own] = v_own
+    copy_particles(x_own, work.x)
+    copy_particles(v_own, work.v)
     done = np.zeros(TILE, dtype=np.bool_)
     for count in range(limit + 1):
         _set_moving_images(F, rate, work.x, work.v, topology)
@@ -55,9 +63,9 @@ def _iterate_tile(
                 done[k] = True
                 iterations[k] = count if mean[0, k] < stop else -1
                 residual[0, k] = mean[0, k]
-                stress[:, :, k] = sigma[:, :, k]
-                x_own[:, :, k] = work.x[:, :own, k]
-                v_own[:, :, k] = work.v[:, :own, k]
+                keep_lane(sigma, k, stress)
+                keep_lane(work.x, k, x_own)
+                keep_lane(work.v, k, v_own)
             else:
                 open_lanes += 1
         if open_lanes == 0:

@@ -5,11 +5,11 @@ corrects with a kept factorisation after a linear prediction; `newton` refactori
 rate at zero both find the elastic equilibrium (65).
 
 Kept per point, besides material positions z at (F, Ḟ): the LU factors of the force Jacobian in
-single precision (they only precondition; the residual is double), and the slopes
-∂z/∂(F, Ḟ), both taken at the last factorisation::
+single precision (they only precondition; the residual is double), and the slopes ∂z/∂(F, Ḟ)
+(they only predict), both taken at the last factorisation, see `factors`::
 
-    lu      (tiles, 2n − 2, 2n − 2, TILE)     particle 0 is held
-    slopes  (tiles, 2n − 2, 8, TILE)          columns ∂F_xx, xy, yx, yy, ∂Ḟ_xx, xy, yx, yy
+    lu      (2n − 2, 2n − 2, TILE)     particle 0 is held
+    slopes  (2n − 2, 8, TILE)          columns ∂F_xx, xy, yx, yy, ∂Ḟ_xx, xy, yx, yy
 """
 
 from __future__ import annotations
@@ -22,9 +22,21 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.jacobian import force_jacobian
+from surrofe2.plant_cell.lanes import Constants, Topology
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.linear import factorise, is_negative_definite, solve_factorised
-from surrofe2.rve.micro_state import evaluate, make_workspace, map_affine, set_images
+from surrofe2.rve.factors import Factors, kept
+from surrofe2.rve.linear import copy_from, factorise, is_negative_definite, solve_factorised
+from surrofe2.rve.micro_state import (
+    copy_particles,
+    evaluate,
+    keep_lane,
+    make_workspace,
+    map_affine,
+    set_images,
+)
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 CHORD_LIMIT = 10
 CONTRACTION = 0.5
@@ -32,6 +44,9 @@ CONTRACTION = 0.5
 NEWTON_LIMIT = 40
 LONGEST_STEP = 0.4
 """Longest Newton step of a particle, µm; contacts stiffen over r/7."""
+
+SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
+"""What `newton` does with a tile; each does what the one before does, too."""
 
 
 class Matrices(NamedTuple):
@@ -57,25 +72,27 @@ def make_matrices(n):
 
 
 @parallel_kernel
-def chord(F, rate, z, at_F, at_rate, lu, slopes, topology, c, area, tolerance, stress, iterations):
+def chord(F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stress, iterations):
     """Solve from z, known at (at_F, at_rate), in place; all (tiles, …, TILE).
 
+    factors (tiles,): addresses of the kept factors, which are read only.
     iterations (tiles, TILE): force evaluations used, or −1 where the point did not converge.
     """
     for t in numba.prange(z.shape[0]):
         _chord_tile(
-            F[t], rate[t], z[t], at_F[t], at_rate[t], lu[t], slopes[t], topology, c, area,
-            tolerance, stress[t], iterations[t],
+            F[t], rate[t], z[t], at_F[t], at_rate[t], factors[t], topology, c, area, tolerance,
+            stress[t], iterations[t],
         )  # fmt: skip
 
 
 @kernel
 def _chord_tile(
-    F, rate, z, at_F, at_rate, lu, slopes, topology, c, area, tolerance, stress, iterations
+    F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stress, iterations
 ):
-    work = make_workspace(topology)
+    work, free = make_workspace(topology), 2 * topology.particles - 2
+    lu, slopes = kept(factors, free)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    before, step = np.full(TILE, np.inf), np.empty((2 * topology.particles - 2, TILE))
+    before, step = np.full(TILE, np.inf), np.empty((free, TILE))
     predict(z, F, rate, at_F, at_rate, slopes, work.z)
     iterations[:] = 0
     for count in range(1, CHORD_LIMIT + 1):
@@ -85,7 +102,7 @@ def _chord_tile(
             if iterations[k] == 0:
                 if residual[0, k] <= tolerance:
                     iterations[k] = count
-                    stress[:, :, k] = sigma[:, :, k]
+                    keep_lane(sigma, k, stress)
                 elif not residual[0, k] < CONTRACTION * before[k] or count == CHORD_LIMIT:
                     iterations[k] = -1
                 else:
@@ -99,7 +116,7 @@ def _chord_tile(
         move(step, F, work.z)
     for k in range(TILE):
         if iterations[k] > 0:
-            z[:, :, k] = work.z[:, : topology.particles, k]
+            keep_lane(work.z, k, z)
 
 
 @kernel
@@ -148,29 +165,53 @@ def move(step, F, z):
 
 
 @parallel_kernel
-def newton(
-    F, rate, z, lu, slopes, wanted, topology, c, area, tolerance, stress, iterations, stable
-):
-    """Newton with limited steps from z for the tiles that `wanted` (tiles,) marks, in place.
+def newton(F, rate, z, factors, task, topology, c, area, tolerance, stress, iterations, stable):
+    """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
 
-    Only lanes with iterations ≤ 0 move; iterations becomes the number of force evaluations, or
-    −1. lu and slopes are those of the solution. stable (tiles, TILE): whether the elastic
-    Hessian there, dashpots off, is positive definite.
+    - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0, which becomes
+      the number of force evaluations, or −1.
+    - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
+    - CHECK: stable (tiles, TILE), whether the elastic Hessian at z, dashpots off, is positive
+      definite.
     """
     for t in numba.prange(z.shape[0]):
-        if wanted[t]:
+        if task[t] != SKIP:
             _newton_tile(
-                F[t], rate[t], z[t], lu[t], slopes[t], topology, c, area, tolerance, stress[t],
+                F[t], rate[t], z[t], factors[t], task[t], topology, c, area, tolerance, stress[t],
                 iterations[t], stable[t],
             )  # fmt: skip
 
 
+def renew(
+    F: Array, rate: Array, z: Array, factors: Factors, wanted: Flags, topology: Topology,
+    c: Constants, stable: Flags,
+) -> None:  # fmt: skip
+    """Check stability of every tile; write the factors of the `wanted` (tiles,) ones."""
+    nothing = np.empty((len(z), 2, 2, TILE)), np.empty((len(z), TILE), dtype=np.int32)
+    task = np.where(wanted, RENEW, CHECK).astype(np.int8)
+    newton(F, rate, z, factors.address, task, topology, c, 1.0, 0.0, *nothing, stable)
+
+
 @kernel
-def _newton_tile(F, rate, z, lu, slopes, topology, c, area, tolerance, stress, iterations, stable):
-    own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(own)
+def _newton_tile(
+    F, rate, z, factors, task, topology, c, area, tolerance, stress, iterations, stable
+):
+    work, matrices = make_workspace(topology), make_matrices(topology.particles)
+    copy_particles(z, work.z)
+    if task >= SOLVE:
+        _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterations)
+        copy_particles(work.z, z)
+    set_images(work.z, topology)
+    if task >= RENEW:
+        lu, slopes = kept(factors, 2 * topology.particles - 2)
+        _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
+    check_stable(work, matrices, F, topology, c, stable)
+
+
+@kernel
+def _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterations):
+    """Newton from work.z, own particles set."""
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    work.z[:, :own] = z
     for k in range(TILE):
         if iterations[k] <= 0:
             iterations[k] = 0
@@ -181,7 +222,7 @@ def _newton_tile(F, rate, z, lu, slopes, topology, c, area, tolerance, stress, i
             if iterations[k] == 0:
                 if residual[0, k] <= tolerance:
                     iterations[k] = count
-                    stress[:, :, k] = sigma[:, :, k]
+                    keep_lane(sigma, k, stress)
                 elif not residual[0, k] < np.inf or count == NEWTON_LIMIT:
                     iterations[k] = -1
                 else:
@@ -189,16 +230,13 @@ def _newton_tile(F, rate, z, lu, slopes, topology, c, area, tolerance, stress, i
         if open_lanes == 0:
             break
         set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
-        matrices.free[:] = matrices.jacobian[2:, 2:]
+        copy_from(matrices.jacobian, 2, matrices.free)
         factorise(matrices.free)
         set_residual(work.f, matrices.step)
         solve_factorised(matrices.free, matrices.step)
         _limit(matrices.step)
         hold(matrices.step, iterations)
         move(matrices.step, F, work.z)
-    z[:] = work.z[:, :own]
-    _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
-    check_stable(work, matrices, F, topology, c, stable)
 
 
 @kernel
@@ -208,10 +246,10 @@ def _limit(step):
         longest = 0.0
         for i in range(step.shape[0]):
             longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest == np.inf:
-            step[:, k] = 0.0
-        elif longest > LONGEST_STEP:
-            step[:, k] *= LONGEST_STEP / longest
+        if longest > LONGEST_STEP:
+            factor = LONGEST_STEP / longest
+            for i in range(step.shape[0]):
+                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
 
 
 @kernel
@@ -233,9 +271,9 @@ def _refactorise(work, matrices, F, rate, topology, c, lu, slopes):
     map_affine(F, work.z, work.x)
     map_affine(rate, work.z, work.v)
     set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.columns)
-    matrices.free[:] = matrices.jacobian[2:, 2:]
+    copy_from(matrices.jacobian, 2, matrices.free)
     factorise(matrices.free)
-    lu[:] = matrices.free
+    copy_from(matrices.free, 0, lu)
     step = matrices.step
     xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
     per_det = 1.0 / (xx * yy - xy * yx)
@@ -256,25 +294,8 @@ def check_stable(work, matrices, F, topology, c, stable):
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    matrices.free[:] = matrices.jacobian[2:, 2:]
+    copy_from(matrices.jacobian, 2, matrices.free)
     is_negative_definite(matrices.free, stable)
-
-
-@parallel_kernel
-def renew(F, rate, z, lu, slopes, wanted, topology, c, stable):
-    """Check stability of every tile; refill lu and slopes of the `wanted` ones."""
-    for t in numba.prange(z.shape[0]):
-        _renew_tile(F[t], rate[t], z[t], lu[t], slopes[t], wanted[t], topology, c, stable[t])
-
-
-@kernel
-def _renew_tile(F, rate, z, lu, slopes, wanted, topology, c, stable):
-    work, matrices = make_workspace(topology), make_matrices(topology.particles)
-    work.z[:, : topology.particles] = z
-    set_images(work.z, topology)
-    if wanted:
-        _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
-    check_stable(work, matrices, F, topology, c, stable)
 
 
 @parallel_kernel
@@ -287,5 +308,5 @@ def stress_at(F, rate, z, topology, c, area, stress, residual):
 @kernel
 def _stress_tile(F, rate, z, topology, c, area, stress, residual):
     work = make_workspace(topology)
-    work.z[:, : topology.particles] = z
+    copy_particles(z, work.z)
     evaluate(work, F, rate, topology, c, area, stress, residual)

@@ -16,6 +16,14 @@ PANEL = 8
 
 
 @kernel
+def copy_from(source, first, target):
+    """target[i, j] = source[first + i, first + j], all of target, in its precision."""
+    for i in range(target.shape[0]):
+        for j in range(target.shape[1]):
+            store(load(source, first + i, first + j), target, i, j)
+
+
+@kernel
 def factorise(a):
     """LU in place, unit lower triangle; the diagonal holds reciprocal pivots."""
     n = a.shape[0]

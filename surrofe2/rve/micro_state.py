@@ -42,6 +42,22 @@ def make_workspace(topology):
 
 
 @kernel
+def copy_particles(source, target):
+    """Copy as many particles as both (2, …, TILE) have."""
+    for axis in range(2):
+        for i in range(min(source.shape[1], target.shape[1])):
+            store(load(source, axis, i), target, axis, i)
+
+
+@kernel
+def keep_lane(source, k, target):
+    """Copy lane k of an array with three axes to one that may be shorter along the second."""
+    for a in range(target.shape[0]):
+        for i in range(target.shape[1]):
+            target[a, i, k] = source[a, i, k]
+
+
+@kernel
 def set_images(z, topology):
     """Fill the image part of local material positions from its own part."""
     own = topology.particles

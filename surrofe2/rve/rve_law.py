@@ -130,25 +130,26 @@ class RveLaw:
         return StressResponse(stress, status, batch.state, batch.effort(points), slopes)
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
-        """Check stability (elastic Hessian, dashpots off) and renew tired factorisations."""
+        """Check stability (elastic Hessian, dashpots off) and renew tired factorisations.
+
+        The state of the answer stays as it is; the new one shares with it what was not renewed.
+        """
         state = response.state
         if self.initialisation == "cauchy-born" or self.solver == "iterated":
             return Acceptance(response.status, state)
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
         tired = (state.iterations > limit).any(axis=1)
-        lu, slopes = state.lu, state.slopes
-        if tired.any():
-            lu, slopes = lu.copy(), slopes.copy()
-        stable = np.empty((len(lu), TILE), dtype=np.bool_)
+        factors = state.factors.renewed(tired)
+        stable = np.empty((len(tired), TILE), dtype=np.bool_)
         topology, constants = self._covering_topology(state), self.unit_cell.constants
         if self.initialisation == "slow-manifold":
-            renew_slow(state.F, state.elastic, lu, slopes, tired, topology, constants, stable)
+            renew_slow(state.F, state.relaxed, factors.address, tired, topology, constants, stable)
         else:
             rate = felt_rate(self.initialisation, state.F_dot)
-            renew(state.F, rate, state.z, lu, slopes, tired, topology, constants, stable)
+            renew(state.F, rate, state.z, factors, tired, topology, constants, stable)
         status = response.status.copy()
         status[~unpack(stable, state.points) & (status == Status.OK)] = Status.UNSTABLE
-        return Acceptance(status, replace(state, lu=lu, slopes=slopes))
+        return Acceptance(status, replace(state, factors=factors))
 
     def _covering_topology(self, state: RveState) -> Topology:
         """The shortest pair lists that cover every point, else the longest."""

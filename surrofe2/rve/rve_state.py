@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.lanes import pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
+from surrofe2.rve.factors import Factors
 from surrofe2.rve.unit_cell import UnitCell
 
 Reals = NDArray[np.float64]
@@ -22,41 +23,70 @@ class RveState:
     Attributes:
         points: n; the last tile is filled up with copies.
         z: (tiles, 2, particles, TILE) material positions, x = F z, µm.
-        fluctuation: same shape, v − L x, µm/µs; zero for affine velocities.
-        elastic: same shape, z of the elastic equilibrium that "slow-manifold" starts from.
+        fluctuation: same shape, v − L x, µm/µs; None: zero, velocities are affine.
+        elastic: same shape, z of the elastic equilibrium that "slow-manifold" starts from;
+            None: z itself.
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
-        lu, slopes: kept factorisation and prediction, see `direct`.
+        factors: kept factorisation and prediction, see `direct`.
         iterations: (tiles, TILE) force evaluations of the last solve.
     """
 
     points: int
     z: Reals
-    fluctuation: Reals
-    elastic: Reals
+    fluctuation: Reals | None
+    elastic: Reals | None
     F: Reals
     F_dot: Reals
-    lu: NDArray[np.float32]
-    slopes: Reals
+    factors: Factors
     iterations: NDArray[np.int32]
+
+    @property
+    def relaxed(self) -> Reals:
+        """z of the elastic equilibrium."""
+        return self.z if self.elastic is None else self.elastic
+
+    @property
+    def beyond_affine(self) -> Reals:
+        """v − L x."""
+        return np.zeros_like(self.z) if self.fluctuation is None else self.fluctuation
 
     def take(self, index: NDArray[np.intp]) -> RveState:
         """The state of the points `index` alone."""
-        parts = {
-            item.name: pack(unpack(getattr(self, item.name), self.points)[index])
-            for item in fields(self)
-            if item.name != "points"
-        }
-        return RveState(points=len(index), **parts)
+
+        def taken(tiles: NDArray[Any]) -> NDArray[Any]:
+            return pack(unpack(tiles, self.points)[index])
+
+        return RveState(
+            points=len(index),
+            z=taken(self.z),
+            fluctuation=None if self.fluctuation is None else taken(self.fluctuation),
+            elastic=None if self.elastic is None else taken(self.elastic),
+            F=taken(self.F),
+            F_dot=taken(self.F_dot),
+            factors=self.factors.take(index),
+            iterations=taken(self.iterations),
+        )
 
     def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
         """This state with the points `index` replaced by those of `part`."""
-        parts = {}
-        for item in fields(self):
-            if item.name != "points":
-                mine = getattr(self, item.name).copy()
-                put_points(mine, index, getattr(part, item.name))
-                parts[item.name] = mine
-        return RveState(points=self.points, **parts)
+
+        def put(mine: NDArray[Any], theirs: NDArray[Any]) -> NDArray[Any]:
+            mine = mine.copy()
+            put_points(mine, index, theirs)
+            return mine
+
+        affine = self.fluctuation is None and part.fluctuation is None
+        at_rest = self.elastic is None and part.elastic is None
+        return RveState(
+            points=self.points,
+            z=put(self.z, part.z),
+            fluctuation=None if affine else put(self.beyond_affine, part.beyond_affine),
+            elastic=None if at_rest else put(self.relaxed, part.relaxed),
+            F=put(self.F, part.F),
+            F_dot=put(self.F_dot, part.F_dot),
+            factors=self.factors.put(index, part.factors),
+            iterations=put(self.iterations, part.iterations),
+        )
 
 
 def rest_state(unit: UnitCell, points: int) -> RveState:
@@ -72,11 +102,10 @@ def rest_state(unit: UnitCell, points: int) -> RveState:
     return RveState(
         points=points,
         z=z,
-        fluctuation=np.zeros_like(z),
-        elastic=z,
+        fluctuation=None,
+        elastic=None,
         F=identity,
         F_dot=np.zeros_like(identity),
-        lu=everywhere(unit.factors.lu[0, :, :, 0]),
-        slopes=everywhere(unit.factors.slopes[0, :, :, 0]),
+        factors=unit.factors.repeated(len(z)),
         iterations=np.zeros((len(z), TILE), dtype=np.int32),
     )

@@ -32,9 +32,12 @@ from surrofe2.rve.direct import (
     set_jacobian,
     set_residual,
 )
-from surrofe2.rve.linear import factorise, solve_factorised
+from surrofe2.rve.factors import kept
+from surrofe2.rve.linear import copy_from, factorise, solve_factorised
 from surrofe2.rve.micro_state import (
     cauchy_stress,
+    copy_particles,
+    keep_lane,
     local_forces,
     make_workspace,
     map_affine,
@@ -50,41 +53,44 @@ RATE_TOLERANCE = 10.0
 
 @parallel_kernel
 def follow(
-    F, rate, z, elastic, fluctuation, at_F, at_rate, lu, slopes, topology, c, area, tolerance,
+    F, rate, z, elastic, fluctuation, at_F, at_rate, factors, topology, c, area, tolerance,
     stress, iterations,
 ):  # fmt: skip
     """Solve z_el, v and z from those at (at_F, at_rate), in place; all (tiles, …, TILE).
 
+    factors (tiles,): addresses of the kept factors, which are read only.
     iterations (tiles, TILE): evaluations of forces used, or −1 where the point did not converge.
     """
     for t in numba.prange(z.shape[0]):
         _follow_tile(
-            F[t], rate[t], z[t], elastic[t], fluctuation[t], at_F[t], at_rate[t], lu[t],
-            slopes[t], topology, c, area, tolerance, stress[t], iterations[t],
+            F[t], rate[t], z[t], elastic[t], fluctuation[t], at_F[t], at_rate[t], factors[t],
+            topology, c, area, tolerance, stress[t], iterations[t],
         )  # fmt: skip
 
 
 @kernel
 def _follow_tile(
-    F, rate, z, elastic, fluctuation, at_F, at_rate, lu, slopes, topology, c, area, tolerance,
+    F, rate, z, elastic, fluctuation, at_F, at_rate, factors, topology, c, area, tolerance,
     stress, iterations,
 ):  # fmt: skip
     own = topology.particles
     work = make_workspace(topology)
+    lu, slopes = kept(factors, 2 * own - 2)
     y = np.empty((2, own, TILE))
     still = np.zeros((2, 2, TILE))
     count = np.zeros(TILE, dtype=np.int32)
     predict(elastic, F, still, at_F, still, slopes, work.z)
     _predict_rates(slopes, rate, y)
     _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count)
-    relaxed = work.z[:, :own].copy()
+    relaxed = np.empty((2, own, TILE))
+    copy_particles(work.z, relaxed)
     _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, work.z)
     _find_positions(work, F, lu, topology, c, area, tolerance, stress, count)
     for k in range(TILE):
         iterations[k] = count[k]
         if count[k] > 0:
-            z[:, :, k] = work.z[:, :own, k]
-            elastic[:, :, k] = relaxed[:, :, k]
+            keep_lane(work.z, k, z)
+            keep_lane(relaxed, k, elastic)
     for axis in range(2):
         for i in range(own):
             affine = load(rate, axis, 0) * load(z, 0, i) + load(rate, axis, 1) * load(z, 1, i)
@@ -202,7 +208,7 @@ def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
                 if residual[0, k] <= tolerance:
                     done[k] = 1
                     count[k] += evaluation
-                    stress[:, :, k] = sigma[:, :, k]
+                    keep_lane(sigma, k, stress)
                 elif not residual[0, k] < CONTRACTION * before[k] or evaluation == LIMIT:
                     done[k] = 1
                     count[k] = -1
@@ -218,17 +224,20 @@ def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
 
 
 @parallel_kernel
-def renew_slow(F, elastic, lu, slopes, wanted, topology, c, stable):
-    """Check stability of every tile at z_el; refill lu and slopes of the `wanted` ones."""
+def renew_slow(F, elastic, factors, wanted, topology, c, stable):
+    """Check stability of every tile at z_el; write the factors of the `wanted` ones.
+
+    factors (tiles,): addresses of their blocks.
+    """
     for t in numba.prange(elastic.shape[0]):
-        _renew_tile(F[t], elastic[t], lu[t], slopes[t], wanted[t], topology, c, stable[t])
+        _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, c, stable[t])
 
 
 @kernel
-def _renew_tile(F, elastic, lu, slopes, wanted, topology, c, stable):
+def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
     own = topology.particles
     work, matrices = make_workspace(topology), make_matrices(own)
-    work.z[:, :own] = elastic
+    copy_particles(elastic, work.z)
     set_images(work.z, topology)
     if not wanted:
         check_stable(work, matrices, F, topology, c, stable)
@@ -237,9 +246,10 @@ def _renew_tile(F, elastic, lu, slopes, wanted, topology, c, stable):
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    matrices.free[:] = matrices.jacobian[2:, 2:]
+    copy_from(matrices.jacobian, 2, matrices.free)
     factorise(matrices.free)
-    lu[:] = matrices.free
+    lu, slopes = kept(factors, 2 * own - 2)
+    copy_from(matrices.free, 0, lu)
     for k in range(TILE):
         stable[k] = True
         for i in range(2 * own - 2):

@@ -22,8 +22,14 @@ from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates, add_fo
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, spread, store
 from surrofe2.rve.direct import make_matrices, move, set_jacobian, set_residual
-from surrofe2.rve.linear import factorise, solve_factorised
-from surrofe2.rve.micro_state import local_forces, make_workspace, map_affine, set_images
+from surrofe2.rve.linear import copy_from, factorise, solve_factorised
+from surrofe2.rve.micro_state import (
+    copy_particles,
+    local_forces,
+    make_workspace,
+    map_affine,
+    set_images,
+)
 from surrofe2.rve.slow_manifold import set_velocities
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
@@ -48,14 +54,14 @@ def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
     own = topology.particles
     work, matrices = make_workspace(topology), make_matrices(own)
     change = make_workspace(topology)
-    work.z[:, :own] = z
+    copy_particles(z, work.z)
     set_images(work.z, topology)
     map_affine(F, work.z, work.x)
     still = np.zeros((2, 2, TILE))
     felt = still if kind == _ELASTIC else F_dot
     map_affine(felt, work.z, work.v)
     set_jacobian(work, F, felt, topology, c, matrices.jacobian, matrices.columns)
-    matrices.free[:] = matrices.jacobian[2:, 2:]
+    copy_from(matrices.jacobian, 2, matrices.free)
     factorise(matrices.free)
     map_affine(F_dot, work.z, work.v)
     local_forces(work, topology, c)
@@ -118,19 +124,19 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
     own = topology.particles
     work, matrices = make_workspace(topology), make_matrices(own)
     at_rest, change = make_workspace(topology), make_workspace(topology)
-    at_rest.z[:, :own] = relaxed
+    copy_particles(relaxed, at_rest.z)
     set_images(at_rest.z, topology)
     modes = _equilibrium_modes(at_rest, F, topology, c, matrices)
     y = _material_rate(modes, F_dot)
     set_velocities(at_rest.z, y, F, F_dot, topology, at_rest.v)
     bends = _velocity_slopes(at_rest, modes, y, F, F_dot, topology, c, matrices, change)
-    work.z[:, :own] = z
+    copy_particles(z, work.z)
     set_images(work.z, topology)
     map_affine(F, work.z, work.x)
     work.v[:] = at_rest.v
     still, unit = np.zeros((2, 2, TILE)), np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    matrices.free[:] = matrices.jacobian[2:, 2:]
+    copy_from(matrices.jacobian, 2, matrices.free)
     factorise(matrices.free)
     local_forces(work, topology, c)
     at_point = work.f.copy()
@@ -165,7 +171,7 @@ def _equilibrium_modes(work, F, topology, c, matrices):
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    matrices.free[:] = matrices.jacobian[2:, 2:]
+    copy_from(matrices.jacobian, 2, matrices.free)
     factorise(matrices.free)
     modes = np.zeros((4, 2, own, TILE))
     for m in range(4):

@@ -18,22 +18,15 @@ from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
 from surrofe2.plant_cell.lanes import Constants, Topology, make_constants, make_topology, pack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE
-from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.direct import newton
+from surrofe2.rve.constrained_runs import iterate_tile
+from surrofe2.rve.direct import SOLVE, newton
+from surrofe2.rve.factors import Factors
 
 REACHES = (1.2, 1.4, 2.0, 3.0)
 """Lists of contacts, in cut-offs; the shortest that provably covers a deformation serves."""
 _RELAXED = 1e-10
 _FIRST_GUESS = 0.5
 _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT = 1e-3, 1.0, 200_000
-
-
-@dataclass(frozen=True, slots=True)
-class Factors:
-    """Kept factorisation and slopes of `direct`, in tiles."""
-
-    lu: NDArray[np.float32]
-    slopes: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,21 +96,21 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
 
 def _descend(patch: Patch, constants: Constants, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions (n, 2) into which the particles settle at F = I from `start`, dashpots on."""
-    x = np.ascontiguousarray(np.swapaxes(pack(start[None]), 1, 2))
+    x = np.ascontiguousarray(np.swapaxes(pack(start[None]), 1, 2))[0]
     v = np.zeros_like(x)
-    unit = pack(np.eye(2)[None])
-    residual, iterations = np.empty((1, 1, TILE)), np.empty((1, TILE), dtype=np.int32)
-    iterate(
+    unit = pack(np.eye(2)[None])[0]
+    residual, iterations = np.empty((1, TILE)), np.empty(TILE, dtype=np.int32)
+    iterate_tile(
         unit, np.zeros_like(unit), x, v, patch.mass, make_topology(patch), constants, patch.area,
-        _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT, np.empty((1, 2, 2, TILE)), residual, iterations,
+        _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT, np.empty((2, 2, TILE)), residual, iterations,
     )  # fmt: skip
-    if iterations[0, 0] < 0:
+    if iterations[0] < 0:
         raise InputError(
             "cell: the undeformed cell does not come to rest "
-            f"(mean force {residual[0, 0, 0]:.3g} µN); check fluid_particle_mass, wall_stiffness "
+            f"(mean force {residual[0, 0]:.3g} µN); check fluid_particle_mass, wall_stiffness "
             "and the damping ratios"
         )
-    return x[0, :, :, 0].T.copy()
+    return x[:, :, 0].T.copy()
 
 
 def _relax(
@@ -128,15 +121,12 @@ def _relax(
     z = np.ascontiguousarray(np.swapaxes(z, 1, 2))
     unit = np.ascontiguousarray(pack(np.eye(2)[None]))
     still = np.zeros_like(unit)
-    free = 2 * len(start) - 2
-    factors = Factors(
-        lu=np.empty((1, free, free, TILE), dtype=np.float32), slopes=np.empty((1, free, 8, TILE))
-    )
+    factors = Factors.empty(1, 2 * len(start) - 2)
     stress = np.empty((1, 2, 2, TILE))
     iterations = np.zeros((1, TILE), dtype=np.int32)
     stable = np.zeros((1, TILE), dtype=np.bool_)
     newton(
-        unit, still, z, factors.lu, factors.slopes, np.ones(1, dtype=np.bool_),
+        unit, still, z, factors.address, np.full(1, SOLVE, dtype=np.int8),
         make_topology(patch), constants, patch.area, _RELAXED, stress, iterations, stable,
     )  # fmt: skip
     if iterations[0, 0] < 0:

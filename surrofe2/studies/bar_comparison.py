@@ -159,7 +159,31 @@ def describe(
         },
         units=UNITS,
         settings=settings,
+        shown=shown(runs, tissue),
     )
+
+
+def shown(runs: tuple[BarRun, ...], tissue: BarRun | None) -> dict[str, list[str]]:
+    """First minimum, period and decrement of each run, with the deviation from the tissue's."""
+    rows = [figures(run, tissue) for run in runs]
+    table = {"run": [row["run"] for row in rows]}
+    for key, heading, digits in (
+        ("first_minimum", "first minimum (µm)", 2),
+        ("period", "period (µs)", 2),
+        ("decrement", "decrement", 4),
+    ):
+        table[heading] = [f"{row[key]:.{digits}f}" for row in rows]
+        if tissue is not None:
+            table[f"{key.replace('_', ' ')} off (%)"] = [
+                _percent(row.get(f"{key}_deviation_percent")) for row in rows
+            ]
+    table["fit residual (µm)"] = [f"{row['fit_residual']:.3f}" for row in rows]
+    table["time (s)"] = [f"{row['seconds']:.1f}" for row in rows]
+    return table
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{value:+.1f}"
 
 
 def _panel(mesh: tuple[int, int], runs: tuple[BarRun, ...], tissue: BarRun | None) -> Panel:

@@ -19,7 +19,8 @@ from surrofe2.plant_cell.simd import TILE
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.rve import RveLaw
 from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.direct import newton, stress_at
+from surrofe2.rve.direct import SOLVE, newton, stress_at
+from surrofe2.rve.factors import Factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.stress_law import Status
 from surrofe2.studies.drives import shear_rate_tensor, sheared
@@ -128,12 +129,13 @@ def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> R
     rows: dict[int, tuple[float, float]] = {}
     for tolerance in np.geomspace(1e5, _REFERENCE_TOLERANCE, 65):
         z = _tile(unit.position.T)
-        lu, slopes = np.empty((1, free, free, TILE), np.float32), np.empty((1, free, 8, TILE))
+        factors = Factors.empty(1, free)
         stress, residual = np.empty((1, 2, 2, TILE)), np.empty((1, 1, TILE))
         evaluations = np.zeros((1, TILE), dtype=np.int32)
         newton(
-            *tensors, z, lu, slopes, np.ones(1, dtype=np.bool_), topology, unit.constants,
-            unit.area, float(tolerance), stress, evaluations, np.zeros((1, TILE), dtype=np.bool_),
+            *tensors, z, factors.address, np.full(1, SOLVE, dtype=np.int8), topology,
+            unit.constants, unit.area, float(tolerance), stress, evaluations,
+            np.zeros((1, TILE), dtype=np.bool_),
         )  # fmt: skip
         count = int(evaluations[0, 0]) - 1
         if count < 0 or count in rows:

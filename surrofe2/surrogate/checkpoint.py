@@ -14,6 +14,8 @@ from surrofe2 import units
 from surrofe2.errors import FileError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
+from surrofe2.surrogate.calibration import Calibration
+from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.settings import TrainingSettings
 
@@ -44,6 +46,8 @@ def write_surrogate(law: SurrogateLaw, path: Path) -> None:
         "rest_length": law.rest_length,
         "data_fingerprint": law.data_fingerprint,
         "errors": _plain(law.errors),
+        "domain": None if law.domain is None else law.domain.to_dict(),
+        "calibration": None if law.calibration is None else law.calibration.to_dict(),
     }
     buffer = io.BytesIO()
     torch.save(content, buffer)
@@ -73,6 +77,8 @@ def read_surrogate(path: Path) -> SurrogateLaw:
             data_fingerprint=content["data_fingerprint"],
             rest_length=content["rest_length"],
             version=content["version"],
+            domain=_read_part(Domain, content.get("domain")),
+            calibration=_read_part(Calibration, content.get("calibration")),
         )
         fingerprint = content["cell_fingerprint"]
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError):
@@ -85,6 +91,10 @@ def read_surrogate(path: Path) -> SurrogateLaw:
             f"trained for {fingerprint}; train it anew"
         )
     return law
+
+
+def _read_part(kind: type[Any], content: dict[str, Any] | None) -> Any:
+    return None if content is None else kind.from_dict(content)
 
 
 def _read(path: Path) -> dict[str, Any]:

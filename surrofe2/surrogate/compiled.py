@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.components import INPUTS
+from surrofe2.surrogate.error_bound import EVERYWHERE_UNKNOWN, Trust, apply_trust
 from surrofe2.surrogate.features import STRETCH, Features
 from surrofe2.surrogate.packing import Weights
 from surrofe2.surrogate.vector_tanh import fill_tanh
@@ -40,11 +41,19 @@ def evaluate(F: Any, F_dot: Any, weights: Weights) -> tuple[NDArray[np.float64],
 
     F, F_dot: (n, 2, 2) contiguous float64. Points with NaN or det F ≤ 0 are out of range.
     """
+    return evaluate_trusted(F, F_dot, weights, EVERYWHERE_UNKNOWN, np.inf)[:2]
+
+
+def evaluate_trusted(
+    F: Any, F_dot: Any, weights: Weights, trust: Trust, tolerance: float
+) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
+    """The same within the domain and where the bound (n,) is at most the tolerance, µN/µm."""
     stress = np.empty((len(F), 2, 2))
     status = np.empty(len(F), dtype=np.int8)
+    bound = np.empty(len(F))
     compute = _evaluate_parallel if len(F) >= MANY else _evaluate_serial
-    compute(F, F_dot, weights, stress, status)
-    return stress, status
+    compute(F, F_dot, weights, trust, float(tolerance), stress, status, bound)
+    return stress, status, bound
 
 
 def without_rest(weights: Weights, features: Features) -> Weights:
@@ -66,19 +75,21 @@ def without_rest(weights: Weights, features: Features) -> Weights:
 
 
 @kernel
-def _evaluate_serial(F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
+def _evaluate_serial(  # type: ignore[no-untyped-def]
+    F, F_dot, weights, trust, tolerance, stress, status, bound
+):
     for block in range((F.shape[0] + BLOCK - 1) // BLOCK):
-        _evaluate_block(block * BLOCK, F, F_dot, weights, stress, status)
+        _evaluate_block(block * BLOCK, F, F_dot, weights, trust, tolerance, stress, status, bound)
 
 
 @parallel_kernel
-def _evaluate_parallel(F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
+def _evaluate_parallel(F, F_dot, weights, trust, tolerance, stress, status, bound):  # type: ignore[no-untyped-def]
     for block in prange((F.shape[0] + BLOCK - 1) // BLOCK):
-        _evaluate_block(block * BLOCK, F, F_dot, weights, stress, status)
+        _evaluate_block(block * BLOCK, F, F_dot, weights, trust, tolerance, stress, status, bound)
 
 
 @kernel
-def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[no-untyped-def]
+def _evaluate_block(start, F, F_dot, weights, trust, tolerance, stress, status, bound):  # type: ignore[no-untyped-def]
     frame = np.empty((19, BLOCK))
     inside = np.empty(BLOCK, dtype=np.bool_)
     y = np.zeros((4, BLOCK), dtype=weights.input_factor.dtype)
@@ -94,6 +105,7 @@ def _evaluate_block(start, F, F_dot, weights, stress, status):  # type: ignore[n
     _turn_to_cauchy(y, frame)
     _put_rotation_back(frame)
     _write(start, frame, inside, stress, status)
+    apply_trust(start, frame, trust, tolerance, stress, status, bound)
 
 
 @kernel

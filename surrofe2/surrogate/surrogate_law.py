@@ -21,9 +21,12 @@ from surrofe2.stress_law import (
     Tangents,
     check_deformation,
 )
-from surrofe2.surrogate.compiled import evaluate, without_rest
+from surrofe2.surrogate.calibration import Calibration, subject
+from surrofe2.surrogate.compiled import evaluate_trusted, without_rest
 from surrofe2.surrogate.compiled_slopes import evaluate_slopes
 from surrofe2.surrogate.components import to_inputs
+from surrofe2.surrogate.domain import Domain
+from surrofe2.surrogate.error_bound import Trust, pack_trust
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.packing import Weights, pack
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
@@ -57,6 +60,8 @@ class SurrogateLaw:
         data_fingerprint: of the samples trained on.
         rest_length: wall rest length in µm, if known.
         version: of the package that trained.
+        domain: where the data are; None: all of `range`.
+        calibration: of the bound of the error, valid for these very weights and this range.
     """
 
     network: StressNetwork
@@ -68,11 +73,16 @@ class SurrogateLaw:
     data_fingerprint: str
     rest_length: float | None = None
     version: str = field(default_factory=package_version)
+    domain: Domain | None = None
+    calibration: Calibration | None = None
     _weights: Weights = field(init=False, repr=False)
+    _trust: Trust = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         weights = pack(self.network, self.range)
         object.__setattr__(self, "_weights", without_rest(weights, self.network.features))
+        calibration = self.calibration if self.is_calibrated else None
+        object.__setattr__(self, "_trust", pack_trust(self.domain, calibration))
 
     @classmethod
     def load(cls, path: str | Path) -> SurrogateLaw:
@@ -105,10 +115,14 @@ class SurrogateLaw:
         """
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
-        slopes = self._tangents(F, F_dot, status) if tangents else None
+        slopes = self.tangents(F, F_dot, status) if tangents else None
         return StressResponse(stress, status, state, {"surrogate_points": len(F)}, slopes)
 
-    def _tangents(self, F: Array, F_dot: Array, status: NDArray[np.int8]) -> Tangents:
+    def tangents(self, F: Array, F_dot: Array, status: NDArray[np.int8]) -> Tangents:
+        """∂P/∂F and ∂P/∂Ḟ of the surrogate at the points whose status (n,) is 0, NaN elsewhere.
+
+        F, F_dot: contiguous float64 (n, 2, 2).
+        """
         answered = np.flatnonzero(status == Status.OK)
         P_by_F, P_by_F_dot = (np.full((len(F), 2, 2, 2, 2), np.nan) for _ in range(2))
         if len(answered):
@@ -122,25 +136,45 @@ class SurrogateLaw:
         return Acceptance(response.status, response.state)
 
     def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
-        """(n,) whether U and RᵀḞ are within the range of the data; False where not a number."""
-        return contains(self.range, F, F_dot)
+        """(n,) whether U and RᵀḞ are where the data are; False where not a number."""
+        inside = contains(self.range, F, F_dot)
+        return inside if self.domain is None else inside & self.domain.contains(F, F_dot)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the bound was calibrated for these very weights and this range."""
+        calibration = self.calibration
+        return calibration is not None and calibration.subject == subject(self.network, self.range)
+
+    @property
+    def stress_spread(self) -> float:
+        """Spread of the data's stress in µN/µm, see `stress_error.stress_spread`.
+
+        Of all valid samples where calibrated, else of those held out from training.
+        """
+        if self.calibration is not None:
+            return self.calibration.stress_spread
+        return float(np.hypot.reduce([self.errors["spread"][k] for k in ("xx", "xy", "yx", "yy")]))
+
+    def error_bound(self, F: Array, F_dot: Array) -> Array:
+        """(n,) bound of the error of the stress in µN/µm; see `calibration` for what it promises.
+
+        Infinite outside the domain, and where nothing was calibrated.
+        """
+        F, F_dot = (np.ascontiguousarray(tensors, dtype=np.float64) for tensors in (F, F_dot))
+        return self.lookup(F, F_dot)[2]
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
         """(stress (n, 2, 2), status (n,), bound (n,)) in one compiled pass; input is not checked.
 
-        The bound of the error in µN/µm is infinite where none is known, and then no finite
-        tolerance accepts the stress.
+        The status is NOT_TRUSTED, the stress NaN where the bound of the error exceeds the
+        tolerance, both in µN/µm. The bound is infinite where none is known.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        stress, status = evaluate(F, F_dot, self._weights)
-        bound = np.full(len(F), np.inf)
-        if tolerance < np.inf:
-            status[status == 0] = Status.NOT_TRUSTED
-            stress[:] = np.nan
-        return stress, status, bound
+        return evaluate_trusted(F, F_dot, self._weights, self._trust, tolerance)
 
     def reference(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""

@@ -18,9 +18,10 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.sampling import StressSamples
+from surrofe2.sampling import TANGENTS, StressSamples
 from surrofe2.surrogate.baseline import fit_baseline
 from surrofe2.surrogate.components import INPUTS, input_scale, to_inputs
+from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.network import Member, Shapes, StressNetwork
@@ -35,7 +36,6 @@ Checkpoint = Callable[[dict[str, Any]], None]
 
 LEAST_SAMPLES = 20
 _ITERATIONS_A_ROUND = 20
-_TANGENTS = ("P_by_F", "P_by_F_dot")  # of the samples, where they were asked for
 _LEAST_SPREAD = 1e-3  # a component below this share of the largest is not worth more effort
 
 
@@ -93,6 +93,7 @@ def train(
         errors={},
         data_fingerprint=samples.fingerprint,
         rest_length=samples.rest_length,
+        domain=fit_domain(samples),
     )
     return replace(law, errors=measure_errors(law, _subset(valid, held_out)))
 
@@ -122,10 +123,10 @@ def _read(samples: StressSamples, settings: TrainingSettings) -> _Data:
     inputs, _ = to_inputs(samples.F, samples.F_dot)
     scale = input_scale(samples.range)
     target = torch.from_numpy(to_piola(samples.F, samples.stress))
-    tangents: list[Any] = [getattr(samples, name, None) for name in _TANGENTS]
+    by_F, by_rate = samples.P_by_F, samples.P_by_F_dot
     slopes = None
-    if settings.tangent_weight > 0.0 and tangents[0] is not None:
-        slopes = torch.from_numpy(to_slopes(samples.F, *tangents) * scale)
+    if settings.tangent_weight > 0.0 and by_F is not None and by_rate is not None:
+        slopes = torch.from_numpy(to_slopes(samples.F, by_F, by_rate) * scale)
     return _Data(torch.from_numpy(inputs / scale), target, slopes)
 
 
@@ -330,5 +331,5 @@ def _restore(
 
 def _subset(samples: StressSamples, chosen: NDArray[np.int64]) -> StressSamples:
     names = ["F", "F_dot", "stress", "status"]
-    names += [name for name in _TANGENTS if getattr(samples, name, None) is not None]
+    names += [name for name in TANGENTS if getattr(samples, name) is not None]
     return replace(samples, **{name: getattr(samples, name)[chosen] for name in names})

@@ -1,82 +1,15 @@
 """Which part answers which point, what is counted, and what becomes of the fallback's state."""
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from surrofe2.cache import CachedLaw
+from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.stress_law import Acceptance, Status, StressResponse
-from surrofe2.tensors import det
-
-CELL = CellParameters.preset("printed")
-ZERO = np.zeros((1, 2, 2))
-
-
-def exact(F, F_dot):
-    return F - np.swapaxes(np.linalg.inv(F), 1, 2) + 3.0 * F_dot
-
-
-@dataclass(frozen=True)
-class Warmth:
-    """A state that knows F of each of its points."""
-
-    F: np.ndarray
-
-    def take(self, indices):
-        return Warmth(self.F[indices])
-
-    def put(self, indices, state):
-        F = self.F.copy()
-        F[indices] = state.F
-        return Warmth(F)
-
-
-class TrueLaw:
-    """Exact, remembers F, fails where F₁₁ > 2, notes what it was asked."""
-
-    def __init__(self, cell=CELL, initialisation="elastic"):
-        self.cell, self.initialisation, self.density = cell, initialisation, cell.density
-        self.asked, self.accepted = [], []
-
-    def respond(self, F, F_dot, state=None):
-        self.asked.append((F.copy(), state))
-        stress, status = exact(F, F_dot), np.zeros(len(F), dtype=np.int8)
-        status[F[:, 0, 0] > 2.0] = Status.UNSTABLE
-        stress[status != 0] = np.nan
-        return StressResponse(stress, status, Warmth(F.copy()), {"rve_solves": len(F)})
-
-    def accept(self, F, F_dot, response):
-        self.accepted.append((F.copy(), response))
-        status = response.status.copy()
-        status[F[:, 0, 0] > 1.8] = Status.UNSTABLE
-        return Acceptance(status, Warmth(response.state.F + 100.0))
-
-
-class Surrogate:
-    """Off by one, so that it can be told apart; out of range from F₁₁ = 1.5, NaN below 0.5."""
-
-    def __init__(self, cell=CELL, initialisation="elastic"):
-        self.cell, self.initialisation, self.density = cell, initialisation, cell.density
-
-    def lookup(self, F, F_dot, tolerance=np.inf):
-        with np.errstate(invalid="ignore"):
-            stress = exact(F, F_dot) + 1.0
-        status = np.zeros(len(F), dtype=np.int8)
-        status[F[:, 0, 0] >= 1.5] = Status.OUT_OF_RANGE
-        status[F[:, 0, 0] < 0.5] = Status.NOT_FINITE
-        status[~(det(F) > 0.0)] = Status.OUT_OF_RANGE
-        stress[status != 0] = np.nan
-        return stress, status, np.full(len(F), 1.0)
-
-
-def stretched(*stretches):
-    F = np.eye(2) * np.ones((len(stretches), 1, 1))
-    F[:, 0, 0] = stretches
-    return F, np.full_like(F, 0.01)
+from tests.cache.fakes import CELL, ZERO, Surrogate, TrueLaw, exact, stretched
 
 
 @pytest.fixture
@@ -99,23 +32,56 @@ def test_each_point_is_answered_by_the_part_that_can(cached, fallback):
     assert np.array_equal(fallback.asked[0][0], F[[1, 3, 4]])
 
 
-def test_counts_and_effort_name_the_reason(cached):
+def test_effort_names_the_reason(cached):
     F, F_dot = stretched(1.0, 1.6, 1.1, 0.4, 1.7)
-    counted = {
+    assert dict(cached.respond(F, F_dot).effort) == {
         "hits": 2,
         "fallbacks": 3,
         "fallbacks_out_of_range": 2,
         "fallbacks_not_finite": 1,
+        "fallbacks_not_trusted": 0,
+        "rve_solves": 3,
     }
-    assert dict(cached.respond(F, F_dot).effort) == {**counted, "rve_solves": 3}
-    assert cached.counts == counted
-    cached.respond(F[:1], F_dot[:1])
-    assert cached.counts == {**counted, "hits": 3}
+
+
+def test_counts_are_of_accepted_steps(cached):
+    F, F_dot = stretched(1.0, 1.6, 1.1, 0.4, 1.7)
+    for _ in range(3):
+        answer = cached.respond(F, F_dot)
+        assert set(cached.counts.values()) == {0}
+    state = cached.accept(F, F_dot, answer).state
+    assert cached.counts == {
+        "hits": 2,
+        "fallbacks": 3,
+        "fallbacks_out_of_range": 2,
+        "fallbacks_not_finite": 1,
+        "fallbacks_not_trusted": 0,
+        "in_domain": 3,
+        "steps": 1,
+        "switched": 0,
+    }
+    cached.accept(F, F_dot, cached.respond(F, F_dot, state))
+    assert cached.counts["hits"] == 4
     cached.counts["hits"] = 99
-    assert cached.counts["hits"] == 3
+    assert cached.counts["hits"] == 4
     cached.reset_counts()
     assert set(cached.counts.values()) == {0}
-    assert cached.respond(F, F_dot).effort["hits"] == 2  # effort is of one call, not of all
+
+
+def test_a_refused_step_changes_nothing():
+    kept, learnt = [], []
+    surrogate = Surrogate()
+    surrogate.learn = lambda *answers: learnt.append(answers)
+    cached = CachedLaw(
+        surrogate, TrueLaw(), CacheSettings(audit=1.0), keep=lambda *answers: kept.append(answers)
+    )
+    F, F_dot = stretched(1.9, 1.0, 1.6)
+    refused = cached.accept(F, F_dot, cached.respond(F, F_dot))
+    assert refused.status.tolist() == [Status.UNSTABLE, Status.OK, Status.OK]
+    assert set(cached.counts.values()) == {0}
+    assert cached.report()["audit"]["audited"] == 0
+    assert not kept
+    assert not learnt
 
 
 def test_without_a_miss_the_fallback_rests(cached, fallback):
@@ -130,11 +96,11 @@ def test_without_a_miss_the_fallback_rests(cached, fallback):
 def test_asked_twice_it_says_the_same(cached, fallback):
     F, F_dot = stretched(1.6, 1.0, 0.4)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
-    warm_before = state.fallback.F.copy()
+    warm_before = state.held.state.F.copy()
     first, second = (cached.respond(1.01 * F, F_dot, state) for _ in range(2))
     assert np.array_equal(first.stress, second.stress)
-    assert np.array_equal(first.state.fallback.F, second.state.fallback.F)
-    assert np.array_equal(state.fallback.F, warm_before)
+    assert np.array_equal(first.state.held.state.F, second.state.held.state.F)
+    assert np.array_equal(state.held.state.F, warm_before)
     starts = [start.F for _, start in fallback.asked[1:]]
     assert np.array_equal(starts[0], starts[1])
 
@@ -147,30 +113,81 @@ def test_accepted_warm_start_comes_back_to_its_points(cached, fallback):
     assert np.array_equal(fallback.asked[1][1].F, F[[1, 3]] + 100.0)
 
 
-def test_a_point_that_leaves_the_range_later_is_solved_cold(cached, fallback):
+def test_a_point_that_leaves_the_range_later_is_solved_cold_and_called_moved(cached, fallback):
     F, F_dot = stretched(1.0, 1.6, 1.1, 1.7)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
     later, _ = stretched(1.51, 1.52, 1.1, 1.54)
     answer = cached.respond(later, F_dot, state)
-    (warm_F, warm), (cold_F, cold) = fallback.asked[1:]
+    (cold_F, cold), (warm_F, warm) = fallback.asked[1:]
     assert np.array_equal(warm_F, later[[1, 3]])
     assert np.array_equal(warm.F, F[[1, 3]] + 100.0)
     assert np.array_equal(cold_F, later[[0]])
     assert cold is None
-    assert answer.state.points.tolist() == [0, 1, 3]
-    assert np.array_equal(answer.state.fallback.F, later[[0, 1, 3]])
+    assert answer.moved.tolist() == [Status.OUT_OF_RANGE, 0, 0, 0]
+    assert answer.state.held.points.tolist() == [1, 3, 0]
+    assert np.array_equal(answer.state.held.state.F, later[[1, 3, 0]])
     assert answer.effort["rve_solves"] == 3
     off = np.array([0.0, 0.0, 1.0, 0.0])[:, None, None]
     np.testing.assert_allclose(answer.stress, exact(later, F_dot) + off, rtol=1e-14)
 
 
-def test_points_that_came_back_and_others_that_left(cached, fallback):
+def test_a_point_held_does_not_come_back_within_the_step(cached, fallback):
     F, F_dot = stretched(1.6, 1.0)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
-    cached.respond(F[::-1], F_dot, state)
-    asked, start = fallback.asked[1]
-    assert np.array_equal(asked, F[[0]])
-    assert start is None
+    back, _ = stretched(1.0, 1.1)
+    answer = cached.respond(back, F_dot, state)
+    assert np.array_equal(fallback.asked[-1][0], back[[0]])
+    off = np.array([0.0, 1.0])[:, None, None]
+    np.testing.assert_allclose(answer.stress, exact(back, F_dot) + off, rtol=1e-14)
+    assert answer.moved is None
+    assert answer.effort["fallbacks_out_of_range"] == 1  # why it left
+
+
+def test_a_point_comes_back_when_its_step_is_kept(cached):
+    F, F_dot = stretched(1.6, 1.0)
+    state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
+    back, _ = stretched(1.4, 1.0)
+    accepted = cached.accept(back, F_dot, cached.respond(back, F_dot, state))
+    assert not len(accepted.state.held)
+    # The next step begins with the surrogate's stress there.
+    np.testing.assert_allclose(accepted.stress, exact(back, F_dot) + 1.0, rtol=1e-14)
+    assert cached.respond(back, F_dot, accepted.state).effort["hits"] == 2
+
+
+def test_a_point_on_its_way_out_begins_the_next_step_on_the_fallback(cached, fallback):
+    F, F_dot = stretched(1.2, 1.0)
+    state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
+    further, _ = stretched(1.4, 1.0)  # one more such step would end at 1.6
+    accepted = cached.accept(further, F_dot, cached.respond(further, F_dot, state))
+    assert accepted.state.held.points.tolist() == [0]
+    assert np.array_equal(accepted.state.held.state.F, further[[0]] + 100.0)
+    np.testing.assert_allclose(accepted.stress[0], exact(further, F_dot)[0], rtol=1e-14)
+    np.testing.assert_allclose(accepted.stress[1], exact(further, F_dot)[1] + 1.0, rtol=1e-14)
+    out, _ = stretched(1.55, 1.0)
+    assert cached.respond(out, F_dot, accepted.state).moved is None
+    assert cached.counts["switched"] == 1
+
+
+def test_the_start_of_a_step_once_more_with_points_moved(cached):
+    F, F_dot = stretched(1.6, 1.3, 1.0)
+    state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
+    out, _ = stretched(1.6, 1.55, 1.0)
+    moved = cached.respond(out, F_dot, state).moved
+    start = StressResponse(exact(F, F_dot), np.zeros(3, dtype=np.int8), state)
+    begun = cached.begin_anew(F, F_dot, start, moved)
+    assert not begun.status.any()
+    np.testing.assert_allclose(begun.stress[1], exact(F, F_dot)[1], rtol=1e-14)
+    assert begun.state.held.points.tolist() == [0, 1]
+    again = cached.respond(out, F_dot, begun.state)
+    assert again.moved is None
+    np.testing.assert_allclose(again.stress[1], exact(out, F_dot)[1], rtol=1e-14)
+
+
+def test_a_state_for_other_points_is_refused(cached):
+    F, F_dot = stretched(1.6, 1.3, 1.0)
+    state = cached.respond(F, F_dot).state
+    with pytest.raises(InputError, match="not a state of a CachedLaw for 2 points"):
+        cached.respond(F[:2], F_dot[:2], state)
 
 
 def test_a_failure_of_the_fallback_is_passed_on(cached):
@@ -178,7 +195,7 @@ def test_a_failure_of_the_fallback_is_passed_on(cached):
     answer = cached.respond(F, F_dot)
     assert answer.status.tolist() == [Status.OK, Status.UNSTABLE, Status.OK]
     assert np.isnan(answer.stress[1]).all()
-    assert cached.counts["fallbacks"] == 2
+    assert answer.effort["fallbacks"] == 2
 
 
 def test_the_fallback_may_refuse_a_step(cached):
@@ -267,11 +284,10 @@ def test_a_corrupted_surrogate_falls_back_at_every_point():
         ),
     )
     sound = CachedLaw(law, true_law)
-    sound.respond(samples.F, samples.F_dot)
-    assert sound.counts["hits"] == 200
+    assert sound.respond(samples.F, samples.F_dot).effort["hits"] == 200
     with torch.no_grad():
         law.network.layers[0].weight[0, 0] = float("nan")
     corrupted = CachedLaw(replace(law), true_law)
     answer = corrupted.respond(samples.F, samples.F_dot)
-    assert corrupted.counts["fallbacks_not_finite"] == 200
+    assert answer.effort["fallbacks_not_finite"] == 200
     np.testing.assert_allclose(answer.stress, samples.stress)

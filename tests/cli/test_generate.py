@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from surrofe2.cli.generate import generate_data_set
+from surrofe2.config import load_recipe
 from surrofe2.errors import InputError
 from surrofe2.io.data_sets import read_data_set
+from surrofe2.rve import RveLaw
 from tests.fakes import SoftLaw, StoppingLaw
 
 
@@ -180,3 +182,25 @@ def test_chunks_do_not_change_the_numbers(recipe):
     first = read_data_set(recipe.data_path())
     generate_data_set(recipe, law, chunk=40, force=True)
     np.testing.assert_array_equal(first.stress, read_data_set(recipe.data_path()).stress)
+
+
+def test_tangents_are_those_of_the_rve(changed_recipe):
+    path = changed_recipe("count = 40", "count = 20\ntangents = true")
+    study = load_recipe(path)
+    generate_data_set(study)
+    samples = read_data_set(study.data_path())
+    law = RveLaw.from_settings(study.cell, study.rve)
+    asked = law.respond(samples.F, samples.F_dot, tangents=True).tangents
+    # the two were computed in tiles of other neighbours
+    np.testing.assert_allclose(samples.P_by_F, asked.P_by_F, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(samples.P_by_F_dot, asked.P_by_F_dot, rtol=0, atol=1e-7)
+    assert np.abs(samples.P_by_F_dot).max() > 1.0
+
+
+def test_tangents_of_iterated_rves_are_refused(invoke, changed_recipe):
+    path = changed_recipe("count = 40", "tangents = true")
+    changed_recipe("[range]", '[rve]\nsolver = "iterated"\n\n[range]')
+    refused = invoke("generate", path)
+    assert refused.exit_code == 1
+    assert refused.stderr == ('error: samples.tangents: true; it needs rve.solver = "direct"\n')
+    assert not (path.parent / "cells.h5").exists()

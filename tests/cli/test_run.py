@@ -146,3 +146,14 @@ def test_initialisation_replaces_the_recipe_s(invoke, recipe_path, folder):
     invoke("run", recipe_path, "--law", "rve", "--out", folder, "--initialisation", "elastic")
     record = read_record(folder)
     assert record.initialisation == record.recipe["rve"]["initialisation"] == "elastic"
+
+
+def test_resume_with_another_integrator(invoke, recipe_path, folder):
+    command = ("run", recipe_path, "--law", "rve", "--out", folder)
+    assert invoke(*command, law=StoppingLaw(calls=60)).exit_code == 130
+    refused = invoke(*command, "--resume", "--integrator", "implicit")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {folder}: macro.integrator: this run has implicit, the one in the folder "
+        "explicit; resume with the settings it was begun with or replace it with --force\n"
+    )

@@ -1,0 +1,141 @@
+"""Stress from a table's linear models, point by point, in one compiled pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from surrofe2.cache.table_inputs import (
+    DIFFERENCE_OF_U,
+    INPUT_SIGNS,
+    INPUTS,
+    OUTPUT_SIGNS,
+    OUTPUTS,
+    SHEAR_OF_U,
+)
+from surrofe2.cache.table_tree import find
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.stress_law import Status
+
+MANY = 1000  # points from which on more than one core pays
+
+_OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
+_NOT_TRUSTED = int(Status.NOT_TRUSTED)
+_AT_ONCE = 100  # points a core answers at once
+
+
+def look_up(
+    F: Any, F_dot: Any, tolerance: float, own_tolerance: float, images: int, records: Any, tree: Any
+) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
+    """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them."""
+    count = len(F)
+    stress = np.empty((count, 2, 2))
+    status, bound = np.empty(count, dtype=np.int8), np.empty(count)
+    compute = _all_parallel if count >= MANY else _all_serial
+    compute(
+        F, F_dot, tolerance, own_tolerance, images, records.centre, records.stress, records.slope,
+        records.curvature, tree, stress, status, bound,
+    )  # fmt: skip
+    return stress, status, bound
+
+
+@kernel
+def _all_serial(F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound):  # type: ignore[no-untyped-def]
+    _some(0, F.shape[0], F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound)
+
+
+@parallel_kernel
+def _all_parallel(F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound):  # type: ignore[no-untyped-def]
+    for part in prange((F.shape[0] + _AT_ONCE - 1) // _AT_ONCE):
+        first, last = part * _AT_ONCE, min((part + 1) * _AT_ONCE, F.shape[0])
+        _some(
+            first, last, F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound
+        )
+
+
+@kernel
+def _some(  # type: ignore[no-untyped-def]
+    first, last, F, F_dot, tolerance, own, images, centre, response, slope, curvature, tree,
+    stress, status, bound,
+):  # fmt: skip
+    x, image, d = np.empty(INPUTS), np.empty(INPUTS), np.empty(INPUTS)
+    s = np.empty(OUTPUTS)
+    for p in range(first, last):
+        stress[p] = np.nan
+        bound[p] = np.inf
+        status[p] = _OUT_OF_RANGE
+        cosine, sine = read_inputs(F[p], F_dot[p], x)
+        if not np.isfinite(cosine):
+            continue
+        turned = home_image(x, images)
+        best = -1
+        for other in range(images):
+            flips = turned ^ other
+            for i in range(INPUTS):
+                image[i] = x[i] * INPUT_SIGNS[flips, i]
+            best, value = find(image, own, centre, curvature, tree)
+            if best >= 0:
+                break
+        if best < 0:
+            continue
+        bound[p] = value
+        if value > tolerance:
+            status[p] = _NOT_TRUSTED
+            continue
+        for i in range(INPUTS):
+            d[i] = image[i] - centre[best, i]
+        for k in range(OUTPUTS):
+            s[k] = response[best, k]
+            for i in range(INPUTS):
+                s[k] += slope[best, k, i] * d[i]
+            s[k] *= OUTPUT_SIGNS[flips, k]
+        write_stress(s, cosine, sine, stress[p])
+        finite = np.isfinite(stress[p, 0, 0] + stress[p, 0, 1] + stress[p, 1, 0] + stress[p, 1, 1])
+        status[p] = _OK if finite else _NOT_FINITE
+
+
+@kernel
+def read_inputs(F, F_dot, x):  # type: ignore[no-untyped-def]
+    """Fill x (7,) and return cos and sin of R; NaN where F is no deformation or not finite."""
+    xx, xy, yx, yy = F[0, 0], F[0, 1], F[1, 0], F[1, 1]
+    vxx, vxy, vyx, vyy = F_dot[0, 0], F_dot[0, 1], F_dot[1, 0], F_dot[1, 1]
+    total = xx + xy + yx + yy + vxx + vxy + vyx + vyy
+    if not (np.isfinite(total) and xx * yy - xy * yx > 0.0):
+        return np.nan, np.nan
+    along, across = xx + yy, yx - xy
+    length = 1.0 / np.sqrt(along * along + across * across)
+    c, s = along * length, across * length
+    uxx, uyy = c * xx + s * yx, c * yy - s * xy
+    x[0] = (uxx - 1.0) + (uyy - 1.0)
+    x[1] = uxx - uyy
+    x[2] = 2.0 * (c * xy + s * yy)
+    axx, axy = c * vxx + s * vyx, c * vxy + s * vyy
+    ayx, ayy = c * vyx - s * vxx, c * vyy - s * vxy
+    x[3], x[4], x[5], x[6] = axx + ayy, axx - ayy, axy + ayx, ayx - axy
+    return c, s
+
+
+@kernel
+def home_image(x, images):  # type: ignore[no-untyped-def]
+    """Which image of x is the canonical one."""
+    if images == 1:
+        return 0
+    turned = 1 if x[DIFFERENCE_OF_U] < 0.0 else 0
+    shear = -x[SHEAR_OF_U] if turned == 1 else x[SHEAR_OF_U]
+    return turned + (2 if shear < 0.0 else 0)
+
+
+@kernel
+def write_stress(s, c, sine, stress):  # type: ignore[no-untyped-def]
+    """σ = R S Rᵀ from the components of S."""
+    xx, yy = 0.5 * (s[0] + s[1]), 0.5 * (s[0] - s[1])
+    xy, yx = 0.5 * (s[2] - s[3]), 0.5 * (s[2] + s[3])
+    left_xx, left_xy = c * xx - sine * yx, c * xy - sine * yy
+    left_yx, left_yy = sine * xx + c * yx, sine * xy + c * yy
+    stress[0, 0] = left_xx * c - left_xy * sine
+    stress[0, 1] = left_xx * sine + left_xy * c
+    stress[1, 0] = left_yx * c - left_yy * sine
+    stress[1, 1] = left_yx * sine + left_yy * c

@@ -1,0 +1,128 @@
+"""The end of `surrofe2 train`: a bound of the surrogate's error, from paths it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from surrofe2.errors import SimulationError
+
+if TYPE_CHECKING:
+    from surrofe2.config import Recipe
+    from surrofe2.load_case import LoadCase
+    from surrofe2.macro import MacroSettings
+    from surrofe2.paths import Paths, State
+    from surrofe2.sampling import StressSamples
+    from surrofe2.stress_law import StressLaw
+    from surrofe2.surrogate import SurrogateLaw
+    from surrofe2.surrogate.calibration import Truth
+
+_MOST_ELEMENTS = 4  # of the bar's elements in each direction, in runs that make paths
+_SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
+
+Report = Callable[[float, str], None]
+
+
+def calibrate_surrogate(
+    recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples, report: Report
+) -> SurrogateLaw:
+    """The surrogate with a calibrated bound, by true answers along paths of the recipe.
+
+    Args:
+        samples: that it was trained on.
+        report: called with the share that is done, up to 1, and a remark.
+    """
+    from surrofe2.rve import RveLaw
+    from surrofe2.surrogate.calibration import calibrate
+
+    law = RveLaw.from_settings(recipe.cell, recipe.rve)
+    shaping, testing = (
+        list(_make_paths(recipe, surrogate, seed, share, report))
+        for seed, share in ((1, _SHAPING), (0, 1.0))
+    )
+    total = sum(len(paths.states[0]) for paths in (*shaping, *testing))
+    done = 0
+
+    def asked(paths: Paths) -> Truth:
+        nonlocal done
+        truth = _ask(paths, law, lambda k: report((done + k) / max(total, 1), "true stresses"))
+        done += len(truth.status)
+        return truth
+
+    shapes, tests = ([asked(paths) for paths in part] for part in (shaping, testing))
+    settings = recipe.calibration
+    return calibrate(surrogate, samples, shapes, tests, settings.share, settings.to_dict())
+
+
+def _make_paths(
+    recipe: Recipe, surrogate: SurrogateLaw, stream: int, share: float, report: Report
+) -> Iterator[Paths]:
+    """Paths of every kind that the recipe asks for; one `stream` knows nothing of another."""
+    import numpy as np
+
+    from surrofe2.paths import random_loads, random_states, random_walks, run_paths
+
+    settings = recipe.calibration
+    walks, states, runs = (
+        int(np.ceil(share * count)) for count in (settings.walks, settings.states, settings.runs)
+    )
+    seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(3).tolist()
+    if walks:
+        yield random_walks(recipe.range, walks, settings.length, seeds[0])
+    if states:
+        yield random_states(recipe.range, states, seeds[1])
+    if runs:
+        along, across = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
+        macro = replace(
+            recipe.macro,
+            elements=(along, across),
+            integrator="explicit",
+            frames=2,
+            record_dissipation=False,
+        )
+        met = []
+        for k, load in enumerate(random_loads(recipe.load, runs, seeds[2])):
+            report(0.0, f"run {k + 1} of {runs}")
+            met.append(_states_met(load, surrogate, macro))
+        yield run_paths(met, -(-settings.length // 3))
+
+
+def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> list[State]:
+    """(F, F_dot) of all points at the steps of a run on the surrogate, while it is in range."""
+    from surrofe2.macro import simulate
+    from surrofe2.paths import WatchedLaw
+
+    watched = WatchedLaw(surrogate)
+    with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
+        simulate(load, watched, macro)
+    return watched.met
+
+
+def _ask(paths: Paths, law: StressLaw, progress: Callable[[int], None]) -> Truth:
+    from surrofe2.paths import true_stress
+    from surrofe2.surrogate.calibration import Truth
+
+    return Truth(paths, *true_stress(paths, law, progress))
+
+
+def summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
+    """What the calibration found, in a line."""
+    import numpy as np
+
+    calibration = surrogate.calibration
+    if calibration is None or not np.isfinite(calibration.quantile):
+        return (
+            "bound: none, because the RVE has no stress on too many paths within the domain; "
+            "narrow [range] or generate more samples"
+        )
+    at_rest = surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0]
+    everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
+    edge = everywhere[np.isfinite(everywhere)].max(initial=at_rest)
+    centre, edge = (100.0 * bound / calibration.stress_spread for bound in (at_rest, edge))
+    paths = sum(kind["paths"] for kind in calibration.kinds.values())
+    return (
+        f"bound: {centre:.2g} % of the spread of stress at the centre, {edge:.2g} % at the edge, "
+        f"{paths} paths, nominal share {100.0 * calibration.share:g} %"
+    )

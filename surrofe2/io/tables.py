@@ -1,0 +1,158 @@
+"""Tables of RVE answers in HDF5: records with units, parameters and tolerance; whole or absent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from surrofe2.cache.table import StressTable
+from surrofe2.cache.table_inputs import INPUTS, OUTPUTS
+from surrofe2.cache.table_records import Records
+from surrofe2.errors import FileError, MismatchError
+from surrofe2.io.data_set_layout import tuples_of
+from surrofe2.io.files import opened_hdf5, plain, replacing
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
+from surrofe2.units import STRESS
+
+SCHEMA = "surrofe2-table"
+SCHEMA_VERSION = 1
+_STRETCH, _RATE = "1", "1/µs"
+_UNITS = {
+    "centre": f"{_STRETCH} (3), {_RATE} (4)",
+    "stress": STRESS,
+    "slope": f"{STRESS} over that of centre",
+    "curvature": f"{STRESS} over that of centre, twice",
+    "extent": f"that of centre, squared, over {STRESS}",
+}
+_SHAPES = {
+    "centre": (INPUTS,),
+    "stress": (OUTPUTS,),
+    "slope": (OUTPUTS, INPUTS),
+    "curvature": (INPUTS, INPUTS),
+    "extent": (INPUTS,),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredTable:
+    """A table read back.
+
+    Attributes:
+        records: see `Records`.
+        tolerance, spread: largest error for which it was grown, and spread of stress, µN/µm.
+        range: by which neighbours of records were placed.
+        recipe: of the run that wrote it, or what it was merged from.
+    """
+
+    records: Records
+    cell: CellParameters
+    initialisation: str
+    range: SamplingRange
+    tolerance: float
+    spread: float
+    recipe: Mapping[str, Any]
+
+
+def stored(table: StressTable, recipe: Mapping[str, Any]) -> StoredTable:
+    """What is written of a table."""
+    return StoredTable(
+        records=table.records,
+        cell=table.cell,
+        initialisation=table.initialisation,
+        range=table.range,
+        tolerance=table.tolerance,
+        spread=table.stress_spread,
+        recipe=recipe,
+    )
+
+
+def write_table(path: Path, table: StoredTable) -> None:
+    """Write a table, whole or not at all."""
+    with replacing(path) as partial, h5py.File(partial, "w") as file:
+        for name, unit in _UNITS.items():
+            file[name] = getattr(table.records, name)
+            file[name].attrs["unit"] = unit
+        file.attrs.update(
+            schema=SCHEMA,
+            schema_version=SCHEMA_VERSION,
+            package_version=version("surrofe2"),
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            recipe=json.dumps(plain(table.recipe)),
+            cell=json.dumps(table.cell.to_dict()),
+            cell_fingerprint=table.cell.fingerprint,
+            initialisation=table.initialisation,
+            range=json.dumps(asdict(table.range)),
+            tolerance=table.tolerance,
+            stress_spread=table.spread,
+            inputs="sum, difference, shear of U - I; sum, difference, shear, spin of R^T F_dot",
+        )
+
+
+def read_table(path: str | Path) -> StoredTable:
+    """Read a table.
+
+    Raises:
+        FileError: not a table of this schema, truncated or damaged.
+    """
+    path = Path(path)
+    with opened_hdf5(path, "r") as file:
+        if file.attrs.get("schema") != SCHEMA:
+            raise FileError(f"{path}: an HDF5 file, but not a surrofe2 table")
+        schema = int(file.attrs["schema_version"])
+        if schema != SCHEMA_VERSION:
+            raise FileError(f"{path}: table schema {schema}; this surrofe2 reads {SCHEMA_VERSION}")
+        try:
+            table = StoredTable(
+                records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
+                cell=CellParameters(**json.loads(file.attrs["cell"])),
+                initialisation=str(file.attrs["initialisation"]),
+                range=SamplingRange(
+                    **{k: tuples_of(v) for k, v in json.loads(file.attrs["range"]).items()}
+                ),
+                tolerance=float(file.attrs["tolerance"]),
+                spread=float(file.attrs["stress_spread"]),
+                recipe=json.loads(file.attrs["recipe"]),
+            )
+            _check_whole(table, str(file.attrs["cell_fingerprint"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(f"{path}: not a whole surrofe2 table: {error}") from None
+    return table
+
+
+def _check_whole(table: StoredTable, fingerprint: str) -> None:
+    count = len(table.records.centre)
+    for name, shape in _SHAPES.items():
+        values = getattr(table.records, name)
+        if values.shape != (count, *shape) or not np.isfinite(values).all():
+            raise ValueError(f"{name} is damaged")
+    if table.cell.fingerprint != fingerprint:
+        raise ValueError("its cell parameters are not those it was made for")
+
+
+def check_table(path: Path, table: StoredTable, cell: CellParameters, initialisation: str) -> None:
+    """Refuse a table of other parameters.
+
+    Raises:
+        MismatchError: naming the first parameter that differs.
+    """
+    here, there = cell.to_dict(), table.cell.to_dict()
+    for name, value in here.items():
+        if there.get(name) != value:
+            raise MismatchError(
+                f"{path}: a table for cell.{name} = {there.get(name)}, not {value}; start an "
+                "empty one or use one of these parameters"
+            )
+    if table.initialisation != initialisation:
+        raise MismatchError(
+            f"{path}: a table for initialisation {table.initialisation}, not {initialisation}; "
+            "start an empty one or use one of this initialisation"
+        )

@@ -1,0 +1,113 @@
+"""Kept factorisations and slopes of a batch of RVEs, shared by the states that agree on them.
+
+They are by far the largest part of a state (22 kB a point) and few change from one state to the
+next. Each tile has a block of memory of its own, all single precision, lanes last::
+
+    block   lu (free, free, TILE), then slopes (free, 8, TILE)      free = 2 particles − 2
+
+A block is written once, by the kernel it was made for; a state that renews some tiles gets new
+blocks for these and shares the others. Kernels find a block by its address, and Python keeps it
+for as long as any state refers to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import carray
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.simd import TILE
+
+SLOPES = 8
+_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Factors:
+    """One block for each tile.
+
+    Attributes:
+        blocks: (rows, TILE) float32 each; several tiles may share one.
+        address: (tiles,) of the blocks.
+    """
+
+    blocks: tuple[NDArray[np.float32], ...]
+    address: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, blocks: list[NDArray[np.float32]]) -> Factors:
+        """The factors kept in these blocks."""
+        address = [block.__array_interface__["data"][0] for block in blocks]
+        return cls(tuple(blocks), np.array(address, dtype=np.intp))
+
+    @classmethod
+    def empty(cls, tiles: int, free: int) -> Factors:
+        """Uninitialised factors of `tiles` tiles with `free` unknowns a point."""
+        rows = free * (free + SLOPES)
+        return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
+
+    def repeated(self, tiles: int) -> Factors:
+        """The first tile's factors for `tiles` tiles."""
+        return Factors(self.blocks[:1] * tiles, np.repeat(self.address[:1], tiles))
+
+    def renewed(self, wanted: NDArray[np.bool_]) -> Factors:
+        """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks."""
+        blocks, address = list(self.blocks), self.address.copy()
+        for tile in wanted.nonzero()[0].tolist():
+            blocks[tile] = np.empty_like(blocks[tile])
+            address[tile] = blocks[tile].__array_interface__["data"][0]
+        return Factors(tuple(blocks), address)
+
+    def take(self, index: NDArray[np.intp]) -> Factors:
+        """The factors of the points `index` alone; the last tile filled up as by `pack`."""
+        tiles = -(-len(index) // TILE)
+        padded = index[np.minimum(np.arange(tiles * TILE), len(index) - 1)].reshape(tiles, TILE)
+        return Factors.of([self._gathered(*np.divmod(points, TILE)) for points in padded])
+
+    def put(self, index: NDArray[np.intp], part: Factors) -> Factors:
+        """These with the points `index` replaced by the first ones of `part`."""
+        tile, lane = np.divmod(index, TILE)
+        from_tile, from_lane = np.divmod(np.arange(len(index)), TILE)
+        blocks = list(self.blocks)
+        for changed in np.unique(tile).tolist():
+            block = blocks[changed].copy()
+            for k in (tile == changed).nonzero()[0].tolist():
+                block[:, lane[k]] = part.blocks[from_tile[k]][:, from_lane[k]]
+            blocks[changed] = block
+        return Factors.of(blocks)
+
+    def _gathered(self, tile: NDArray[np.intp], lane: NDArray[np.intp]) -> NDArray[np.float32]:
+        """One block of TILE points."""
+        first = self.blocks[tile[0]]
+        if (tile == tile[0]).all() and (lane == np.arange(TILE)).all():
+            return first
+        block = np.empty_like(first)
+        for k in range(TILE):
+            block[:, k] = self.blocks[tile[k]][:, lane[k]]
+        return block
+
+
+@intrinsic
+def _singles_at(typing: Any, address: Any) -> Any:
+    """Pointer to the single-precision numbers at an address."""
+    pointer = types.CPointer(types.float32)  # type: ignore[attr-defined]
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], ir.FloatType().as_pointer())
+
+    return pointer(types.intp), generate
+
+
+@kernel
+def kept(address, free):
+    """(lu (free, free, TILE), slopes (free, 8, TILE)) of the block at an address; not copied."""
+    lu = carray(_singles_at(address), (free, free, TILE))
+    behind = address + _BYTES * free * free * TILE
+    return lu, carray(_singles_at(behind), (free, SLOPES, TILE))

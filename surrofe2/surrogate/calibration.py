@@ -1,0 +1,242 @@
+"""A bound of the surrogate's error by split conformal prediction over paths.
+
+The local scale s(F, Ḟ) > 0 is fitted to errors on some paths; on n others of each kind the score
+of a path is the largest error/s at its states within the domain, infinite where the true law has
+no stress there. With q the ⌈(n + 1)(1 − α)⌉-th smallest score, the largest over the kinds,
+
+    error_bound = q s(F, Ḟ).
+
+What it promises: let a new path come from the distribution of one of the kinds (exchangeable with
+its calibration paths), drawn independently of surrogate, domain and s. Then the probability that
+the error exceeds the bound anywhere on it, within the domain, is at most α. Nothing is assumed of
+the surrogate. The probability is marginal: over the calibration paths and the new one together;
+given the calibration paths, it varies about α as a beta distribution, by √(α(1 − α)/n).
+
+What it does not promise: anything conditional on a place, so the paths that break it may be alike
+and in one corner; anything for paths of another kind (a run of another shape or load than those
+drawn, which is what audits are for); anything once the weights are others than those calibrated.
+
+Vovk, Gammerman, Shafer, *Algorithmic learning in a random world*, 2005; Lei et al.,
+*Distribution-free predictive inference for regression*, 2018.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.paths import Paths
+from surrofe2.sampling import SamplingRange, StressSamples
+from surrofe2.stress_error import stress_error, stress_spread
+from surrofe2.surrogate.domain import fit_domain
+from surrofe2.surrogate.trust_features import even_rows, products, scale_table, scaled_inputs
+
+if TYPE_CHECKING:
+    from torch.nn import Module
+
+    from surrofe2.surrogate.surrogate_law import SurrogateLaw
+
+Array = NDArray[np.float64]
+
+_LEAST_SCALE = 1e-2  # of the largest error: s never is below this
+_EXACT = 1e-13  # of the spread: errors below are rounding
+_MOST_ADDED = 300  # states that bind the local scale, in one round
+_SLACK = 1e-6  # of the largest error
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a true law answered along paths: stress (n, 2, 2) and status (n,) of their states."""
+
+    paths: Paths
+    stress: Array
+    status: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Calibration:
+    """A local scale, its quantile, and where they come from.
+
+    Attributes:
+        scale: (k,) coefficients ≥ 0 of `trust_features.scale_table`, µN/µm.
+        quantile: q; infinite where no bound can be given.
+        share: nominal share α of paths that may break the bound.
+        kinds: by kind of path, `paths`, `states` within the domain, and their own `quantile`.
+        stress_spread: of the data's stress, µN/µm.
+        data_fingerprint: of the samples that were trained on.
+        subject: fingerprint of the weights and the range that were calibrated.
+        settings: of the paths, for the record.
+    """
+
+    scale: Array
+    quantile: float
+    share: float
+    kinds: Mapping[str, Mapping[str, float]]
+    stress_spread: float
+    data_fingerprint: str
+    subject: str
+    settings: Mapping[str, Any]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, lists and dictionaries, for files."""
+        kinds = {kind: dict(figures) for kind, figures in self.kinds.items()}
+        plain = {**asdict(self), "kinds": kinds, "settings": dict(self.settings)}
+        return {**plain, "scale": self.scale.tolist()}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Calibration:
+        """What `to_dict` gave; a ValueError, KeyError or TypeError where it is damaged."""
+        scale = np.array(content["scale"], dtype=np.float64)
+        if scale.shape != (len(scale_table()),) or not (scale >= 0.0).all():
+            raise ValueError("calibration: not a scale")
+        if not content["quantile"] >= 0.0:
+            raise ValueError("calibration: not a quantile")
+        return cls(**{**content, "scale": scale})
+
+
+def calibrate(
+    law: SurrogateLaw,
+    samples: StressSamples,
+    shaping: Sequence[Truth],
+    testing: Sequence[Truth],
+    share: float,
+    settings: Mapping[str, Any] | None = None,
+) -> SurrogateLaw:
+    """The surrogate with the domain of its data and a calibrated bound.
+
+    Args:
+        samples: that it was trained on.
+        shaping: true answers that shape the domain (where they fail) and the local scale.
+        testing: true answers along other paths, drawn independently, each kind once.
+        share: nominal share α.
+        settings: of the paths, to be kept for the record.
+
+    Raises:
+        InputError: no path to calibrate on.
+    """
+    if not any(truth.paths.count for truth in testing):
+        raise InputError("calibration: no path; at least one kind needs some")
+    domain = fit_domain(samples, _failures(shaping))
+    law = replace(law, domain=domain, calibration=None)
+    spread = stress_spread(samples.valid.stress)
+    scale = _fit_scale(law, domain.scale, shaping, spread)
+    kinds = {}
+    for truth in testing:
+        error, inside = errors_along(law, truth)
+        x = scaled_inputs(*truth.paths.states, domain.scale)
+        ratio = np.where(inside, error / local_scale(scale, x), 0.0)
+        kinds[truth.paths.kind] = {
+            "paths": truth.paths.count,
+            "states": int(inside.sum()),
+            "quantile": conformal_quantile(truth.paths.largest(ratio), share),
+        }
+    calibration = Calibration(
+        scale=scale,
+        quantile=max(kind["quantile"] for kind in kinds.values() if kind["paths"]),
+        share=share,
+        kinds=kinds,
+        stress_spread=spread,
+        data_fingerprint=law.data_fingerprint,
+        subject=subject(law.network, law.range),
+        settings=dict(settings or {}),
+    )
+    return replace(law, calibration=calibration)
+
+
+def conformal_quantile(scores: Array, share: float) -> float:
+    """The ⌈(n + 1)(1 − share)⌉-th smallest of n scores; infinite where there are too few."""
+    rank = int(np.ceil((len(scores) + 1) * (1.0 - share) - 1e-9))
+    return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
+
+
+def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:
+    """(error (n,) in µN/µm, whether the surrogate answers (n,)) at the states of paths.
+
+    The error is infinite where the surrogate answers and the true law has no stress.
+    """
+    answer, status, _ = law.lookup(*truth.paths.states)
+    inside = status == 0
+    error = np.full(len(answer), np.inf)
+    known = inside & (truth.status == 0)
+    error[known] = stress_error(answer[known], truth.stress[known])
+    return error, inside
+
+
+def local_scale(scale: Array, x: Array) -> Array:
+    """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""
+    values: Array = products(even_rows(x), scale_table()) @ scale
+    return values
+
+
+def subject(network: Module, range: SamplingRange) -> str:
+    """16 hexadecimal digits of what a calibration holds for: all weights, and the range."""
+    digest = hashlib.sha256(repr(range).encode())
+    for name, values in sorted(network.state_dict().items()):
+        array = values.detach().cpu().contiguous().numpy()
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
+    """F and F_dot of the states that the true law could not answer."""
+    lost = [
+        tuple(tensors[truth.status != 0] for tensors in truth.paths.states) for truth in shaping
+    ]
+    F, F_dot = (
+        np.concatenate([np.empty((0, 2, 2)), *(pair[part] for pair in lost)]) for part in (0, 1)
+    )
+    return (F, F_dot) if len(F) else None
+
+
+def _fit_scale(
+    law: SurrogateLaw, input_scale: Array, shaping: Sequence[Truth], spread: float
+) -> Array:
+    """Coefficients of the smallest scale, in the mean over all kinds, that covers all errors.
+
+    A linear program: minimise mean s subject to s ≥ error at every state, coefficients ≥ 0.
+    """
+    table = scale_table()
+    bases, errors = [], []
+    for truth in shaping:
+        error, inside = errors_along(law, truth)
+        kept = inside & np.isfinite(error)
+        x = scaled_inputs(*truth.paths.states, input_scale)[kept]
+        bases.append(products(even_rows(x), table))
+        errors.append(error[kept])
+    largest = max((error.max(initial=0.0) for error in errors), default=0.0)
+    floor = np.zeros(len(table))
+    floor[0] = max(_LEAST_SCALE * largest, _EXACT * spread)
+    if largest <= floor[0]:
+        return floor
+    cost = sum(basis.mean(axis=0) for basis in bases if len(basis))
+    basis, error = np.concatenate(bases), np.concatenate(errors) / largest
+    return largest * _smallest_cover(cost, basis, error, floor / largest)
+
+
+def _smallest_cover(cost: Array, basis: Array, error: Array, least: Array) -> Array:
+    """c ≥ least (k,) of smallest cost·c with basis (n, k) c ≥ error (n,).
+
+    Only few states bind, so those that the solution violates most are added until none is left.
+    """
+    from scipy.optimize import linprog  # here, because it takes long to import
+
+    kept = np.argsort(error)[-_MOST_ADDED:]
+    while True:
+        bounds = [(low, None) for low in least]
+        found = linprog(cost, -basis[kept], -error[kept], bounds=bounds, method="highs")
+        if found.x is None:  # never so: basis[:, 0] is 1
+            raise SimulationError(f"calibration: no local scale: {found.message}")
+        coefficients = np.maximum(found.x, least)
+        lacking = error - basis @ coefficients
+        worst = np.argsort(lacking)[-_MOST_ADDED:]
+        worst = worst[lacking[worst] > _SLACK]
+        if not len(np.setdiff1d(worst, kept)):
+            return coefficients
+        kept = np.union1d(kept, worst)

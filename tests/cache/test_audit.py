@@ -1,0 +1,233 @@
+"""What the cache does wrong is measured, and what it learns from."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache.audit import BATCH
+from surrofe2.cache.error_record import ErrorRecord, bin_edges
+from surrofe2.errors import InputError
+from surrofe2.stress_error import stress_error
+from surrofe2.stress_law import Status, StressResponse
+from tests.cache.fakes import Learnt, Surrogate, Truth, Warmth, stretched
+
+SIZE = 0.05
+
+
+def law(audit, keep=None, error=lambda F, F_dot: SIZE * np.ones(len(F)), truth=None):
+    surrogate = Learnt(error, bound=lambda F, F_dot: 0.09 + 0.01 * F[:, 0, 1])
+    settings = CacheSettings(tolerance=0.01, audit=audit, seed=5)
+    return CachedLaw(surrogate, truth or Truth(), settings, keep)
+
+
+def walk(cached, steps, points=40, seed=0, start=0.0):
+    """Accepted steps of points that shear along; the (F, Ḟ) of each."""
+    random = np.random.default_rng(seed)
+    slope = random.uniform(-1.0, 1.0, points)
+    state, asked = None, []
+    for k in range(steps):
+        F = np.eye(2) * np.ones((points, 1, 1))
+        F[:, 0, 1] = start + 0.002 * k * slope
+        F_dot = np.zeros_like(F)
+        accepted = cached.accept(F, F_dot, cached.respond(F, F_dot, state))
+        assert not accepted.status.any()
+        state = accepted.state
+        asked.append((F, F_dot))
+    return asked
+
+
+def test_all_are_audited_and_every_error_is_found():
+    cached = law(audit=1.0, error=lambda F, F_dot: SIZE * abs(F[:, 0, 1]))
+    asked = walk(cached, 10)
+    audit = cached.report()["audit"]
+    assert audit["audited"] == 400
+    assert audit["violations"] == audit["unsolved"] == 0
+    errors = SIZE * abs(np.concatenate([F for F, _ in asked])[:, 0, 1])
+    assert audit["largest"] == pytest.approx(errors.max(), rel=1e-6)
+    assert audit["rms"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-6)
+    for share in (0.5, 0.9, 0.99):
+        exact = np.quantile(errors, share, method="inverted_cdf")
+        assert exact * (1 - 1e-6) <= audit["quantiles"][f"{share:g}"] <= 1.05 * exact
+    worst = audit["worst"]
+    assert stress_error(np.array([worst["stress"]]), np.array([worst["true_stress"]]))[
+        0
+    ] == pytest.approx(worst["error"])
+    assert abs(worst["F"][0][1]) == pytest.approx(abs(asked[-1][0][:, 0, 1]).max())
+    assert (worst["step"], worst["bound"]) == (10, pytest.approx(0.09 + 0.01 * worst["F"][0][1]))
+    json.dumps(cached.report(), allow_nan=False)
+
+
+def test_a_share_is_audited_spread_over_time_and_points():
+    cached = law(audit=0.1)
+    kept = []
+    cached._keep = lambda F, F_dot, stress, status, why: kept.append((F, why))
+    walk(cached, 100)
+    assert cached.report()["audit"]["audited"] == pytest.approx(400, abs=60)
+    assert {code for _, why in kept for code in why} == {1}
+    # The k-th step has shears up to 0.002 k: audits of all times and points are among them.
+    shears = np.concatenate([F for F, _ in kept])[:, 0, 1]
+    assert np.ptp(shears) > 0.3
+    assert len(np.unique(shears)) > 300
+
+
+def test_the_same_seed_chooses_the_same_answers():
+    first, second = (law(audit=0.05) for _ in range(2))
+    for each in (first, second):
+        walk(each, 30)
+    other = law(audit=0.05)
+    other.settings = CacheSettings(tolerance=0.01, audit=0.05, seed=6)
+    other.reset_counts()
+    walk(other, 30)
+    one, same, another = (each.report()["audit"] for each in (first, second, other))
+    assert one == same
+    assert one["audited"] != another["audited"] or one["worst"] != another["worst"]
+
+
+def test_audits_wait_for_each_other_and_none_is_forgotten():
+    class Counting(Truth):
+        sizes = ()
+
+        def respond(self, F, F_dot, state=None, *, tangents=False):
+            self.sizes = (*self.sizes, len(F))
+            return super().respond(F, F_dot, state, tangents=tangents)
+
+    truth = Counting()
+    cached = law(audit=0.05, truth=truth)
+    walk(cached, 30)
+    assert truth.sizes
+    assert min(truth.sizes) >= BATCH
+    before = sum(truth.sizes)
+    truth.sizes = ()
+    audited = cached.report()["audit"]["audited"]
+    assert audited == before + truth.sizes[0]  # then the true law is timed
+
+
+@dataclass
+class Warm(Truth):
+    """Keeps F as its state and notes what it was given to start from."""
+
+    def __post_init__(self):
+        self.asked = []
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        self.asked.append((F.copy(), state))
+        answer = super().respond(F, F_dot)
+        return StressResponse(answer.stress, answer.status, Warmth(F.copy()))
+
+
+def test_an_audit_starts_from_the_last_one_of_its_point():
+    truth = Warm()
+    walked = walk(law(audit=1.0, truth=truth), 3)
+    (_, first), (F, second), (_, third) = truth.asked
+    assert first is None
+    assert np.array_equal(second.F, walked[0][0])
+    assert np.array_equal(F, walked[1][0])
+    assert np.array_equal(third.F, walked[1][0])
+
+
+def test_a_sparse_audit_starts_from_the_last_one_of_each_point():
+    truth = Warm()
+    walk(law(audit=0.3, truth=truth), 60, points=20)
+    last, warm = {}, 0
+    for F, state in truth.asked:
+        if state is not None:
+            warm += len(F)
+            # A point shears to one side all the time.
+            assert (F[:, 0, 1] * state.F[:, 0, 1] >= 0.0).all()
+        last.update({round(f, 12): True for f in F[:, 0, 1]})
+    assert warm > 0.5 * len(last)
+
+
+def test_fallback_and_audit_answers_are_kept_and_learnt():
+    kept, learnt = [], []
+    surrogate = Surrogate()
+    surrogate.stress_spread = 1e4
+    surrogate.learn = lambda *answers: learnt.append(answers)
+    from tests.cache.fakes import TrueLaw
+
+    cached = CachedLaw(
+        surrogate,
+        TrueLaw(),
+        CacheSettings(audit=1.0),
+        lambda *answers: kept.append(answers),
+    )
+    F, F_dot = stretched(*np.linspace(1.0, 1.4, 16), 1.6)
+    answer = cached.respond(F, F_dot)
+    assert not kept
+    assert not learnt
+    cached.accept(F, F_dot, answer)
+    (fallback, audit) = kept
+    assert np.array_equal(fallback[0], F[[16]])
+    assert fallback[4].tolist() == [0]
+    assert np.array_equal(audit[0], F[:16])
+    assert audit[4].tolist() == [1] * 16
+    np.testing.assert_allclose(audit[2], cached.fallback.respond(F[:16], F_dot[:16]).stress)
+    assert not audit[3].any()
+    # Only what the surrogate did not know is learnt: its answers were within the tolerance.
+    ((at, _, stress, state),) = learnt
+    assert np.array_equal(at, F[[16]])
+    assert np.array_equal(state.F, F[[16]] + 100.0)
+    np.testing.assert_array_equal(stress, answer.stress[[16]])
+
+
+def test_what_an_audit_finds_wrong_is_learnt():
+    learnt = []
+    cached = law(audit=1.0, error=lambda F, F_dot: np.where(F[:, 0, 1] > 0.002, 0.2, 0.01))
+    cached.surrogate.learn = lambda *answers: learnt.append(answers)
+    cached._learn = cached.surrogate.learn
+    walked = walk(cached, 3, points=20)
+    (F, _, stress, _), *_ = learnt
+    wrong = walked[2][0][:, 0, 1] > 0.002
+    assert 0 < wrong.sum() < 20
+    assert np.array_equal(F, walked[2][0][wrong])
+    np.testing.assert_allclose(stress, Truth().stress(F, 0.0 * F), rtol=1e-14)
+
+
+def test_an_answer_where_the_truth_has_none_is_a_violation():
+    class Brittle(Truth):
+        def respond(self, F, F_dot, state=None, *, tangents=False):
+            answer = super().respond(F, F_dot, state)
+            answer.status[F[:, 0, 1] > 0.003] = Status.UNSTABLE
+            answer.stress[answer.status != 0] = np.nan
+            return answer
+
+    cached = law(audit=1.0, truth=Brittle())
+    walk(cached, 3, points=20)
+    audit = cached.report()["audit"]
+    assert audit["unsolved"] == audit["violations"] > 0
+
+
+def test_record_goes_on_where_it_was_left():
+    errors = 10.0 ** np.random.default_rng(1).uniform(-6.0, 0.0, 1000)
+    whole, part = ErrorRecord(0.1), ErrorRecord(0.1)
+    whole.add(errors)
+    part.add(errors[:300])
+    part.largest = errors[:300].max()
+    rest = ErrorRecord(0.1)
+    rest.restore(json.loads(json.dumps(part.to_dict())))
+    rest.add(errors[300:])
+    whole.largest = rest.largest = errors.max()
+    a, b = whole.to_dict(), rest.to_dict()
+    assert a.pop("rms") == pytest.approx(b.pop("rms"))
+    assert a == b
+    edges = bin_edges(a["histogram"])
+    inside = ((errors > edges[:, :1] * (1 - 1e-9)) & (errors <= edges[:, 1:] * (1 + 1e-9))).sum(1)
+    np.testing.assert_array_equal(inside >= 1, True)
+    assert sum(a["histogram"]["counts"]) == 1000
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"tolerance": 0.0}, r"cache.tolerance: 0.0; it must be positive"),
+        ({"tolerance": float("nan")}, "cache.tolerance: nan"),
+        ({"audit": 1.5}, r"cache.audit: 1.5; it must be within \[0, 1\]"),
+        ({"seed": -1}, "cache.seed: -1; it must be an integer of at least 0"),
+    ],
+)
+def test_settings_out_of_bounds(settings, message):
+    with pytest.raises(InputError, match=message):
+        CacheSettings(**settings)

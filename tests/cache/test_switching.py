@@ -1,0 +1,169 @@
+"""Points that go to and fro between surrogate and true law do not disturb the macro scale."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.errors import InputError
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, find_rest, simulate
+from surrofe2.macro.mesh import make_bar
+from surrofe2.macro.right_hand_side import RightHandSide, Tally
+from surrofe2.macro.time_integration import Stepper
+from tests.cache.fakes import Learnt, Truth, shear_error
+
+LOAD_CASE = LoadCase(
+    width=60.0, height=40.0, watched=(60.0, 20.0), duration=12.0, output_interval=0.25
+)
+SETTINGS = MacroSettings(elements=(2, 3), frames=5)
+TOLERANCE = 0.01  # of a spread of 10: 0.1 µN/µm
+
+
+def cached_law(limit=0.02, tolerance=TOLERANCE, audit=0.0, size=0.01):
+    """Trusted up to a shear of `limit`, beyond which the bound rises above 0.1 µN/µm."""
+    surrogate = Learnt(
+        error=shear_error(size), bound=lambda F, F_dot: 0.1 * abs(F[:, 1, 0]) / limit
+    )
+    return CachedLaw(surrogate, Truth(), CacheSettings(tolerance=tolerance, audit=audit))
+
+
+def right_hand_sides(run):
+    return run.counts["right_hand_sides"]
+
+
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_the_motion_is_the_true_one_at_nearly_its_cost(integrator):
+    settings = replace(SETTINGS, integrator=integrator)
+    true = simulate(LOAD_CASE, Truth(), settings)
+    cached = cached_law()
+    run = simulate(LOAD_CASE, cached, settings)
+    scale = abs(true.curve.displacement).max()
+    assert abs(run.curve.displacement - true.curve.displacement).max() < 2e-3 * scale
+    assert run.effort["hits"] > 0.2 * true.counts["stress_points"]
+    assert run.effort["fallbacks_not_trusted"] > 0.2 * true.counts["stress_points"]
+    assert cached.counts["switched"] > 10
+    assert right_hand_sides(run) <= 1.05 * right_hand_sides(true)
+
+
+def test_energies_belong_to_the_branches_that_moved_the_bar():
+    """Work of the internal force + kinetic energy = work of the load, whoever answered."""
+    run = simulate(LOAD_CASE, cached_law(), SETTINGS)
+    balance = run.energies["load"] - run.energies["internal"] - run.energies["kinetic"]
+    assert abs(balance).max() < 5e-3 * run.energies["load"].max()
+
+
+class Watched(CachedLaw):
+    """Notes which points each stage had from the fallback, step by step."""
+
+    def __init__(self, *parts):
+        super().__init__(*parts)
+        self.stages, self.steps, self.begun = [], [], []
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        answer = super().respond(F, F_dot, state, tangents=tangents)
+        self.stages.append((frozenset(answer.state.held.points.tolist()), answer.moved))
+        return answer
+
+    def accept(self, F, F_dot, response):
+        accepted = super().accept(F, F_dot, response)
+        self.steps.append(self.stages)
+        self.stages = []
+        self.begun.append(frozenset(accepted.state.held.points.tolist()))
+        return accepted
+
+    def begin_anew(self, F, F_dot, response, moved):
+        accepted = super().begin_anew(F, F_dot, response, moved)
+        self.stages = []
+        self.begun[-1] = frozenset(accepted.state.held.points.tolist())
+        return accepted
+
+
+def test_no_kept_step_mixes_branches(monkeypatch):
+    """Without looking ahead, every point that leaves is found within a step."""
+    monkeypatch.setattr("surrofe2.cache.cached_state.AHEAD", 0.0)
+    cached = cached_law()
+    watched = Watched(cached.surrogate, cached.fallback, cached.settings)
+    run = simulate(LOAD_CASE, watched, replace(SETTINGS, record_dissipation=False))
+    assert run.counts["repeated_steps"] > 3
+    assert len(watched.steps) == run.counts["steps"] + 1
+    changes = 0
+    for begun, stages in zip(watched.begun[:-1], watched.steps[1:], strict=True):
+        assert len(stages) % 6 == 0 or begun is watched.begun[0]
+        for held, moved in stages:
+            assert moved is None
+            assert held == begun
+        changes += bool(begun)
+    assert 0 < changes < run.counts["steps"]
+
+
+def test_looking_ahead_saves_the_repeats(monkeypatch):
+    ahead = simulate(LOAD_CASE, cached_law(), SETTINGS)
+    monkeypatch.setattr("surrofe2.cache.cached_state.AHEAD", 0.0)
+    blind = simulate(LOAD_CASE, cached_law(), SETTINGS)
+    assert ahead.counts["repeated_steps"] < 0.5 * blind.counts["repeated_steps"]
+
+
+def test_a_repeated_step_has_the_length_of_the_first_trial():
+    """A point that cannot be foreseen: the surrogate gives up at its fourth lookup."""
+
+    class Sudden(Learnt):
+        calls = 0
+
+        def lookup(self, F, F_dot, tolerance=np.inf):
+            self.calls += 1
+            stress, status, bound = super().lookup(F, F_dot, tolerance)
+            if self.calls == 6:  # 2 at the start, 1 ahead, then stages 2 and 3
+                status[4], stress[4] = 6, np.nan
+            return stress, status, bound
+
+    surrogate = Sudden(shear_error(0.0), lambda F, F_dot: np.full(len(F), 1e-9))
+    cached = CachedLaw(surrogate, Truth(), CacheSettings(audit=0.0))
+    steps = []
+    for law in (Truth(), cached):
+        bar = make_bar(LOAD_CASE, (2, 3), law.density)
+        tally = Tally()
+        right_hand_side = RightHandSide(bar, law, LOAD_CASE.amplitude_at, tally)
+        stepper = Stepper(
+            right_hand_side, 0.0, np.zeros(4 * len(bar.free)), 6.0,
+            replace(SETTINGS, absolute_tolerance=1e3), 0.4,
+        )  # fmt: skip
+        steps.append(stepper.advance())
+    assert tally.counts["repeated_steps"] == 1
+    assert [step.t for step in steps] == pytest.approx([0.4, 0.4], rel=1e-12)
+    np.testing.assert_allclose(steps[1].y, steps[0].y, rtol=1e-9, atol=1e-14)
+    assert steps[1].next_step == pytest.approx(steps[0].next_step, rel=1e-9)
+
+
+def test_at_rest_the_switching_bar_is_the_true_one():
+    true = find_rest(LOAD_CASE, Truth(), SETTINGS, factor=2.0, load_steps=3)
+    cached = cached_law(limit=0.03)
+    rest = find_rest(LOAD_CASE, cached, SETTINGS, factor=2.0, load_steps=3)
+    assert min(cached.counts["fallbacks_not_trusted"], cached.counts["hits"]) > 30
+    np.testing.assert_allclose(rest.watched, true.watched, rtol=3e-3)
+    assert rest.residuals[-1] < SETTINGS.newton_tolerance
+
+
+def test_tangents_come_from_the_part_that_answers():
+    cached = cached_law(limit=0.02, size=0.0)
+    F = np.eye(2) + np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.01, 0.0], [0.05, 0.0]]])
+    F_dot = np.full_like(F, 0.001)
+    answer = cached.respond(F, F_dot, tangents=True)
+    assert answer.effort["fallbacks_not_trusted"] == 1
+    expected = Truth().slopes(F, F_dot)
+    np.testing.assert_allclose(answer.tangents.P_by_F, expected[0], atol=1e-6)
+    np.testing.assert_allclose(answer.tangents.P_by_F_dot, expected[1], atol=1e-6)
+    cached.surrogate.tangents = lambda F, F_dot: Learnt.tangents(cached.surrogate, 1.1 * F, F_dot)
+    other = cached.respond(F, F_dot, tangents=True).tangents.P_by_F
+    assert abs(other[0] - expected[0][0]).max() > 1.0
+    np.testing.assert_allclose(other[1], expected[0][1], rtol=1e-12)
+
+
+def test_a_surrogate_without_tangents_is_named():
+    cached = cached_law()
+    cached.surrogate = type("Plain", (), {"lookup": cached.surrogate.lookup})()
+    with pytest.raises(InputError, match="CachedLaw has no tangents"):
+        simulate(LOAD_CASE, cached, replace(SETTINGS, integrator="implicit"))
+    with pytest.raises(InputError, match="the surrogate or its fallback has none"):
+        cached.respond(np.eye(2)[None], np.zeros((1, 2, 2)), tangents=True)

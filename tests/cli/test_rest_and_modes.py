@@ -1,0 +1,133 @@
+"""rest and modes over true plant cells on a small bar."""
+
+import json
+from dataclasses import replace
+
+import h5py
+import numpy as np
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+from surrofe2.cli.rest import rest_study
+from surrofe2.io.runs import read_record
+from surrofe2.macro import find_modes, find_rest
+from surrofe2.rve import RveLaw
+from surrofe2.stress_law import Status
+from tests.fakes import SoftLaw
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(entry) for entry in arguments], env={"COLUMNS": "160"})
+
+
+def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
+    out = tmp_path / "rest"
+    done = call("rest", recipe_path, "--out", out, "--load-steps", 4)
+    assert done.exit_code == 0, done.output
+    law = RveLaw.from_settings(recipe.cell, recipe.rve)
+    expected = find_rest(recipe.load, law, recipe.macro, load_steps=4)
+    lines = (out / "path.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "factor,u_x_um,u_y_um"
+    table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
+    np.testing.assert_array_equal(table[:, 0], [0.0, 0.25, 0.5, 0.75, 1.0])
+    np.testing.assert_allclose(table, expected.path, rtol=0, atol=1e-9)
+    record = read_record(out)
+    assert (record.status, record.law) == ("finished", "rve")
+    assert record.recipe["rest"] == {"factor": 1.0, "load_steps": 4}
+    assert record.counts["load_steps"] == 4
+    assert record.cell_fingerprint == recipe.cell.fingerprint
+    with h5py.File(out / "fields.h5") as file:
+        shapes = [item.shape for item in file.values()]
+    assert shapes.count((9, 3)) == 1 + 2 * 5  # nodes; displacement and velocity of 5 states
+    assert shapes.count((4, 3, 3)) == 2 * 5
+    assert f"watched point at ({table[-1, 1]:.4g}, {table[-1, 2]:.4g}) µm" in done.stdout
+    refused = call("rest", recipe_path, "--out", out)
+    assert refused.exit_code == 1
+    assert "exists and is not empty" in refused.stderr
+
+
+def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch):
+    out = tmp_path / "rest"
+    monkeypatch.setattr("surrofe2.rve.RveLaw", _law_that(fails_above=3e-3))
+    failed = call("rest", recipe_path, "--out", out, "--load-steps", 2)
+    assert failed.exit_code == 1
+    assert "no load step succeeds after 10 halvings" in failed.stderr
+    record = read_record(out)
+    assert record.status == "failed"
+    assert record.error in failed.stderr
+    factors = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)[:, 0]
+    assert factors[0] == 0.0
+    assert 0.1 < factors[-1] < 1.0
+    assert call("rest", recipe_path, "--out", out, "--factor", 0.1, "--force").exit_code == 0
+
+
+def test_rest_interrupted_keeps_the_way_there(recipe_path, tmp_path, monkeypatch):
+    out = tmp_path / "rest"
+    monkeypatch.setattr("surrofe2.rve.RveLaw", _law_that(stops_after=6))
+    stopped = call("rest", recipe_path, "--out", out)
+    assert stopped.exit_code == 130
+    assert f"{out} keeps the load steps up to here" in stopped.stderr
+    assert read_record(out).status == "interrupted"
+    assert (out / "path.csv").exists()
+
+
+def _law_that(**trouble):
+    class Fake:
+        from_settings = staticmethod(lambda cell, settings: _Troubled(RveLaw(cell), **trouble))
+
+    return Fake
+
+
+class _Troubled:
+    """No stress where an entry of F is farther from I than `fails_above`; Ctrl-C after so many
+    answers with tangents."""
+
+    def __init__(self, law, fails_above=np.inf, stops_after=-1):
+        self.law, self.density = law, law.density
+        self.fails_above, self.left = fails_above, stops_after
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        if self.left == 0:
+            raise KeyboardInterrupt
+        self.left -= 1 if tangents else 0
+        answer = self.law.respond(F, F_dot, state, tangents=tangents)
+        far = np.abs(F - np.eye(2)).max(axis=(1, 2)) > self.fails_above
+        status = np.where(far, Status.NOT_CONVERGED, answer.status).astype(np.int8)
+        return replace(answer, status=status)
+
+    def accept(self, F, F_dot, response):
+        return self.law.accept(F, F_dot, response)
+
+
+def test_laws_without_tangents_are_refused(invoke, recipe_path, tmp_path):
+    refused = invoke("rest", recipe_path, "--out", tmp_path / "rest", law=SoftLaw())
+    assert refused.exit_code == 1
+    assert refused.stderr.startswith("error: rest: SoftLaw has no tangents")
+
+
+def test_modes_about_both_states(recipe, recipe_path, tmp_path):
+    out = tmp_path / "modes.json"
+    done = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
+    assert done.exit_code == 0, done.output
+    assert "Unloaded, 2 x 2 elements, preset printed" in done.stdout
+    record = json.loads(out.read_text(encoding="utf-8"))
+    assert record["fingerprint"] == recipe.cell.fingerprint
+    law = RveLaw(recipe.cell, "elastic")
+    for state, factor in (("unloaded", 0.0), ("loaded", 1.0)):
+        numbers = record["states"][state]["elastic"]
+        modes = find_modes(find_rest(recipe.load, law, recipe.macro, factor=factor), 2)
+        np.testing.assert_allclose(numbers["period"], modes.periods, rtol=1e-6)
+        np.testing.assert_allclose(numbers["decrement"], modes.decrements, rtol=1e-4)
+        assert f"{modes.periods[0]:.3f}" in done.stdout
+    assert record["states"]["unloaded"]["elastic"]["watched"] == [0.0, 0.0]
+    assert record["states"]["loaded"]["elastic"]["watched"][1] < -0.01
+    refused = call("modes", recipe_path, "--out", out)
+    assert refused.stderr == f"error: {out}: exists; replace it with --force\n"
+
+
+def test_rest_study_reports_the_part_of_the_load(recipe, tmp_path):
+    told = []
+    rest_study(
+        recipe, tmp_path / "rest", factor=-0.5, load_steps=2, report=lambda f, _: told.append(f)
+    )
+    assert told == [0.0, 0.5, 1.0]

@@ -1,0 +1,59 @@
+"""Curves kept between calls: the same to the bit, and only for their own configuration."""
+
+import json
+
+import numpy as np
+import pytest
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import FileError
+from surrofe2.io import kept_curves
+from surrofe2.io.kept_curves import KeptCurve, KeptCurves
+
+T = np.linspace(0.0, 7.0, 30)
+CURVE = DisplacementCurve(T, np.random.default_rng(1).normal(size=(30, 2)))
+CONFIGURATION = {"cell": {"viscosity": 0.1}, "elements": (4, 4)}
+
+
+def test_a_kept_curve_comes_back_to_the_bit(tmp_path):
+    kept = KeptCurves(tmp_path / "curves")
+    assert kept.read("bar", CONFIGURATION) is None
+    kept.write("bar", CONFIGURATION, KeptCurve(CURVE, 3.5))
+    found = kept.read("bar", CONFIGURATION)
+    np.testing.assert_array_equal(found.curve.t, CURVE.t)
+    np.testing.assert_array_equal(found.curve.displacement, CURVE.displacement)
+    assert found.seconds == 3.5
+
+
+def test_another_configuration_or_other_sources_are_not_taken(tmp_path, monkeypatch):
+    kept = KeptCurves(tmp_path)
+    path = kept.write("bar", CONFIGURATION, KeptCurve(CURVE, 3.5))
+    assert kept.read("bar", {**CONFIGURATION, "elements": (8, 8)}) is None
+    assert kept.read("tissue", CONFIGURATION) is None
+    monkeypatch.setattr(kept_curves, "numerics_fingerprint", lambda: "other")
+    assert kept.read("bar", CONFIGURATION) is None
+    monkeypatch.undo()
+    record = json.loads(path.read_text(encoding="utf-8"))
+    del record["t"]
+    path.write_text(json.dumps(record), encoding="utf-8")
+    with pytest.raises(FileError, match="not a whole curve; delete it"):
+        kept.read("bar", CONFIGURATION)
+
+
+def test_the_fingerprint_is_of_the_sources(tmp_path, monkeypatch):
+    here = kept_curves.numerics_fingerprint()
+    package = tmp_path / "surrofe2"
+    for name in ("plant_cell", "rve", "macro", "tissue"):
+        (package / name).mkdir(parents=True)
+    for name in ("load_case.py", "tensors.py"):
+        (package / name).write_text("")
+    monkeypatch.setattr(kept_curves.surrofe2, "__file__", str(package / "__init__.py"))
+    found = []
+    for text in ("a = 1", "a = 2"):
+        (package / "rve" / "law.py").write_text(text)
+        kept_curves.numerics_fingerprint.cache_clear()
+        found.append(kept_curves.numerics_fingerprint())
+    monkeypatch.undo()
+    kept_curves.numerics_fingerprint.cache_clear()
+    assert len({here, *found}) == 3
+    assert kept_curves.numerics_fingerprint() == here

@@ -1,0 +1,148 @@
+"""Scale separation and damping: scaling, extrapolation, uncertainty, and going on after Ctrl-C."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from surrofe2.cli import app, long_studies
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import InputError
+from surrofe2.io.kept_curves import KeptCurves
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.damped_fit import fit_damped_modes
+from surrofe2.studies import bar_pieces, damping, scale_separation
+from surrofe2.studies.bar_comparison import make_bar_run
+
+WATER = CellParameters.preset("water")
+T = np.arange(0.0, 250.25, 0.5)
+
+
+def curve(period, decrement, noise=0.0, seed=0):
+    w, d = 2.0 * np.pi / period, decrement / period
+    u = -16.0 + 16.0 * np.exp(-d * T) * np.cos(w * T)
+    u += 0.7 * np.exp(-3.0 * d * T) * np.cos(2.9 * w * T)
+    u += noise * np.random.default_rng(seed).normal(size=T.size)
+    return DisplacementCurve(T, np.stack([0.0 * u, u], axis=1))
+
+
+def test_bars_of_all_sizes_are_one_bar_in_their_own_units():
+    """ρ g L, and so stress and strain, and t √(E/ρ)/L do not change with the size."""
+    paper = scale_separation.scaled_load_case(16)
+    assert (paper.width, paper.body_force, paper.duration) == (400.0, (0.0, -0.2), 250.0)
+    for n in (8, 32):
+        bar = scale_separation.scaled_load_case(n)
+        assert bar.body_force[1] * bar.width == pytest.approx(-80.0)
+        assert bar.duration / bar.width == pytest.approx(250.0 / 400.0)
+        assert len(bar.output_times()) == len(paper.output_times())
+
+
+def test_aitken_finds_the_limit_of_a_geometric_approach_and_says_where_there_is_none():
+    assert scale_separation.aitken(1.0 + 0.4, 1.0 + 0.1, 1.0 + 0.025) == pytest.approx(1.0)
+    for none in ((1.0, 2.0, 3.0), (1.0, 2.0, 1.5), (1.0, 1.0, 1.0)):
+        assert np.isnan(scale_separation.aitken(*none))
+
+
+def test_deviations_are_from_the_tissue_of_the_same_size():
+    runs = {
+        n: [
+            make_bar_run("tissue", None, curve(50.0, 0.04), 1.0),
+            *(
+                make_bar_run("slow-manifold", (m, m), curve(50.0 * (1.0 - off), 0.05), 1.0)
+                for m, off in ((4, 0.04), (8, 0.01), (16, 0.0025))
+            ),
+        ]
+        for n in (8, 16)
+    }
+    rows = scale_separation.deviations(runs)
+    assert [row["mesh"] for row in rows[:5]] == [0, 4, 8, 16, scale_separation.LIMIT]
+    off = [row["period_deviation_percent"] for row in rows[1:5]]
+    np.testing.assert_allclose(off, [-4.0, -1.0, -0.25, 0.0], atol=1e-5)
+    assert rows[3]["decrement_deviation_percent"] == pytest.approx(25.0, abs=1e-3)
+    study = scale_separation.describe(rows, "water", "scales")
+    assert len(study.panels) == 3
+    assert study.shown["run"][:2] == ["full tissue", "slow-manifold, 4 × 4"]
+
+
+def test_standard_error_is_the_scatter_of_noisy_curves():
+    fits = [
+        fit_damped_modes(T, curve(50.0, 0.04, 0.05, seed).displacement[:, 1]) for seed in range(12)
+    ]
+    scatter = np.std([fit.first.decrement for fit in fits], ddof=1)
+    told = np.mean([fit.decrement_error for fit in fits])
+    assert told == pytest.approx(scatter, rel=0.6)
+    assert abs(np.mean([fit.first.decrement for fit in fits]) - 0.04) < scatter
+
+
+def test_a_third_mode_needs_a_third_mode():
+    third = 0.05 * np.exp(-0.02 * T) * np.cos(2.0 * np.pi * T / 9.0)
+    u = curve(50.0, 0.04).displacement[:, 1] + third
+    two, three = fit_damped_modes(T, u), fit_damped_modes(T, u, 3)
+    assert three.residual < 1e-5 < 0.02 < two.residual
+    assert three.first.decrement == pytest.approx(0.04, rel=1e-5)
+    with pytest.raises(InputError, match="1 modes; it must be at least 2"):
+        fit_damped_modes(T, u, 1)
+
+
+def test_damping_is_compared_way_by_way():
+    pieces = [
+        damping.Piece(cell=WATER, preset="water", method="tissue"),
+        damping.Piece(cell=WATER, preset="water", method="elastic", elements=(4, 4)),
+    ]
+    runs = [
+        make_bar_run(p.method, p.elements, curve(50.0, d), 1.0)
+        for p, d in zip(pieces, (0.04, 0.06), strict=True)
+    ]
+    tissue, elastic = damping.dampings(list(zip(pieces, runs, strict=True)))
+    assert (tissue.excess, tissue.excess_spread) == (0.0, (0.0, 0.0))
+    assert elastic.decrement == pytest.approx(0.06, rel=1e-5)
+    assert elastic.excess == pytest.approx(50.0, abs=1e-3)
+    assert elastic.spread[0] <= elastic.decrement <= elastic.spread[1]
+
+
+def test_configurations_tell_pieces_apart():
+    found = damping.pieces(WATER, "water")
+    texts = {json.dumps(piece.configuration(), sort_keys=True) for piece in found}
+    assert len(texts) == len(found) == 2 + 3 * (2 + 2 + 1)
+    scales = dict(scale_separation.pieces(WATER, "water"))
+    assert len(scales) == 3
+    at_16 = [p for n, p in scale_separation.pieces(WATER, "water") if n == 16]
+    shared = {json.dumps(piece.configuration(), sort_keys=True) for piece in at_16}
+    assert shared < texts
+
+
+def test_a_stopped_study_goes_on_with_the_curves_it_has(tmp_path, monkeypatch):
+    pieces = [p for _, p in scale_separation.pieces(WATER, "water", (2,), (1, 2))]
+    computed = []
+
+    def compute(piece, progress=None):
+        if len(computed) == 2:
+            raise KeyboardInterrupt
+        computed.append(piece.name)
+        return make_bar_run(piece.method, piece.elements, curve(50.0, 0.04), 1.0)
+
+    monkeypatch.setattr(bar_pieces.Piece, "compute", compute)
+    with pytest.raises(long_studies.InterruptedWork, match="keeps the finished curves"):
+        long_studies.make_all(pieces, tmp_path)
+    kept = KeptCurves(tmp_path / "curves")
+    assert [kept.read(p.name, p.configuration()) is not None for p in pieces] == [True, True, False]
+    computed.clear()
+    runs = long_studies.make_all(pieces, tmp_path)
+    assert computed == [pieces[2].name]
+    assert len(runs) == 3
+
+
+def test_the_command_writes_figure_and_table(tmp_path):
+    arguments = [
+        "reproduce", "scales", "--preset", "water", "--out", str(tmp_path), "--sizes", "2,3",
+        "--meshes", "2", "--duration", "100",
+    ]  # fmt: skip
+    done = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "scales-water.png").stat().st_size > 10_000
+    lines = (tmp_path / "scales-water.md").read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("| plant cells | run | first minimum × 16/n (µm) |")
+    assert len(lines) == 2 + 4
+    again = CliRunner().invoke(app, [*arguments, "--force"])
+    assert "4 of 4 curves are there already" in again.stdout

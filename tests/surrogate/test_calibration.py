@@ -1,0 +1,242 @@
+"""The bound holds on fresh paths, and planted faults show."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from surrofe2.errors import FileError, InputError
+from surrofe2.paths import random_states, random_walks
+from surrofe2.sampling import SamplingRange
+from surrofe2.stress_error import stress_error, stress_spread
+from surrofe2.stress_law import Status
+from surrofe2.surrogate import SurrogateLaw
+from surrofe2.surrogate.calibration import Truth, calibrate, conformal_quantile, errors_along
+from surrofe2.surrogate.calibration_settings import CalibrationSettings
+from tests.surrogate.lattice_law import RANGE, lattice_stress
+
+SHARE = 0.01
+
+
+def truth(paths):
+    F, F_dot = paths.states
+    return Truth(paths, lattice_stress(F, F_dot), np.zeros(len(F), dtype=np.int8))
+
+
+def true_paths(count, seed):
+    return [
+        truth(random_walks(RANGE, count, 20, seed)),
+        truth(random_states(RANGE, 3 * count, seed + 1)),
+    ]
+
+
+@pytest.fixture(scope="module")
+def calibrated(law, samples):
+    return calibrate(law, samples, true_paths(150, 10), true_paths(400, 20), SHARE)
+
+
+@pytest.mark.parametrize(
+    ("count", "share", "rank"),
+    [
+        (99, 0.01, 99),
+        (100, 0.01, 100),
+        (199, 0.01, 198),
+        (400, 0.01, 397),
+        (9, 0.1, 9),
+        (3, 0.5, 2),
+    ],
+)
+def test_quantile_is_the_rank_of_split_conformal_prediction(count, share, rank):
+    scores = np.random.default_rng(1).permutation(count) + 1.0
+    assert conformal_quantile(scores, share) == rank
+
+
+def test_too_few_paths_give_no_bound():
+    assert conformal_quantile(np.ones(98), 0.01) == np.inf
+    assert conformal_quantile(np.ones(0), 0.01) == np.inf
+
+
+def test_broken_share_is_nominal_over_many_calibrations():
+    """Exchangeable scores: P(new > quantile) is at most the share, and near it."""
+    rng = np.random.default_rng(2)
+    broken = [
+        rng.exponential() > conformal_quantile(rng.exponential(size=39), 0.1) for _ in range(20_000)
+    ]
+    assert 0.09 < np.mean(broken) < 0.105
+
+
+def test_the_bound_holds_on_random_states(calibrated):
+    F, F_dot = random_states(RANGE, 20_000, seed=31).states
+    stress, status, bound = calibrated.lookup(F, F_dot)
+    inside = status == 0
+    assert inside.mean() > 0.98
+    error = stress_error(stress, lattice_stress(F, F_dot))
+    assert (error[inside] > bound[inside]).mean() <= SHARE
+    assert (bound[inside] < 30.0 * np.median(error[inside])).all()  # and it says something
+
+
+def test_the_bound_holds_on_fresh_paths(calibrated):
+    """Share of broken paths: mean 1 %, ±√(0.01·0.99 (1/400 + 1/2000)), three of them."""
+    fresh = truth(random_walks(RANGE, 2000, 20, seed=41))
+    error, inside = errors_along(calibrated, fresh)
+    bound = calibrated.error_bound(*fresh.paths.states)
+    broken = fresh.paths.largest(np.where(inside, error - bound, -1.0)) > 0.0
+    assert broken.mean() <= SHARE + 3.0 * np.sqrt(SHARE * (1 - SHARE) * (1 / 400 + 1 / 2000))
+    assert broken.mean() < 0.03
+
+
+def test_what_is_recorded(calibrated, samples):
+    record = calibrated.calibration
+    assert calibrated.is_calibrated
+    assert record.share == SHARE
+    assert {kind: figures["paths"] for kind, figures in record.kinds.items()} == {
+        "walks": 400,
+        "states": 1200,
+    }
+    assert record.quantile == max(figures["quantile"] for figures in record.kinds.values())
+    assert record.stress_spread == pytest.approx(stress_spread(samples.stress))
+    assert calibrated.stress_spread == record.stress_spread
+    assert record.data_fingerprint == samples.fingerprint
+
+
+def test_spread_without_calibration_is_that_of_held_out_samples(law, calibrated):
+    assert law.stress_spread == pytest.approx(calibrated.stress_spread, rel=0.05)
+
+
+def test_through_its_file(calibrated, tmp_path):
+    calibrated.save(tmp_path / "a.pt")
+    loaded = SurrogateLaw.load(tmp_path / "a.pt")
+    F, F_dot = random_states(RANGE, 1000, seed=3).states
+    assert np.array_equal(loaded.error_bound(F, F_dot), calibrated.error_bound(F, F_dot))
+    assert loaded.is_calibrated
+    assert loaded.calibration.to_dict() == calibrated.calibration.to_dict()
+
+
+def test_a_file_from_before_there_were_bounds(calibrated, tmp_path):
+    calibrated.save(tmp_path / "a.pt")
+    content = torch.load(tmp_path / "a.pt", weights_only=True)
+    del content["domain"], content["calibration"]
+    torch.save(content, tmp_path / "a.pt")
+    loaded = SurrogateLaw.load(tmp_path / "a.pt")
+    F, F_dot = random_states(RANGE, 100, seed=3).states
+    assert np.isinf(loaded.error_bound(F, F_dot)).all()
+    assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value"),
+    [
+        ("calibration", "scale", [1.0]),
+        ("calibration", "quantile", float("nan")),
+        ("calibration", "share", None),
+        ("domain", "pairs", [[0, 99]]),
+    ],
+)
+def test_damaged_entries_are_refused(calibrated, tmp_path, part, key, value):
+    calibrated.save(tmp_path / "a.pt")
+    content = torch.load(tmp_path / "a.pt", weights_only=True)
+    if value is None:
+        del content[part][key]
+    else:
+        content[part][key] = value
+    torch.save(content, tmp_path / "a.pt")
+    with pytest.raises(FileError, match="missing or damaged entries"):
+        SurrogateLaw.load(tmp_path / "a.pt")
+
+
+def corrupted(law, change=0.01):
+    """One weight off by a hundredth."""
+    network = copy.deepcopy(law.network)
+    with torch.no_grad():
+        next(network.parameters())[0, 0] += change
+    return replace(law, network=network)
+
+
+def test_a_weight_corrupted_after_calibration_takes_the_bound_away(calibrated):
+    F, F_dot = random_states(RANGE, 100, seed=3).states
+    for fault in (
+        corrupted(calibrated),
+        replace(calibrated, range=SamplingRange(stretch=(0.9, 1.1), shear=0.08, rate=0.02)),
+    ):
+        assert not fault.is_calibrated
+        assert fault.lookup(F, F_dot, 1e6)[1].all()
+        assert np.isinf(fault.error_bound(F, F_dot)).all()
+
+
+def test_a_weight_corrupted_before_calibration_shows_in_the_bound(law, calibrated, samples):
+    fault = calibrate(corrupted(law, 0.5), samples, true_paths(60, 10), true_paths(120, 20), SHARE)
+    at_rest = np.eye(2)[None], np.zeros((1, 2, 2))
+    F, F_dot = random_states(RANGE, 1000, seed=3).states
+    usual, now = (np.median(one.error_bound(F, F_dot)) for one in (calibrated, fault))
+    assert now > 3.0 * usual
+    assert fault.error_bound(*at_rest) >= calibrated.error_bound(*at_rest)
+    tolerance = 0.5 * now
+    assert (calibrated.lookup(F, F_dot, tolerance)[1] == 0).mean() > 0.9
+
+
+def test_a_biased_surrogate_is_not_trusted(law, samples):
+    """A constant error of 2 % of the spread everywhere: at 1e-3 nothing is accepted."""
+    bias = 0.02 * law.stress_spread * np.diag([1.0, 0.0])
+
+    def biased(part):
+        return [replace(one, stress=one.stress + bias) for one in part]
+
+    found = calibrate(law, samples, biased(true_paths(60, 10)), biased(true_paths(120, 20)), SHARE)
+    F, F_dot = random_states(RANGE, 2000, seed=3).states
+    assert found.error_bound(F, F_dot).min() > 0.019 * law.stress_spread
+    assert found.lookup(F, F_dot, 1e-3 * law.stress_spread)[1].all()
+
+
+def test_a_bias_that_only_new_paths_have_shows_too(law, calibrated, samples):
+    """Shape the scale on honest paths, test on biased ones: the quantile grows."""
+    bias = 0.02 * law.stress_spread * np.diag([1.0, 0.0])
+    tests = [replace(one, stress=one.stress + bias) for one in true_paths(120, 20)]
+    found = calibrate(law, samples, true_paths(60, 10), tests, SHARE)
+    assert found.calibration.quantile > 5.0 * calibrated.calibration.quantile
+
+
+def test_failures_within_the_domain_leave_no_bound(law, samples):
+    """The true law has no stress on a tenth of the paths, anywhere on them."""
+    tests = true_paths(120, 20)
+    walks = tests[0]
+    status = np.where(np.tile(walks.paths.owner, 20) % 10 == 0, 1, 0).astype(np.int8)
+    tests[0] = replace(walks, status=status)
+    found = calibrate(law, samples, true_paths(60, 10), tests, SHARE)
+    assert found.calibration.quantile == np.inf
+    F, F_dot = random_states(RANGE, 100, seed=3).states
+    assert found.lookup(F, F_dot, 1e300)[1].all()
+
+
+def test_an_exact_surrogate_has_a_tiny_bound(law, samples):
+    def exact(paths):
+        stress, status, _ = law.lookup(*paths.states)
+        stress[status != 0] = 0.0
+        return Truth(paths, stress, np.zeros_like(status))
+
+    parts = [[exact(random_walks(RANGE, 120, 5, seed))] for seed in (1, 2)]
+    found = calibrate(law, samples, *parts, SHARE)
+    assert found.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0] < 1e-9
+
+
+def test_no_path_at_all(law, samples):
+    nothing = [truth(random_states(RANGE, 0, 1))]
+    with pytest.raises(InputError, match="calibration: no path"):
+        calibrate(law, samples, nothing, nothing, SHARE)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"share": 0.0}, r"calibration.share: 0.0; it must be between 0 and 1"),
+        ({"walks": -1}, "calibration.walks: -1; it must be an integer of at least 0"),
+        ({"length": 0}, "calibration.length: 0; it must be an integer of at least 1"),
+        ({"runs": 98}, "calibration.runs: 98; it must be 0 or at least 99"),
+        ({"seed": True}, "calibration.seed: True"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(setting, message):
+    with pytest.raises(InputError, match=message):
+        CalibrationSettings(**setting)
+    assert CalibrationSettings(runs=99).runs == 99

@@ -1,0 +1,163 @@
+"""Where the data are: every valid sample inside, every failed one outside, D4 and rotation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.paths import random_states
+from surrofe2.sampling import SamplingRange, StressSamples, contains, sample
+from surrofe2.surrogate import domain as domains
+from surrofe2.surrogate.components import to_inputs
+from surrofe2.surrogate.domain import Domain, fit_domain
+from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples
+
+G = [
+    np.array(g, dtype=float)
+    for g in (
+        [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
+        [[1, 0], [0, -1]], [[-1, 0], [0, 1]], [[0, 1], [1, 0]], [[0, -1], [-1, 0]],
+    )
+]  # fmt: skip
+
+
+def samples_that_fail(fails, count=4000, seed=1):
+    """Samples over `RANGE`, failed where fails(inputs (n, 7)) says so."""
+    samples = lattice_samples(count, seed)
+    failed = fails(to_inputs(samples.F, samples.F_dot)[0])
+    status = np.where(failed, 2, 0).astype(np.int8)
+    stress = np.where(failed[:, None, None], np.nan, samples.stress)
+    return replace(samples, status=status, stress=stress)
+
+
+def buckles(x):
+    """Compression beyond a curved limit, a little earlier while compressing further."""
+    sum_U, difference, shear, rate = x[:, 0], x[:, 1], x[:, 2], x[:, 3]
+    return sum_U + 2.0 * rate < -0.07 + 2.0 * difference**2 + 1.5 * shear**2
+
+
+@pytest.mark.parametrize("fails", [lambda x: np.zeros(len(x), bool), buckles])
+def test_valid_samples_are_inside_failed_ones_are_not(fails):
+    samples = samples_that_fail(fails)
+    domain = fit_domain(samples)
+    inside = domain.contains(samples.F, samples.F_dot)
+    failed = samples.status != 0
+    assert not inside[failed].any()
+    share = inside[~failed].mean()
+    assert share == 1.0 if not failed.any() else share > 0.9
+    assert domain.contains(np.eye(2)[None], np.zeros((1, 2, 2))).all()
+
+
+def test_failures_it_has_not_seen_are_outside_too():
+    samples = samples_that_fail(buckles)
+    assert 200 < (samples.status != 0).sum() < 2000
+    domain = fit_domain(samples)
+    F, F_dot = random_states(RANGE, 20_000, seed=8).states
+    failed = buckles(to_inputs(F, F_dot)[0])
+    inside = domain.contains(F, F_dot)
+    assert failed.sum() > 4000
+    assert inside[failed].mean() < 1e-3
+    assert inside[~failed].mean() > 0.85
+
+
+@pytest.mark.parametrize("kept", [1, 3, 20])
+def test_a_few_failures_are_outside(kept):
+    samples = samples_that_fail(buckles)
+    failed = np.flatnonzero(samples.status)
+    status = samples.status.copy()
+    status[failed[kept:]] = 0
+    stress = np.where((status != 0)[:, None, None], np.nan, lattice_samples(4000).stress)
+    samples = replace(samples, status=status, stress=stress)
+    inside = fit_domain(samples).contains(samples.F, samples.F_dot)
+    assert not inside[failed[:kept]].any()
+    assert inside[samples.status == 0].mean() > 0.5
+
+
+def test_failures_found_later_are_outside():
+    samples = samples_that_fail(buckles)
+    failed = samples.status != 0
+    innocent = replace(
+        samples,
+        **{k: getattr(samples, k)[~failed] for k in ("F", "F_dot", "stress", "status")},
+    )
+    lost = samples.F[failed], samples.F_dot[failed]
+    assert fit_domain(innocent).contains(*lost).any()
+    assert not fit_domain(innocent, lost).contains(*lost).any()
+
+
+def test_it_is_no_box():
+    """Data along a diagonal do not make the other diagonal known."""
+    samples = lattice_samples(4000)
+    x = to_inputs(samples.F, samples.F_dot)[0]
+    diagonal = np.abs(x[:, 0] - 10.0 * x[:, 3]) < 0.06
+    narrow = replace(
+        samples,
+        **{k: getattr(samples, k)[diagonal] for k in ("F", "F_dot", "stress", "status")},
+    )
+    domain = fit_domain(narrow)
+    inside = domain.contains(samples.F, samples.F_dot)
+    assert inside[diagonal].all()
+    far = np.abs(x[:, 0] - 10.0 * x[:, 3]) > 0.065
+    assert far.sum() > 500
+    assert not inside[far].any()
+    assert contains(RANGE, samples.F[far], samples.F_dot[far]).all()
+
+
+@pytest.mark.parametrize("fails", [lambda x: np.zeros(len(x), bool), buckles])
+def test_rotation_and_D4_make_no_difference(fails):
+    rng = np.random.default_rng(0)
+    domain = fit_domain(samples_that_fail(fails, 600))
+    F = np.eye(2) + rng.uniform(-0.1, 0.1, (2000, 2, 2))
+    F_dot = rng.uniform(-0.012, 0.012, (2000, 2, 2))
+    inside = domain.contains(F, F_dot)
+    assert 50 < inside.sum() < 1950
+    angle = 1.234
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    for g in G:
+        left = Q if np.linalg.det(g) > 0 else Q @ g.T
+        assert np.array_equal(domain.contains(left @ F @ g, left @ F_dot @ g), inside)
+
+
+def test_without_symmetry_only_rotation_is_used(monkeypatch):
+    monkeypatch.setattr(domains, "has_square_symmetry", lambda cell: False)
+    samples = samples_that_fail(lambda x: (x[:, 2] > 0.05) | (x[:, 1] < -0.1))
+    domain = fit_domain(samples)
+    inside = domain.contains(samples.F, samples.F_dot)
+    assert not domain.square
+    assert not inside[samples.status != 0].any()
+    assert inside[samples.status == 0].mean() > 0.7
+    mirror = np.diag([1.0, -1.0])
+    mirrored = domain.contains(mirror @ samples.F @ mirror, mirror @ samples.F_dot @ mirror)
+    assert not np.array_equal(inside, mirrored)
+
+
+def test_what_is_not_a_number_is_outside():
+    domain = fit_domain(lattice_samples(300))
+    for value in (np.nan, np.inf, -np.inf):
+        for k in range(8):
+            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
+            (F if k < 4 else F_dot).flat[k % 4] = value
+            assert not domain.contains(F, F_dot).any()
+
+
+def test_through_plain_numbers():
+    samples = samples_that_fail(buckles, 800)
+    domain = fit_domain(samples)
+    again = Domain.from_dict(domain.to_dict())
+    F, F_dot = random_states(RANGE, 2000, seed=3).states
+    assert np.array_equal(domain.contains(F, F_dot), again.contains(F, F_dot))
+    for key, value in (("pairs", [[0, 9]]), ("cliff", [1.0]), ("scale", [1.0]), ("limits", [])):
+        with pytest.raises(ValueError, match=r"domain|reshape|shape"):
+            Domain.from_dict({**domain.to_dict(), key: value})
+
+
+def test_a_range_of_no_width_in_some_directions():
+    flat = SamplingRange(stretch=(0.95, 1.05), shear=0.0, rate=0.0)
+    F, F_dot = sample(flat, 100, seed=1)
+    samples = StressSamples(
+        F=F, F_dot=F_dot, stress=np.zeros_like(F), status=np.zeros(100, dtype=np.int8),
+        cell=CELL, initialisation="elastic", range=flat, seed=1,
+    )  # fmt: skip
+    domain = fit_domain(samples)
+    assert domain.contains(F, F_dot).all()
+    assert not domain.contains(F, F_dot + 0.01).any()

@@ -1,0 +1,120 @@
+"""Domain and bound in the compiled pass, against their numpy twins."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.paths import random_states
+from surrofe2.sampling import contains
+from surrofe2.stress_law import Status
+from surrofe2.surrogate.calibration import Calibration, local_scale, subject
+from surrofe2.surrogate.domain import fit_domain
+from surrofe2.surrogate.trust_features import scale_table, scaled_inputs
+from tests.surrogate.lattice_law import RANGE
+from tests.surrogate.test_domain import G, buckles, samples_that_fail
+
+
+@pytest.fixture(scope="module")
+def trusted(law):
+    """The analytic law's surrogate with a domain that has a cliff and an arbitrary bound."""
+    scale = np.random.default_rng(0).uniform(0.0, 1.0, len(scale_table()))
+    scale[3:9] = 0.0
+    calibration = Calibration(
+        scale=scale,
+        quantile=0.7,
+        share=0.01,
+        kinds={},
+        stress_spread=10.0,
+        data_fingerprint=law.data_fingerprint,
+        subject=subject(law.network, law.range),
+        settings={},
+    )
+    domain = fit_domain(samples_that_fail(buckles, 2000))
+    return replace(law, domain=domain, calibration=calibration)
+
+
+def turned(count, seed=1):
+    """States of the range and beyond it, in any orientation."""
+    F, F_dot = random_states(replace(RANGE, stretch=(0.9, 1.1), rate=0.011), count, seed).states
+    angle = np.random.default_rng(seed).uniform(-np.pi, np.pi, count)
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.stack([c, -s, s, c], axis=1).reshape(-1, 2, 2)
+    return R @ F, R @ F_dot
+
+
+@pytest.mark.parametrize("count", [1, 41, 3001])
+def test_the_kernel_is_its_numpy_twin(trusted, count):
+    F, F_dot = turned(count)
+    inside = contains(RANGE, F, F_dot) & trusted.domain.contains(F, F_dot)
+    bound = 0.7 * local_scale(
+        trusted.calibration.scale, scaled_inputs(F, F_dot, trusted.domain.scale)
+    )
+    found = trusted.error_bound(F, F_dot)
+    assert np.array_equal(np.isfinite(found), inside)
+    assert np.array_equal(trusted.in_range(F, F_dot), inside)
+    np.testing.assert_allclose(found[inside], bound[inside], rtol=1e-10)
+    if count > 3000:
+        assert 0.1 < inside.mean() < 0.9
+
+
+def test_the_tolerance_decides_point_by_point(trusted):
+    F, F_dot = turned(500)
+    free, _, bound = trusted.lookup(F, F_dot)
+    inside = np.isfinite(bound)
+    tolerance = float(np.median(bound[inside]))
+    stress, status, same = trusted.lookup(F, F_dot, tolerance)
+    assert np.array_equal(same, bound)
+    trusted_ones = bound <= tolerance
+    expected = np.where(trusted_ones, Status.OK, Status.NOT_TRUSTED)
+    assert np.array_equal(status, np.where(inside, expected, Status.OUT_OF_RANGE))
+    assert np.array_equal(stress[trusted_ones], free[trusted_ones])
+    assert np.isnan(stress[~trusted_ones]).all()
+    at_bound = trusted.lookup(F[trusted_ones], F_dot[trusted_ones], bound[trusted_ones].max())
+    assert not at_bound[1].any()
+
+
+def test_rotation_and_D4_make_no_difference(trusted):
+    F, F_dot = turned(300, seed=2)
+    bound = trusted.error_bound(F, F_dot)
+    for g in G:
+        left = np.eye(2) if np.linalg.det(g) > 0 else g.T
+        image = trusted.error_bound(left @ F @ g, left @ F_dot @ g)
+        np.testing.assert_allclose(image, bound, rtol=1e-10)
+
+
+def test_it_never_falls_on_the_way_out_and_ends_at_infinity(trusted):
+    rng = np.random.default_rng(4)
+    U = rng.uniform(-0.1, 0.1, (50, 2, 2))
+    U = 0.5 * (U + np.swapaxes(U, 1, 2))
+    A = rng.uniform(-0.012, 0.012, (50, 2, 2))
+    steps = np.linspace(0.0, 2.0, 41)
+    rays = np.stack([trusted.error_bound(np.eye(2) + t * U, t * A) for t in steps])
+    assert np.isfinite(rays[0]).all()
+    assert np.isinf(rays[-1]).all()
+    known = np.isfinite(rays[1:])
+    assert (rays[1:][known] >= rays[:-1][known]).all()
+
+
+def test_what_is_not_a_number_has_no_bound(trusted):
+    for value in (np.nan, np.inf, -np.inf):
+        for k in range(8):
+            F, F_dot = np.eye(2)[None].copy(), np.zeros((1, 2, 2))
+            (F if k < 4 else F_dot).flat[k % 4] = value
+            stress, status, bound = trusted.lookup(F, F_dot, 1e6)
+            assert status[0] == Status.OUT_OF_RANGE
+            assert np.isnan(stress).all()
+            assert bound[0] == np.inf
+
+
+def test_without_calibration_no_finite_tolerance_accepts(law):
+    F, F_dot = random_states(RANGE, 100, seed=1).states
+    for surrogate in (law, replace(law, domain=None)):
+        stress, status, bound = surrogate.lookup(F, F_dot, 1e300)
+        assert not surrogate.is_calibrated
+        assert np.isinf(bound).all()
+        assert np.isin(status, (Status.NOT_TRUSTED, Status.OUT_OF_RANGE)).all()
+        assert np.isnan(stress).all()
+        inside = surrogate.in_range(F, F_dot)
+        assert np.array_equal(surrogate.lookup(F, F_dot)[1] == 0, inside)
+        assert inside.mean() > 0.9
