@@ -22,7 +22,8 @@ from surrofe2.surrogate.settings import TrainingSettings
 if TYPE_CHECKING:
     from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
-FORMAT = "surrofe2 surrogate 1"
+FORMAT = "surrofe2 surrogate 2"
+_OLD_FORMATS = ("surrofe2 surrogate 1",)
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
 
 
@@ -33,7 +34,11 @@ def write_surrogate(law: SurrogateLaw, path: Path) -> None:
         "version": law.version,
         "units": _UNITS,
         "weights": law.network.state_dict(),
-        "settings": {**law.settings.to_dict(), "hidden": list(law.settings.hidden)},
+        "symmetry": law.network.symmetry,
+        "settings": {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in law.settings.to_dict().items()
+        },
         "range": {**law.range.to_dict(), "stretch": list(law.range.stretch)},
         "cell": law.cell.to_dict(),
         "cell_fingerprint": law.cell.fingerprint,
@@ -60,7 +65,7 @@ def read_surrogate(path: Path) -> SurrogateLaw:
     try:
         settings = TrainingSettings(**content["settings"])
         cell = CellParameters(**content["cell"])
-        network = StressNetwork(settings.hidden, settings.baseline_degree)
+        network = StressNetwork(settings, content["symmetry"])
         network.to(getattr(torch, settings.precision)).load_state_dict(content["weights"])
         law = SurrogateLaw(
             network=network,
@@ -103,6 +108,10 @@ def _read(path: Path) -> dict[str, Any]:
         raise FileError(
             f"{path}: not a surrogate: truncated, foreign, or holding more than weights"
         ) from None
+    if isinstance(content, dict) and content.get("format") in _OLD_FORMATS:
+        raise FileError(
+            f"{path}: {content['format']}, from before the network had an energy; train it anew"
+        )
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileError(f"{path}: not a surrogate that this version of surrofe2 reads")
     return content

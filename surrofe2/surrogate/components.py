@@ -60,11 +60,6 @@ def to_inputs(F: Array, F_dot: Array) -> tuple[Array, Array]:
     return np.concatenate([stretch, to_components(transpose(R) @ F_dot)], axis=1), R
 
 
-def rotate_back(components: Array, R: Array) -> Array:
-    """σ = R S Rᵀ (n, 2, 2) from the components of S (n, 4)."""
-    return R @ from_components(components) @ transpose(R)
-
-
 def input_scale(range: SamplingRange) -> Array:
     """(7,) what the inputs are divided by; a bound of 0 gives 1."""
     low, high = range.stretch

@@ -14,14 +14,22 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains
-from surrofe2.stress_law import Acceptance, StressResponse, check_deformation
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    Tangents,
+    check_deformation,
+)
 from surrofe2.surrogate.calibration import Calibration, subject
-from surrofe2.surrogate.compiled import evaluate_trusted, response_at_rest
-from surrofe2.surrogate.components import rotate_back, to_inputs
+from surrofe2.surrogate.compiled import evaluate_trusted, without_rest
+from surrofe2.surrogate.compiled_slopes import evaluate_slopes
+from surrofe2.surrogate.components import to_inputs
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Trust, pack_trust
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.packing import Weights, pack
+from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.settings import TrainingSettings
 
 Array = NDArray[np.float64]
@@ -37,10 +45,12 @@ def package_version() -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurrogateLaw:
-    """σ(F, Ḟ) of one RVE, learnt; rotation and D4 hold exactly, σ(I, 0) = 0, no sector edges.
+    """σ(F, Ḟ) of one RVE, learnt; rotation and, for the square cell, D4 hold exactly.
+
+    Smooth everywhere; for the square cell σ(I, 0) = 0, and with an energy P(F, 0) = ∂W/∂F.
 
     Attributes:
-        network: components of S = Rᵀ σ R from those of U and RᵀḞ; see `network`.
+        network: components of RᵀP from those of U and RᵀḞ; see `network`.
         cell: parameters of the plant cell whose stress was learnt.
         initialisation: how its RVE was initialised.
         range: bounds of the data, outside which no stress is given.
@@ -70,8 +80,7 @@ class SurrogateLaw:
 
     def __post_init__(self) -> None:
         weights = pack(self.network, self.range)
-        weights = weights._replace(at_rest=response_at_rest(weights))
-        object.__setattr__(self, "_weights", weights)
+        object.__setattr__(self, "_weights", without_rest(weights, self.network.features))
         calibration = self.calibration if self.is_calibrated else None
         object.__setattr__(self, "_trust", pack_trust(self.domain, calibration))
 
@@ -97,11 +106,30 @@ class SurrogateLaw:
         """Mass per reference area, ng/µm²."""
         return self.cell.density
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
-        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data."""
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        """Stress at n points; NaN and status OUT_OF_RANGE outside the range of the data.
+
+        With `tangents`, ∂P/∂F and ∂P/∂Ḟ of the surrogate too, NaN where the stress is.
+        """
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
-        return StressResponse(stress, status, state, {"surrogate_points": len(F)})
+        slopes = self.tangents(F, F_dot, status) if tangents else None
+        return StressResponse(stress, status, state, {"surrogate_points": len(F)}, slopes)
+
+    def tangents(self, F: Array, F_dot: Array, status: NDArray[np.int8]) -> Tangents:
+        """∂P/∂F and ∂P/∂Ḟ of the surrogate at the points whose status (n,) is 0, NaN elsewhere.
+
+        F, F_dot: contiguous float64 (n, 2, 2).
+        """
+        answered = np.flatnonzero(status == Status.OK)
+        P_by_F, P_by_F_dot = (np.full((len(F), 2, 2, 2, 2), np.nan) for _ in range(2))
+        if len(answered):
+            F, F_dot = F[answered], F_dot[answered]
+            found = to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self._weights))
+            P_by_F[answered], P_by_F_dot[answered] = found.P_by_F, found.P_by_F_dot
+        return Tangents(P_by_F, P_by_F_dot)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Nothing is left to check or to commit."""
@@ -151,8 +179,8 @@ class SurrogateLaw:
     def reference(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""
         F, F_dot = check_deformation(F, F_dot)
-        inputs, R = to_inputs(F, F_dot)
+        inputs, _ = to_inputs(F, F_dot)
         with torch.no_grad():
             precision = self.network.input_scale.dtype
             components = self.network(torch.as_tensor(inputs, dtype=precision))
-        return rotate_back(components.double().numpy(), R)
+        return to_cauchy(F, components.double().numpy())

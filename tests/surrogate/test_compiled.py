@@ -6,34 +6,40 @@ import torch
 
 from surrofe2.sampling import contains, sample
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.compiled import BLOCK, MANY, evaluate, response_at_rest
-from surrofe2.surrogate.components import input_scale, rotate_back, to_inputs
+from surrofe2.surrogate import TrainingSettings
+from surrofe2.surrogate.compiled import BLOCK, MANY, evaluate, without_rest
+from surrofe2.surrogate.compiled_slopes import evaluate_slopes
+from surrofe2.surrogate.components import input_scale, to_inputs
+from surrofe2.surrogate.features import FORMS, SYMMETRIES
 from surrofe2.surrogate.network import StressNetwork
+from surrofe2.surrogate.network_slopes import differentiate
 from surrofe2.surrogate.packing import pack
+from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.surrogate.vector_tanh import fill_tanh
 from tests.surrogate.lattice_law import RANGE
 
 
-def make_network(hidden, degree, precision=torch.float64):
+def make_network(hidden, degree, precision=torch.float64, symmetry="D4", **settings):
     """Random weights, all of which matter."""
-    network = StressNetwork(hidden, degree, seed=3)
+    settings = TrainingSettings(hidden=hidden, baseline_degree=degree, seed=3, **settings)
+    network = StressNetwork(settings, symmetry)
     generator = torch.Generator().manual_seed(4)
     network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
     network.coefficients.normal_(generator=generator)
+    network.energy_coefficients.normal_(0.0, 0.05, generator=generator)
     network.output_scale.copy_(torch.tensor([1.0, 2.0, 3.0, 4.0]))
+    network.energy_scale.fill_(0.05)
     return network.to(precision)
 
 
 def make_weights(network):
-    weights = pack(network, RANGE)
-    return weights._replace(at_rest=response_at_rest(weights))
+    return without_rest(pack(network, RANGE), network.features)
 
 
 def twin(network, F, F_dot):
-    inputs, R = to_inputs(F, F_dot)
     with torch.no_grad():
-        values = network(torch.as_tensor(inputs, dtype=network.input_scale.dtype))
-    return rotate_back(values.double().numpy(), R)
+        inputs = torch.as_tensor(to_inputs(F, F_dot)[0], dtype=network.input_scale.dtype)
+        return to_cauchy(F, network(inputs).double().numpy())
 
 
 def turned_points(count):
@@ -53,6 +59,43 @@ def test_agrees_with_torch(hidden, degree, count):
     expected = twin(network, F, F_dot)
     assert not status.any()
     assert np.abs(stress - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+every_form = pytest.mark.parametrize(
+    ("form", "symmetry", "members"),
+    [(form, symmetry, 1 + k) for k, form in enumerate(FORMS) for symmetry in SYMMETRIES],
+)
+
+
+@every_form
+def test_every_form_agrees_with_torch(form, symmetry, members):
+    network = make_network(
+        (7, 6), 3, symmetry=symmetry, form=form, members=members, energy_hidden=(5, 6)
+    )
+    F, F_dot = turned_points(BLOCK + 3)
+    stress, status = evaluate(F, F_dot, make_weights(network))
+    expected = twin(network, F, F_dot)
+    assert not status.any()
+    assert np.abs(stress - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@every_form
+def test_slopes_of_every_form_agree_with_torch(form, symmetry, members):
+    network = make_network(
+        (7, 6), 3, symmetry=symmetry, form=form, members=members, energy_hidden=(5, 6, 3)
+    )
+    F, F_dot = turned_points(BLOCK + 3)
+    found = evaluate_slopes(F, F_dot, make_weights(network))
+    expected = differentiate(network, to_inputs(F, F_dot)[0])
+    for one, other in zip(found, expected, strict=True):
+        assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+
+
+def test_no_points_have_no_slopes():
+    weights = make_weights(make_network((4,), 1))
+    P, slopes = evaluate_slopes(np.empty((0, 2, 2)), np.empty((0, 2, 2)), weights)
+    assert P.shape == (0, 4)
+    assert slopes.shape == (0, 4, 7)
 
 
 def test_many_points_on_all_cores_give_the_same():
@@ -115,7 +158,7 @@ def test_what_is_not_a_number_is_out_of_range():
 def test_a_weight_that_is_no_number_is_seen(layer, value, precision):
     network = make_network((8, 8), 2, precision)
     with torch.no_grad():
-        network.layers[layer].weight[0, 0] = value
+        network.members[0].factors.layers[layer].weight[0, 0] = value
     stress, status = evaluate(*turned_points(50), make_weights(network))
     assert (status == Status.NOT_FINITE).all()
     assert np.isnan(stress).all()

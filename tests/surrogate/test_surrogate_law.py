@@ -94,7 +94,7 @@ def test_file_gives_the_same_surrogate(precision, tmp_path):
     ):
         assert getattr(law, name) == getattr(loaded, name), name
     bytes_each = 8 if precision == "float64" else 4
-    assert law.network.layers[0].weight.element_size() == bytes_each
+    assert law.network.members[0].factors.layers[0].weight.element_size() == bytes_each
 
 
 def test_file_is_replaced_whole(law, file):
@@ -155,6 +155,13 @@ def test_a_foreign_file(tmp_path, content):
 def test_a_torch_file_of_something_else(tmp_path, content):
     torch.save(content, tmp_path / "other.pt")
     assert_refused(tmp_path / "other.pt", "not a surrogate that this version")
+
+
+def test_a_surrogate_of_an_older_version(file):
+    content = torch.load(file, weights_only=True)
+    content["format"] = "surrofe2 surrogate 1"
+    torch.save(content, file)
+    assert_refused(file, "surrogate 1, from before the network had an energy; train it anew")
 
 
 class Payload:

@@ -8,11 +8,11 @@ from surrofe2.surrogate.components import (
     from_components,
     monomials,
     parity,
-    rotate_back,
     to_components,
     to_inputs,
 )
-from surrofe2.surrogate.network import COVARIANTS, INVARIANTS
+from surrofe2.surrogate.features import COVARIANTS, INVARIANTS, STRETCH, VISCOUS_COVARIANTS
+from surrofe2.surrogate.piola import to_cauchy, to_piola
 from tests.surrogate.lattice_law import RANGE, lattice_stress
 
 ROTATIONS = [
@@ -51,8 +51,7 @@ def test_inputs_and_outputs_lose_nothing_but_the_rotation(points):
     np.testing.assert_allclose(R @ (np.eye(2) + from_components(spinless)), F, atol=1e-14)
     np.testing.assert_allclose(R @ from_components(inputs[:, 3:]), F_dot, atol=1e-16)
     stress = lattice_stress(F, F_dot)
-    components = to_components(np.swapaxes(R, 1, 2) @ stress @ R)
-    np.testing.assert_allclose(rotate_back(components, R), stress, atol=1e-12)
+    np.testing.assert_allclose(to_cauchy(F, to_piola(F, stress)), stress, atol=1e-12)
 
 
 @pytest.mark.parametrize("group_element", ROTATIONS + REFLECTIONS, ids=range(8))
@@ -76,20 +75,33 @@ def test_monomials_change_sign_as_their_parity_says(group_element):
         assert ratio == pytest.approx(signs[parity(product)])
 
 
+def generated_by(covariants):
+    """Monomials up to degree 4 that are covariants times products of invariants."""
+    found, frontier = set(), list(covariants)
+    while frontier:
+        product = frontier.pop()
+        found.add(product)
+        for invariant in INVARIANTS:
+            bigger = tuple(sorted(product + invariant))
+            if len(bigger) <= 4 and bigger not in found:
+                frontier.append(bigger)
+    return found
+
+
 def test_tables_of_invariants_and_covariants_are_complete():
     """Every monomial up to degree 4 is a polynomial in invariants times covariants."""
     assert all(parity(product) == 0 for product in INVARIANTS)
-    assert [parity(product) for product in COVARIANTS] == [1] * 4 + [2] * 4 + [3] * 5
-    generated = {(): 0}
-    frontier = [(), *COVARIANTS]
-    while frontier:
-        product = frontier.pop()
-        generated[product] = parity(product)
-        for invariant in INVARIANTS:
-            bigger = tuple(sorted(product + invariant))
-            if len(bigger) <= 4 and bigger not in generated:
-                frontier.append(bigger)
-    assert set(monomials(4)) <= set(generated)
+    assert [parity(product) for product in COVARIANTS] == [0] + [1] * 4 + [2] * 4 + [3] * 5
+    assert set(monomials(4)) <= generated_by(COVARIANTS)
+
+
+def test_viscous_covariants_give_all_that_vanishes_with_the_rate():
+    of_rate = {product for product in monomials(4) if max(product) >= STRETCH}
+    assert all(max(product) >= STRETCH for product in VISCOUS_COVARIANTS)
+    assert of_rate == generated_by(VISCOUS_COVARIANTS)
+    for left_out in VISCOUS_COVARIANTS:
+        rest = [product for product in VISCOUS_COVARIANTS if product != left_out]
+        assert not of_rate <= generated_by(rest)
 
 
 @pytest.mark.parametrize("angle", [0.3, -1.2, np.pi, 2.5])

@@ -1,0 +1,171 @@
+"""Which products of inputs a network reads and what it multiplies, so that symmetry is exact.
+
+A network gives factors from invariants; a term is factor × product of inputs and belongs to one
+component. Under D4 an invariant has no sign and a term has the sign of its component
+(`components.parity`), so whatever the weights, the symmetry holds. Without symmetry every input
+is an invariant and every component has every term.
+
+Forms of the stress, P̂ = RᵀP (see `network`):
+
+    stress      all of P̂ from terms; with D4, P̂(I, 0) = 0 by what is subtracted
+    energy      ∂W/∂U from an energy of U, and terms each of which has a factor of A
+    potentials  ∂W/∂U, and ½ A : K(U) : A, whose terms come in pairs that share a factor
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+from surrofe2.errors import InputError
+from surrofe2.surrogate.components import (
+    DIFFERENCE,
+    INPUTS,
+    SHEAR,
+    SPIN,
+    SUM,
+    monomials,
+    parity,
+)
+
+FORMS = ("energy", "stress", "potentials")
+SYMMETRIES = ("D4", "none")
+
+Product = tuple[int, ...]
+STRETCH = 3  # the first inputs are those of U − I
+_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
+
+# input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
+_s, _d, _g, _S, _D, _G, _W = range(INPUTS)
+_RATES = (_S, _D, _G, _W)
+INVARIANTS: tuple[Product, ...] = (
+    (_s,), (_S,),
+    (_d, _d), (_d, _D), (_D, _D), (_g, _g), (_g, _G), (_G, _G), (_W, _W),
+    (_d, _g, _W), (_d, _G, _W), (_g, _D, _W), (_D, _G, _W),
+)  # fmt: skip
+COVARIANTS: tuple[Product, ...] = (
+    (),
+    (_d,), (_D,), (_g, _W), (_G, _W),
+    (_g,), (_G,), (_d, _W), (_D, _W),
+    (_W,), (_d, _g), (_d, _G), (_g, _D), (_D, _G),
+)  # fmt: skip
+# those with a factor of A, of which every product with a factor of A is an invariant multiple
+VISCOUS_COVARIANTS: tuple[Product, ...] = (
+    (_S,), (_d, _D), (_g, _G), (_D, _D), (_G, _G), (_W, _W),
+    (_d, _g, _W), (_d, _G, _W), (_g, _D, _W), (_D, _G, _W),
+    (_D,), (_g, _W), (_G, _W), (_d, _S), (_d, _g, _G), (_d, _G, _G), (_d, _W, _W),
+    (_G,), (_d, _W), (_D, _W), (_g, _S), (_d, _g, _D), (_g, _D, _D), (_g, _W, _W),
+    (_W,), (_d, _G), (_g, _D), (_D, _G), (_d, _g, _S),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A product of inputs in one component, times the factor of that number."""
+
+    product: Product
+    component: int
+    factor: int
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """What a network of one form and symmetry is made of.
+
+    Attributes:
+        invariants: what the network reads.
+        terms: what its outputs multiply; those with an empty product are factor − factor at rest
+            under D4.
+        factors: number of its outputs.
+        powers: of s, d, g in the three invariants of U that the energy reads; empty: no energy.
+        monomials: of the baseline in P̂, each with its component.
+        energy_monomials: of the baseline's energy.
+    """
+
+    invariants: tuple[Product, ...]
+    terms: tuple[Term, ...]
+    powers: tuple[int, ...]
+    monomials: tuple[tuple[Product, int], ...]
+    energy_monomials: tuple[Product, ...]
+    vanishes_at_rest: bool
+
+    @property
+    def factors(self) -> int:
+        """Number of factors the terms ask for."""
+        return 1 + max(term.factor for term in self.terms)
+
+
+def make_features(form: str, symmetry: str, degree: int) -> Features:
+    """The features of a form and symmetry, with a baseline of that degree in P̂."""
+    if form not in FORMS:
+        raise InputError(f"training.form: {form!r}; it must be one of {', '.join(FORMS)}")
+    if symmetry not in SYMMETRIES:
+        raise InputError(f"symmetry: {symmetry!r}; it must be one of {', '.join(SYMMETRIES)}")
+    square = symmetry == "D4"
+    invariants = INVARIANTS if square else tuple((k,) for k in range(INPUTS))
+    if form == "potentials":
+        invariants = tuple(product for product in invariants if max(product) < STRETCH)
+    make_terms = {"stress": _all_terms, "energy": _rate_terms, "potentials": _paired_terms}[form]
+    powers = () if form == "stress" else ((1, 2, 2) if square else (1, 1, 1))
+    return Features(
+        invariants=invariants,
+        terms=make_terms(square),
+        powers=powers,
+        monomials=_monomials(form, square, degree),
+        energy_monomials=_energy_monomials(square, degree + 1) if powers and degree else (),
+        vanishes_at_rest=square,
+    )
+
+
+def _all_terms(square: bool) -> tuple[Term, ...]:
+    products = (
+        [(product, parity(product)) for product in COVARIANTS]
+        if square
+        else [((), component) for component in _COMPONENTS]
+    )
+    return tuple(Term(*item, factor) for factor, item in enumerate(products))
+
+
+def _rate_terms(square: bool) -> tuple[Term, ...]:
+    products = (
+        [(product, parity(product)) for product in VISCOUS_COVARIANTS]
+        if square
+        else [((rate,), component) for component in _COMPONENTS for rate in _RATES]
+    )
+    return tuple(Term(*item, factor) for factor, item in enumerate(products))
+
+
+def _paired_terms(square: bool) -> tuple[Term, ...]:
+    """K_ab b in component a and K_ab a in component b, one factor for both."""
+    terms = []
+    for factor, (a, b) in enumerate(combinations_with_replacement(_COMPONENTS, 2)):
+        between = _of_parity(parity((_RATES[a], _RATES[b]))) if square else ()
+        terms.append(Term((*between, _RATES[b]), a, factor))
+        if a != b:
+            terms.append(Term((*between, _RATES[a]), b, factor))
+    return tuple(terms)
+
+
+def _of_parity(component: int) -> Product:
+    """The least product of s, d, g with the sign of a component."""
+    return {SUM: (), DIFFERENCE: (_d,), SHEAR: (_g,), SPIN: (_d, _g)}[component]
+
+
+def _monomials(form: str, square: bool, degree: int) -> tuple[tuple[Product, int], ...]:
+    kept = monomials(degree)
+    if form != "stress":
+        kept = tuple(product for product in kept if product[-1] >= STRETCH)
+    if form == "potentials":  # of the least degree alone K has its symmetry, and only with D4
+        kept = tuple(product for product in kept if len(product) == 1 and square)
+    if square:
+        return tuple((product, parity(product)) for product in kept)
+    constant: tuple[Product, ...] = ((),) if form == "stress" and degree else ()
+    return tuple((product, k) for product in (*constant, *kept) for k in _COMPONENTS)
+
+
+def _energy_monomials(square: bool, degree: int) -> tuple[Product, ...]:
+    """Without symmetry a cell may bear stress at rest, and the energy has linear terms."""
+    products = [product for product in monomials(degree) if max(product) < STRETCH]
+    if not square:
+        return tuple(products)
+    return tuple(p for p in products if len(p) > 1 and p.count(_d) % 2 == p.count(_g) % 2 == 0)

@@ -1,0 +1,193 @@
+"""What holds whatever the weights: energy, no viscous stress at rest, potentials, tangents."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from surrofe2.errors import InputError
+from surrofe2.sampling import sample
+from surrofe2.stress_law import Status
+from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
+from surrofe2.surrogate.components import input_scale
+from surrofe2.surrogate.network import StressNetwork
+from surrofe2.surrogate.piola import to_piola, to_slopes, to_tangents
+from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples, lattice_stress
+
+H = 1e-6
+
+
+def make_law(symmetry="D4", **settings):
+    """A law of random weights, in the middle of whose range the tests stay."""
+    settings = TrainingSettings(
+        hidden=(6, 5), energy_hidden=(5, 4), baseline_degree=3, seed=2, **settings
+    )
+    network = StressNetwork(settings, symmetry)
+    generator = torch.Generator().manual_seed(4)
+    network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
+    network.coefficients.normal_(generator=generator)
+    network.energy_coefficients.normal_(0.0, 0.05, generator=generator)
+    network.energy_scale.fill_(0.05)
+    return SurrogateLaw(
+        network=network, cell=CELL, initialisation="elastic", range=RANGE, settings=settings,
+        errors={}, data_fingerprint="",
+    )  # fmt: skip
+
+
+def turned_points(count):
+    F, F_dot = sample(RANGE, count, seed=5)
+    Q = np.array([[0.6, -0.8], [0.8, 0.6]])
+    F = np.eye(2) + 0.99 * (F - np.eye(2))
+    return Q @ F, 0.99 * Q @ F_dot
+
+
+def piola(law, F, F_dot):
+    """P = det F σ F⁻ᵀ, (n, 2, 2)."""
+    answer = law.respond(F, F_dot)
+    assert not answer.status.any()
+    return np.linalg.det(F)[:, None, None] * answer.stress @ np.linalg.inv(F).swapaxes(1, 2)
+
+
+def differences(law, F, F_dot):
+    """Central differences of P by F and Ḟ, (n, 2, 2, 2, 2) each."""
+    by_F, by_rate = np.empty((2, len(F), 2, 2, 2, 2))
+    for c, d in np.ndindex(2, 2):
+        step = np.zeros((2, 2))
+        step[c, d] = H
+        by_F[..., c, d] = (piola(law, F + step, F_dot) - piola(law, F - step, F_dot)) / (2 * H)
+        by_rate[..., c, d] = (piola(law, F, F_dot + step) - piola(law, F, F_dot - step)) / (2 * H)
+    return by_F, by_rate
+
+
+def transposed(tangent):
+    return tangent.transpose(0, 3, 4, 1, 2)
+
+
+every_symmetry = pytest.mark.parametrize("symmetry", ["D4", "none"])
+every_form = pytest.mark.parametrize("form", ["stress", "energy", "potentials"])
+
+
+@every_symmetry
+@pytest.mark.parametrize("form", ["energy", "potentials"])
+def test_the_stress_at_rest_has_a_potential(symmetry, form):
+    """∂P/∂F is symmetric at Ḟ = 0: P has no curl. With the stress form it is not."""
+    law = make_law(symmetry, form=form)
+    F, F_dot = turned_points(20)
+    tangent = law.respond(F, 0.0 * F_dot, tangents=True).tangents.P_by_F
+    scale = np.abs(tangent).max()
+    assert np.abs(tangent - transposed(tangent)).max() < 1e-12 * scale
+    by_F, _ = differences(law, F, 0.0 * F_dot)
+    assert np.abs(by_F - transposed(by_F)).max() < 1e-7 * scale
+    moving = law.respond(F, F_dot, tangents=True).tangents.P_by_F
+    assert np.abs(moving - transposed(moving)).max() > 1e-4 * scale
+    free = make_law(symmetry, form="stress").respond(F, 0.0 * F_dot, tangents=True).tangents.P_by_F
+    assert np.abs(free - transposed(free)).max() > 1e-2 * np.abs(free).max()
+
+
+@every_symmetry
+def test_the_rest_vanishes_with_the_rate(symmetry):
+    """Whatever the viscous weights, P(F, 0) comes from the energy alone, to the last bit."""
+    law, other = make_law(symmetry), make_law(symmetry)
+    with torch.no_grad():
+        for values in other.network.members[0].factors.parameters():
+            values.mul_(-2.0)
+        other.network.coefficients.mul_(3.0)
+    other = replace(other)
+    F, F_dot = turned_points(20)
+    assert np.array_equal(law.respond(F, 0 * F_dot).stress, other.respond(F, 0 * F_dot).stress)
+    assert not np.allclose(law.respond(F, F_dot).stress, other.respond(F, F_dot).stress)
+
+
+@every_symmetry
+def test_a_dissipation_potential_makes_the_viscous_tangent_symmetric(symmetry):
+    F, F_dot = turned_points(20)
+    tangent = make_law(symmetry, form="potentials").respond(F, F_dot, tangents=True).tangents
+    scale = np.abs(tangent.P_by_F_dot).max()
+    assert np.abs(tangent.P_by_F_dot - transposed(tangent.P_by_F_dot)).max() < 1e-12 * scale
+    free = make_law(symmetry).respond(F, F_dot, tangents=True).tangents.P_by_F_dot
+    assert np.abs(free - transposed(free)).max() > 1e-3 * np.abs(free).max()
+
+
+@every_form
+@every_symmetry
+def test_tangents_are_the_slopes_of_the_stress(form, symmetry):
+    law = make_law(symmetry, form=form, members=2)
+    F, F_dot = turned_points(10)
+    tangents = law.respond(F, F_dot, tangents=True).tangents
+    for found, expected in zip(
+        (tangents.P_by_F, tangents.P_by_F_dot), differences(law, F, F_dot), strict=True
+    ):
+        assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_no_tangents_where_there_is_no_stress():
+    F = np.stack([np.eye(2), 1.5 * np.eye(2)])
+    answer = make_law().respond(F, np.zeros((2, 2, 2)), tangents=True)
+    assert answer.status.tolist() == [Status.OK, Status.OUT_OF_RANGE]
+    for tangent in (answer.tangents.P_by_F, answer.tangents.P_by_F_dot):
+        assert np.isfinite(tangent[0]).all()
+        assert np.isnan(tangent[1]).all()
+    assert make_law().respond(F, np.zeros((2, 2, 2))).tangents is None
+
+
+def test_without_symmetry_only_the_rotation_is_exact():
+    law = make_law("none")
+    F, F_dot = turned_points(20)
+    Q, turn = np.array([[0.8, 0.6], [-0.6, 0.8]]), np.array([[0.0, -1.0], [1.0, 0.0]])
+    stress = law.respond(F, F_dot).stress
+    scale = np.abs(stress).max()
+    assert np.abs(law.respond(Q @ F, Q @ F_dot).stress - Q @ stress @ Q.T).max() < 1e-12 * scale
+    assert np.abs(law.respond(F @ turn, F_dot @ turn).stress - stress).max() > 1e-2 * scale
+
+
+def test_slopes_and_tangents_are_each_others_inverse():
+    """Slopes by the inputs, differenced from the lattice's stress, against those of tangents."""
+    F, F_dot = turned_points(10)
+
+    def at(F, F_dot):
+        P = np.linalg.det(F)[:, None, None] * lattice_stress(F, F_dot)
+        return P @ np.linalg.inv(F).swapaxes(1, 2)
+
+    by_F, by_rate = np.empty((2, 10, 2, 2, 2, 2))
+    for c, d in np.ndindex(2, 2):
+        step = np.zeros((2, 2))
+        step[c, d] = H
+        by_F[..., c, d] = (at(F + step, F_dot) - at(F - step, F_dot)) / (2 * H)
+        by_rate[..., c, d] = (at(F, F_dot + step) - at(F, F_dot - step)) / (2 * H)
+    slopes = to_slopes(F, by_F, by_rate)
+    tangents = to_tangents(F, F_dot, to_piola(F, lattice_stress(F, F_dot)), slopes)
+    assert np.abs(tangents.P_by_F - by_F).max() < 1e-7 * np.abs(by_F).max()
+    assert np.abs(tangents.P_by_F_dot - by_rate).max() < 1e-7 * np.abs(by_rate).max()
+
+
+def test_a_plant_cell_without_symmetry_is_learnt():
+    """A lattice turned by 20° has D4 about other axes, not about those of the coordinates."""
+    a = np.deg2rad(20.0)
+    Q = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+    straight = lattice_samples(600)
+    turned = replace(straight, stress=lattice_stress(straight.F @ Q, straight.F_dot @ Q))
+    settings = TrainingSettings(hidden=(16,), energy_hidden=(8,), baseline_degree=2, iterations=80)
+    errors = []
+    for symmetry in ("D4", "none"):
+        samples = replace(turned, cell=_Arranged(CELL, symmetry))
+        errors.append(max(train(samples, settings).errors["rms"][name] for name in ("xx", "xy")))
+    assert errors[1] < 3e-2 < 6e-2 < errors[0]
+
+
+class _Arranged:
+    """A plant cell's parameters with the symmetry of an arrangement."""
+
+    def __init__(self, cell, symmetry):
+        self.cell, self.symmetry = cell, symmetry
+
+    def __getattr__(self, name):
+        return getattr(self.cell, name)
+
+
+def test_potentials_are_refused_for_constrained_runs():
+    with pytest.raises(InputError, match=r"training.form: potentials; the viscous tangent"):
+        train(lattice_samples(40), TrainingSettings(form="potentials"))
+    elastic = replace(lattice_samples(400), initialisation="elastic")
+    law = train(elastic, TrainingSettings(form="potentials", hidden=(8,), iterations=40))
+    assert law.errors["rms"]["xx"] < 0.02
