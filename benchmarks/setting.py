@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2 import CachedLaw, CellParameters, RveLaw, SurrogateLaw
+from surrofe2.cache import CacheSettings
 from surrofe2.cli.generate import generate_data_set
 from surrofe2.cli.train import train_surrogate
 from surrofe2.config import load_recipe
@@ -79,9 +80,15 @@ class Setting:
         generate_data_set(recipe, resume=True)
         return train_surrogate(recipe, resume=True, keep=True, force=True).surrogate
 
-    def cached(self, preset: str) -> CachedLaw:
+    def cached(self, preset: str, tolerance: float = CacheSettings().tolerance) -> CachedLaw:
         """That surrogate with true RVEs to fall back to."""
-        return CachedLaw(self.surrogate(preset), fallback=rve(preset))
+        return cached(self.surrogate(preset), preset, tolerance)
+
+
+def cached(surrogate: SurrogateLaw, preset: str, tolerance: float) -> CachedLaw:
+    """A surrogate with true RVEs to fall back to; no audits."""
+    settings = CacheSettings(tolerance=tolerance, audit=0.0)
+    return CachedLaw(surrogate, fallback=rve(preset), settings=settings)
 
 
 @cache

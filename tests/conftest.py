@@ -21,6 +21,7 @@ file = "cells.h5"
 
 [training]
 file = "cells.pt"
+form = "stress"
 hidden = [4]
 baseline_degree = 1
 iterations = 40

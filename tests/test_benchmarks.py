@@ -33,6 +33,7 @@ from benchmarks.watched_law import RecordingLaw, TimedLaw
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings
 from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.surrogate.calibration_settings import CalibrationSettings
 from tests.cache.fakes import Learnt, Truth
 
 ROOT = Path(__file__).parents[1]
@@ -46,8 +47,11 @@ class TinySetting(Setting):
         recipe = super().recipe(preset)
         return replace(
             recipe,
-            samples=replace(recipe.samples, count=64),
-            training=replace(recipe.training, hidden=(4,), baseline_degree=1, iterations=2),
+            samples=replace(recipe.samples, count=512),
+            training=replace(
+                recipe.training, form="stress", hidden=(4,), baseline_degree=1, iterations=2
+            ),
+            calibration=CalibrationSettings(walks=100, states=100, runs=0, length=4),
         )
 
 

@@ -71,7 +71,6 @@ def run_study(
     if earlier is not None and earlier.cache is not None:
         resume_cache(chosen.law, earlier.cache)
     write_record(folder, record)
-    compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
 
     def store_checkpoint(state: MacroState) -> None:
         reaping.store(chosen.table)
@@ -79,6 +78,7 @@ def run_study(
         write_record(folder, replace(record, cache=cache_report(chosen.law)))
 
     try:
+        compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
         done = simulate(
             recipe.load,
             chosen.law,

@@ -287,7 +287,7 @@ def test_a_corrupted_surrogate_falls_back_at_every_point():
     sound = CachedLaw(law, true_law, unbounded)
     assert sound.respond(samples.F, samples.F_dot).effort["hits"] == 200
     with torch.no_grad():
-        law.network.layers[0].weight[0, 0] = float("nan")
+        next(law.network.parameters()).view(-1)[0] = float("nan")
     corrupted = CachedLaw(replace(law), true_law, unbounded)
     answer = corrupted.respond(samples.F, samples.F_dot)
     assert answer.effort["fallbacks_not_finite"] == 200

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.cache import CachedLaw, StressTable, TableBehind, sampled_spread
+from surrofe2.cache import CachedLaw, CacheSettings, StressTable, TableBehind, sampled_spread
 from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, canonical_image
 from surrofe2.cache.table_merge import merged
 from surrofe2.errors import InputError, MismatchError
@@ -287,14 +287,15 @@ def test_a_table_behind_a_surrogate_answers_the_rest():
     law = SquareLaw()
     table = make(law)
     F, F_dot = sample(RANGE, 200, 3)
-    cached = CachedLaw(TableBehind(Half(law), table), law)
+    cached = CachedLaw(
+        TableBehind(Half(law), table), law, settings=CacheSettings(tolerance=5e-2, audit=0.0)
+    )
     for _ in range(2):
         cached.reset_counts()
         answer = cached.respond(F, F_dot)
-        counts = cached.counts
         cached.accept(F, F_dot, answer)
     left = F[:, 0, 0] > 1.0
-    assert counts["hits"] == 200
+    assert cached.counts["hits"] == 200
     exact = square_stress(F, F_dot)
     np.testing.assert_allclose(answer.stress[~left], exact[~left] + 0.01, atol=1e-12)
     assert stress_error(answer.stress, exact)[left].max() <= table.tolerance

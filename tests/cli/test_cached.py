@@ -23,7 +23,7 @@ def _trained(invoke, recipe_path):
 @pytest.mark.usefixtures("_trained")
 @pytest.mark.parametrize("law", ["surrogate", "cached"])
 def test_run_through_the_surrogate(invoke, recipe_path, tmp_path, law):
-    done = invoke("run", recipe_path, "--law", law, "--out", tmp_path / law)
+    done = invoke("run", recipe_path, "--law", law, "--out", tmp_path / law, "--tolerance", "0.1")
     assert done.exit_code == 0, done.output
     record = read_record(tmp_path / law)
     assert record.surrogate["file"] == "cells.pt"
@@ -37,7 +37,8 @@ def test_run_through_the_surrogate(invoke, recipe_path, tmp_path, law):
 @pytest.mark.usefixtures("_trained")
 def test_fallbacks_are_counted_by_reason(invoke, recipe_path, changed_recipe, tmp_path):
     changed_recipe("-0.1]", "-2.0]")
-    done = invoke("run", recipe_path, "--law", "cached", "--out", tmp_path / "cached")
+    command = ("run", recipe_path, "--law", "cached", "--out", tmp_path / "cached")
+    done = invoke(*command, "--tolerance", "inf")
     assert done.exit_code == 0, done.output
     counts = read_record(tmp_path / "cached").counts
     assert counts["fallbacks"] == counts["fallbacks_out_of_range"] == counts["rve_solves"] > 0
@@ -161,7 +162,7 @@ def test_an_interrupted_run_keeps_its_audit(invoke, recipe_path, tmp_path, monke
     out = tmp_path / "cached"
     monkeypatch.setattr(sys.modules["surrofe2.cli.run"], "CHECKPOINT_INTERVAL", 0.0)
     command = ("run", recipe_path, "--law", "cached", "--out", out, "--audit", "1.0")
-    invoke(*command, law=StoppingLaw(12))
+    invoke(*command, law=StoppingLaw(30))
     before = read_record(out)
     assert before.status == "interrupted"
     assert before.cache["audit"]["audited"] > 50

@@ -15,6 +15,8 @@ from surrofe2.sampling import SamplingRange, StressSamples, sample
 SPACING = 4.0
 CELL = CellParameters.preset("printed")
 RANGE = SamplingRange(stretch=(0.92, 1.08), shear=0.08, rate=0.01)
+WELL_INSIDE = SamplingRange(stretch=(0.945, 1.055), shear=0.055, rate=0.006)
+"""Within the domain of any few hundred samples of `RANGE`."""
 
 
 def lattice_stress(F, F_dot):

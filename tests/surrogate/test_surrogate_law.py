@@ -14,7 +14,7 @@ from surrofe2.errors import FileError, InputError
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
-from tests.surrogate.lattice_law import RANGE, lattice_samples
+from tests.surrogate.lattice_law import RANGE, WELL_INSIDE, lattice_samples
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def file(law, tmp_path):
 
 
 def test_answers_like_a_stress_law(law):
-    F, F_dot = sample(RANGE, 100, seed=4)
+    F, F_dot = sample(WELL_INSIDE, 100, seed=4)
     state = object()
     first, second = (law.respond(F, F_dot, state) for _ in range(2))
     assert np.array_equal(first.stress, second.stress)
@@ -65,7 +65,7 @@ def test_wrong_input_is_refused(law):
 
 
 def test_lists_and_views_are_taken(law):
-    F, F_dot = sample(RANGE, 6, seed=4)
+    F, F_dot = sample(WELL_INSIDE, 6, seed=4)
     expected = law.respond(F, F_dot).stress
     assert np.array_equal(law.respond(F.tolist(), F_dot.tolist()).stress, expected)
     assert np.array_equal(law.respond(F[::-1], F_dot[::-1]).stress, expected[::-1])
@@ -79,7 +79,7 @@ def test_file_gives_the_same_surrogate(precision, tmp_path):
     law = train(lattice_samples(400), settings)
     law.save(tmp_path / "a.pt")
     loaded = SurrogateLaw.load(str(tmp_path / "a.pt"))
-    F, F_dot = sample(RANGE, 100, seed=4)
+    F, F_dot = sample(WELL_INSIDE, 100, seed=4)
     assert np.array_equal(law.respond(F, F_dot).stress, loaded.respond(F, F_dot).stress)
     assert loaded.network.input_scale.dtype == getattr(torch, precision)
     for name in (
@@ -234,5 +234,5 @@ def test_units_stand_in_the_file(file):
 
 def test_a_shifted_range_is_obeyed(law):
     narrow = replace(law, range=replace(RANGE, rate=0.001))
-    F, F_dot = sample(RANGE, 50, seed=4)
+    F, F_dot = sample(WELL_INSIDE, 50, seed=4)
     assert (narrow.respond(F, F_dot).status == Status.OUT_OF_RANGE).sum() > 40

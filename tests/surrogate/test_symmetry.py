@@ -13,7 +13,7 @@ from surrofe2.surrogate.components import (
 )
 from surrofe2.surrogate.features import COVARIANTS, INVARIANTS, STRETCH, VISCOUS_COVARIANTS
 from surrofe2.surrogate.piola import to_cauchy, to_piola
-from tests.surrogate.lattice_law import RANGE, lattice_stress
+from tests.surrogate.lattice_law import WELL_INSIDE, lattice_stress
 
 ROTATIONS = [
     np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).round()
@@ -24,7 +24,7 @@ REFLECTIONS = [turn @ np.diag([1.0, -1.0]) for turn in ROTATIONS]
 
 @pytest.fixture(scope="module")
 def points():
-    F, F_dot = sample(RANGE, 200, seed=11)
+    F, F_dot = sample(WELL_INSIDE, 200, seed=11)
     angles = np.linspace(-3.0, 3.0, 200)
     R = np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]])
     R = np.ascontiguousarray(np.moveaxis(R, 2, 0))
