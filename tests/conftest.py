@@ -23,7 +23,7 @@ file = "cells.h5"
 file = "cells.pt"
 form = "stress"
 hidden = [4]
-baseline_degree = 1
+baseline_degree = 2
 iterations = 40
 checkpoint_interval = 20
 

@@ -13,6 +13,7 @@ from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.tensors import transpose
 
 Array = NDArray[np.float64]
+_ROUNDING = 1e-12  # of the largest spread: less is no spread
 
 
 def measure_errors(law: SurrogateLaw, samples: StressSamples) -> dict[str, Any]:
@@ -26,7 +27,8 @@ def measure_errors(law: SurrogateLaw, samples: StressSamples) -> dict[str, Any]:
     answer = law.reference(samples.F, samples.F_dot)
     exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
     spread = exact.std(axis=0)
-    scale = np.where(spread > 0.0, spread, max(spread.max(), np.finfo(float).tiny))
+    largest = max(spread.max(), np.finfo(float).tiny)
+    scale = np.where(spread > _ROUNDING * largest, spread, largest)
     error = np.abs(found - exact) / scale
     names = (*COMPONENTS, "xx", "xy", "yx", "yy")
     figures = {
