@@ -31,7 +31,8 @@ class Round:
 
     Attributes:
         hits: share of the run's answers that came from the surrogate.
-        unknown: states at accepted steps that fell back, and audited ones over the tolerance.
+        unknown: states at accepted steps that the surrogate could not answer, and audited ones
+            over the tolerance.
         samples: valid ones that the surrogate was trained on.
         held_out: largest held-out RMS error of a stress component, relative to its spread.
         audit: 99 % quantile of the audited errors as a share of the spread of stress; None where
@@ -72,6 +73,9 @@ def unknown_states(
 ) -> tuple[NDArray[np.intp], float | None]:
     """(rows of the harvest that were not known well enough, 99 % quantile of audited errors).
 
+    A point also falls back where the surrogate knows its state but not what the step may come to;
+    such states are not unknown.
+
     Args:
         allowed: error of a stress, µN/µm.
     """
@@ -80,7 +84,10 @@ def unknown_states(
     if harvest is None:
         return np.empty(0, dtype=np.intp), None
     audited = np.flatnonzero((harvest.why == AUDIT) & (harvest.status == 0))
-    unknown = (harvest.why == FALLBACK) & (harvest.status == 0)
+    fell_back = np.flatnonzero((harvest.why == FALLBACK) & (harvest.status == 0))
+    unknown = np.zeros(len(harvest.why), dtype=bool)
+    _, status, _ = surrogate.lookup(harvest.F[fell_back], harvest.F_dot[fell_back], allowed)
+    unknown[fell_back] = status != 0
     quantile = None
     if len(audited):
         answer, status, _ = surrogate.lookup(harvest.F[audited], harvest.F_dot[audited])
