@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.lanes import Topology, pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
+from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
 from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
 from surrofe2.rve.micro_state import list_covers
-from surrofe2.rve.rve_state import RveState
+from surrofe2.rve.rve_state import RveState, flags
 from surrofe2.rve.slow_manifold import follow, renew_slow
+from surrofe2.rve.slow_newton import newton_slow
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.stress_law import Array, Status, Tangents
 
 if TYPE_CHECKING:
     from surrofe2.rve.rve_law import RveLaw
-
-_SUBSTEPS = (2, 4, 8, 16)
-"""Into how many parts the way from F = I is cut where Newton fails from there."""
 
 
 def felt_rate(initialisation: str, F_dot: Array) -> Array:
@@ -58,8 +57,9 @@ class Batch:
     def solve(self, level: int = 0) -> None:
         """Initialise every RVE; where the list of contacts was too short, again with a longer."""
         patch, self.topology = self.unit.patches[level], self.unit.topologies[level]
+        self.level, self.held_up = level, np.zeros_like(self.status, dtype=np.bool_)
         self._solve_with(self.topology)
-        covered = covered_by(self.unit, patch.reach, self.F, self.state.z)
+        covered = covered_by(self.unit, patch.reach, self.F, self.state.z) & ~self.held_up
         if covered.all():
             return
         if level == len(self.unit.patches) - 1:
@@ -105,7 +105,15 @@ class Batch:
             "rve_solves": points,
             "force_evaluations": int(np.abs(unpack(self.iterations, points)).sum()),
             "newton_solves": self.newton_solves,
+            "left_bifurcation": self._newly_left(points),
         }
+
+    def _newly_left(self, points: int) -> int:
+        """How many points left a branch in this call."""
+        left, before = self.state.left, self.before.left
+        if left is None or left is before:
+            return 0
+        return int(unpack(left if before is None else left & ~before, points).sum())
 
     def _solve_with(self, topology: Topology) -> None:
         self.status[:] = Status.OK
@@ -157,14 +165,18 @@ class Batch:
                 topology, self.unit.constants, self.unit.area, self.settings.tolerance,
                 self.stress, self.iterations,
             )  # fmt: skip
-        self._newton_where_open(topology, z)
-        self.status[self.iterations < 0] = Status.NOT_CONVERGED
+        self._newton_where_open(topology, z, before.z)
+        self.status[(self.iterations < 0) & (self.status == Status.OK)] = Status.NOT_CONVERGED
 
-    def _newton_where_open(self, topology: Topology, z: Array) -> None:
-        if (self.iterations < 0).any():
-            self._newton(topology, self.F, self.rate, z)
-        if (self.iterations < 0).any():
-            self._walk(topology, z)
+    def _newton_where_open(self, topology: Topology, z: Array, z_before: Array) -> None:
+        if not (self.iterations < 0).any():
+            return
+        self._newton(topology, self.F, self.rate, z)
+        astray = (self.iterations < 0) | (self.status == Status.UNSTABLE)
+        if self.cold:
+            astray |= is_far(self.F)
+        if astray.any():
+            self._walk(topology, z, z_before, astray)
 
     def _follow(self, topology: Topology) -> None:
         """Slow manifold: warm where possible, else from a fresh elastic equilibrium."""
@@ -183,7 +195,7 @@ class Batch:
         if not lost.any():
             return
         elastic = np.where(lost[:, None, None, :], before.relaxed, self.state.relaxed)
-        self._newton_where_open(topology, elastic)
+        self._newton_where_open(topology, elastic, before.relaxed)
         found = lost & (self.iterations > 0) & (self.status == Status.OK)
         np.copyto(self.state.relaxed, elastic, where=lost[:, None, None, :])
         np.copyto(self.state.z, elastic, where=lost[:, None, None, :])
@@ -196,6 +208,7 @@ class Batch:
         solved, stress, z = self.iterations.copy(), self.stress.copy(), self.state.z.copy()
         at_rest = np.where(lost[:, None, None, :], 0.0, self.F_dot)
         self._follow_from(self.F, at_rest, topology)
+        self._newton_slow(topology, lost & found & (self.iterations < 0))
         kept = ~lost  # lanes of the same tiles that were warm stay as they were
         self.iterations[kept] = solved[kept]
         np.copyto(self.stress, stress, where=kept[:, None, None, :])
@@ -211,6 +224,17 @@ class Batch:
             self.settings.tolerance, self.stress, self.iterations,
         )  # fmt: skip
 
+    def _newton_slow(self, topology: Topology, soft: NDArray[np.bool_]) -> None:
+        """Where z_el is stable but so soft that `follow` misses z."""
+        if not soft.any():
+            return
+        state, counts = self.state, np.where(soft, 0, 1).astype(np.int32)
+        newton_slow(
+            self.F, self.F_dot, state.z, state.elastic, state.fluctuation, topology,
+            self.unit.constants, self.unit.area, self.settings.tolerance, self.stress, counts,
+        )  # fmt: skip
+        self.iterations[soft] = counts[soft]
+
     def _newton(self, topology: Topology, F: Array, rate: Array, z: Array) -> None:
         failed = self.iterations < 0
         self.newton_solves += int(failed.sum())
@@ -224,18 +248,55 @@ class Batch:
         self.status[failed & ~stable] = Status.UNSTABLE
         self.state = replace(self.state, factors=factors)
 
-    def _walk(self, topology: Topology, z_found: Array) -> None:
-        """Reach points that Newton misses in growing numbers of steps from F = I."""
-        for substeps in _SUBSTEPS:
-            failed = self.iterations < 0
-            z = z_found.copy()
-            z[:] = np.where(failed[:, None, None, :], self.unit.position.T[..., None], z)
-            for part in np.arange(1, substeps + 1) / substeps:
-                F = part * self.F + (1.0 - part) * np.eye(2)[..., None]
-                self.iterations[failed] = -1
-                self._newton(topology, F, part * self.rate, z)
-                failed &= self.iterations > 0
-            if failed.any():
-                np.copyto(z_found, z, where=failed[:, None, None, :])
-            if not (self.iterations < 0).any():
-                return
+    def _walk(
+        self, topology: Topology, z_found: Array, z_before: Array, astray: NDArray[np.bool_]
+    ) -> None:
+        """Follow points that Newton's method misses, or finds unstable, from where they were."""
+        if self.level < len(self.unit.patches) - 1:
+            self.held_up = astray & ~has_room(self.unit, self.level, self.F, z_before)
+        index = np.flatnonzero(unpack(astray & ~self.held_up, self.before.points))
+        if not len(index):
+            return
+        start, end, z = (
+            unpack(values, self.before.points)[index]
+            for values in (self.before.F, self.F, z_before)
+        )
+        walked = Walker(self.unit, topology, self.settings.tolerance).walk(start, end, z)
+        self.newton_solves += walked.newton_solves
+        self._take_over(index, walked, z_found)
+        self._at_rate(topology, index, z_found)
+
+    def _take_over(self, index: NDArray[np.intp], walked: Walked, z_found: Array) -> None:
+        """Replace what was found at the points `index`, and the copies that fill up a tile."""
+        count, lanes = self.before.points, self.status.size
+        if index[-1] == count - 1:
+            index = np.append(index, np.arange(count, lanes))
+        row = np.minimum(np.arange(len(index)), len(walked.arrived) - 1)
+        lost = np.where(walked.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
+        for mine, new in (
+            (z_found, walked.solved.z),
+            (self.stress, walked.solved.stress),
+            (self.iterations, np.where(walked.arrived, walked.solved.iterations, -1)),
+            (self.status, np.where(walked.arrived, Status.OK, lost)),
+        ):
+            put_points(mine, index, pack(new[row]))
+        factors = self.state.factors.put(index, walked.solved.factors.take(row))
+        self.state = replace(self.state, factors=factors)
+        if walked.left.any():
+            left = unpack(flags(self.state), lanes)
+            left[index] |= walked.left[row]
+            self.state = replace(self.state, left=pack(left))
+
+    def _at_rate(self, topology: Topology, index: NDArray[np.intp], z: Array) -> None:
+        """From elastic equilibria at the points `index` to those with dashpots on.
+
+        Such a point is as stable as the elastic equilibrium beside it.
+        """
+        walked = np.zeros(self.before.points, dtype=np.bool_)
+        walked[index] = True
+        arrived = pack(walked) & (self.status == Status.OK) & (self.iterations > 0)
+        if arrived.any() and self.rate.any():
+            self.iterations[arrived] = -1
+            status = self.status.copy()
+            self._newton(topology, self.F, self.rate, z)
+            self.status[:] = status

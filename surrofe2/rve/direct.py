@@ -246,13 +246,13 @@ def _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterat
         factorise(matrices.free)
         set_residual(work.f, matrices.step)
         solve_factorised(matrices.free, matrices.step)
-        _limit(matrices.step)
+        limit_step(matrices.step)
         hold(matrices.step, iterations)
         move(matrices.step, F, work.z)
 
 
 @kernel
-def _limit(step):
+def limit_step(step):
     """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
     for k in range(TILE):
         longest = 0.0

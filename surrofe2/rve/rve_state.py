@@ -29,6 +29,8 @@ class RveState:
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
         factors: kept factorisation and prediction, see `direct`.
         iterations: (tiles, TILE) force evaluations of the last solve.
+        left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here; None:
+            nowhere.
     """
 
     points: int
@@ -39,6 +41,7 @@ class RveState:
     F_dot: Reals
     factors: Factors
     iterations: NDArray[np.int32]
+    left: NDArray[np.bool_] | None = None
 
     @property
     def relaxed(self) -> Reals:
@@ -67,6 +70,7 @@ class RveState:
             F_dot=taken(self.F_dot),
             factors=self.factors.take(index),
             iterations=taken(self.iterations),
+            left=None if self.left is None else taken(self.left),
         )
 
     def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
@@ -79,6 +83,7 @@ class RveState:
 
         affine = self.fluctuation is None and part.fluctuation is None
         at_rest = self.elastic is None and part.elastic is None
+        on_branch = self.left is None and part.left is None
         return RveState(
             points=self.points,
             z=put(self.z, part.z),
@@ -88,7 +93,14 @@ class RveState:
             F_dot=put(self.F_dot, part.F_dot),
             factors=self.factors.put(index, part.factors),
             iterations=put(self.iterations, part.iterations),
+            left=None if on_branch else put(flags(self), flags(part)),
         )
+
+
+def flags(state: RveState) -> NDArray[np.bool_]:
+    """`left` of a state, (tiles, TILE)."""
+    on_branch = np.zeros(state.iterations.shape, dtype=np.bool_)
+    return on_branch if state.left is None else state.left
 
 
 def rest_state(unit: UnitCell, points: int) -> RveState:

@@ -126,8 +126,8 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
     at_rest, change = make_workspace(topology), make_workspace(topology)
     copy_particles(relaxed, at_rest.z)
     set_images(at_rest.z, topology)
-    modes = _equilibrium_modes(at_rest, F, topology, c, matrices)
-    y = _material_rate(modes, F_dot)
+    modes = equilibrium_modes(at_rest, F, topology, c, matrices)
+    y = material_rate(modes, F_dot)
     set_velocities(at_rest.z, y, F, F_dot, topology, at_rest.v)
     bends = _velocity_slopes(at_rest, modes, y, F, F_dot, topology, c, matrices, change)
     copy_particles(z, work.z)
@@ -164,7 +164,7 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
 
 
 @kernel
-def _equilibrium_modes(work, F, topology, c, matrices):
+def equilibrium_modes(work, F, topology, c, matrices):
     """modes (4, 2, own, TILE) = ∂z_el/∂F_m; leaves the factorised elastic Jacobian behind."""
     own = topology.particles
     map_affine(F, work.z, work.x)
@@ -183,7 +183,7 @@ def _equilibrium_modes(work, F, topology, c, matrices):
 
 
 @kernel
-def _material_rate(modes, F_dot):
+def material_rate(modes, F_dot):
     """y = ∂z_el/∂F : Ḟ."""
     y = np.zeros(modes.shape[1:])
     for m in range(4):
