@@ -145,6 +145,8 @@ class StressSamples:
         P_by_F: (n, 2, 2, 2, 2) ∂P/∂F in µN/µm as in `Tangents`, finite where `status` is 0; None
             where the samples have no tangents.
         P_by_F_dot: the same by Ḟ, µN µs/µm; given if and only if `P_by_F` is.
+        left_bifurcation: (n,) whether the RVE left its branch at a bifurcation: its stress is
+            that of one of several stable equilibria. None: nowhere.
     """
 
     F: Array
@@ -158,6 +160,7 @@ class StressSamples:
     rest_length: float | None = None
     P_by_F: Array | None = None
     P_by_F_dot: Array | None = None
+    left_bifurcation: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.F)
@@ -171,6 +174,11 @@ class StressSamples:
         if np.shape(self.status) != (count,):
             raise InputError(
                 f"samples.status: shape {np.shape(self.status)}; it must be ({count},)"
+            )
+        left = self.left_bifurcation
+        if left is not None and np.shape(left) != (count,):
+            raise InputError(
+                f"samples.left_bifurcation: shape {np.shape(left)}; it must be ({count},)"
             )
         for name, array in arrays.items():
             if not np.isfinite(array[self.status == 0]).all():
@@ -191,14 +199,18 @@ class StressSamples:
         for array in self._float_arrays.values():
             digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
         digest.update(np.ascontiguousarray(self.status, dtype=np.int8).tobytes())
+        if self.left_bifurcation is not None and self.left_bifurcation.any():
+            digest.update(np.packbits(self.left_bifurcation).tobytes())
         return digest.hexdigest()[:16]
 
     @property
     def valid(self) -> StressSamples:
-        """The samples that have a stress: status 0."""
+        """The samples that have a stress, status 0, and only one: no bifurcation was left."""
         kept = self.status == 0
+        if self.left_bifurcation is not None:
+            kept &= ~self.left_bifurcation
         arrays = {name: array[kept] for name, array in self._float_arrays.items()}
-        return replace(self, status=self.status[kept], **arrays)
+        return replace(self, status=self.status[kept], left_bifurcation=None, **arrays)
 
 
 def _sobol(count: int, seed: int, start: int) -> Array:

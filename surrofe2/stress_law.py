@@ -35,8 +35,8 @@ _SENTENCES = {
     Status.OK: "the stress is valid",
     Status.NOT_CONVERGED: "the RVE solve did not converge; load in smaller steps or raise the "
     "iteration limit",
-    Status.UNSTABLE: "the RVE equilibrium is unstable; the deformation is beyond what this cell "
-    "bears homogeneously",
+    Status.UNSTABLE: "the RVE equilibrium is unstable and no stable one was found below it; the "
+    "deformation is beyond what this cell bears homogeneously",
     Status.OUT_OF_RANGE: "the deformation or its rate is outside the range of the surrogate's "
     "data; use the cached law or train on a wider range",
     Status.NOT_FINITE: "the stress came out as NaN or infinite",
@@ -95,6 +95,9 @@ class StressResponse:
         moved: (n,) int8, None from most laws: not 0 where the law answers by another branch than
             it would have at the start of this step. The step then mixes both and must be begun
             anew, see `Switching`.
+        left_bifurcation: (n,) whether the point left its branch at a bifurcation on its way: the
+            stress is that of a stable equilibrium, but other ways may lead to another one. None:
+            nowhere.
     """
 
     stress: Array
@@ -103,6 +106,7 @@ class StressResponse:
     effort: Mapping[str, int] = field(default_factory=dict)
     tangents: Tangents | None = None
     moved: NDArray[np.int8] | None = None
+    left_bifurcation: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +118,14 @@ class Acceptance:
         state: the state to carry into the next step.
         stress: (n, 2, 2) by which the next step begins at the same (F, Ḟ), where the law answers
             by another branch from there on; None from most laws: the stress that was accepted.
+        left_bifurcation: (n,) whether the point lost stability in this step and was moved to
+            another equilibrium, whose stress is in `stress`. None: nowhere.
     """
 
     status: NDArray[np.int8]
     state: Any = None
     stress: Array | None = None
+    left_bifurcation: NDArray[np.bool_] | None = None
 
 
 class StressLaw(Protocol):

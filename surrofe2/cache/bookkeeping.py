@@ -14,7 +14,7 @@ from surrofe2.cache.collapse import CollapseWatch
 from surrofe2.cache.cost import Meter, cost_of, time_true_law
 from surrofe2.cache.counting import NO_EFFORT, effort_of
 from surrofe2.cache.parts import Fallback, Keep, Surrogate
-from surrofe2.cache.point_set import PointSet
+from surrofe2.cache.point_set import PointSet, beyond_bifurcation
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.trust import Trust
 
@@ -91,6 +91,9 @@ class Bookkeeping:
 
     def hand_on(self, F: Array, F_dot: Array, stress: Array, held: PointSet) -> None:
         """Give the fallback's answers to whoever keeps or learns them."""
+        held = held.only(~beyond_bifurcation(held.state, len(held)))
+        if not len(held):
+            return
         at, true = (F[held.points], F_dot[held.points]), stress[held.points]
         if self._keep is not None:
             none = np.zeros(len(held), dtype=np.int8)
@@ -106,15 +109,19 @@ class Bookkeeping:
             return
         asked = found.asked
         if self._keep is not None:
-            why = np.full(len(found.error), AUDIT, dtype=np.int8)
-            self._keep(asked.F, asked.F_dot, found.stress, found.status, why)
+            kept = ~beyond_bifurcation(found.state, len(found.error))
+            why = np.full(int(kept.sum()), AUDIT, dtype=np.int8)
+            self._keep(
+                asked.F[kept], asked.F_dot[kept], found.stress[kept], found.status[kept], why
+            )
         if self._learn is not None:
             self._learn_from(found)
         if not self.trust.is_off:
             self.trust.judge(self.counts["steps"], found.broken, found.error, asked.bound)
 
     def _learn_from(self, found: Finding) -> None:
-        wrong = (found.broken & (found.status == 0)).nonzero()[0]
+        left = beyond_bifurcation(found.state, len(found.status))
+        wrong = (found.broken & (found.status == 0) & ~left).nonzero()[0]
         if self._learn is None or not len(wrong):
             return
         state = None if found.state is None else found.state.take(wrong)

@@ -22,7 +22,13 @@ from surrofe2.cache.cached_state import (
 )
 from surrofe2.cache.counting import NO_EFFORT, effort_of
 from surrofe2.cache.parts import Fallback, Keep, Surrogate
-from surrofe2.cache.point_set import NOBODY, Indices, PointSet, added, answer_both
+from surrofe2.cache.point_set import (
+    NOBODY,
+    Indices,
+    PointSet,
+    added,
+    answer_both,
+)
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents, check_deformation
@@ -166,11 +172,19 @@ class CachedLaw:
         answered by which part in the next step."""
         with self._book.meter.part("total"):
             state: CachedState = response.state
-            state, status = self._accept_held(F, F_dot, response, state)
-            if status.any():
-                return Acceptance(status, state)
+            state, accepted = self._accept_held(F, F_dot, response, state)
+            if accepted.status.any():
+                return Acceptance(accepted.status, state)
+            if accepted.stress is not None:
+                response = replace(response, stress=accepted.stress)
             self._book.note(F, F_dot, response.stress, state)
-            return self._turn(F, F_dot, response, state)
+            turned = self._turn(F, F_dot, response, state)
+            if accepted.stress is None:
+                return turned
+            return replace(
+                turned, stress=response.stress if turned.stress is None else turned.stress,
+                left_bifurcation=accepted.left_bifurcation,
+            )  # fmt: skip
 
     def begin_anew(
         self, F: Array, F_dot: Array, response: StressResponse, moved: NDArray[np.int8]
@@ -187,16 +201,22 @@ class CachedLaw:
 
     def _accept_held(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
-    ) -> tuple[CachedState, NDArray[np.int8]]:
+    ) -> tuple[CachedState, Acceptance]:
+        """The state after the fallback has accepted, and what it said, for all points."""
         points = state.held.points
         if not len(points):
-            return state, response.status
+            return state, Acceptance(response.status)
         answer = StressResponse(response.stress[points], response.status[points], state.held.state)
         with self._book.meter.part("fallback"):
             accepted = self.fallback.accept(F[points], F_dot[points], answer)
         status = response.status.copy()
         status[points] = accepted.status
-        return replace(state, held=replace(state.held, state=accepted.state)), status
+        said = Acceptance(status)
+        if accepted.stress is not None and accepted.left_bifurcation is not None:
+            stress, left = response.stress.copy(), np.zeros(len(status), dtype=np.bool_)
+            stress[points], left[points] = accepted.stress, accepted.left_bifurcation
+            said = Acceptance(status, None, stress, left)
+        return replace(state, held=replace(state.held, state=accepted.state)), said
 
     def _turn(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
@@ -240,7 +260,8 @@ class CachedLaw:
             at = F[points], F_dot[points]
             answer = answer_both(self.fallback, F, F_dot, NOBODY, points)
             accepted = self.fallback.accept(*at, answer)
-        return replace(answer, status=accepted.status, state=accepted.state)
+        stress = answer.stress if accepted.stress is None else accepted.stress
+        return replace(answer, stress=stress, status=accepted.status, state=accepted.state)
 
     def _tangents(
         self, F: Array, F_dot: Array, state: CachedState, of_held: Tangents | None

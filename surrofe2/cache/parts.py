@@ -62,7 +62,11 @@ class Fallback(StressLaw, Protocol):
 
 
 class PointStates(Protocol):
-    """A warm start of n points that can be taken apart; values, never changed in place."""
+    """A warm start of n points that can be taken apart; values, never changed in place.
+
+    It may have `left_points` (n,), bool: where the stress is one of several, beyond a bifurcation,
+    and not to be learnt.
+    """
 
     def take(self, indices: NDArray[np.intp]) -> Any:
         """The state of these points, in this order; a point may be taken twice."""

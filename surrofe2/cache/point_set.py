@@ -62,6 +62,12 @@ def state_of_both(first: Any, count: int, second: Any, more: int) -> Any:
     return first.take(places).put(np.arange(count, count + more), second)
 
 
+def beyond_bifurcation(state: Any, count: int) -> NDArray[np.bool_]:
+    """(count,) whether the fallback's state says that the stress there is one of several."""
+    left: NDArray[np.bool_] | None = getattr(state, "left_points", None)
+    return np.zeros(count, dtype=np.bool_) if left is None else left
+
+
 def answer_both(
     law: Fallback, F: Array, F_dot: Array, known: PointSet, new: Indices, **wish: Any
 ) -> StressResponse:

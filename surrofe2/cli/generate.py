@@ -23,12 +23,18 @@ CHUNK = 512
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """What is in a finished data set. `failed`: reason → number of samples."""
+    """What is in a finished data set.
+
+    Attributes:
+        failed: reason → number of samples.
+        left: number of samples whose RVE left a bifurcation.
+    """
 
     path: Path
     count: int
     added: int
     failed: dict[str, int]
+    left: int = 0
 
 
 def generate_data_set(
@@ -87,13 +93,15 @@ def generate_data_set(
                 recipe.range, min(chunk, settings.count - start), settings.seed, start=start
             )
             answer = law.respond(F, F_dot, **wish)
-            data.append(F, F_dot, answer.stress, answer.status, answer.tangents)
+            data.append(
+                F, F_dot, answer.stress, answer.status, answer.tangents, answer.left_bifurcation
+            )
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
-        counts = data.status_counts()
+        counts, left = data.status_counts(), data.left_count()
     finish_data_set(path)
     failed = {describe(code): n for code, n in counts.items() if code}
-    return Generated(path, settings.count, added, failed)
+    return Generated(path, settings.count, added, failed, left)
 
 
 def generate(
@@ -110,7 +118,8 @@ def generate(
 
     The recipe's [bold]\\[range][/bold] says how far F and Ḟ (1/µs) go, [bold]\\[samples][/bold]
     how many samples and which file, and with [bold]tangents = true[/bold] stores ∂P/∂F and ∂P/∂Ḟ
-    too. Samples whose RVE fails stay in the file, with the reason.
+    too. Samples whose RVE fails stay in the file, with the reason; those whose RVE left an
+    unstable equilibrium for another one are marked and not trained on.
 
     Example: [bold]surrofe2 generate data/bending-bar.toml[/bold]
 
@@ -143,6 +152,14 @@ def summary(made: Generated) -> str:
     failed = Counter(made.failed)
     text = f"{made.count} samples" + ("" if made.added else " (already finished)")
     if not failed:
-        return f"{text}, none failed"
-    reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
-    return f"{text}, {failed.total()} failed ({reasons})"
+        text = f"{text}, none failed"
+    else:
+        reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
+        text = f"{text}, {failed.total()} failed ({reasons})"
+    if made.left:
+        share = made.left / made.count
+        text += (
+            f", {made.left} left a bifurcation and are not trained on: in {share:.1%} of the "
+            "recipe's range the stress has more than one value; narrow it where that matters"
+        )
+    return text

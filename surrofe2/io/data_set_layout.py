@@ -21,6 +21,7 @@ from surrofe2.units import NONE, RATE, STRESS, VISCOSITY
 
 SCHEMA = "surrofe2-data-set"
 SCHEMA_VERSION = 1
+LEFT = "left_bifurcation"
 _ARRAYS = {"F": NONE, "F_dot": RATE, "stress": STRESS}
 _TANGENT_UNITS = dict(zip(TANGENTS, (STRESS, VISCOSITY), strict=True))
 
@@ -72,6 +73,8 @@ def create_file(path: Path, header: DataSetHeader) -> None:
             lay_out(file, name, (header.count, *[2] * 4), np.float64).attrs["unit"] = unit
         status = lay_out(file, "status", (header.count,), np.int8)
         status.attrs["meaning"] = json.dumps({int(code): describe(code) for code in Status})
+        left = lay_out(file, LEFT, (header.count,), np.int8)
+        left.attrs["meaning"] = "1: a stable state beyond a bifurcation, one of several"
         file["completed"] = np.int64(0)
         file.attrs.update(
             schema=SCHEMA,
@@ -135,6 +138,7 @@ def samples_of(path: Path, file: h5py.File) -> StressSamples:
             range=SamplingRange(**interval),
             seed=int(file.attrs["seed"]),
             rest_length=_float_or_none(file.attrs.get("rest_length")),
+            left_bifurcation=file[LEFT][:].astype(np.bool_) if LEFT in file else None,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(f"{path}: not a whole surrofe2 data set: {error}") from None

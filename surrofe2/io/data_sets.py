@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.data_set_layout import (
+    LEFT,
     DataSetHeader,
     check_header,
     check_schema,
@@ -57,18 +58,28 @@ class DataSetWriter:
         stress: NDArray[np.float64],
         status: NDArray[np.int8],
         tangents: Tangents | None = None,
+        left_bifurcation: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Write the next rows, then count them; with tangents if the data set holds them."""
+        """Write the next rows, then count them; with tangents if the data set holds them.
+
+        left_bifurcation: as in `StressResponse`.
+        """
         rows = slice(self.completed, self.completed + len(F))
         arrays = {"F": F, "F_dot": F_dot, "stress": stress, "status": status}
         if tangents is not None:
             arrays |= {"P_by_F": tangents.P_by_F, "P_by_F_dot": tangents.P_by_F_dot}
+        if left_bifurcation is not None and LEFT in self._file:
+            arrays[LEFT] = left_bifurcation
         with reported(self._path, "written"):
             for name, values in arrays.items():
                 self._file[name][rows] = values
             self._file.flush()
             self._file["completed"][()] = rows.stop
             self._file.flush()
+
+    def left_count(self) -> int:
+        """How many rows so far are of RVEs that left a bifurcation."""
+        return int(self._file[LEFT][: self.completed].sum()) if LEFT in self._file else 0
 
     def status_counts(self) -> dict[int, int]:
         """How many rows so far have each status code."""

@@ -151,7 +151,8 @@ def _rest_of(
 ) -> Rest:
     """The equilibrium at `factor` by Newton from u; the law commits it.
 
-    Newton begins anew as long as points leave their branch of the law.
+    Newton begins anew as long as points leave their branch of the law, and goes on where the
+    equilibrium of the bar has lost that of a point.
     """
     while True:
         try:
@@ -170,12 +171,17 @@ def _rest_on_one_branch(
 ) -> Rest:
     now = rhs.evaluate(factor, u, np.zeros_like(u), tangents=True)
     residuals = [_relative_residual(rhs.bar, now)]
-    while residuals[-1] > settings.newton_tolerance:
-        if len(residuals) > MAX_ITERATIONS:
-            _give_up(rhs, now, f"Newton did not converge in {MAX_ITERATIONS} iterations")
-        now = _corrected(rhs, pattern, now)
+    while True:
+        while residuals[-1] > settings.newton_tolerance:
+            if len(residuals) > MAX_ITERATIONS:
+                _give_up(rhs, now, f"Newton did not converge in {MAX_ITERATIONS} iterations")
+            now = _corrected(rhs, pattern, now)
+            residuals.append(_relative_residual(rhs.bar, now))
+        start = rhs.accept()
+        if start is now or start.response.left_bifurcation is None:
+            break
+        now = rhs.evaluate(factor, now.u, now.v, tangents=True)
         residuals.append(_relative_residual(rhs.bar, now))
-    rhs.accept()
     K, C = assembled_tangents(rhs.bar, pattern, now.F, now.response)
     rhs.tally.counts["load_steps"] += factor != 0.0
     here = np.append(factor, rhs.bar.at_watched_point(now.u))

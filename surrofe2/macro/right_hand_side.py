@@ -183,11 +183,20 @@ class RightHandSide:
         """Commit what the law said of an evaluation."""
         self._check_status(at.t, at.F, acceptance.status)
         self._committed = acceptance.state
+        left = acceptance.left_bifurcation
+        if left is not None:
+            self.tally.effort["left_bifurcation"] += int(left.sum())
         if acceptance.stress is not None:
             internal = internal_force(self.bar, at.F, acceptance.stress)
             at = replace(
                 at,
-                response=replace(at.response, stress=acceptance.stress, moved=None, tangents=None),
+                response=replace(
+                    at.response,
+                    stress=acceptance.stress,
+                    moved=None,
+                    tangents=None,
+                    left_bifurcation=left,
+                ),
                 internal=internal,
                 powers=np.array([np.vdot(internal, at.v), at.powers[1]]),
             )

@@ -23,6 +23,8 @@ from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deform
 _RENEW_AFTER = {"slow-manifold": 9}
 _RENEW_AFTER_ELSE = 4
 """Force evaluations of a warm solve above which `accept` refactorises."""
+_SAME = 1e-4
+"""Material distance of particles, µm, below which two solutions are the same."""
 
 
 class RveLaw:
@@ -127,11 +129,16 @@ class RveLaw:
         stress = unpack(batch.stress, points)
         stress[status != Status.OK] = np.nan
         slopes = batch.tangents(points) if tangents else None
-        return StressResponse(stress, status, batch.state, batch.effort(points), slopes)
+        left = None if batch.state.left is None else unpack(batch.state.left, points)
+        return StressResponse(
+            stress, status, batch.state, batch.effort(points), slopes, left_bifurcation=left
+        )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
         """Check stability (elastic Hessian, dashpots off) and renew tired factorisations.
 
+        Points that lost stability go to a stable state, from which the next step begins; where
+        there is none, their status says so.
         The state of the answer stays as it is; the new one shares with it what was not renewed.
         """
         state = response.state
@@ -147,9 +154,30 @@ class RveLaw:
         else:
             rate = felt_rate(self.initialisation, state.F_dot)
             renew(state.F, rate, state.z, factors, tired, topology, constants, stable)
-        status = response.status.copy()
-        status[~unpack(stable, state.points) & (status == Status.OK)] = Status.UNSTABLE
-        return Acceptance(status, replace(state, factors=factors))
+        state = replace(state, factors=factors)
+        lost = ~unpack(stable, state.points) & (response.status == Status.OK)
+        if not lost.any():
+            return Acceptance(response.status, state)
+        return self._leave(replace(response, state=state), np.flatnonzero(lost))
+
+    def _leave(self, response: StressResponse, index: NDArray[np.intp]) -> Acceptance:
+        """The answer with the points `index` in stable states, where there are any.
+
+        They stay where they are if the elastic equilibrium beside them is stable all the same.
+        """
+        part = response.state.take(index)
+        batch = Batch(self, part.F, part.F_dot, part, cold=True)
+        batch.solve()
+        count = len(index)
+        way = np.abs(unpack(batch.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
+        status, stress = response.status.copy(), response.stress.copy()
+        status[index], stress[index] = unpack(batch.status, count), unpack(batch.stress, count)
+        left = np.zeros(len(status), dtype=np.bool_)
+        left[index] = (status[index] == Status.OK) & (way > _SAME)
+        state = response.state.put(index, batch.state)
+        if not left.any():
+            return Acceptance(status, state)
+        return Acceptance(status, state, stress, left)
 
     def _covering_topology(self, state: RveState) -> Topology:
         """The shortest pair lists that cover every point, else the longest."""

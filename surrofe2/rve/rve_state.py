@@ -53,6 +53,11 @@ class RveState:
         """v − L x."""
         return np.zeros_like(self.z) if self.fluctuation is None else self.fluctuation
 
+    @property
+    def left_points(self) -> NDArray[np.bool_]:
+        """(points,) `left`."""
+        return unpack(flags(self), self.points)
+
     def take(self, index: NDArray[np.intp]) -> RveState:
         """The state of the points `index` alone."""
         if len(index) == self.points and (index == np.arange(self.points)).all():
