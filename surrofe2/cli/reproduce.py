@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.report.study import Study
 
-Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping"]
+Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability"]
 Preset = Literal["printed", "water"]
 
 
@@ -47,8 +47,9 @@ def reproduce(
     bending bar by FE² with each initialisation against the full tissue. rates: error of each
     initialisation against micro-integration as the rate goes down. scales: slow manifold against
     full tissues of 8 x 8, 16 x 16 and 32 x 32 plant cells. damping: decrements over mesh,
-    tolerances, micro step and ways to fit. The last three are not in the paper; scales and damping
-    keep each run's curve in DIR/curves and take it from there when called again.
+    tolerances, micro step and ways to fit. stability: where the plant cell has a stable
+    equilibrium. The last four are not in the paper; scales and damping keep each run's curve in
+    DIR/curves and take it from there when called again.
 
     Example: [bold]surrofe2 reproduce fig5 --preset water --out out/paper[/bold]
 
@@ -81,13 +82,19 @@ def reproduce(
 
 
 def _rve_figure(figure: str, cell: CellParameters, preset: str, name: str) -> Study:
-    from surrofe2.studies import initialisation_errors, relaxation, shear_steps
+    from surrofe2.studies import initialisation_errors, relaxation, shear_steps, stability
 
     if figure == "fig5":
         runs = tuple(shear_steps.shear_steps(cell, rate) for rate in (0.0, 0.01))
         return shear_steps.describe(runs, preset, name)
     if figure == "fig6":
         return relaxation.describe(relaxation.relaxations(cell), preset, name)
+    if figure == "stability":
+        with progress("stability", 1.0, "parts") as report:
+            found = stability.stability_map(cell, progress=lambda done: report(done, ""))
+        rows = [[way, "-" if s is None else f"{s:.4f}"] for way, s in found.onset.items()]
+        show_table("Onset of instability", ["way", "largest |F - I|"], rows)
+        return stability.describe(found, preset, name)
     with progress("rates", 1.0, "parts") as report:
         errors = initialisation_errors.initialisation_errors(
             cell, progress=lambda done: report(done, "")

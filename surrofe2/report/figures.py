@@ -16,6 +16,7 @@ from surrofe2.report.study import Curve, Panel, Study
 
 # Okabe and Ito's palette, told apart by readers of every colour vision; references are black.
 _REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
+_AREA: dict[str, Any] = {"linestyle": "none", "marker": "s", "fillstyle": "full", "mew": 0.0}
 _STYLES: dict[str, dict[str, Any]] = {
     "cauchy-born": {"color": "#CC79A7", "linestyle": ":", "marker": "^"},
     "elastic": {"color": "#D55E00", "linestyle": "--", "marker": "s"},
@@ -24,6 +25,10 @@ _STYLES: dict[str, dict[str, Any]] = {
     "direct": {"color": "#56B4E9", "linestyle": "-", "marker": "D"},
     "micro-integration": _REFERENCE,
     "tissue": _REFERENCE,
+    "stable": _AREA | {"color": "#0072B2"},
+    "stable after leaving a bifurcation": _AREA | {"color": "#E69F00"},
+    "no stable state found": _AREA | {"color": "#CC79A7"},
+    "solve failed": _AREA | {"color": "black"},
 }
 _OTHER = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _PANEL_SIZE = (4.6, 3.1)  # inches

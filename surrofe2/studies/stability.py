@@ -1,0 +1,189 @@
+"""Where a plant cell has a stable equilibrium: the map that bounds what may be sampled.
+
+On the reference branch, followed from F = I along a straight line, the elastic Hessian is
+positive definite up to the onset of a bifurcation. Beyond, the RVE leaves the branch for another
+stable state where there is one (`surrofe2.rve.continuation`); its stress is then one of several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.rve import RveLaw
+from surrofe2.rve.continuation import Walker
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.stress_law import Status
+
+Array = NDArray[np.float64]
+
+CATEGORIES = (
+    "stable",
+    "stable after leaving a bifurcation",
+    "no stable state found",
+    "solve failed",
+)
+STABLE, LEFT, UNSTABLE, FAILED = range(4)
+
+STRETCH, SHEAR = (0.75, 1.5), (0.0, 0.6)
+"""Range of the map; F_xy < 0 mirrors F_xy > 0."""
+
+WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
+    "uniaxial compression": ((-1.0, 0.0, 0.0), 0.3),
+    "equibiaxial compression": ((-1.0, -1.0, 0.0), 0.3),
+    "uniaxial stretch": ((1.0, 0.0, 0.0), 0.5),
+    "equibiaxial stretch": ((1.0, 1.0, 0.0), 0.5),
+    "simple shear": ((0.0, 0.0, 1.0), 0.6),
+}
+"""Direction (F_xx, F_yy, F_xy) and how far it is followed."""
+
+_CHUNK, _MARCH, _CLOSE = 128, 2.5e-3, 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class StabilityMap:
+    """What became of RVEs at rest.
+
+    Attributes:
+        planes: by name, F (m, 2, 2) and category (m,), an index into `CATEGORIES`.
+        onset: by way, how far the reference branch is stable; None: all the way.
+    """
+
+    planes: Mapping[str, tuple[Array, NDArray[np.int_]]]
+    onset: Mapping[str, float | None]
+
+
+def stability_map(
+    cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
+) -> StabilityMap:
+    """Both planes on points × points deformations each; progress is told the share done."""
+    planes = _planes(points)
+    total, done = sum(len(F) for F in planes.values()), 0
+    found = {}
+    for name, F in planes.items():
+        parts = []
+        for first in range(0, len(F), _CHUNK):
+            parts.append(categories(cell, F[first : first + _CHUNK]))
+            done += len(parts[-1])
+            progress(done / total)
+        found[name] = (F, np.concatenate(parts))
+    onset = {way: find_onset(cell, *WAYS[way]) for way in WAYS}
+    return StabilityMap(found, onset)
+
+
+def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:
+    """Index into `CATEGORIES` (m,) of the elastic equilibrium at each F (m, 2, 2)."""
+    answer = RveLaw(cell, "elastic").respond(F, np.zeros_like(F))
+    category = np.full(len(F), FAILED)
+    category[answer.status == Status.OK] = STABLE
+    if answer.left_bifurcation is not None:
+        category[(answer.status == Status.OK) & answer.left_bifurcation] = LEFT
+    category[answer.status == Status.UNSTABLE] = UNSTABLE
+    return category
+
+
+def unstable_share(cell: CellParameters, range: SamplingRange, count: int = 1024) -> float:
+    """Share of a sampling range in which the reference branch has no stable equilibrium."""
+    F, _ = sample(range, count, seed=0)
+    return float((categories(cell, F) != STABLE).mean())
+
+
+def find_onset(
+    cell: CellParameters, direction: tuple[float, float, float], length: float
+) -> float | None:
+    """How far F = I + s (direction) may go before the reference branch loses stability.
+
+    Followed in steps of 0.0025 and then bisected to 1e-5; None where it is stable up to `length`.
+    """
+    law = RveLaw(cell, "elastic")
+    unit = law.unit_cell
+    walker = Walker(unit, unit.topologies[-1], law.settings.tolerance)
+    xx, yy, xy = direction
+    way = np.array([[xx, xy], [0.0, yy]])
+    z, s, step = unit.position.T[None].copy(), 0.0, _MARCH
+    while s < length:
+        trial = walker.newton((np.eye(2) + (s + step) * way)[None], z)
+        if trial.good[0]:
+            z, s = trial.z, s + step
+        elif step < _CLOSE:
+            return s
+        else:
+            step *= 0.5
+    return None
+
+
+def _planes(points: int) -> dict[str, Array]:
+    stretch = np.linspace(*STRETCH, points)
+    x, y = (grid.ravel() for grid in np.meshgrid(stretch, stretch, indexing="ij"))
+    sx, shear = (
+        grid.ravel() for grid in np.meshgrid(stretch, np.linspace(*SHEAR, points), indexing="ij")
+    )
+    return {
+        "stretch": _tensors(x, y, 0.0 * x),
+        "shear": _tensors(sx, 1.0 + 0.0 * sx, shear),
+    }
+
+
+def _tensors(xx: Array, yy: Array, xy: Array) -> Array:
+    return np.stack([xx, xy, 0.0 * xx, yy], axis=1).reshape(-1, 2, 2)
+
+
+_AXES = {
+    "stretch": ("stretch $F_{xx}$", "stretch $F_{yy}$", (1, 1), "no shear"),
+    "shear": ("stretch $F_{xx}$", "shear $F_{xy}$", (0, 1), "$F_{yy}$ = 1"),
+}
+
+
+def describe(found: StabilityMap, preset: str, name: str) -> Study:
+    """The map: one panel for each plane, one row of the table for each deformation."""
+    F = np.concatenate([plane[0] for plane in found.planes.values()])
+    category = np.concatenate([plane[1] for plane in found.planes.values()])
+    return Study(
+        name=name,
+        title=f"Stable equilibria of the resting cell, preset “{preset}”",
+        panels=tuple(_panel(key, *plane) for key, plane in found.planes.items()),
+        columns=2,
+        table={
+            "plane": [key for key, plane in found.planes.items() for _ in plane[0]],
+            "F_xx (1)": F[:, 0, 0],
+            "F_yy (1)": F[:, 1, 1],
+            "F_xy (1)": F[:, 0, 1],
+            "equilibrium": [CATEGORIES[k] for k in category],
+        },
+        results={
+            "onset": {
+                way: {
+                    "stable_up_to": WAYS[way][1] if onset is None else onset,
+                    "loses_stability": onset is not None,
+                }
+                for way, onset in found.onset.items()
+            },
+            "counts": {key: _counts(plane[1]) for key, plane in found.planes.items()},
+        },
+        units={"stable_up_to": "1, largest entry of |F − I|"},
+        settings={"stretch": STRETCH, "shear": SHEAR},
+    )
+
+
+def _panel(key: str, F: Array, category: NDArray[np.int_]) -> Panel:
+    x_label, y_label, index, title = _AXES[key]
+    return Panel(
+        title=title,
+        x_label=x_label,
+        y_label=y_label,
+        curves=tuple(
+            Curve(label, F[category == k, 0, 0], F[category == k][:, *index])
+            for k, label in enumerate(CATEGORIES)
+            if (category == k).any()
+        ),
+    )
+
+
+def _counts(category: NDArray[np.int_]) -> dict[str, Any]:
+    return {label: int((category == k).sum()) for k, label in enumerate(CATEGORIES)}
