@@ -14,7 +14,7 @@ from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
 from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
 from surrofe2.rve.micro_state import list_covers
-from surrofe2.rve.rve_state import RveState, flags
+from surrofe2.rve.rve_state import RveState, flags, with_copies
 from surrofe2.rve.slow_manifold import follow, renew_slow
 from surrofe2.rve.slow_newton import newton_slow
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
@@ -268,10 +268,7 @@ class Batch:
 
     def _take_over(self, index: NDArray[np.intp], walked: Walked, z_found: Array) -> None:
         """Replace what was found at the points `index`, and the copies that fill up a tile."""
-        count, lanes = self.before.points, self.status.size
-        if index[-1] == count - 1:
-            index = np.append(index, np.arange(count, lanes))
-        row = np.minimum(np.arange(len(index)), len(walked.arrived) - 1)
+        index, row = with_copies(index, self.before.points)
         lost = np.where(walked.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
         for mine, new in (
             (z_found, walked.solved.z),
@@ -283,7 +280,7 @@ class Batch:
         factors = self.state.factors.put(index, walked.solved.factors.take(row))
         self.state = replace(self.state, factors=factors)
         if walked.left.any():
-            left = unpack(flags(self.state), lanes)
+            left = unpack(flags(self.state), self.status.size)
             left[index] |= walked.left[row]
             self.state = replace(self.state, left=pack(left))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import pack, put_points, unpack
+from surrofe2.plant_cell.lanes import pack, put_points, tiles_for, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.factors import Factors
 from surrofe2.rve.unit_cell import UnitCell
@@ -80,6 +80,8 @@ class RveState:
 
     def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
         """This state with the points `index` replaced by those of `part`."""
+        index, row = with_copies(index, self.points)
+        part = part.take(row)
 
         def put(mine: NDArray[Any], theirs: NDArray[Any]) -> NDArray[Any]:
             mine = mine.copy()
@@ -100,6 +102,17 @@ class RveState:
             iterations=put(self.iterations, part.iterations),
             left=None if on_branch else put(flags(self), flags(part)),
         )
+
+
+def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """`index` and, if the last point is in it, the lanes that fill its tile up with copies of it.
+
+    The second array says which place of the given `index` each comes from.
+    """
+    place = np.arange(len(index))
+    last = place[index == points - 1]
+    copies = np.arange(points, tiles_for(points) * TILE if len(last) else points)
+    return np.append(index, copies), np.append(place, np.repeat(last, len(copies)))
 
 
 def flags(state: RveState) -> NDArray[np.bool_]:

@@ -18,7 +18,6 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.rve import RveLaw
 from surrofe2.rve.continuation import Walker
-from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status
 
 Array = NDArray[np.float64]
@@ -86,12 +85,6 @@ def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:
         category[(answer.status == Status.OK) & answer.left_bifurcation] = LEFT
     category[answer.status == Status.UNSTABLE] = UNSTABLE
     return category
-
-
-def unstable_share(cell: CellParameters, range: SamplingRange, count: int = 1024) -> float:
-    """Share of a sampling range in which the reference branch has no stable equilibrium."""
-    F, _ = sample(range, count, seed=0)
-    return float((categories(cell, F) != STABLE).mean())
 
 
 def find_onset(

@@ -8,7 +8,7 @@ import pytest
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw
-from surrofe2.stress_law import Status, describe
+from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
 
 SPREAD = {"printed": 0.08, "water": 0.04}
@@ -174,33 +174,6 @@ def test_shear_of_the_papers_figure_5_range_is_covered():
     for point in range(3):
         f, _, _ = twin.evaluate(particles(answer, point), F[point], np.zeros((2, 2)))
         assert np.linalg.norm(f, axis=1).mean() < 1e-8
-
-
-def test_unstable_equilibrium_is_reported_and_has_no_stress():
-    """model.md: at stretch 1.3 on one axis the symmetric equilibrium is unstable (`printed`)."""
-    F = np.array([np.eye(2), np.diag([1.35, 1.0]), 1.01 * np.eye(2)])
-    answer = law("printed").respond(F, np.zeros_like(F))
-    assert answer.status[0] == answer.status[2] == Status.OK
-    assert answer.status[1] == Status.UNSTABLE
-    assert "unstable" in describe(answer.status[1])
-    assert np.isnan(answer.stress[1]).all()
-    assert np.isfinite(answer.stress[[0, 2]]).all()
-
-
-def test_accept_finds_an_equilibrium_that_lost_stability_on_the_way():
-    """Stretched in small warm steps, no cold solve looks; accept has to."""
-    this, state, found = law("printed"), None, []
-    for stretch in np.linspace(1.0, 1.4, 81):
-        F = np.array([np.diag([stretch, 1.0])])
-        answer = this.respond(F, np.zeros_like(F), state)
-        accepted = this.accept(F, np.zeros_like(F), answer)
-        found.append(int(accepted.status[0]))
-        state = accepted.state
-        if found[-1] != Status.OK:
-            break
-    assert found[-1] == Status.UNSTABLE
-    assert set(found[:-1]) == {Status.OK}
-    assert 1.1 < stretch < 1.35
 
 
 def test_iteration_that_meets_its_limit_is_reported():

@@ -99,7 +99,7 @@ def test_viscous_tangent_of_constrained_runs_is_not_symmetric():
 
 
 def test_points_without_stress_have_no_tangents():
-    F = np.array([np.eye(2), np.diag([1.35, 1.0])])
+    F = np.array([np.eye(2), [[0.905, 0.486], [0.0, 0.7585]]])
     answer = law("printed").respond(F, np.zeros_like(F), tangents=True)
     assert answer.status[1] == Status.UNSTABLE
     assert np.isfinite(answer.tangents.P_by_F[0]).all()

@@ -1,0 +1,210 @@
+"""Stability of what the RVE answers: every equilibrium is a minimum of the elastic energy.
+
+Checked by forces and Hessian written anew in numpy (`curvature_twin`), over all images.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrofe2.plant_cell.lanes import unpack
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.rve.bifurcation import Landscape, descend
+from surrofe2.stress_law import Status, describe
+from tests.rve.curvature_twin import Curvatures
+
+PRESETS = ("printed", "water")
+NEAR = {"printed": 0.1, "water": 0.04}
+"""Within so much of I, entry by entry, no solve may fail (model.md)."""
+BEYOND = {
+    "printed": np.array([np.diag([1.35, 1.0]), np.diag([1.25, 1.25]), np.diag([1.4, 1.1])]),
+    "water": np.array([np.diag([0.92, 1.0]), np.diag([0.94, 0.94]), [[0.93, -0.02], [0.0, 1.0]]]),
+}
+"""The symmetric equilibrium is unstable there, and there is a stable one."""
+LOST = {"printed": [[0.905, 0.486], [0.0, 0.7585]], "water": [[0.905, 0.486], [0.0, 0.7585]]}
+"""Nothing stable is found there."""
+
+
+@cache
+def law(preset, initialisation="elastic", solver="direct"):
+    return RveLaw(CellParameters.preset(preset), initialisation, solver)
+
+
+@cache
+def curvatures(preset):
+    return Curvatures(law(preset).cell, law(preset).rest_length)
+
+
+def positions(state):
+    return unpack(state.z, state.points).transpose(0, 2, 1)
+
+
+def assert_stable(preset, F, answer, chunk=256):
+    """Every answer with a stress is an equilibrium and a minimum; returns the least eigenvalue."""
+    solved = np.flatnonzero(answer.status == Status.OK)
+    z, least = positions(answer.state), np.inf
+    for first in range(0, len(solved), chunk):
+        part = solved[first : first + chunk]
+        f, stress, hessian = curvatures(preset).at(z[part], F[part])
+        assert np.linalg.norm(f, axis=2).mean(axis=1).max() < 1e-7
+        np.testing.assert_allclose(answer.stress[part], stress, rtol=0, atol=1e-8)
+        least = min(least, np.linalg.eigvalsh(hessian).min())
+    assert least > 0.0
+    failed = answer.status[answer.status != Status.OK]
+    assert np.isin(failed, [Status.UNSTABLE, Status.NOT_CONVERGED, Status.LIST_TOO_SHORT]).all()
+    assert np.isnan(answer.stress[answer.status != Status.OK]).all()
+    return least
+
+
+def near(preset, count, seed=0):
+    rng = np.random.default_rng(seed)
+    F, F_dot = rng.uniform(-1.0, 1.0, (2, count, 2, 2))
+    F[: count // 10] = np.sign(F[: count // 10])
+    return np.eye(2) + NEAR[preset] * F, NEAR[preset] * F_dot
+
+
+def far(count, seed=0):
+    """Stretches 1/1.5 to 1.5 and shears up to 0.6, the rotation at random."""
+    rng = np.random.default_rng(seed)
+    F = np.zeros((count, 2, 2))
+    F[:, [0, 1], [0, 1]] = np.exp(rng.uniform(-1.0, 1.0, (count, 2)) * np.log(1.5))
+    F[:, 0, 1] = rng.uniform(-0.6, 0.6, count)
+    angle = rng.uniform(-np.pi, np.pi, count)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return turn.transpose(2, 0, 1) @ F
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_hessian_of_the_twin_is_the_slope_of_its_forces(preset):
+    F = BEYOND[preset][2:]
+    z = positions(law(preset).respond(F, np.zeros_like(F)).state)
+    f, _, hessian = curvatures(preset).at(z, F)
+    expected = curvatures(preset).twin.evaluate(z[0], F[0], 0.0 * F[0])[0]
+    np.testing.assert_allclose(f[0], expected, rtol=0, atol=1e-9)
+    rng, h = np.random.default_rng(1), 1e-5
+    step = rng.normal(size=z.shape[1:])
+    step[0] = 0.0
+    moved = [curvatures(preset).at(z + s * h * step @ np.linalg.inv(F[0]).T, F)[0] for s in (-1, 1)]
+    slope = (moved[0] - moved[1])[0, 1:].ravel() / (2 * h)
+    np.testing.assert_allclose(hessian[0] @ step[1:].ravel(), slope, rtol=1e-6, atol=1e-2)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_beyond_a_bifurcation_the_answer_is_stable_and_says_that_it_left(preset):
+    F = np.concatenate([np.eye(2)[None], BEYOND[preset]])
+    answer = law(preset).respond(F, np.zeros_like(F))
+    assert (answer.status == Status.OK).all()
+    assert answer.left_bifurcation.tolist() == [False, True, True, True]
+    assert answer.effort["left_bifurcation"] == 3
+    assert_stable(preset, F, answer)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_where_no_stable_state_is_found_there_is_no_stress(preset):
+    F = np.array([np.eye(2), LOST[preset]])
+    answer = law(preset).respond(F, np.zeros_like(F))
+    assert answer.status.tolist() == [Status.OK, Status.UNSTABLE]
+    assert "unstable" in describe(answer.status[1])
+    assert np.isnan(answer.stress[1]).all()
+
+
+@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
+def test_no_solve_fails_near_the_reference(initialisation):
+    for preset in PRESETS:
+        F, F_dot = near(preset, 400)
+        assert not law(preset, initialisation).respond(F, F_dot).status.any()
+
+
+def test_no_other_initialisation_is_less_stable():
+    """Dashpots move particles, not the branch they are on."""
+    F = np.concatenate([BEYOND["printed"], np.eye(2)[None]])
+    F_dot = 0.001 * np.random.default_rng(3).uniform(-1.0, 1.0, F.shape)
+    elastic = law("printed").respond(F, F_dot)
+    for name in ("constrained-runs", "slow-manifold"):
+        answer = law("printed", name).respond(F, F_dot)
+        assert not answer.status.any()
+        np.testing.assert_array_equal(answer.left_bifurcation, elastic.left_bifurcation)
+        assert abs(positions(answer.state) - positions(elastic.state)).max() < 0.1
+
+
+def test_a_rotation_turns_the_branch_along():
+    """Which of the branches is reached is chosen in material coordinates."""
+    F, angle = BEYOND["printed"], 0.7
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    one, other = (law("printed").respond(G, np.zeros_like(F)) for G in (F, Q @ F))
+    np.testing.assert_allclose(other.stress, Q @ one.stress @ Q.T, rtol=0, atol=1e-7)
+
+
+def test_the_way_down_only_goes_down():
+    this, F = law("printed"), BEYOND["printed"]
+    unit = this.unit_cell
+    landscape = Landscape(F, unit.topologies[-1], unit.constants)
+    start = np.repeat(unit.position.T[None], len(F), axis=0)
+    end, found = descend(landscape, start)
+    assert found.all()
+    assert (landscape.energy(end) < landscape.energy(start)).all()
+
+
+@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
+def test_a_warm_run_leaves_at_an_accepted_step(initialisation):
+    """Stretched in small warm steps; where no trial has to factorise, accept has to look."""
+    this, state, left_at = law("printed", initialisation), None, []
+    for stretch in np.linspace(1.0, 1.3, 61):
+        F = np.array([np.diag([stretch, 1.0])])
+        F_dot = 1e-3 * np.diag([1.0, 0.0])[None]
+        answer = this.respond(F, F_dot, state)
+        accepted = this.accept(F, F_dot, answer)
+        assert answer.status[0] == accepted.status[0] == Status.OK
+        state = accepted.state
+        if accepted.left_bifurcation is not None:
+            left_at.append(stretch)
+            assert abs(accepted.stress - answer.stress).max() > 1e-6
+            again = this.respond(F, F_dot, state)
+            np.testing.assert_allclose(again.stress, accepted.stress, rtol=0, atol=1e-7)
+        else:
+            assert accepted.stress is None
+            left_at += [stretch] * answer.effort["left_bifurcation"]
+        assert state.left_points.all() == bool(left_at)
+    assert len(left_at) == 1
+    assert 1.15 < left_at[0] < 1.2
+    rest = law("printed").respond(F, 0.0 * F, state)
+    assert_stable("printed", F, rest)
+
+
+def test_states_carry_where_they_left_with_them():
+    F = np.concatenate([np.repeat(np.eye(2)[None], 9, axis=0), BEYOND["printed"]])
+    state = law("printed").respond(F, np.zeros_like(F)).state
+    part = state.take(np.array([11, 0, 10]))
+    assert part.left_points.tolist() == [True, False, True]
+    rest = law("printed").rest_state(12)
+    assert rest.left is None
+    assert rest.put(np.array([2, 3, 4]), part).left_points.nonzero()[0].tolist() == [2, 4]
+    assert rest.put(np.array([2]), rest.take(np.array([5]))).left is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
+def test_none_of_10000_solves_near_the_reference_fails(preset, initialisation):
+    F, F_dot = near(preset, 10_000, seed=1)
+    assert not law(preset, initialisation).respond(F, F_dot).status.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+def test_10000_equilibria_near_the_reference_are_minima(preset):
+    F, _ = near(preset, 10_000, seed=1)
+    answer = law(preset).respond(F, np.zeros_like(F))
+    assert_stable(preset, F, answer)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+def test_far_answers_are_minima_or_failures(preset):
+    """Beyond, out to stretch 1.5 and shear 0.6."""
+    F = far(1000)
+    answer = law(preset).respond(F, np.zeros_like(F))
+    assert_stable(preset, F, answer)
+    assert (answer.status == Status.OK).mean() > 0.8
