@@ -16,7 +16,11 @@ from surrofe2.report.study import Curve, Panel, Study
 
 # Okabe and Ito's palette, told apart by readers of every colour vision; references are black.
 _REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
-_AREA: dict[str, Any] = {"linestyle": "none", "marker": "s", "fillstyle": "full", "mew": 0.0}
+# A grid of 41 x 41 points fills a panel of _PANEL_SIZE without gaps.
+_TILE = ((-1.0, -0.62), (1.0, -0.62), (1.0, 0.62), (-1.0, 0.62))
+_AREA: dict[str, Any] = {
+    "linestyle": "none", "marker": _TILE, "markersize": 7.0, "fillstyle": "full", "mew": 0.0,
+}  # fmt: skip
 _STYLES: dict[str, dict[str, Any]] = {
     "cauchy-born": {"color": "#CC79A7", "linestyle": ":", "marker": "^"},
     "elastic": {"color": "#D55E00", "linestyle": "--", "marker": "s"},

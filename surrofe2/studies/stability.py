@@ -139,7 +139,7 @@ def describe(found: StabilityMap, preset: str, name: str) -> Study:
     category = np.concatenate([plane[1] for plane in found.planes.values()])
     return Study(
         name=name,
-        title=f"Stable equilibria of the resting cell, preset “{preset}”",
+        title=f"Stable equilibria of the plant cell at rest, preset “{preset}”",
         panels=tuple(_panel(key, *plane) for key, plane in found.planes.items()),
         columns=2,
         table={

@@ -277,3 +277,35 @@ def test_a_data_set_from_before_tangents_is_continued(tmp_path):
         file.attrs["compared"] = json.dumps(compared)
     with writing_data_set(path, HEADER, resume=True) as data:
         assert data.completed == 8
+
+
+def test_samples_beyond_a_bifurcation_are_marked_and_not_valid(tmp_path):
+    path = tmp_path / "cells.h5"
+    F, F_dot = sample(RANGE, 20, 3)
+    answer = SoftLaw(fails_above=1.03).respond(F, F_dot)
+    left = np.arange(20) % 5 == 0
+    with writing_data_set(path, HEADER) as data:
+        data.append(F[:8], F_dot[:8], answer.stress[:8], answer.status[:8])
+        data.append(
+            F[8:], F_dot[8:], answer.stress[8:], answer.status[8:], left_bifurcation=left[8:]
+        )
+        assert data.left_count() == 2
+    finish_data_set(path)
+    samples = read_data_set(path)
+    assert samples.left_bifurcation.nonzero()[0].tolist() == [10, 15]
+    kept = np.flatnonzero((answer.status == 0) & ~samples.left_bifurcation)
+    np.testing.assert_array_equal(samples.valid.F, F[kept])
+    assert replace(samples, left_bifurcation=None).fingerprint != samples.fingerprint
+    with pytest.raises(InputError, match="left_bifurcation"):
+        replace(samples, left_bifurcation=left[:3])
+
+
+def test_data_sets_from_before_bifurcations_were_marked_are_read(tmp_path):
+    path = tmp_path / "cells.h5"
+    write_all(path)
+    before = read_data_set(path)
+    with h5py.File(path, "r+") as file:
+        del file["left_bifurcation"]
+    after = read_data_set(path)
+    assert after.left_bifurcation is None
+    assert after.fingerprint == before.fingerprint

@@ -207,4 +207,4 @@ def test_far_answers_are_minima_or_failures(preset):
     F = far(1000)
     answer = law(preset).respond(F, np.zeros_like(F))
     assert_stable(preset, F, answer)
-    assert (answer.status == Status.OK).mean() > 0.8
+    assert (answer.status == Status.OK).mean() > 0.7
