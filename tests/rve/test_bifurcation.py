@@ -207,4 +207,4 @@ def test_far_answers_are_minima_or_failures(preset):
     F = far(1000)
     answer = law(preset).respond(F, np.zeros_like(F))
     assert_stable(preset, F, answer)
-    assert (answer.status == Status.OK).mean() > 0.7
+    assert (answer.status == Status.OK).mean() > {"printed": 0.75, "water": 0.55}[preset]
