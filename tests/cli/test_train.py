@@ -43,7 +43,7 @@ def test_existing_surrogate(invoke, recipe_path, surrogate_path):
 
 @pytest.mark.usefixtures("_data_set")
 def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypatch):
-    figures, rounds = training._figures, []
+    figures, rounds = training._Run.figures, []
 
     def interrupt_second(*arguments):
         rounds.append(1)
@@ -51,7 +51,7 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
             raise KeyboardInterrupt
         return figures(*arguments)
 
-    monkeypatch.setattr(training, "_figures", interrupt_second)
+    monkeypatch.setattr(training._Run, "figures", interrupt_second)
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
