@@ -38,6 +38,8 @@ class Patch:
         shift: (g, 2) integer lattice shift of each image.
         bonds, contacts, fluid_pairs: (·, 2) local indices i, j.
         reach: reference distance (µm) up to which contacts are listed.
+        fluid_start: (cells + 1,) first fluid particle of each plant cell, counted from the first
+            of all; their pairs are listed in that order.
     """
 
     position: NDArray[np.float64]
@@ -50,6 +52,7 @@ class Patch:
     contacts: Ints
     fluid_pairs: Ints
     reach: float
+    fluid_start: Ints
 
     @property
     def particles(self) -> int:
@@ -85,7 +88,10 @@ def square_patch(
     fluid_pairs = [(i, j, (0, 0)) for i in fluid for j in fluid if i < j]
     mass = np.full(len(position), cell.fluid_particle_mass)
     mass[:walls] = cell.wall_particle_mass
-    return _localised(position, mass, walls, lattice, bonds, contacts, fluid_pairs, reach)
+    fluid_start = np.array([0, len(fluid)], dtype=np.int32)
+    return localised(
+        position, mass, walls, lattice, bonds, contacts, fluid_pairs, reach, fluid_start
+    )
 
 
 def even_positions(cell: CellParameters) -> NDArray[np.float64]:
@@ -150,7 +156,7 @@ def _distance(pair: Pair, position: NDArray[np.float64], lattice: NDArray[np.flo
     return float(np.linalg.norm(position[j] - position[i] + lattice @ np.array(shift)))
 
 
-def _localised(
+def localised(
     position: NDArray[np.float64],
     mass: NDArray[np.float64],
     walls: int,
@@ -159,6 +165,7 @@ def _localised(
     contacts: list[Pair],
     fluid_pairs: list[Pair],
     reach: float,
+    fluid_start: Ints,
 ) -> Patch:
     """Replace every shifted partner by a local image particle."""
     images: dict[tuple[int, tuple[int, int]], int] = {}
@@ -183,4 +190,5 @@ def _localised(
         contacts=local_contacts,
         fluid_pairs=local_fluid,
         reach=reach,
+        fluid_start=fluid_start,
     )

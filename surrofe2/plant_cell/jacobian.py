@@ -22,6 +22,7 @@ from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.contact import contact_force, contact_slopes
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import difference, fluid_specific_volume
+from surrofe2.plant_cell.matrix_blocks import add_block, add_fluid_product, add_product, clear
 from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline_curvature
 from surrofe2.plant_cell.wall import wall_force
@@ -41,15 +42,6 @@ def central_slopes(tension, by_length, by_rate, inverse, rate, nx, ny, wx, wy):
 def add_to(array, row, column, value):
     """array[row, column] += value."""
     store(load(array, row, column) + value, array, row, column)
-
-
-@pair_law
-def add_block(jacobian, i, j, xx, xy, yx, yy):
-    """Add a 2 × 2 block at particles (i, j)."""
-    add_to(jacobian, 2 * i, 2 * j, xx)
-    add_to(jacobian, 2 * i, 2 * j + 1, xy)
-    add_to(jacobian, 2 * i + 1, 2 * j, yx)
-    add_to(jacobian, 2 * i + 1, 2 * j + 1, yy)
 
 
 @pair_law
@@ -118,15 +110,22 @@ def _add_central(x, v, L, Z, pairs, is_bond, topology, c, jacobian, columns):
 
 @kernel
 def _add_fluid(x, v, L, Z, topology, c, jacobian, columns):
-    pairs, first = topology.fluid_pairs, topology.walls
-    fluid = topology.particles - first
-    h = c.smoothing_length
-    slope, volume = np.empty((pairs.shape[0], TILE)), np.empty((fluid, TILE))
+    fluid = topology.particles - topology.walls
+    slope, volume = np.empty((topology.fluid_pairs.shape[0], TILE)), np.empty((fluid, TILE))
     fluid_specific_volume(x, topology, c, slope, volume)
+    for cell in range(topology.fluid_start.shape[0] - 1):
+        _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, columns)
+
+
+@kernel
+def _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, columns):
+    pairs, first = topology.fluid_pairs, topology.walls + topology.fluid_start[cell]
+    fluid = topology.fluid_start[cell + 1] - topology.fluid_start[cell]
+    h = c.smoothing_length
     by_density = np.zeros((2 * fluid, fluid, TILE))
     density_by_x = np.zeros((fluid, 2 * fluid, TILE))
     density_by_load = np.zeros((fluid, 4, TILE))
-    for k in range(pairs.shape[0]):
+    for k in range(topology.fluid_pair_start[cell], topology.fluid_pair_start[cell + 1]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
         rx, ry = difference(x, i, j)
@@ -135,7 +134,7 @@ def _add_fluid(x, v, L, Z, topology, c, jacobian, columns):
         inverse = inverse_root(square)
         nx, ny = rx * inverse, ry * inverse
         steep = load(slope, k)
-        volume_i, volume_j = load(volume, p), load(volume, q)
+        volume_i, volume_j = load(volume, i - topology.walls), load(volume, j - topology.walls)
         a, b = fluid_coefficients(steep, volume_i, volume_j, c)
         bend = (spline_curvature(square * inverse * (1.0 / h), h) - steep) * inverse
         da, db = fluid_coefficients(bend, volume_i, volume_j, c)
@@ -160,7 +159,7 @@ def _add_fluid(x, v, L, Z, topology, c, jacobian, columns):
             add_pair_load(columns, Z, i, j, j, rr, rw)
             add_load(density_by_load, p, 0, gx, gy, zx, zy)
             add_load(density_by_load, q, 0, gx, gy, zx, zy)
-    add_product(by_density, density_by_x, jacobian, 2 * first, 2 * first)
+    add_fluid_product(by_density, density_by_x, jacobian, first)
     if columns.shape[0] > 0:
         add_product(by_density, density_by_load, columns, 2 * first, 0)
 
@@ -184,28 +183,14 @@ def add_pair_row(array, row, column_i, column_j, gx, gy):
 
 
 @kernel
-def add_product(left, right, total, row, column):
-    """total[row:, column:] += left @ right, lane by lane; two columns at a time, an even number."""
-    for m in range(left.shape[0]):
-        for n in range(0, right.shape[1], 2):
-            even = load(total, row + m, column + n)
-            odd = load(total, row + m, column + n + 1)
-            for s in range(left.shape[1]):
-                factor = load(left, m, s)
-                even += factor * load(right, s, n)
-                odd += factor * load(right, s, n + 1)
-            store(even, total, row + m, column + n)
-            store(odd, total, row + m, column + n + 1)
-
-
-@kernel
 def force_jacobian(x, v, L, Z, topology, c, jacobian, columns):
-    """Fill jacobian (2n, 2n, TILE) and columns (2n, 8, TILE) at local x, v, Z (2, local, TILE).
+    """Fill jacobian, (2n, 2n, TILE) or `Blocks`, and columns (2n, 8, TILE) at local x, v, Z.
 
+    x, v, Z: (2, local, TILE).
     L: (2, 2, TILE) velocity gradient that velocities follow; zero, with v = 0, for the elastic
     Hessian, whose negative `jacobian` then is. `columns` may have no rows: not wanted.
     """
-    jacobian[:] = 0.0
+    clear(jacobian)
     columns[:] = 0.0
     _add_central(x, v, L, Z, topology.bonds, True, topology, c, jacobian, columns)
     _add_central(x, v, L, Z, topology.contacts, False, topology, c, jacobian, columns)

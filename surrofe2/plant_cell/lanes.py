@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.geometry import Patch
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE
+from surrofe2.plant_cell.sparsity import Pattern
 
 
 class Constants(NamedTuple):
@@ -36,7 +37,10 @@ class Constants(NamedTuple):
 
 
 class Topology(NamedTuple):
-    """Pair lists of a `Patch` for kernels."""
+    """Pair lists of a `Patch` for kernels; its matrices are dense.
+
+    fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid and pairs begin.
+    """
 
     bonds: NDArray[np.int32]
     contacts: NDArray[np.int32]
@@ -45,6 +49,35 @@ class Topology(NamedTuple):
     image_offset: NDArray[np.float64]
     particles: int
     walls: int
+    fluid_start: NDArray[np.int32]
+    fluid_pair_start: NDArray[np.int32]
+
+
+class SparseTopology(NamedTuple):
+    """A `Topology` and the `Pattern` of its matrices in one: numba takes no tuple of tuples."""
+
+    bonds: NDArray[np.int32]
+    contacts: NDArray[np.int32]
+    fluid_pairs: NDArray[np.int32]
+    owner: NDArray[np.int32]
+    image_offset: NDArray[np.float64]
+    particles: int
+    walls: int
+    fluid_start: NDArray[np.int32]
+    fluid_pair_start: NDArray[np.int32]
+    group: NDArray[np.int32]
+    place: NDArray[np.int32]
+    row_start: NDArray[np.int64]
+    first: NDArray[np.int32]
+    width: NDArray[np.int32]
+    offset: NDArray[np.int32]
+    start: NDArray[np.int64]
+    lower: NDArray[np.int32]
+    lower_start: NDArray[np.int32]
+    upper: NDArray[np.int32]
+    upper_start: NDArray[np.int32]
+    unknown: NDArray[np.int32]
+    size: int
 
 
 def make_constants(cell: CellParameters, rest_length: float) -> Constants:
@@ -58,14 +91,15 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
         cutoff=cell.repulsion_cutoff,
         contact_damping=cell.contact_damping_ratio * 2.0 * np.sqrt(6.0 * strength * m),
         smoothing_length=cell.smoothing_length,
-        fluid_mass=cell.fluid_particle_mass,
+        fluid_mass=cell.fluid_mass,
         sound_speed_squared=cell.sound_speed**2,
         viscosity=cell.viscosity,
     )
 
 
 def make_topology(patch: Patch) -> Topology:
-    """Kernel form of a patch."""
+    """Kernel form of a patch, with dense matrices."""
+    counts = np.diff(patch.fluid_start).astype(np.int64)
     return Topology(
         bonds=patch.bonds,
         contacts=patch.contacts,
@@ -74,7 +108,14 @@ def make_topology(patch: Patch) -> Topology:
         image_offset=np.ascontiguousarray(patch.shift @ patch.lattice.T),
         particles=patch.particles,
         walls=patch.walls,
+        fluid_start=patch.fluid_start,
+        fluid_pair_start=np.append(0, np.cumsum(counts * (counts - 1) // 2)).astype(np.int32),
     )
+
+
+def make_sparse(topology: Topology, pattern: Pattern) -> SparseTopology:
+    """The same with sparse matrices."""
+    return SparseTopology(**topology._asdict(), **pattern._asdict())
 
 
 def tiles_for(points: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, fields, replace
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,11 @@ from surrofe2.errors import InputError
 from surrofe2.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
 
 _PAPER = "Ghysels et al. 2009, TW 550"
+
+SYMMETRIES = {"square": "D4", "hexagon": "D6", "voronoi": "none"}
+"""Arrangements of plant cells in an RVE, and the point group of each."""
+FEWEST_VORONOI = 4
+_ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 
 
 def _constant(default: Any, unit: str, source: str, *, may_be_zero: bool = False) -> Any:
@@ -23,9 +29,10 @@ def _constant(default: Any, unit: str, source: str, *, may_be_zero: bool = False
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellParameters:
-    """One square plant cell: walls of bonded particles around SPH fluid.
+    """Plant cells of an RVE: walls of bonded particles around SPH fluid.
 
-    The wall rest length is not among them: it follows from zero stress at F = I.
+    One square plant cell unless `arrangement` says otherwise. The wall rest length is not among
+    them: it follows from zero stress at F = I.
     """
 
     cell_side: float = _constant(25.0, LENGTH, f"{_PAPER}, section 6")
@@ -57,10 +64,17 @@ class CellParameters:
     tissue_thickness: float = _constant(
         10.0, LENGTH, f"{_PAPER}, section 6; turns 2D stress into MPa"
     )
+    arrangement: str = _constant(
+        "square", NONE, f"of an RVE's plant cells: {', '.join(SYMMETRIES)}"
+    )
+    cells: int = _constant(1, NONE, "plant cells of an RVE, of cell_side² µm² on average")
+    arrangement_seed: int = _constant(1, NONE, "of Voronoi plant cells", may_be_zero=True)
 
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
+            if item.type == "str":
+                continue
             _check_number(f"cell.{item.name}", value, item.metadata["may_be_zero"])
             if item.type == "float":
                 object.__setattr__(self, item.name, float(value))
@@ -68,6 +82,7 @@ class CellParameters:
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise InputError(f"cell.{name}: {value}; it must be an integer of at least {least}")
+        _check_arrangement(self.arrangement, self.cells, self.arrangement_seed)
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> CellParameters:
@@ -81,8 +96,41 @@ class CellParameters:
         return replace(PRESETS[name], **changes)
 
     @property
+    def symmetry(self) -> str:
+        """Point group of the RVE: "D4", "D6" or "none"."""
+        return SYMMETRIES[self.arrangement]
+
+    @property
+    def is_one_square(self) -> bool:
+        """Whether the RVE is the paper's: one square plant cell."""
+        return self.arrangement == "square" and self.cells == 1
+
+    @property
+    def fluid_particles(self) -> int:
+        """Fluid particles of a plant cell, of which Voronoi cells have more or less by their area.
+
+        A hexagon has the next centred hexagonal number (19 for 16), which its symmetry D6 bears.
+        """
+        wanted = self.fluid_particles_per_side**2
+        if self.arrangement != "hexagon":
+            return wanted
+        centred = (3 * k * (k + 1) + 1 for k in range(wanted))
+        return min(centred, key=lambda number: abs(number - wanted))
+
+    @property
+    def fluid_mass(self) -> float:
+        """Mass of one fluid particle, ng: all arrangements hold the same fluid per area."""
+        if self.arrangement != "hexagon":
+            return self.fluid_particle_mass
+        return self.fluid_particle_mass * self.fluid_particles_per_side**2 / self.fluid_particles
+
+    @property
     def mass(self) -> float:
-        """Mass of one cell in a tissue, shared wall particles counted once, ng."""
+        """Mass of one cell in a tissue (the mean), shared wall particles counted once, ng."""
+        if not self.is_one_square:
+            from surrofe2.plant_cell.arrangements import mean_mass  # which needs the parameters
+
+            return mean_mass(self)
         walls = 2 * self.wall_springs_per_side - 1
         return (
             walls * self.wall_particle_mass
@@ -97,12 +145,33 @@ class CellParameters:
     @property
     def fingerprint(self) -> str:
         """16 hexadecimal digits that two equal sets of parameters share and no others."""
-        text = json.dumps({k: repr(v) for k, v in sorted(asdict(self).items())})
+        values = asdict(self)
+        if self.is_one_square:  # as before there were arrangements
+            values = {k: v for k, v in values.items() if k not in _ARRANGEMENT}
+        text = json.dumps({k: repr(v) for k, v in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def to_dict(self) -> dict[str, Any]:
         """All fields by name, for files."""
         return asdict(self)
+
+
+def _check_arrangement(arrangement: Any, cells: Any, seed: Any) -> None:
+    if arrangement not in SYMMETRIES:
+        raise InputError(
+            f"cell.arrangement: {arrangement!r}; it must be one of {', '.join(SYMMETRIES)}"
+        )
+    for name, value in (("cells", cells), ("arrangement_seed", seed)):
+        if not isinstance(value, int):
+            raise InputError(f"cell.{name}: {value}; it must be an integer")
+    if arrangement == "voronoi" and cells < FEWEST_VORONOI:
+        raise InputError(
+            f"cell.cells: {cells}; with arrangement voronoi it must be at least {FEWEST_VORONOI}"
+        )
+    if arrangement != "voronoi" and isqrt(cells) ** 2 != cells:
+        raise InputError(
+            f"cell.cells: {cells}; with arrangement {arrangement} it must be a square number"
+        )
 
 
 def _check_number(name: str, value: Any, may_be_zero: bool) -> None:

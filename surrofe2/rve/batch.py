@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import Topology, pack, put_points, unpack
+from surrofe2.plant_cell.lanes import pack, put_points, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
+from surrofe2.rve.contact_lists import covers
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
 from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
-from surrofe2.rve.micro_state import list_covers
 from surrofe2.rve.rve_state import RveState, flags, with_copies
 from surrofe2.rve.slow_manifold import follow, renew_slow
 from surrofe2.rve.slow_newton import newton_slow
+from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.stress_law import Array, Status, Tangents
@@ -31,11 +32,10 @@ def felt_rate(initialisation: str, F_dot: Array) -> Array:
     return np.zeros_like(F_dot) if elastic else F_dot
 
 
-def covered_by(unit: UnitCell, reach: float, F: Array, z: Array) -> NDArray[np.bool_]:
-    """(tiles, TILE): whether contacts listed up to `reach` are all there can be."""
-    covered = np.empty((len(F), TILE), dtype=np.bool_)
-    list_covers(F, z, unit.position, reach, unit.cell.repulsion_cutoff, covered)
-    return covered
+def covered_by(unit: UnitCell, level: int, F: Array, z: Array) -> NDArray[np.bool_]:
+    """(tiles, TILE): whether the contacts that list `level` holds are all there can be."""
+    reach, cutoff = unit.patches[level].reach, unit.cell.repulsion_cutoff
+    return covers(F, z, unit.position, reach, unit.unlisted[level], cutoff)
 
 
 class Batch:
@@ -56,10 +56,10 @@ class Batch:
 
     def solve(self, level: int = 0) -> None:
         """Initialise every RVE; where the list of contacts was too short, again with a longer."""
-        patch, self.topology = self.unit.patches[level], self.unit.topologies[level]
+        self.topology = self.unit.topologies[level]
         self.level, self.held_up = level, np.zeros_like(self.status, dtype=np.bool_)
         self._solve_with(self.topology)
-        covered = covered_by(self.unit, patch.reach, self.F, self.state.z) & ~self.held_up
+        covered = covered_by(self.unit, level, self.F, self.state.z) & ~self.held_up
         if covered.all():
             return
         if level == len(self.unit.patches) - 1:
@@ -115,7 +115,7 @@ class Batch:
             return 0
         return int(unpack(left if before is None else left & ~before, points).sum())
 
-    def _solve_with(self, topology: Topology) -> None:
+    def _solve_with(self, topology: AnyTopology) -> None:
         self.status[:] = Status.OK
         if self.law.initialisation == "cauchy-born":
             self._evaluate(topology)
@@ -128,14 +128,14 @@ class Batch:
             if self.law.initialisation == "elastic":
                 self._evaluate(topology)
 
-    def _evaluate(self, topology: Topology) -> None:
+    def _evaluate(self, topology: AnyTopology) -> None:
         """Stress at z with velocities L x (eqs. 64, 67)."""
         stress_at(
             self.F, self.F_dot, self.state.z, topology, self.unit.constants, self.unit.area,
             self.stress, self.residual,
         )  # fmt: skip
 
-    def _iterate(self, topology: Topology) -> None:
+    def _iterate(self, topology: AnyTopology) -> None:
         """The paper's iteration from the last state, carried along by the incremental F."""
         before = self.before
         x = np.einsum("tabl,tbpl->tapl", self.F, before.z)
@@ -153,7 +153,7 @@ class Batch:
         if self.law.initialisation == "elastic":
             self._evaluate(topology)
 
-    def _solve_directly(self, topology: Topology) -> None:
+    def _solve_directly(self, topology: AnyTopology) -> None:
         before, z = self.before, self.before.z.copy()
         self.state = replace(self.state, z=z, factors=before.factors)
         if self.cold:
@@ -168,7 +168,7 @@ class Batch:
         self._newton_where_open(topology, z, before.z)
         self.status[(self.iterations < 0) & (self.status == Status.OK)] = Status.NOT_CONVERGED
 
-    def _newton_where_open(self, topology: Topology, z: Array, z_before: Array) -> None:
+    def _newton_where_open(self, topology: AnyTopology, z: Array, z_before: Array) -> None:
         if not (self.iterations < 0).any():
             return
         self._newton(topology, self.F, self.rate, z)
@@ -178,7 +178,7 @@ class Batch:
         if astray.any():
             self._walk(topology, z, z_before, astray)
 
-    def _follow(self, topology: Topology) -> None:
+    def _follow(self, topology: AnyTopology) -> None:
         """Slow manifold: warm where possible, else from a fresh elastic equilibrium."""
         before = self.before
         self.state = replace(
@@ -216,7 +216,7 @@ class Batch:
         self.status[lost & ~found & (self.status == Status.OK)] = Status.NOT_CONVERGED
         self.status[(self.iterations < 0) & (self.status == Status.OK)] = Status.NOT_CONVERGED
 
-    def _follow_from(self, at_F: Array, at_rate: Array, topology: Topology) -> None:
+    def _follow_from(self, at_F: Array, at_rate: Array, topology: AnyTopology) -> None:
         state = self.state
         follow(
             self.F, self.F_dot, state.z, state.elastic, state.fluctuation, at_F, at_rate,
@@ -224,7 +224,7 @@ class Batch:
             self.settings.tolerance, self.stress, self.iterations,
         )  # fmt: skip
 
-    def _newton_slow(self, topology: Topology, soft: NDArray[np.bool_]) -> None:
+    def _newton_slow(self, topology: AnyTopology, soft: NDArray[np.bool_]) -> None:
         """Where z_el is stable but so soft that `follow` misses z."""
         if not soft.any():
             return
@@ -235,7 +235,7 @@ class Batch:
         )  # fmt: skip
         self.iterations[soft] = counts[soft]
 
-    def _newton(self, topology: Topology, F: Array, rate: Array, z: Array) -> None:
+    def _newton(self, topology: AnyTopology, F: Array, rate: Array, z: Array) -> None:
         failed = self.iterations < 0
         self.newton_solves += int(failed.sum())
         tiles = np.asarray(failed.any(axis=1))
@@ -249,7 +249,7 @@ class Batch:
         self.state = replace(self.state, factors=factors)
 
     def _walk(
-        self, topology: Topology, z_found: Array, z_before: Array, astray: NDArray[np.bool_]
+        self, topology: AnyTopology, z_found: Array, z_before: Array, astray: NDArray[np.bool_]
     ) -> None:
         """Follow points that Newton's method misses, or finds unstable, from where they were."""
         if self.level < len(self.unit.patches) - 1:
@@ -284,7 +284,7 @@ class Batch:
             left[index] |= walked.left[row]
             self.state = replace(self.state, left=pack(left))
 
-    def _at_rate(self, topology: Topology, index: NDArray[np.intp], z: Array) -> None:
+    def _at_rate(self, topology: AnyTopology, index: NDArray[np.intp], z: Array) -> None:
         """From elastic equilibria at the points `index` to those with dashpots on.
 
         Such a point is as stable as the elastic equilibrium beside it.

@@ -15,7 +15,7 @@ reflected RVE may choose the other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.lanes import Constants, Topology, pack, tiles_for, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.energy import curvatures, energies
+from surrofe2.rve.systems import AnyTopology
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -40,15 +41,21 @@ STEPS, HALVINGS = 200, 30
 
 @dataclass(frozen=True, slots=True)
 class Landscape:
-    """Elastic energy of m RVEs at deformations F (m, 2, 2)."""
+    """Elastic energy of m RVEs at deformations F (m, 2, 2); `of` takes any kind of topology."""
 
     F: Reals
     topology: Topology
     constants: Constants
 
+    @classmethod
+    def of(cls, F: Reals, topology: AnyTopology, constants: Constants) -> Landscape:
+        """With dense matrices, whatever those of the topology are: all eigenvalues are wanted."""
+        dense = Topology(*(getattr(topology, name) for name in Topology._fields))
+        return cls(F, dense, constants)
+
     def take(self, index: NDArray[np.intp]) -> Landscape:
         """That of the RVEs `index` alone."""
-        return Landscape(self.F[index], self.topology, self.constants)
+        return replace(self, F=self.F[index])
 
     def energy(self, z: Reals) -> Reals:
         """(m,) elastic energy at material positions z (m, 2, n), pJ."""

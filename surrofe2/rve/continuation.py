@@ -15,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import Topology, pack, tiles_for, unpack
+from surrofe2.plant_cell.lanes import pack, tiles_for, unpack
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.bifurcation import Landscape, Reals, descend, paired
 from surrofe2.rve.direct import SOLVE, newton, solve_tiles
 from surrofe2.rve.factors import Factors
 from surrofe2.rve.micro_state import list_covers
+from surrofe2.rve.systems import AnyTopology, empty_factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.tensors import rotation, transpose
 
@@ -86,7 +87,7 @@ class Walked:
 class Walker:
     """Follows equilibria of one unit cell with one list of contacts."""
 
-    def __init__(self, unit: UnitCell, topology: Topology, tolerance: float) -> None:
+    def __init__(self, unit: UnitCell, topology: AnyTopology, tolerance: float) -> None:
         self.unit, self.topology, self.tolerance = unit, topology, tolerance
 
     def walk(self, start: Reals, end: Reals, z: Reals) -> Walked:
@@ -128,10 +129,10 @@ class Walker:
 
     def newton(self, F: Reals, z: Reals) -> Solved:
         """The elastic equilibrium by Newton's method from z (m, 2, n)."""
-        count, free = len(z), 2 * z.shape[2] - 2
+        count = len(z)
         tiles = tiles_for(count)
         packed = pack(z)
-        factors, task = Factors.empty(tiles, free), np.full(tiles, SOLVE, dtype=np.int8)
+        factors, task = empty_factors(self.topology, tiles), np.full(tiles, SOLVE, dtype=np.int8)
         stress = np.full((tiles, 2, 2, TILE), np.nan)
         iterations = np.zeros((tiles, TILE), dtype=np.int32)
         stable = np.zeros((tiles, TILE), dtype=np.bool_)
@@ -157,7 +158,7 @@ class Walker:
         """
         saddle = (trial.iterations > 0) & ~trial.stable & ~_jumped(trial.z, z)
         begin = np.where(saddle[:, None, None], trial.z, z)[stuck]
-        landscape = Landscape(F[stuck], self.topology, self.unit.constants)
+        landscape = Landscape.of(F[stuck], self.topology, self.unit.constants)
         below, found = descend(landscape, begin)
         solved = self.newton(F[stuck], below)
         found &= solved.good & ~paired(landscape, solved.z, np.arange(len(stuck)))

@@ -8,13 +8,13 @@ Kept per point, besides material positions z at (F, Ḟ): the LU factors of the 
 single precision (they only precondition; the residual is double), and the slopes ∂z/∂(F, Ḟ)
 (they only predict), both taken at the last factorisation, see `factors`::
 
-    lu      (2n − 2, 2n − 2, TILE)     particle 0 is held
+    lu      (2n − 2, 2n − 2, TILE)     particle 0 is held; sparse: (size, TILE)
     slopes  (2n − 2, 8, TILE)          columns ∂F_xx, xy, yx, yy, ∂Ḟ_xx, xy, yx, yy
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.plant_cell.lanes import Constants, Topology
+from surrofe2.plant_cell.lanes import Constants
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.factors import Factors, kept
-from surrofe2.rve.linear import copy_from, factorise, is_negative_definite, solve_factorised
+from surrofe2.rve.factors import Factors
 from surrofe2.rve.micro_state import (
     copy_particles,
     evaluate,
@@ -33,6 +32,15 @@ from surrofe2.rve.micro_state import (
     make_workspace,
     map_affine,
     set_images,
+)
+from surrofe2.rve.systems import (
+    AnyTopology,
+    check_definite,
+    factorise_free,
+    keep_factors,
+    kept_factors,
+    make_matrices,
+    solve,
 )
 
 Array = NDArray[np.float64]
@@ -47,28 +55,6 @@ LONGEST_STEP = 0.4
 
 SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
 """What `newton` does with a tile; each does what the one before does, too."""
-
-
-class Matrices(NamedTuple):
-    """Scratch of one tile for factorisations; n particles."""
-
-    jacobian: NDArray[np.float64]
-    columns: NDArray[np.float64]
-    no_columns: NDArray[np.float64]
-    free: NDArray[np.float64]
-    step: NDArray[np.float64]
-
-
-@kernel
-def make_matrices(n):
-    """Uninitialised scratch for n particles."""
-    return Matrices(
-        np.empty((2 * n, 2 * n, TILE)),
-        np.empty((2 * n, 8, TILE)),
-        np.empty((0, 8, TILE)),
-        np.empty((2 * n - 2, 2 * n - 2, TILE)),
-        np.empty((2 * n - 2, TILE)),
-    )
 
 
 @parallel_kernel
@@ -91,7 +77,7 @@ def chord_tile(
 ):
     """`chord` for one tile, arrays without their first axis."""
     work, free = make_workspace(topology), 2 * topology.particles - 2
-    lu, slopes = kept(factors, free)
+    lu, slopes = kept_factors(factors, topology)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     before, step = np.full(TILE, np.inf), np.empty((free, TILE))
     predict(z, F, rate, at_F, at_rate, slopes, work.z)
@@ -112,7 +98,7 @@ def chord_tile(
         if open_lanes == 0:
             break
         set_residual(work.f, step)
-        solve_factorised(lu, step)
+        solve(lu, step, topology)
         hold(step, iterations)
         move(step, F, work.z)
     for k in range(TILE):
@@ -192,7 +178,7 @@ def solve_tiles(kernel: Any, *arguments: Any) -> None:
 
 
 def renew(
-    F: Array, rate: Array, z: Array, factors: Factors, wanted: Flags, topology: Topology,
+    F: Array, rate: Array, z: Array, factors: Factors, wanted: Flags, topology: AnyTopology,
     c: Constants, stable: Flags,
 ) -> None:  # fmt: skip
     """Check stability of every tile; write the factors of the `wanted` (tiles,) ones."""
@@ -208,14 +194,14 @@ def newton_tile(
     """`newton` for one tile, arrays without their first axis."""
     if task == SKIP:
         return
-    work, matrices = make_workspace(topology), make_matrices(topology.particles)
+    work, matrices = make_workspace(topology), make_matrices(topology)
     copy_particles(z, work.z)
     if task >= SOLVE:
         _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterations)
         copy_particles(work.z, z)
     set_images(work.z, topology)
     if task >= RENEW:
-        lu, slopes = kept(factors, 2 * topology.particles - 2)
+        lu, slopes = kept_factors(factors, topology)
         _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
     check_stable(work, matrices, F, topology, c, stable)
 
@@ -242,10 +228,9 @@ def _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterat
         if open_lanes == 0:
             break
         set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
-        copy_from(matrices.jacobian, 2, matrices.free)
-        factorise(matrices.free)
+        factorise_free(matrices, topology)
         set_residual(work.f, matrices.step)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         limit_step(matrices.step)
         hold(matrices.step, iterations)
         move(matrices.step, F, work.z)
@@ -283,16 +268,15 @@ def _refactorise(work, matrices, F, rate, topology, c, lu, slopes):
     map_affine(F, work.z, work.x)
     map_affine(rate, work.z, work.v)
     set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.columns)
-    copy_from(matrices.jacobian, 2, matrices.free)
-    factorise(matrices.free)
-    copy_from(matrices.free, 0, lu)
+    factorise_free(matrices, topology)
+    keep_factors(matrices.free, lu, topology)
     step = matrices.step
     xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
     per_det = 1.0 / (xx * yy - xy * yx)
     for m in range(8):
         for i in range(step.shape[0]):
             store(-load(matrices.columns, i + 2, m), step, i)
-        solve_factorised(matrices.free, step)
+        solve(matrices.free, step, topology)
         for i in range(0, step.shape[0], 2):
             dx, dy = load(step, i), load(step, i + 1)
             store((yy * dx - xy * dy) * per_det, slopes, i, m)
@@ -306,8 +290,7 @@ def check_stable(work, matrices, F, topology, c, stable):
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    copy_from(matrices.jacobian, 2, matrices.free)
-    is_negative_definite(matrices.free, stable)
+    check_definite(matrices, topology, stable)
 
 
 @parallel_kernel

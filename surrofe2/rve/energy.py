@@ -16,7 +16,7 @@ import numpy as np
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import elastic_energy, fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.direct import make_matrices, set_jacobian
+from surrofe2.rve.direct import set_jacobian
 from surrofe2.rve.linear import copy_from
 from surrofe2.rve.micro_state import (
     copy_particles,
@@ -25,6 +25,7 @@ from surrofe2.rve.micro_state import (
     map_affine,
     set_images,
 )
+from surrofe2.rve.systems import make_matrices
 
 
 @parallel_kernel
@@ -51,7 +52,7 @@ def curvatures(F, z, topology, c, forces, slope):
 
 @kernel
 def _curvature_tile(F, z, topology, c, forces, slope):
-    work, matrices = make_workspace(topology), make_matrices(topology.particles)
+    work, matrices = make_workspace(topology), make_matrices(topology)
     _place(work, F, z, topology)
     work.v[:] = 0.0
     local_forces(work, topology, c)

@@ -4,6 +4,7 @@ They are by far the largest part of a state (22 kB a point) and few change from 
 next. Each tile has a block of memory of its own, all single precision, lanes last::
 
     block   lu (free, free, TILE), then slopes (free, 8, TILE)      free = 2 particles − 2
+            sparse: lu (size, TILE)
 
 A block is written once, by the kernel it was made for; a state that renews some tiles gets new
 blocks for these and shares the others. Kernels find a block by its address, and Python keeps it
@@ -49,9 +50,12 @@ class Factors:
         return cls(tuple(blocks), np.array(address, dtype=np.intp))
 
     @classmethod
-    def empty(cls, tiles: int, free: int) -> Factors:
-        """Uninitialised factors of `tiles` tiles with `free` unknowns a point."""
-        rows = free * (free + SLOPES)
+    def empty(cls, tiles: int, free: int, size: int | None = None) -> Factors:
+        """Uninitialised factors of `tiles` tiles with `free` unknowns a point.
+
+        size: numbers in the lu of a point; None: dense, free².
+        """
+        rows = (free * free if size is None else size) + free * SLOPES
         return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
 
     def repeated(self, tiles: int) -> Factors:
@@ -111,4 +115,12 @@ def kept(address, free):
     """(lu (free, free, TILE), slopes (free, 8, TILE)) of the block at an address; not copied."""
     lu = carray(_singles_at(address), (free, free, TILE))
     behind = address + _BYTES * free * free * TILE
+    return lu, carray(_singles_at(behind), (free, SLOPES, TILE))
+
+
+@kernel
+def kept_sparse(address, size, free):
+    """As `kept` with lu (size, TILE)."""
+    lu = carray(_singles_at(address), (size, TILE))
+    behind = address + _BYTES * size * TILE
     return lu, carray(_singles_at(behind), (free, SLOPES, TILE))

@@ -18,9 +18,9 @@ from surrofe2.errors import InputError, SimulationError
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.lanes import pack
 from surrofe2.plant_cell.simd import TILE
+from surrofe2.rve.batch import covered_by
 from surrofe2.rve.micro_state import (
     cauchy_stress,
-    list_covers,
     local_forces,
     make_workspace,
     map_affine,
@@ -94,9 +94,7 @@ def _stress(law: RveLaw, u: Array, w: Array, F: Array, F_dot: Array) -> Array:
         u, w, tensors[0], tensors[1], X, unit.topologies[-1], unit.constants, unit.area, stress
     )
     z = X[..., None] + np.einsum("ab,bpl->apl", np.linalg.inv(F), u)
-    covered = np.empty((1, TILE), dtype=np.bool_)
-    reach, cutoff = unit.patches[-1].reach, law.cell.repulsion_cutoff
-    list_covers(pack(F[None]), z[None], unit.position, reach, cutoff, covered)
+    covered = covered_by(unit, -1, pack(F[None]), z[None])
     if not covered.all():
         raise SimulationError("micro-integration: particles moved beyond the pair lists")
     return stress[..., 0].copy()

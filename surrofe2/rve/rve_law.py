@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.lanes import Topology, pack, unpack
+from surrofe2.plant_cell.lanes import pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.batch import Batch, covered_by, felt_rate
@@ -17,6 +17,7 @@ from surrofe2.rve.direct import renew
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
+from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
 
@@ -179,9 +180,9 @@ class RveLaw:
             return Acceptance(status, state)
         return Acceptance(status, state, stress, left)
 
-    def _covering_topology(self, state: RveState) -> Topology:
+    def _covering_topology(self, state: RveState) -> AnyTopology:
         """The shortest pair lists that cover every point, else the longest."""
-        for patch, topology in zip(self.unit_cell.patches, self.unit_cell.topologies, strict=True):
-            if covered_by(self.unit_cell, patch.reach, state.F, state.z).all():
+        for level, topology in enumerate(self.unit_cell.topologies):
+            if covered_by(self.unit_cell, level, state.F, state.z).all():
                 return topology
         return topology

@@ -26,14 +26,11 @@ from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.direct import (
     check_stable,
     hold,
-    make_matrices,
     move,
     predict,
     set_jacobian,
     set_residual,
 )
-from surrofe2.rve.factors import kept
-from surrofe2.rve.linear import copy_from, factorise, solve_factorised
 from surrofe2.rve.micro_state import (
     cauchy_stress,
     copy_particles,
@@ -43,6 +40,14 @@ from surrofe2.rve.micro_state import (
     map_affine,
     mean_force,
     set_images,
+)
+from surrofe2.rve.systems import (
+    check_pivots,
+    factorise_free,
+    keep_factors,
+    kept_factors,
+    make_matrices,
+    solve,
 )
 
 LIMIT = 40
@@ -75,7 +80,7 @@ def _follow_tile(
 ):  # fmt: skip
     own = topology.particles
     work = make_workspace(topology)
-    lu, slopes = kept(factors, 2 * own - 2)
+    lu, slopes = kept_factors(factors, topology)
     y = np.empty((2, own, TILE))
     still = np.zeros((2, 2, TILE))
     count = np.zeros(TILE, dtype=np.int32)
@@ -176,11 +181,11 @@ def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
         if left == 0:
             return
         set_residual(work.f, step)
-        solve_factorised(lu, step)
+        solve(lu, step, topology)
         hold(step, settled)
         move(step, F, work.z)
         set_residual(f_rate, step)
-        solve_factorised(lu, step)
+        solve(lu, step, topology)
         hold(step, done)
         move(step, F, y)
 
@@ -218,7 +223,7 @@ def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
         if left == 0:
             return
         set_residual(work.f, step)
-        solve_factorised(lu, step)
+        solve(lu, step, topology)
         hold(step, done)
         move(step, F, work.z)
 
@@ -236,7 +241,7 @@ def renew_slow(F, elastic, factors, wanted, topology, c, stable):
 @kernel
 def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
     own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(own)
+    work, matrices = make_workspace(topology), make_matrices(topology)
     copy_particles(elastic, work.z)
     set_images(work.z, topology)
     if not wanted:
@@ -246,22 +251,17 @@ def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    copy_from(matrices.jacobian, 2, matrices.free)
-    factorise(matrices.free)
-    lu, slopes = kept(factors, 2 * own - 2)
-    copy_from(matrices.free, 0, lu)
-    for k in range(TILE):
-        stable[k] = True
-        for i in range(2 * own - 2):
-            if not matrices.free[i, i, k] < 0.0:
-                stable[k] = False
+    factorise_free(matrices, topology)
+    lu, slopes = kept_factors(factors, topology)
+    keep_factors(matrices.free, lu, topology)
+    check_pivots(matrices.free, topology, stable)
     local_forces(work, topology, c)
     at_rest = work.f.copy()
     y, unit = np.empty((2, own, TILE)), np.zeros((2, 2, TILE))
     for m in range(4):
         for i in range(2 * own - 2):
             store(-load(matrices.columns, i + 2, m), matrices.step, i)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         y[:] = 0.0
         move(matrices.step, F, y)
         _keep(y, slopes, m)
@@ -272,7 +272,7 @@ def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
         work.f[:] = work.f - at_rest
         fold_images(work.f, topology)
         set_residual(work.f, matrices.step)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         y[:] = 0.0
         move(matrices.step, F, y)
         _keep(y, slopes, 4 + m)

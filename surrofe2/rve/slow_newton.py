@@ -18,12 +18,10 @@ from surrofe2.rve.direct import (
     NEWTON_LIMIT,
     hold,
     limit_step,
-    make_matrices,
     move,
     set_jacobian,
     set_residual,
 )
-from surrofe2.rve.linear import copy_from, factorise, solve_factorised
 from surrofe2.rve.micro_state import (
     cauchy_stress,
     copy_particles,
@@ -35,6 +33,7 @@ from surrofe2.rve.micro_state import (
     set_images,
 )
 from surrofe2.rve.slow_manifold import set_velocities
+from surrofe2.rve.systems import factorise_free, make_matrices, solve
 from surrofe2.rve.tangents import equilibrium_modes, material_rate
 
 
@@ -58,7 +57,7 @@ def _newton_tile(
     F, rate, z, elastic, fluctuation, topology, c, area, tolerance, stress, iterations
 ):  # fmt: skip
     own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(own)
+    work, matrices = make_workspace(topology), make_matrices(topology)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     still = np.zeros((2, 2, TILE))
     wanted = iterations <= 0
@@ -88,10 +87,9 @@ def _newton_tile(
         if left == 0:
             break
         set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-        copy_from(matrices.jacobian, 2, matrices.free)
-        factorise(matrices.free)
+        factorise_free(matrices, topology)
         set_residual(work.f, matrices.step)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         limit_step(matrices.step)
         hold(matrices.step, iterations)
         move(matrices.step, F, work.z)

@@ -21,8 +21,7 @@ from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates, add_force_slopes
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, spread, store
-from surrofe2.rve.direct import make_matrices, move, set_jacobian, set_residual
-from surrofe2.rve.linear import copy_from, factorise, solve_factorised
+from surrofe2.rve.direct import move, set_jacobian, set_residual
 from surrofe2.rve.micro_state import (
     copy_particles,
     local_forces,
@@ -31,6 +30,7 @@ from surrofe2.rve.micro_state import (
     set_images,
 )
 from surrofe2.rve.slow_manifold import set_velocities
+from surrofe2.rve.systems import factorise_free, make_matrices, solve
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2
@@ -52,7 +52,7 @@ def affine_tangents(F, F_dot, z, kind, topology, c, area, tangents):
 @kernel
 def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
     own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(own)
+    work, matrices = make_workspace(topology), make_matrices(topology)
     change = make_workspace(topology)
     copy_particles(z, work.z)
     set_images(work.z, topology)
@@ -61,8 +61,7 @@ def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
     felt = still if kind == _ELASTIC else F_dot
     map_affine(felt, work.z, work.v)
     set_jacobian(work, F, felt, topology, c, matrices.jacobian, matrices.columns)
-    copy_from(matrices.jacobian, 2, matrices.free)
-    factorise(matrices.free)
+    factorise_free(matrices, topology)
     map_affine(F_dot, work.z, work.v)
     local_forces(work, topology, c)
     at_point = work.f.copy()
@@ -72,7 +71,7 @@ def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
         if not (kind == _CAUCHY_BORN or (kind == _ELASTIC and m >= 4)):
             for i in range(2 * own - 2):
                 store(-load(matrices.columns, i + 2, m), matrices.step, i)
-            solve_factorised(matrices.free, matrices.step)
+            solve(matrices.free, matrices.step, topology)
             move(matrices.step, F, dz)
         _set_change(dz, F, work.z, m, m < 4, topology, change.x)
         _set_change(dz, F_dot, work.z, m - 4, m >= 4, topology, change.v)
@@ -122,7 +121,7 @@ def slow_tangents(F, F_dot, z, relaxed, topology, c, area, tangents):
 @kernel
 def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
     own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(own)
+    work, matrices = make_workspace(topology), make_matrices(topology)
     at_rest, change = make_workspace(topology), make_workspace(topology)
     copy_particles(relaxed, at_rest.z)
     set_images(at_rest.z, topology)
@@ -136,8 +135,7 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
     work.v[:] = at_rest.v
     still, unit = np.zeros((2, 2, TILE)), np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    copy_from(matrices.jacobian, 2, matrices.free)
-    factorise(matrices.free)
+    factorise_free(matrices, topology)
     local_forces(work, topology, c)
     at_point = work.f.copy()
     dz = np.zeros((2, own, TILE))
@@ -157,7 +155,7 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
         )  # fmt: skip
         fold_images(change.f, topology)
         set_residual(change.f, matrices.step)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         move(matrices.step, F, dz)
         _set_change(dz, F, work.z, m, m < 4, topology, change.x)
         _add_stress_change(work, change, dz, at_point, topology, c, area, tangents, m)
@@ -171,13 +169,12 @@ def equilibrium_modes(work, F, topology, c, matrices):
     work.v[:] = 0.0
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    copy_from(matrices.jacobian, 2, matrices.free)
-    factorise(matrices.free)
+    factorise_free(matrices, topology)
     modes = np.zeros((4, 2, own, TILE))
     for m in range(4):
         for i in range(2 * own - 2):
             store(-load(matrices.columns, i + 2, m), matrices.step, i)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         move(matrices.step, F, modes[m])
     return modes
 
@@ -223,7 +220,7 @@ def _velocity_slopes(work, modes, y, F, F_dot, topology, c, matrices, change):
         change.f[:] = (rates[0] - rates[1]) / (2.0 * DIFFERENCE)
         fold_images(change.f, topology)
         set_residual(change.f, matrices.step)
-        solve_factorised(matrices.free, matrices.step)
+        solve(matrices.free, matrices.step, topology)
         dy[:] = 0.0
         move(matrices.step, F, dy)
         for i in range(change.v.shape[1]):

@@ -1,4 +1,4 @@
-"""The RVE in its reference state: one periodic plant cell, relaxed, free of stress.
+"""The RVE in its reference state: periodic plant cells, relaxed, free of stress.
 
 The paper starts "from this cell in its equilibrium state", and its tissue measures an exact
 multiple of the cell: so the wall rest length l₀ follows from σ(I, 0) = 0 with particles relaxed.
@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 from scipy.optimize import root_scalar
 
 from surrofe2.errors import InputError
+from surrofe2.plant_cell.arranged_patch import Unlisted
 from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
-from surrofe2.plant_cell.lanes import Constants, Topology, make_constants, make_topology, pack
+from surrofe2.plant_cell.lanes import Constants, make_constants, make_topology, pack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE
+from surrofe2.rve.arranged_cells import find_reference
 from surrofe2.rve.constrained_runs import iterate_tile
 from surrofe2.rve.direct import SOLVE, newton
 from surrofe2.rve.factors import Factors
+from surrofe2.rve.systems import AnyTopology
 
 REACHES = (1.2, 1.4, 2.0, 3.0)
 """Lists of contacts, in cut-offs; the shortest that provably covers a deformation serves."""
@@ -37,6 +40,7 @@ class UnitCell:
         position: (n, 2) relaxed reference positions, µm; particle 0 is a wall corner at 0.
         rest_length: wall rest length l₀, µm, at which the reference is free of stress.
         patches, topologies: pair lists of rising reach.
+        unlisted: what each list leaves out; None where its reach alone has to tell.
         factors: factorisation at the reference, one tile.
     """
 
@@ -45,8 +49,9 @@ class UnitCell:
     rest_length: float
     constants: Constants
     patches: tuple[Patch, ...]
-    topologies: tuple[Topology, ...]
+    topologies: tuple[AnyTopology, ...]
     factors: Factors
+    unlisted: tuple[Unlisted | None, ...]
 
     @property
     def area(self) -> float:
@@ -56,11 +61,13 @@ class UnitCell:
 
 @lru_cache(maxsize=32)
 def make_unit_cell(cell: CellParameters) -> UnitCell:
-    """Relax one square cell at F = I and find the rest length that frees it of stress.
+    """Relax plant cells at F = I and find the rest length (and box) that frees them of stress.
 
     Raises:
         InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
     """
+    if not cell.is_one_square:
+        return _arranged_unit_cell(cell)
     spring = cell.cell_side / cell.wall_springs_per_side
     start = even_positions(cell)
     patch = square_patch(cell, start, reach=REACHES[-1] * cell.repulsion_cutoff)
@@ -91,7 +98,23 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
         square_patch(cell, position, reach=factor * cell.repulsion_cutoff) for factor in REACHES
     )
     topologies = tuple(make_topology(p) for p in patches)
-    return UnitCell(cell, position, rest_length, constants, patches, topologies, factors)
+    unlisted = (None,) * len(patches)
+    return UnitCell(cell, position, rest_length, constants, patches, topologies, factors, unlisted)
+
+
+def _arranged_unit_cell(cell: CellParameters) -> UnitCell:
+    reference = find_reference(cell)
+    lists, found = reference.lists, reference.equilibrium
+    return UnitCell(
+        cell,
+        reference.position,
+        reference.rest_length,
+        make_constants(cell, reference.rest_length),
+        lists.patches,
+        lists.topologies,
+        found.factors,
+        lists.unlisted,
+    )
 
 
 def _descend(patch: Patch, constants: Constants, start: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -127,6 +127,11 @@ def make_tissue(
     """
     if len(cells) != 2 or any(not isinstance(n, int) or n < 1 for n in cells):
         raise InputError(f"tissue.cells: {cells}; they must be two integers of at least 1")
+    if not cell.is_one_square:
+        raise InputError(
+            f"cell.arrangement: {cell.cells} of {cell.arrangement}; a tissue must be made of "
+            "copies of one square plant cell"
+        )
     walls = 2 * cell.wall_springs_per_side - 1
     if position.shape != (walls + cell.fluid_particles_per_side**2, 2):
         raise InputError(

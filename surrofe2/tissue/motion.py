@@ -224,4 +224,6 @@ def _fluid_topology(tissue: Tissue) -> Topology:
         image_offset=np.empty((0, 2)),
         particles=tissue.own,
         walls=tissue.walls,
+        fluid_start=np.array([0, len(fluid)], dtype=np.int32),
+        fluid_pair_start=np.array([0, len(pairs)], dtype=np.int32),
     )

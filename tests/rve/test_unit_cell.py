@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.jacobian import add_product
+from surrofe2.plant_cell.matrix_blocks import add_product
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve import RveLaw
