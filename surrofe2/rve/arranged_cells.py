@@ -4,7 +4,7 @@ Unknowns are the wall rest length l₀ and the shape of the box at its given are
 cells; symmetry frees squares and hexagons of it). Particles are relaxed at each trial; the stress
 of an elastic equilibrium is symmetric, so three numbers free it: Newton with a Jacobian by
 differences, renewed by Broyden's formula. Where starts lead to several equilibria, the stable one
-of least energy at a common l₀ and box is taken.
+of least energy is taken, at the l₀ of one square cell and in the box as it was laid out.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def make_lists(
     return Lists(patches, topologies, rests)
 
 
-def find_reference(cell: CellParameters) -> Reference:
-    """The stress-free reference of an arrangement.
+def find_reference(cell: CellParameters, guess: float) -> Reference:
+    """The stress-free reference of an arrangement, l₀ sought from `guess`, µm.
 
     Raises:
         InputError: no rest length balances the turgor, or no equilibrium is stable.
@@ -99,13 +99,9 @@ def find_reference(cell: CellParameters) -> Reference:
     arrangement = make_arrangement(cell)
     lattice = arrangement.tessellation.lattice
     starts = start_set(cell, STARTS if irregular else 1)
-    spring = cell.cell_side / cell.wall_springs_per_side
-    first = _settled(cell, lattice, starts[:1], 0.5 * spring)
-    reference = _free_of_stress(cell, first[0], lattice, 0.5 * spring, irregular)
-    if len(starts) > 1:
-        found = equilibria_in(cell, reference, starts)
-        best = found.z[lowest(found)].T
-        reference = _free_of_stress(cell, best, reference.lattice, reference.rest_length, irregular)
+    found = equilibria_in(cell, lattice, guess, starts)
+    best = found.z[lowest(found)].T
+    reference = _free_of_stress(cell, best, lattice, guess, irregular)
     lowest(reference.equilibrium)
     return reference
 
@@ -118,31 +114,33 @@ def start_set(cell: CellParameters, count: int, *, at_random: bool = False) -> A
     )
 
 
-def equilibria_in(cell: CellParameters, reference: Reference, starts: Array) -> Equilibria:
-    """Equilibria at the reference's l₀ and box from other starts, given in the first box."""
-    moved = _into_box(make_arrangement(cell), reference.lattice, starts)
-    settled = _settled(cell, reference.lattice, moved, reference.rest_length)
-    lists = make_lists(cell, settled[0], reference.lattice)
-    constants = make_constants(cell, reference.rest_length)
-    unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
-    z = np.swapaxes(settled, 1, 2)
-    return relax(lists.topologies[-1], constants, lists.patches[0].area, z, unit)
+def equilibria_in(
+    cell: CellParameters, lattice: Array, rest_length: float, starts: Array
+) -> Equilibria:
+    """Equilibria at F = I of a given box and l₀ into which `starts` (k, n, 2) settle.
 
+    Args:
+        lattice: (2, 2); starts are given in the arrangement's own box and deformed to this one.
 
-def _into_box(arrangement: Arrangement, lattice: Array, positions: Array) -> Array:
-    return positions @ np.linalg.solve(arrangement.tessellation.lattice.T, lattice.T)
-
-
-def _settled(cell: CellParameters, lattice: Array, starts: Array, rest_length: float) -> Array:
-    lists = make_lists(cell, starts[0], lattice)
-    patch, constants = lists.patches[-1], make_constants(cell, rest_length)
-    settled, rested = settle(lists.topologies[-1], constants, patch.mass, patch.area, starts)
-    if not rested[0]:
+    Raises:
+        InputError: no start comes to rest.
+    """
+    own = make_arrangement(cell).tessellation.lattice
+    moved = starts @ np.linalg.solve(own.T, lattice.T)
+    constants = make_constants(cell, rest_length)
+    lists = make_lists(cell, moved[0], lattice)
+    patch = lists.patches[-1]
+    settled, rested = settle(lists.topologies[-1], constants, patch.mass, patch.area, moved)
+    if not rested.any():
         raise InputError(
             "cell: the undeformed RVE does not come to rest; check fluid_particle_mass, "
             "wall_stiffness and the damping ratios"
         )
-    return settled[rested]
+    settled = settled[rested]
+    lists = make_lists(cell, settled[0], lattice)
+    unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
+    z = np.swapaxes(settled, 1, 2)
+    return relax(lists.topologies[-1], constants, patch.area, z, unit)
 
 
 def _free_of_stress(

@@ -25,7 +25,9 @@ from surrofe2.rve.systems import AnyTopology, empty_factors
 Array = NDArray[np.float64]
 
 RELAXED = 1e-10
-_SETTLING_STEP, _SETTLED, _SETTLING_LIMIT = 1e-3, 1.0, 200_000
+_SETTLING_STEP, _SETTLING_LIMIT = 1e-3, 300_000
+_SETTLED = 1e-4
+"""Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
 SAME_ENERGY = 1e-7
 """Equilibria whose energies differ relatively by less are the same or images of each other."""
 

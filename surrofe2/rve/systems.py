@@ -1,8 +1,8 @@
 """One set of names for the linear systems of an RVE, dense (`linear`) or sparse (`sparse_linear`).
 
 A `Topology` has dense matrices, a `SparseTopology` sparse ones; numba picks by its type. Unknowns
-are those of all particles but the held one, b is (2n − 2, TILE). Factors are (2n − 2, 2n − 2, TILE)
-dense and (size, TILE) sparse.
+are those of all particles but the held one, b is (2n − 2, TILE). Factors are
+(2n − 2, 2n − 2, TILE) dense and (size, TILE) sparse.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
@@ -67,11 +66,11 @@ def make_matrices(topology):
     )
 
 
-def _empty_jacobian(n: Any, topology: Any) -> None:
+def _empty_jacobian(n: Any, topology: Any) -> Any:
     raise NotImplementedError("for kernels")
 
 
-def _empty_factors(n: Any, topology: Any) -> None:
+def _empty_factors(n: Any, topology: Any) -> Any:
     raise NotImplementedError("for kernels")
 
 
@@ -106,7 +105,7 @@ def solve(lu: Any, b: Any, topology: Any) -> None:
 
 
 def _is_dense(topology: Any) -> bool:
-    return isinstance(topology, types.NamedTuple) and "size" not in topology.fields
+    return "size" not in topology.fields
 
 
 @overload(_empty_jacobian, jit_options=_OPTIONS)

@@ -6,7 +6,7 @@ multiple of the cell: so the wall rest length l₀ follows from σ(I, 0) = 0 wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -103,7 +103,8 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
 
 
 def _arranged_unit_cell(cell: CellParameters) -> UnitCell:
-    reference = find_reference(cell)
+    one_square = make_unit_cell(replace(cell, arrangement="square", cells=1, arrangement_seed=1))
+    reference = find_reference(cell, one_square.rest_length)
     lists, found = reference.lists, reference.equilibrium
     return UnitCell(
         cell,

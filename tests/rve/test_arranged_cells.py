@@ -1,0 +1,108 @@
+"""RVEs of several plant cells: squares over again, hexagons with D6, Voronoi with no symmetry."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.lanes import SparseTopology, Topology
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.rve.arranged_cells import make_lists
+from surrofe2.rve.equilibria import relax
+from surrofe2.stress_law import Status
+from surrofe2.tissue.layout import make_tissue
+
+
+@cache
+def law(arrangement, cells, initialisation="constrained-runs", solver="direct", **settings):
+    cell = CellParameters(arrangement=arrangement, cells=cells)
+    return RveLaw(cell, initialisation, solver, **settings)
+
+
+def deformations(n=8, size=0.04, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.eye(2) + size * rng.uniform(-1, 1, (n, 2, 2)), 0.01 * rng.uniform(-1, 1, (n, 2, 2))
+
+
+@pytest.mark.parametrize("initialisation", INITIALISATIONS)
+def test_two_by_two_squares_are_one_square(initialisation):
+    F, F_dot = deformations()
+    four, one = law("square", 4, initialisation), law("square", 1, initialisation)
+    assert isinstance(four.unit_cell.topologies[0], SparseTopology)
+    assert isinstance(one.unit_cell.topologies[0], Topology)
+    assert four.rest_length == pytest.approx(one.rest_length, abs=1e-11)
+    assert four.density == pytest.approx(one.density, rel=1e-14)
+    mine, theirs = (this.respond(F, F_dot, tangents=True) for this in (four, one))
+    np.testing.assert_allclose(mine.stress, theirs.stress, rtol=0, atol=1e-9)
+    for name in ("P_by_F", "P_by_F_dot"):
+        there = getattr(theirs.tangents, name)
+        scale = np.abs(there).max()
+        np.testing.assert_allclose(getattr(mine.tangents, name), there, rtol=0, atol=1e-6 * scale)
+
+
+def test_warm_start_needs_no_newton_with_sparse_factors():
+    F, F_dot = deformations()
+    this = law("square", 4)
+    cold = this.respond(F, F_dot)
+    warm = this.respond(F * 1.0005, F_dot, cold.state)
+    assert warm.effort["newton_solves"] == 0
+    fresh = this.respond(F * 1.0005, F_dot).stress
+    np.testing.assert_allclose(warm.stress, fresh, rtol=0, atol=1e-8)
+    assert (this.accept(F * 1.0005, F_dot, warm).status == Status.OK).all()
+
+
+@pytest.mark.parametrize("initialisation", ["constrained-runs", "slow-manifold"])
+def test_hexagons_have_the_symmetry_d6(initialisation):
+    F, F_dot = deformations()
+    this = law("hexagon", 1, initialisation)
+    stress = this.respond(F, F_dot).stress
+    assert np.isfinite(stress).all()
+    for k in range(1, 6):
+        c, s = np.cos(k * np.pi / 3), np.sin(k * np.pi / 3)
+        G = np.array([[c, -s], [s, c]])
+        np.testing.assert_allclose(this.respond(F @ G, F_dot @ G).stress, stress, rtol=0, atol=1e-9)
+        M = np.array([[c, s], [s, -c]])
+        there = this.respond(M @ F @ M, M @ F_dot @ M).stress
+        np.testing.assert_allclose(there, M @ stress @ M, rtol=0, atol=1e-9)
+    G = np.array([[0.0, -1.0], [1.0, 0.0]])  # a quarter turn is none of them
+    assert np.abs(this.respond(F @ G, F_dot @ G).stress - stress).max() > 1e-3
+
+
+def test_four_hexagons_are_one():
+    F, F_dot = deformations()
+    four, one = law("hexagon", 4), law("hexagon", 1)
+    np.testing.assert_allclose(
+        four.respond(F, F_dot).stress, one.respond(F, F_dot).stress, rtol=0, atol=1e-8
+    )
+
+
+def test_hexagons_rest_without_stress():
+    still = np.zeros((1, 2, 2))
+    for name in INITIALISATIONS:
+        answer = law("hexagon", 1, name).respond(np.eye(2)[None], still)
+        assert answer.status[0] == Status.OK
+        assert np.abs(answer.stress).max() < 1e-9
+
+
+def test_sparse_and_dense_matrices_find_the_same_equilibrium():
+    unit = law("square", 4).unit_cell
+    F, _ = deformations()
+    z = np.broadcast_to(unit.position.T, (8, *unit.position.T.shape))
+    found = []
+    for sparse in (True, False):
+        lists = make_lists(unit.cell, unit.position, unit.patches[0].lattice, sparse=sparse)
+        found.append(relax(lists.topologies[1], unit.constants, unit.area, z, F))
+    np.testing.assert_allclose(found[0].stress, found[1].stress, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found[0].energy, found[1].energy, rtol=1e-13)
+    np.testing.assert_array_equal(found[0].stable, found[1].stable)
+    assert found[0].stable.all()
+
+
+def test_a_tissue_of_other_cells_is_refused():
+    one = law("square", 1)
+    for cell in (replace(one.cell, arrangement="hexagon"), replace(one.cell, cells=4)):
+        with pytest.raises(InputError, match=r"^cell.arrangement: \d of \w+; a tissue must be"):
+            make_tissue(cell, one.reference_position, one.rest_length, (2, 2))
