@@ -20,7 +20,7 @@ from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.rve import RveLaw
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.direct import SOLVE, newton, stress_at
-from surrofe2.rve.factors import Factors
+from surrofe2.rve.systems import empty_factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.stress_law import Status
 from surrofe2.studies.drives import shear_rate_tensor, sheared
@@ -125,11 +125,11 @@ def _iterated(
 def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> Relaxation:
     """Newton's iterates: the states at which it stops as its tolerance is lowered."""
     tensors = pack(F[None]), pack(F_dot[None])
-    topology, free = unit.topologies[-1], 2 * len(unit.position) - 2
+    topology = unit.topologies[-1]
     rows: dict[int, tuple[float, float]] = {}
     for tolerance in np.geomspace(1e5, _REFERENCE_TOLERANCE, 65):
         z = _tile(unit.position.T)
-        factors = Factors.empty(1, free)
+        factors = empty_factors(topology, 1)
         stress, residual = np.empty((1, 2, 2, TILE)), np.empty((1, 1, TILE))
         evaluations = np.zeros((1, TILE), dtype=np.int32)
         newton(
