@@ -29,6 +29,7 @@ from surrofe2.surrogate.network_slopes import along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
+from surrofe2.surrogate.trust_features import has_square_symmetry
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, dict[str, float]], None]
@@ -75,7 +76,7 @@ def train(
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
 
     data = _read(valid, settings)
-    symmetry = str(symmetry or getattr(samples.cell, "symmetry", "D4"))
+    symmetry = symmetry or ("D4" if has_square_symmetry(samples.cell) else "none")
     network = StressNetwork(settings, symmetry)
     network.input_scale.copy_(torch.from_numpy(input_scale(valid.range)))
     _fit_baseline(network, data.at(fitted), settings)

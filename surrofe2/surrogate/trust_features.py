@@ -31,7 +31,7 @@ _CUBIC, _QUARTIC = 3, 4
 
 def has_square_symmetry(cell: CellParameters) -> bool:
     """Whether the unit cell has the square's group D4; an irregular one has none."""
-    return getattr(cell, "symmetry", "D4") == "D4"
+    return cell.symmetry == "D4"
 
 
 def feature_scale(range: SamplingRange) -> Array:
