@@ -73,7 +73,7 @@ def test_unknown_key(changed_recipe):
     text = message(InputError, path)
     assert text.startswith(
         "recipe.toml: cell.wall_stifness: unknown key; did you mean wall_stiffness? "
-        "known are cell_side, contact_damping_ratio, "
+        "known are arrangement, arrangement_seed, cell_side, cells, "
     )
     assert "\n" not in text
 

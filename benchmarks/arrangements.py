@@ -1,0 +1,215 @@
+"""`python -m benchmarks.arrangements`: what docs/arrangements.md states of RVEs of several cells.
+
+Writes `arrangements.json` and `arrangements.png`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from benchmarks.timing import side_by_side, threads
+from surrofe2.plant_cell.arrangements import make_arrangement, start_positions
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.simd import TILE
+from surrofe2.plant_cell.sparsity import Pattern, factorisation_work
+from surrofe2.rve import RveLaw
+from surrofe2.rve.arranged_cells import equilibria_in, make_lists, start_set
+from surrofe2.rve.equilibria import distinct
+from surrofe2.rve.linear import factorise, solve_factorised
+from surrofe2.rve.sparse_linear import factorise_sparse, solve_sparse
+
+SHOWN = (("square", 1), ("square", 9), ("hexagon", 9), ("voronoi", 9))
+LADDER = (
+    ("square", 1), ("hexagon", 1), ("square", 4), ("voronoi", 4), ("hexagon", 4), ("voronoi", 6),
+    ("square", 9), ("voronoi", 9), ("hexagon", 9),
+)  # fmt: skip
+POINTS, SIZE, RATE = 16, 0.02, 0.005
+
+
+@cache
+def law(preset: str, arrangement: str, cells: int, initialisation: str) -> RveLaw:
+    """An RVE, its reference found once."""
+    return RveLaw(
+        CellParameters.preset(preset, arrangement=arrangement, cells=cells), initialisation
+    )
+
+
+def deformations() -> tuple[np.ndarray, np.ndarray]:
+    """F with entries within SIZE of I, and Ḟ within RATE."""
+    rng = np.random.default_rng(0)
+    F = np.eye(2) + SIZE * rng.uniform(-1.0, 1.0, (POINTS, 2, 2))
+    return F, RATE * rng.uniform(-1.0, 1.0, (POINTS, 2, 2))
+
+
+def squares(preset: str) -> dict[str, float]:
+    """Largest difference of stress from one square, µN/µm, by the number of squares."""
+    F, F_dot = deformations()
+    one = law(preset, "square", 1, "constrained-runs").respond(F, F_dot).stress
+    return {
+        str(n): float(
+            np.abs(
+                law(preset, "square", n, "constrained-runs").respond(F, F_dot).stress - one
+            ).max()
+        )
+        for n in (4, 9)
+    }
+
+
+def equilibria(preset: str, arrangement: str, cells: int) -> dict[str, Any]:
+    """Distinct stable equilibria at the reference's l₀ and box, from fluid put at random."""
+    this = law(preset, arrangement, cells, "constrained-runs")
+    box = this.unit_cell.patches[0].lattice
+    starts = start_set(this.cell, 2 * TILE, at_random=True)
+    found = equilibria_in(this.cell, box, this.rest_length, starts)
+    chosen = distinct(found)
+    stress = found.stress[chosen]
+    apart = np.abs(stress[:, None] - stress).max(initial=0.0)
+    return {
+        "starts": len(starts),
+        "stable": int(found.stable.sum()),
+        "distinct": len(chosen),
+        "largest_stress": float(np.abs(stress).max(initial=0.0)),
+        "stresses_apart": float(apart),
+        "energies": [float(e) for e in found.energy[chosen]],
+    }
+
+
+def cauchy_born(preset: str, arrangement: str, cells: int) -> dict[str, float]:
+    """Errors of Cauchy–Born, relative to the elastic stress; at Ḟ = 0."""
+    F, _ = deformations()
+    still = np.zeros_like(F)
+    affine, elastic = (
+        law(preset, arrangement, cells, name).respond(F, still)
+        for name in ("cauchy-born", "elastic")
+    )
+    both = (affine.status == 0) & (elastic.status == 0)
+    error = np.linalg.norm((affine.stress - elastic.stress)[both], axis=(1, 2))
+    size = np.linalg.norm(elastic.stress[both], axis=(1, 2))
+    return {
+        "rms": float(np.sqrt((error**2).mean() / (size**2).mean())),
+        "worst": float(error.max() / size.max()),
+        "rms_stress": float(np.sqrt((size**2).mean())),
+        "points": int(both.sum()),
+    }
+
+
+def factorisations(repeats: int) -> list[dict[str, Any]]:
+    """Seconds of one factorisation and one solution of a tile, dense and sparse, one thread."""
+    rows = []
+    for arrangement, cells in LADDER:
+        cell = CellParameters(arrangement=arrangement, cells=cells)
+        made = make_arrangement(cell)
+        start = start_positions(cell, np.random.default_rng(0))
+        pattern = make_lists(cell, start, made.tessellation.lattice, sparse=True).topologies[0]
+        unknowns = 2 * made.particles - 2
+        rng = np.random.default_rng(1)
+        dense = rng.normal(size=(unknowns, unknowns, TILE))
+        dense[np.arange(unknowns), np.arange(unknowns)] -= 50.0 * np.sqrt(unknowns)
+        sparse = _dominant(pattern, rng, 50.0 * np.sqrt(unknowns))
+        lu = [dense.copy(), sparse.copy()]
+
+        def renew(lu: list[np.ndarray], k: int, pattern: Any, source: np.ndarray) -> None:
+            lu[k][:] = source
+            factorise(lu[k]) if k == 0 else factorise_sparse(lu[k], pattern)
+
+        tasks = [partial(renew, lu, k, pattern, m) for k, m in enumerate((dense, sparse))]
+        renewed = side_by_side(tasks, repeats)
+        right = rng.normal(size=(unknowns, TILE))
+        kept = [m.astype(np.float32) for m in lu]
+        solved = side_by_side(
+            [
+                lambda kept=kept, right=right: solve_factorised(kept[0], right.copy()),
+                lambda kept=kept, right=right, p=pattern: solve_sparse(kept[1], right.copy(), p),
+            ],
+            3 * repeats,
+        )
+        rows.append(
+            {
+                "arrangement": arrangement,
+                "cells": cells,
+                "particles": made.particles,
+                "work": factorisation_work(pattern) / (unknowns**3 / 3.0),
+                "memory": pattern.size / unknowns**2,
+                "factorise": [min(t.samples) for t in renewed],
+                "solve": [min(t.samples) for t in solved],
+            }
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
+def _dominant(pattern: Pattern, rng: np.random.Generator, least: float) -> np.ndarray:
+    """Random values (size, TILE) with a large diagonal."""
+    values = rng.normal(size=(pattern.size, TILE))
+    for i in range(1, len(pattern.group)):
+        g = pattern.group[i]
+        at = pattern.row_start[i] + pattern.offset[g, g] + 2 * pattern.place[i]
+        values[at] -= least
+        values[at + pattern.width[g] + 1] -= least
+    return values
+
+
+def picture(preset: str, path: Path) -> None:
+    """The relaxed references with the copies around them, and the periodic boxes."""
+    mpl.use("Agg")
+    figure = Figure(figsize=(9.0, 2.7), layout="constrained")
+    for axes, (arrangement, cells) in zip(figure.subplots(1, len(SHOWN)), SHOWN, strict=True):
+        unit = law(preset, arrangement, cells, "constrained-runs").unit_cell
+        patch = unit.patches[0]
+        images = unit.position[patch.owner] + patch.shift @ patch.lattice.T
+        local = np.concatenate([unit.position, images])
+        bonds, fluid = local[patch.bonds], unit.position[patch.walls :]
+        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ patch.lattice.T
+        for a in range(-3, 4):
+            for b in range(-3, 4):
+                shift = patch.lattice @ (a, b)
+                axes.add_collection(LineCollection(list(bonds + shift), colors="C2", lw=1.0))
+                axes.plot(*(fluid + shift).T, ".", color="C0", ms=1.5)
+        axes.plot(*corners.T, "--", color="C3", lw=0.9)
+        axes.set_title(
+            f"{cells} {arrangement}, {len(unit.position)} particles\n"
+            f"l₀ = {unit.rest_length:.3f} µm",
+            fontsize=8,
+        )
+        middle, half = corners[:4].mean(axis=0), 20.0 * np.sqrt(cells) + 5.0
+        axes.set_xlim(middle[0] - half, middle[0] + half)
+        axes.set_ylim(middle[1] - half, middle[1] + half)
+        axes.set_aspect("equal")
+        axes.tick_params(labelsize=6)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.arrangements", description=__doc__)
+    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/arrangements"))
+    parser.add_argument("--preset", choices=("printed", "water"), default="printed")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    preset = given.preset
+    report: dict[str, Any] = {"preset": preset, "squares": squares(preset)}
+    print(report, flush=True)
+    with threads(1):
+        report["factorisations"] = factorisations(5)
+    many = (("square", 1), ("hexagon", 1), ("hexagon", 4), ("voronoi", 9))
+    report["cauchy_born"] = {f"{n} {a}": cauchy_born(preset, a, n) for a, n in many}
+    print(report["cauchy_born"], flush=True)
+    picture(preset, given.out / "arrangements.png")
+    report["equilibria"] = {f"{n} {a}": equilibria(preset, a, n) for a, n in many}
+    print(report["equilibria"], flush=True)
+    path = given.out / "arrangements.json"
+    path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    print(f"{path}, {given.out / 'arrangements.png'}")
+
+
+if __name__ == "__main__":
+    main()
