@@ -52,7 +52,10 @@ class Candidates:
 def candidates(
     arrangement: Arrangement, position: Array, lattice: Array, reach: float
 ) -> Candidates:
-    """Every possible contact within `reach` of each other at `position` (n, 2), µm."""
+    """Every possible contact of walls within `reach` of each other at `position` (n, 2), µm.
+
+    Fluid and the walls around it are listed at any distance: fluid may flow.
+    """
     walls = arrangement.walls
     pairs, shifts = _wall_pairs(position[:walls], lattice, reach)
     bonded = {_normalised(i, j, s) for i, j, s in arrangement.bonds}
@@ -76,6 +79,7 @@ def candidates(
         position[pairs[:, 1]] + shifts @ lattice.T - position[pairs[:, 0]], axis=1
     )
     near = distance <= reach
+    near[len(near) - len(touching) :] = True
     return Candidates(pairs[near], shifts[near], distance[near], common[near])
 
 

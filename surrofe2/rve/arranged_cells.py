@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 LEVELS = ((1.2, 1.2), (1.4, 1.4), (3.0, 1.4))
 """Reach of lists in cut-offs: of pairs in one plant cell, and of wall pairs in none together."""
 _FARTHEST = 3.0
+_WHOLE_CELLS = ((np.inf, 1.4),)
+"""One list that serves wherever the fluid of a plant cell is."""
 STARTS = TILE
 FREE_OF_STRESS = 1e-11
 """Largest stress of the reference over c_s² times the fluid's mass per area."""
@@ -69,17 +71,22 @@ class Reference:
 
 
 def make_lists(
-    cell: CellParameters, position: Array, lattice: Array, *, sparse: bool | None = None
+    cell: CellParameters,
+    position: Array,
+    lattice: Array,
+    *,
+    sparse: bool | None = None,
+    levels: tuple[tuple[float, float], ...] = LEVELS,
 ) -> Lists:
     """Pair lists of an arrangement; matrices sparse where that pays, unless it is said."""
     arrangement, cutoff = make_arrangement(cell), cell.repulsion_cutoff
     every = candidates(arrangement, position, lattice, _FARTHEST * cutoff)
-    pattern = _pattern(arrangement, every, LEVELS[-1][1] * cutoff)
+    pattern = _pattern(arrangement, every, levels[-1][1] * cutoff)
     if sparse is None:
         sparse = sparse_pays(pattern)
     made = [
         arranged_patch(cell, arrangement, position, lattice, every, a * cutoff, b * cutoff)
-        for a, b in LEVELS
+        for a, b in levels
     ]
     patches = tuple(patch for patch, _ in made)
     topologies: tuple[AnyTopology, ...] = tuple(make_topology(patch) for patch in patches)
@@ -128,7 +135,7 @@ def equilibria_in(
     own = make_arrangement(cell).tessellation.lattice
     moved = starts @ np.linalg.solve(own.T, lattice.T)
     constants = make_constants(cell, rest_length)
-    lists = make_lists(cell, moved[0], lattice)
+    lists = make_lists(cell, moved[0], lattice, levels=_WHOLE_CELLS)
     patch = lists.patches[-1]
     settled, rested = settle(lists.topologies[-1], constants, patch.mass, patch.area, moved)
     if not rested.any():
@@ -137,7 +144,7 @@ def equilibria_in(
             "wall_stiffness and the damping ratios"
         )
     settled = settled[rested]
-    lists = make_lists(cell, settled[0], lattice)
+    lists = make_lists(cell, settled[0], lattice, levels=_WHOLE_CELLS)
     unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
     z = np.swapaxes(settled, 1, 2)
     return relax(lists.topologies[-1], constants, patch.area, z, unit)

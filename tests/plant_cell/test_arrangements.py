@@ -108,3 +108,18 @@ def test_bad_arrangements_are_named(changes, message):
     with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
         CellParameters.preset("printed", **changes)
     assert message in str(caught.value)
+
+
+def test_fluid_may_reach_every_wall_around_it_from_wherever_it_is():
+    cell = arranged("voronoi", 9)
+    made = make_arrangement(cell)
+    lattice = made.tessellation.lattice
+    for k in range(2):
+        position = start_positions(cell, np.random.default_rng(k))
+        every = candidates(made, position, lattice, 12.0)
+        patch, rest = arranged_patch(cell, made, position, lattice, every, np.inf, 12.0)
+        owner = np.concatenate([np.arange(made.particles), patch.owner])[patch.contacts]
+        with_fluid = (owner >= made.walls).any(axis=1)
+        pairs = zip(made.rims, made.fluid_counts, strict=True)
+        assert with_fluid.sum() == sum(len(rim) * count for rim, count in pairs)
+        assert len(rest.pairs) == 0
