@@ -162,8 +162,9 @@ def warm_up(
             F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
-    with suppress(SimulationError):  # a law that cannot start says so in the run itself
-        simulate(LoadCase(duration=1e-3), laws[-1], replace(settings, elements=(1, 1)))
+    for law in laws if settings.integrator == "implicit" else laws[-1:]:
+        with suppress(SimulationError):  # a law that cannot start says so in the run itself
+            simulate(LoadCase(duration=1e-3), law, replace(settings, elements=(1, 1)))
     if table is not None:
         table.warm_up()
     return time.perf_counter() - begin

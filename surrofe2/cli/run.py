@@ -192,7 +192,7 @@ def run(
     ] = None,
     integrator: Annotated[
         Literal["explicit", "implicit"] | None,
-        typer.Option(help="Time integration (implicit: --law rve); default: the recipe's."),
+        typer.Option(help="Time integration (implicit: not --law table); default: the recipe's."),
     ] = None,
     tolerance: Annotated[
         float | None,

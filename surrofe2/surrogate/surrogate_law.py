@@ -115,21 +115,19 @@ class SurrogateLaw:
         """
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
-        slopes = self.tangents(F, F_dot, status) if tangents else None
+        slopes = None
+        if tangents:
+            slopes = self.tangents(F, F_dot)
+            for values in (slopes.P_by_F, slopes.P_by_F_dot):
+                values[status != Status.OK] = np.nan
         return StressResponse(stress, status, state, {"surrogate_points": len(F)}, slopes)
 
-    def tangents(self, F: Array, F_dot: Array, status: NDArray[np.int8]) -> Tangents:
-        """∂P/∂F and ∂P/∂Ḟ of the surrogate at the points whose status (n,) is 0, NaN elsewhere.
+    def tangents(self, F: Array, F_dot: Array) -> Tangents:
+        """∂P/∂F and ∂P/∂Ḟ of the surrogate, exact; no range is tested.
 
-        F, F_dot: contiguous float64 (n, 2, 2).
+        F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
         """
-        answered = np.flatnonzero(status == Status.OK)
-        P_by_F, P_by_F_dot = (np.full((len(F), 2, 2, 2, 2), np.nan) for _ in range(2))
-        if len(answered):
-            F, F_dot = F[answered], F_dot[answered]
-            found = to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self._weights))
-            P_by_F[answered], P_by_F_dot[answered] = found.P_by_F, found.P_by_F_dot
-        return Tangents(P_by_F, P_by_F_dot)
+        return to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self._weights))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Nothing is left to check or to commit."""

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from surrofe2.io.runs import read_record
+from surrofe2.io.runs import read_curve, read_record
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from tests.fakes import SoftLaw, StoppingLaw
@@ -32,6 +32,25 @@ def test_run_through_the_surrogate(invoke, recipe_path, tmp_path, law):
     if law == "cached":
         assert record.counts["hits"] > 0
         assert record.counts["fallbacks"] == record.counts.get("rve_solves", 0) == 0
+
+
+@pytest.mark.usefixtures("_trained")
+def test_implicit_run_through_the_surrogate(invoke, recipe_path, tmp_path):
+    """The surrogate has tangents; a cached law has them where its RVEs do, and these have none."""
+    curves = []
+    for integrator in ("explicit", "implicit"):
+        out = tmp_path / integrator
+        done = invoke(
+            "run", recipe_path, "--law", "surrogate", "--integrator", integrator, "--out", out
+        )
+        assert done.exit_code == 0, done.output
+        curves.append(read_curve(out).displacement)
+    assert abs(curves[1] - curves[0]).max() < 2e-3 * abs(curves[0]).max()
+    refused = invoke(
+        "run", recipe_path, "--law", "cached", "--integrator", "implicit", "--out", tmp_path / "no"
+    )
+    assert refused.exit_code == 1
+    assert "SoftLaw has no tangents" in refused.stderr
 
 
 @pytest.mark.usefixtures("_trained")

@@ -1,0 +1,107 @@
+"""Implicit steps through a surrogate, alone and with its true law where it must not answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw
+from surrofe2.cache.settings import CacheSettings
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.sampling import SamplingRange
+from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
+from tests.surrogate.lattice_law import CELL, lattice_stress
+
+LOAD_CASE = LoadCase(
+    width=60.0, height=60.0, body_force=(0.0, -0.2), watched=(60.0, 30.0), duration=6.0,
+    output_interval=0.5,
+)  # fmt: skip
+EXPLICIT = MacroSettings(elements=(2, 2), absolute_tolerance=1e-8, relative_tolerance=1e-6)
+IMPLICIT = replace(
+    EXPLICIT, integrator="implicit", absolute_tolerance=1e-7, relative_tolerance=1e-5
+)
+H = 1e-5
+
+
+class TrueLattice:
+    """The lattice's stress as the law a surrogate learnt; tangents by central differences."""
+
+    cell, initialisation, density = CELL, "constrained-runs", CELL.density
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        slopes = differences(lattice_stress, F, F_dot) if tangents else None
+        status = np.zeros(len(F), dtype=np.int8)
+        return StressResponse(
+            lattice_stress(F, F_dot), status, None, {"rve_solves": len(F)}, slopes
+        )
+
+    def accept(self, F, F_dot, response):
+        return Acceptance(response.status, response.state)
+
+
+def nominal(stress, F, F_dot):
+    P = np.linalg.det(F)[:, None, None] * stress(F, F_dot)
+    return P @ np.linalg.inv(F).swapaxes(1, 2)
+
+
+def differences(stress, F, F_dot):
+    """Tangents of P of a Cauchy stress, by central differences."""
+    by_F, by_F_dot = np.empty((2, len(F), 2, 2, 2, 2))
+    for c, d in np.ndindex(2, 2):
+        step = np.zeros((2, 2))
+        step[c, d] = H
+        by_F[..., c, d] = nominal(stress, F + step, F_dot) - nominal(stress, F - step, F_dot)
+        by_F_dot[..., c, d] = nominal(stress, F, F_dot + step) - nominal(stress, F, F_dot - step)
+    return Tangents(by_F / (2 * H), by_F_dot / (2 * H))
+
+
+class Unbounded:
+    """A surrogate that knows no bound of its error: its range alone decides, narrower than met."""
+
+    def __init__(self, law):
+        self.cell, self.initialisation, self.density = CELL, law.initialisation, law.density
+        law = replace(law, range=SamplingRange(stretch=(0.9995, 1.0005), shear=0.08, rate=0.01))
+        self.lookup, self.tangents = replace(law, domain=None).lookup, law.tangents
+
+
+@pytest.fixture
+def cached(law):
+    return CachedLaw(Unbounded(law), TrueLattice(), CacheSettings(audit=0.0))
+
+
+def test_tangents_of_each_point_are_those_of_who_answers(cached):
+    F = np.eye(2) + np.array([[[0.0002, 0.01], [0.0, 0.0001]], [[0.03, 0.02], [0.0, 0.002]]])
+    F_dot = np.array([[[0.001, 0.002], [-0.003, 0.001]]] * 2)
+    answer = cached.respond(F, F_dot, tangents=True)
+    assert cached.surrogate.lookup(F, F_dot)[1].tolist() == [Status.OK, Status.OUT_OF_RANGE]
+    assert answer.effort["hits"] == answer.effort["fallbacks"] == 1
+    expected = differences(lambda *at: cached.respond(*at).stress, F, F_dot)
+    for found, slope in (
+        (answer.tangents.P_by_F, expected.P_by_F),
+        (answer.tangents.P_by_F_dot, expected.P_by_F_dot),
+    ):
+        assert abs(found - slope).max() < 1e-6 * abs(slope).max()
+    alone = cached.surrogate.tangents(F, F_dot).P_by_F
+    np.testing.assert_array_equal(answer.tangents.P_by_F[0], alone[0])
+    assert not np.array_equal(answer.tangents.P_by_F[1], alone[1])
+
+
+def difference(run, other):
+    scale = abs(other.curve.displacement).max()
+    return abs(run.curve.displacement - other.curve.displacement).max() / scale
+
+
+def test_the_surrogate_moves_implicitly_as_it_does_explicitly(law):
+    runs = [simulate(LOAD_CASE, law, settings) for settings in (EXPLICIT, IMPLICIT)]
+    assert abs(runs[0].curve.displacement).max() > 0.5
+    assert difference(runs[1], runs[0]) < 1e-3
+
+
+def test_the_cached_law_moves_implicitly_as_it_does_explicitly(cached):
+    runs = []
+    for settings in (EXPLICIT, IMPLICIT):
+        cached.reset_counts()
+        runs.append(simulate(LOAD_CASE, cached, settings))
+        assert min(cached.counts["hits"], cached.counts["fallbacks"]) > 20
+    assert difference(runs[1], runs[0]) < 1e-3
