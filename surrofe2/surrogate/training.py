@@ -37,7 +37,7 @@ Checkpoint = Callable[[dict[str, Any]], None]
 
 LEAST_SAMPLES = 20
 _ITERATIONS_A_ROUND = 20
-_LEAST_SPREAD = 1e-3  # a component below this share of the largest is not worth more effort
+_LEAST_SPREAD = 0.1  # a component of less than this share of the largest counts as one of it
 
 
 def train(
