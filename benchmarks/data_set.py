@@ -16,6 +16,7 @@ from surrofe2.cli.generate import Generated, generate_data_set
 from surrofe2.config import Recipe
 
 TITLE = "Data sets"
+_COUNT = 16_384
 
 
 def run(setting: Setting) -> list[Row]:
@@ -24,17 +25,19 @@ def run(setting: Setting) -> list[Row]:
     for preset in PRESETS:
         recipe = setting.recipe(preset)
         slow = replace(recipe, rve=replace(recipe.rve, initialisation="slow-manifold"))
-        rows.append(_generate(setting, preset, recipe, 5000.0))
-        rows += [_generate(setting, preset, _with_tangents(r), 3000.0) for r in (recipe, slow)]
+        rows.append(_generate(setting, preset, _with_tangents(recipe, False), 5000.0))
+        rows += [
+            _generate(setting, preset, _with_tangents(r, True), 3000.0) for r in (recipe, slow)
+        ]
     return rows
 
 
-def _with_tangents(recipe: Recipe) -> Recipe:
-    return replace(recipe, samples=replace(recipe.samples, tangents=True))
+def _with_tangents(recipe: Recipe, wanted: bool) -> Recipe:
+    return replace(recipe, samples=replace(recipe.samples, tangents=wanted))
 
 
 def _generate(setting: Setting, preset: str, recipe: Recipe, limit: float) -> Row:
-    samples = replace(recipe.samples, count=setting.pick(recipe.samples.count, 2048))
+    samples = replace(recipe.samples, count=setting.pick(_COUNT, 2048))
     recipe = replace(recipe, samples=samples)
     what = f", tangents too, {recipe.rve.initialisation}" if samples.tangents else ""
     rates = []

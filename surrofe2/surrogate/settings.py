@@ -26,8 +26,8 @@ class TrainingSettings:
     Attributes:
         hidden: number of tanh units in each hidden layer of the rate-dependent part.
         energy_hidden: the same of the energy.
-        form: "energy": elastic stress from an energy, and a part that vanishes with Ḟ; "stress":
-            one network for all of it; "potentials": the viscous stress linear in Ḟ and from a
+        form: "stress": one network for all of it, the most accurate for its cost; "energy":
+            elastic stress from an energy, and a part that vanishes with Ḟ; "potentials": the viscous stress linear in Ḟ and from a
             dissipation potential too (elastic and slow manifold only).
         members: networks of the ensemble, whose mean is the answer; 1: no ensemble.
         tangent_weight: of the squared error of tangents in the loss, where the samples have
@@ -44,9 +44,9 @@ class TrainingSettings:
 
     hidden: tuple[int, ...] = (32, 32)
     energy_hidden: tuple[int, ...] = (16, 16)
-    form: str = "energy"
+    form: str = "stress"
     members: int = 1
-    tangent_weight: float = 0.0
+    tangent_weight: float = 0.1
     baseline_degree: int = 4
     precision: str = "float64"
     held_out: float = 0.1

@@ -18,10 +18,10 @@ from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples, lattice_st
 H = 1e-6
 
 
-def make_law(symmetry="D4", **settings):
+def make_law(symmetry="D4", form="energy", **settings):
     """A law of random weights, in the middle of whose range the tests stay."""
     settings = TrainingSettings(
-        hidden=(6, 5), energy_hidden=(5, 4), baseline_degree=3, seed=2, **settings
+        form=form, hidden=(6, 5), energy_hidden=(5, 4), baseline_degree=3, seed=2, **settings
     )
     network = StressNetwork(settings, symmetry)
     generator = torch.Generator().manual_seed(4)
