@@ -79,7 +79,7 @@ def ablation(
             "the fits so far are kept; continue with: "
             f"surrofe2 ablation {recipe} --out {out} --counts {counts} --resume"
         ) from None
-    described = describe(found, study.training, study.preset, name, **identity)
+    described = describe(found, study.training, study.preset, name, identity)
     for path in write_study(out, described, study.cell, study.preset):
         say(str(path))
     kept.unlink(missing_ok=True)

@@ -14,7 +14,11 @@ from surrofe2.surrogate.settings import TrainingSettings
 
 
 def describe(
-    rows: list[Row], training: TrainingSettings, preset: str, name: str, **settings: Any
+    rows: list[Row],
+    training: TrainingSettings,
+    preset: str,
+    name: str,
+    settings: Mapping[str, Any],
 ) -> Study:
     """Error over samples and error over cost, with the table for people.
 

@@ -27,8 +27,9 @@ class TrainingSettings:
         hidden: number of tanh units in each hidden layer of the rate-dependent part.
         energy_hidden: the same of the energy.
         form: "stress": one network for all of it, the most accurate for its cost; "energy":
-            elastic stress from an energy, and a part that vanishes with Ḟ; "potentials": the viscous stress linear in Ḟ and from a
-            dissipation potential too (elastic and slow manifold only).
+            elastic stress from an energy, and a part that vanishes with Ḟ; "potentials": as
+            "energy", the viscous stress linear in Ḟ and from a dissipation potential too
+            (elastic and slow manifold only).
         members: networks of the ensemble, whose mean is the answer; 1: no ensemble.
         tangent_weight: of the squared error of tangents in the loss, where the samples have
             them; 0: stress alone.

@@ -36,7 +36,7 @@ def test_held_out_errors_are_those_on_fresh_data(law):
     reported = [law.errors["rms"][name] for name in ("xx", "xy", "yx", "yy")]
     np.testing.assert_allclose(reported, rms, rtol=0.3)
     assert law.errors["points"] == 400
-    assert max(law.errors["rms"].values()) < 1e-3  # sum, difference, shear and spin as well
+    assert max(law.errors["rms"].values()) < 2e-3  # sum, difference, shear and the small spin too
 
 
 def test_the_network_is_what_makes_it_accurate(law, samples, settings):
