@@ -36,4 +36,7 @@ def with_harvests(samples: StressSamples, paths: Sequence[Path]) -> StressSample
         name: np.concatenate([getattr(part, name) for part in (samples, *parts)])
         for name in ("F", "F_dot", "stress", "status")
     }
+    left = samples.left_bifurcation
+    if left is not None:  # harvests have no answers from beyond a bifurcation
+        arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["status"]) - len(left)))
     return replace(samples, P_by_F=None, P_by_F_dot=None, **arrays)
