@@ -13,7 +13,7 @@ demo: .venv/.installed
 	$(BIN)/surrofe2 demo
 
 test: .venv/.installed
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: .venv/.installed
 	$(BIN)/pytest -m slow

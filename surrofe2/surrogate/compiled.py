@@ -58,8 +58,6 @@ def evaluate_trusted(
 
 def without_rest(weights: Weights, features: Features) -> Weights:
     """The weights that subtract what the network gives at rest, by the very same instructions."""
-    if not features.vanishes_at_rest:
-        return weights
     x = np.zeros((INPUTS + 1, BLOCK), dtype=weights.input_factor.dtype)
     x[_ONE] = 1.0
     factors = network_factors(x, weights)[: features.factors, 0]

@@ -87,7 +87,6 @@ class Features:
     powers: tuple[int, ...]
     monomials: tuple[tuple[Product, int], ...]
     energy_monomials: tuple[Product, ...]
-    vanishes_at_rest: bool
 
     @property
     def factors(self) -> int:
@@ -113,7 +112,6 @@ def make_features(form: str, symmetry: str, degree: int) -> Features:
         powers=powers,
         monomials=_monomials(form, square, degree),
         energy_monomials=_energy_monomials(square, degree + 1) if powers and degree else (),
-        vanishes_at_rest=square,
     )
 
 
@@ -159,13 +157,12 @@ def _monomials(form: str, square: bool, degree: int) -> tuple[tuple[Product, int
         kept = tuple(product for product in kept if len(product) == 1 and square)
     if square:
         return tuple((product, parity(product)) for product in kept)
-    constant: tuple[Product, ...] = ((),) if form == "stress" and degree else ()
-    return tuple((product, k) for product in (*constant, *kept) for k in _COMPONENTS)
+    return tuple((product, k) for product in kept for k in _COMPONENTS)
 
 
 def _energy_monomials(square: bool, degree: int) -> tuple[Product, ...]:
-    """Without symmetry a cell may bear stress at rest, and the energy has linear terms."""
-    products = [product for product in monomials(degree) if max(product) < STRETCH]
+    """Of degree 2 and more: there is no stress at rest."""
+    products = [p for p in monomials(degree) if max(p) < STRETCH and len(p) > 1]
     if not square:
         return tuple(products)
-    return tuple(p for p in products if len(p) > 1 and p.count(_d) % 2 == p.count(_g) % 2 == 0)
+    return tuple(p for p in products if p.count(_d) % 2 == p.count(_g) % 2 == 0)

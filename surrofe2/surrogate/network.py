@@ -185,11 +185,10 @@ class StressNetwork(torch.nn.Module):
         return values
 
     def _energy_slope(self, energy: TanhNetwork, stretch: torch.Tensor) -> torch.Tensor:
-        """∂W/∂(s, d, g) (n, 3) of the energy network; under D4 less what it is at rest."""
+        """∂W/∂(s, d, g) (n, 3) of the energy network, less what it is at rest."""
         squared = torch.tensor([power == 2 for power in self.features.powers])
         back = energy.gradient(torch.where(squared, stretch**2, stretch))
-        if self.features.vanishes_at_rest:
-            back = back - ~squared * energy.gradient(stretch.new_zeros(1, STRETCH))
+        back = back - ~squared * energy.gradient(stretch.new_zeros(1, STRETCH))
         return back * torch.where(squared, 2.0 * stretch, torch.ones_like(stretch))
 
     def _polynomial_slope(self, x: torch.Tensor) -> torch.Tensor:
@@ -238,5 +237,5 @@ def _incidence(features: Features) -> dict[str, torch.Tensor]:
     owner = torch.zeros(count, 4, dtype=torch.float64)
     for k, term in enumerate(features.terms):
         factor_of[term.factor, k] = owner[k, term.component] = 1.0
-        resting[term.factor] = float(features.vanishes_at_rest and not term.product)
+        resting[term.factor] = float(not term.product)
     return {"resting": resting, "factor_of": factor_of, "owner": owner}

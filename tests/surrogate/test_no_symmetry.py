@@ -35,7 +35,7 @@ def law():
     ("arrangement", "symmetry"), [("square", "D4"), ("hexagon", "none"), ("voronoi", "none")]
 )
 def test_only_the_square_takes_d4_for_granted(arrangement, symmetry):
-    cell = CellParameters.preset("printed", arrangement=arrangement)
+    cell = CellParameters.preset("printed", arrangement=arrangement, cells=4)
     settings = TrainingSettings(hidden=(4,), baseline_degree=1, iterations=1)
     assert train(lattice_samples(200, cell=cell), settings).network.symmetry == symmetry
 
@@ -43,10 +43,10 @@ def test_only_the_square_takes_d4_for_granted(arrangement, symmetry):
 def test_learns_what_a_square_cell_could_not(law):
     """The same data with D4 taken for granted leaves errors of the order of the stress."""
     worst = max(law.errors["rms"].values())
-    assert worst < 0.01
+    assert worst < 0.02
     settings = replace(law.settings, iterations=20)
     square = train(turned_samples(CELL, 800), settings)
-    assert max(square.errors["rms"].values()) > 0.05 > 5.0 * worst
+    assert max(square.errors["rms"].values()) > 0.1 > 5.0 * worst
 
 
 def test_rests_without_stress_and_turns_with_the_frame(law):
