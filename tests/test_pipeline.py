@@ -1,6 +1,7 @@
 """The main job with the recipes as they ship: generate, train, run with and without the cache."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from shutil import copy
 
@@ -12,8 +13,10 @@ from surrofe2.cli.run import run_study
 from surrofe2.cli.train import train_surrogate
 from surrofe2.config import load_recipe
 from surrofe2.surrogate import SurrogateLaw
+from surrofe2.surrogate.calibration_settings import CalibrationSettings
 
 RECIPES = Path(__file__).parent.parent / "data"
+FEWER_PATHS = CalibrationSettings(walks=150, states=600, runs=0)
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +28,7 @@ def study(tmp_path_factory):
     for recipe in RECIPES.glob("*.toml"):
         copy(recipe, root / "data")
     recipe = load_recipe(root / "data" / "bending-bar.toml")
+    recipe = replace(recipe, calibration=FEWER_PATHS)
     generate_data_set(recipe)
     train_surrogate(recipe)
     return root

@@ -35,6 +35,11 @@ _STYLES: dict[str, dict[str, Any]] = {
     "solve failed": _AREA | {"color": "black"},
 }
 _OTHER = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_TURNS: tuple[dict[str, str], ...] = (
+    {"marker": "o", "linestyle": "-"},
+    {"marker": "s", "linestyle": "--"},
+    {"marker": "^", "linestyle": ":"},
+)
 _PANEL_SIZE = (4.6, 3.1)  # inches
 _LEGEND_HEIGHT = 0.7
 
@@ -89,7 +94,7 @@ def _linear_part(panel: Panel) -> dict[str, Any]:
 
 def _draw_curve(axes: Axes, curve: Curve, k: int) -> None:
     style: dict[str, Any] = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none"}
-    style |= _STYLES.get(curve.name, {"color": _OTHER[k % len(_OTHER)], "marker": "o"})
+    style |= _STYLES.get(curve.name, _other_style(k))
     if not curve.markers:
         style.pop("marker", None)
     axes.plot(curve.x, curve.y, label=curve.label or curve.name, **style)
@@ -103,6 +108,12 @@ def _draw_curve(axes: Axes, curve: Curve, k: int) -> None:
             fontsize=8,
             color=style["color"],
         )
+
+
+def _other_style(k: int) -> dict[str, str]:
+    """Colours in turn; where they begin anew, with another marker and dash."""
+    turn = k // len(_OTHER) % len(_TURNS)
+    return {"color": _OTHER[k % len(_OTHER)], **_TURNS[turn]}
 
 
 def _draw_legend(figure: Figure, axes: Any) -> None:

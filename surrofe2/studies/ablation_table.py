@@ -72,7 +72,7 @@ def _panels(by_name: Mapping[str, list[Row]]) -> tuple[Panel, Panel]:
         for name, found in known.items()
         if found
     )
-    error = "RMS error, % of the spread of stress"
+    error = "RMS error (% of spread)"
     most = max(row.samples for found in by_name.values() for row in found)
     return (
         Panel(x_label="RVE samples", y_label=error, curves=learning, log_x=True, log_y=True),

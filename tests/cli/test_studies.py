@@ -28,6 +28,7 @@ def test_reproduce_writes_figure_table_and_numbers(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_reproduce_fig8_without_the_tissue_says_so(tmp_path):
     done = invoke(
         "reproduce", "fig8", "--preset", "water", "--out", tmp_path, "--no-tissue", "--meshes", "2",
@@ -55,6 +56,7 @@ def test_moduli(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_memory_gives_a_verdict(tmp_path):
     done = invoke("memory", "--preset", "water", "--out", tmp_path)
     assert done.exit_code == 0, done.output

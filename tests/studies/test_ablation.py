@@ -25,6 +25,7 @@ def few_points(monkeypatch):
     monkeypatch.setattr(ablation, "TEST_POINTS", 256)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_points")
 def test_one_command_writes_figure_table_and_numbers(recipe_path, tmp_path):
     done = invoke("ablation", recipe_path, "--out", tmp_path, "--counts", "64,128")

@@ -133,6 +133,7 @@ def test_a_stopped_study_goes_on_with_the_curves_it_has(tmp_path, monkeypatch):
     assert len(runs) == 3
 
 
+@pytest.mark.slow
 def test_the_command_writes_figure_and_table(tmp_path):
     arguments = [
         "reproduce", "scales", "--preset", "water", "--out", str(tmp_path), "--sizes", "2,3",

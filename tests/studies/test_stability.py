@@ -30,6 +30,7 @@ def test_categories_turn_at_the_onset_and_both_axes_are_alike():
         assert stability.categories(WATER, these).tolist() == [STABLE, LEFT, LEFT]
 
 
+@pytest.mark.slow
 def test_map_names_every_deformation():
     found = stability.stability_map(WATER, points=3)
     study = stability.describe(found, "water", "stability-water")
