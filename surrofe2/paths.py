@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import Acceptance, StressLaw, StressResponse
+from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]
@@ -187,7 +187,8 @@ def true_stress(
     """Stress (length n, 2, 2) and status (length n,) of a law along paths, as `states` has them.
 
     Each history is followed in time from a warm start; where that ends without a stress, the law
-    is asked once more without one.
+    is asked once more without one. The status is UNSTABLE beyond a bifurcation, where the stress
+    is one of several.
 
     Args:
         progress: called with the number of states done, now and then.
@@ -209,10 +210,20 @@ def true_stress(
             if len(lost):
                 again = law.respond(F[lost], F_dot[lost])
                 stress[k, first + lost], status[k, first + lost] = again.stress, again.status
+                _mark(status[k], first + lost, again.left_bifurcation)
+            _mark(status[k], np.arange(first, first + len(F)), acceptance.left_bifurcation)
+            _mark(status[k], np.arange(first, first + len(F)), answer.left_bifurcation)
             done += len(F)
             if progress is not None:
                 progress(done)
     return stress.reshape(-1, 2, 2), status.reshape(-1)
+
+
+def _mark(
+    status: NDArray[np.int8], points: NDArray[np.intp], left: NDArray[np.bool_] | None
+) -> None:
+    if left is not None:
+        status[points[left]] = Status.UNSTABLE
 
 
 def _box(range: SamplingRange) -> tuple[Array, Array]:

@@ -109,7 +109,7 @@ class Domain:
 
 
 def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
-    """The domain of the valid samples, without the failed ones.
+    """The domain of the valid samples, without the failed ones and those beyond a bifurcation.
 
     Args:
         failed: F and F_dot (n, 2, 2) of more points that have no stress.
@@ -117,7 +117,10 @@ def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None
     square = has_square_symmetry(samples.cell)
     scale = feature_scale(samples.range)
     x = scaled_inputs(samples.F, samples.F_dot, scale)
-    good, bad = x[samples.status == 0], x[samples.status != 0]
+    known = samples.status == 0
+    if samples.left_bifurcation is not None:
+        known &= ~samples.left_bifurcation
+    good, bad = x[known], x[~known]
     if failed is not None:
         bad = np.concatenate([bad, scaled_inputs(*failed, scale)])
     pairs, signs = _directions(square)
