@@ -20,12 +20,15 @@ from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings, StressTable
 from surrofe2.cache.parts import Surrogate
 from surrofe2.displacement_curve import difference
+from surrofe2.errors import SimulationError
 from surrofe2.io.files import write_json, write_text
 from surrofe2.macro import MacroRun
 
 TITLE = "The cache against its tolerance, every accepted answer audited"
 TOLERANCE = 1e-3
 PRESETS = ("printed", "water")
+BORNE = 60.0
+"""µs; under three times its body force true FE² with `printed` ends at 69.6 µs, at F₂₁ = −0.31."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,10 @@ def cases(duration: float) -> tuple[Case, ...]:
     return (
         Case("default bar", usual, hits=0.99),
         Case("twice the body force", replace(usual, body_force=(2.0 * x, 2.0 * y))),
-        Case("three times the body force", replace(usual, body_force=(3.0 * x, 3.0 * y))),
+        Case(
+            f"three times the body force, {BORNE:g} µs",
+            replace(usual, body_force=(3.0 * x, 3.0 * y), duration=min(duration, BORNE)),
+        ),
         Case(
             "500 × 300 µm, 10 × 6 elements",
             replace(usual, width=500.0, height=300.0, watched=(500.0, 150.0)),
@@ -92,7 +98,11 @@ def run(setting: Setting) -> list[Row]:
                 learns = subject.hits is not None
                 least = replace(case, hits=subject.hits or case.hits, of_all=learns)
                 name = f"{preset}, {subject.name}, {case.name}"
-                found, report = measure(name, law, least, subject.runs, full=not setting.quick)
+                try:
+                    found, report = measure(name, law, least, subject.runs, full=not setting.quick)
+                except SimulationError as error:
+                    rows.append(Row(name=name, value=None, unit="", note=f"no true run: {error}"))
+                    continue
                 rows += found
                 reports.append(report)
     outcome = Outcome("trust", TITLE, rows)
