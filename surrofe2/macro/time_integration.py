@@ -3,10 +3,15 @@
 scipy's RK45 chooses and tries the steps; it is wrapped, never altered. A trial that has no stress
 leaves it through `TrialError`, before it has moved, and one that finds the law on another branch
 through `MovedError`: that step is tried again at the same length, its first stage anew.
+
+The length of the next step is ours. Where stability and not accuracy limits the step, the usual
+control h ε^(−1/5) swings between rejected and needless short steps; a weaker response to the
+error ε settles (Hairer and Wanner 1996, Solving Ordinary Differential Equations II, IV.2).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -28,6 +33,8 @@ from surrofe2.macro.settings import MacroSettings
 Array = NDArray[np.float64]
 
 MAX_HALVINGS = 10
+_SAFETY, _GAIN = 0.8, 0.4
+_SAFETY_OF_RK45 = 0.9
 NO_MEMORY: Array = np.empty(0)
 
 # Where in the step the evaluations of one trial lie: stages 2 to 6, then the end point.
@@ -90,6 +97,14 @@ class Step:
         theta = (t - self.t_old) / length
         work: Array = length * (self.stage_powers.T @ RK45.P) @ theta ** np.arange(1, 5)
         return work
+
+
+def damped(length: float, proposed: float, largest: float) -> float:
+    """Length of the next step after one of `length` for which scipy's control proposes `proposed`.
+
+    0.8 h ε^(−0.08) instead of 0.9 h ε^(−0.2).
+    """
+    return min(largest, length * _SAFETY * (proposed / (length * _SAFETY_OF_RK45)) ** _GAIN)
 
 
 class Stepper:
@@ -167,9 +182,8 @@ class Stepper:
         except TrialError:
             self._solver = self._restart(t_old, y_old, 0.5 * length)
             raise
-        if not may_grow:
-            # As after a step of too large an error, do not grow straight back into failure.
-            solver.h_abs = min(solver.h_abs, length)
+        # After a failure, as after a step of too large an error, do not grow straight back into it.
+        solver.h_abs = damped(length, solver.h_abs, math.inf if may_grow else length)
         step = Step(
             t_old=t_old,
             t=solver.t,

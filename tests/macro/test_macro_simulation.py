@@ -10,7 +10,7 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, MacroState, simulate
 from surrofe2.macro.mesh import make_bar
 from surrofe2.macro.right_hand_side import RightHandSide, Tally
-from surrofe2.macro.time_integration import Stepper
+from surrofe2.macro.time_integration import Stepper, damped
 from surrofe2.stress_law import Status
 
 from .analytic_laws import Failing, KelvinVoigt
@@ -246,7 +246,7 @@ def test_checkpoint_of_another_run_is_refused(change, name):
     states = []
     simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
     with pytest.raises(MismatchError, match=name):
-        simulate(replace(LOAD_CASE, **change), KelvinVoigt(), SETTINGS, resume=states[8])
+        simulate(replace(LOAD_CASE, **change), KelvinVoigt(), SETTINGS, resume=states[-2])
 
 
 def test_incomplete_checkpoint_is_refused():
@@ -257,6 +257,21 @@ def test_incomplete_checkpoint_is_refused():
     del arrays["frame_stress"]
     with pytest.raises(InputError, match="frame_stress"):
         MacroState.from_arrays(arrays)
+
+
+def test_step_length_settles_where_stability_limits_it():
+    """Scipy's own control rejects every tenth trial of this stiff bar."""
+    run = simulate(replace(LOAD_CASE, duration=40.0), KelvinVoigt(), SETTINGS)
+    assert run.counts["steps"] > 100
+    assert run.counts["rejected_steps"] <= 0.02 * run.counts["steps"]
+
+
+def test_step_length_follows_the_error():
+    """The next step keeps its length where the error is 0.061, 0.8^(1/0.08), of that allowed."""
+    error = 0.8 ** (1.0 / 0.08)
+    assert damped(2.0, 2.0 * 0.9 * error**-0.2, np.inf) == pytest.approx(2.0)
+    assert damped(2.0, 2.0 * 0.9, np.inf) < 2.0 < damped(2.0, 20.0, np.inf)
+    assert damped(2.0, 20.0, 2.0) == 2.0
 
 
 def test_results_belong_together():
