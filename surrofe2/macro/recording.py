@@ -99,7 +99,7 @@ class Recorder:
         for row in range(mark.rows, rows):
             self._keep_row(row, step, mark.work)
         samples = mark.samples
-        if self._record_dissipation and rows > mark.rows:
+        if self._record_dissipation and self._is_due(mark, rows):
             rate = self._right_hand_side.dissipation_rate()
             if not np.isnan(rate):
                 self._sample_t[samples], self._sample_rate[samples] = step.t, rate
@@ -188,6 +188,10 @@ class Recorder:
     def _rows_at(self, t: float) -> int:
         """Output times up to t; rounding may put the last one beyond the duration."""
         return self._t.size if t >= self._end else int(np.searchsorted(self._t, t, side="right"))
+
+    def _is_due(self, mark: _Mark, rows: int) -> bool:
+        """Whether to sample the dissipation: about every other output time, and at the last."""
+        return rows // 2 > mark.rows // 2 or mark.rows < rows == self._t.size
 
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))

@@ -35,7 +35,7 @@ class MacroSettings:
     )
     frames: int = _setting(101, NONE, "number of times at which whole fields are kept, at most")
     record_dissipation: bool = _setting(
-        True, NONE, "ask the law also at rate 0, at most once an output interval, for dissipation"
+        True, NONE, "ask the law also at rate 0, about every other output time, for dissipation"
     )
 
     def __post_init__(self) -> None:

@@ -62,7 +62,8 @@ class Patch:
     @property
     def area(self) -> float:
         """Reference area of the unit, µm²."""
-        return float(abs(np.linalg.det(self.lattice)))
+        (xx, xy), (yx, yy) = self.lattice.tolist()
+        return float(abs(xx * yy - xy * yx))
 
 
 def square_patch(

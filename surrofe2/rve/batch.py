@@ -25,6 +25,8 @@ from surrofe2.stress_law import Array, Status, Tangents
 if TYPE_CHECKING:
     from surrofe2.rve.rve_law import RveLaw
 
+_OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
+
 
 def felt_rate(initialisation: str, F_dot: Array) -> Array:
     """The rate that particles feel while elastic or constrained-runs positions are solved for."""
@@ -63,7 +65,7 @@ class Batch:
         if covered.all():
             return
         if level == len(self.unit.patches) - 1:
-            self.status[~covered & (self.status == Status.OK)] = Status.LIST_TOO_SHORT
+            self.status[~covered & (self.status == _OK)] = Status.LIST_TOO_SHORT
         elif not covered.any():
             self.solve(level + 1)
         else:
@@ -96,7 +98,7 @@ class Batch:
                 self.F, self.F_dot, state.z, KINDS.index(kind), topology, constants, area, values
             )
         tangents = unpack(values, points).reshape(points, 2, 2, 2, 2, 2)
-        tangents[unpack(self.status, points) != Status.OK] = np.nan
+        tangents[unpack(self.status, points) != _OK] = np.nan
         return Tangents(tangents[:, :, :, 0].copy(), tangents[:, :, :, 1].copy())
 
     def effort(self, points: int) -> dict[str, int]:
@@ -116,7 +118,7 @@ class Batch:
         return int(unpack(left if before is None else left & ~before, points).sum())
 
     def _solve_with(self, topology: AnyTopology) -> None:
-        self.status[:] = Status.OK
+        self.status[:] = _OK
         if self.law.initialisation == "cauchy-born":
             self._evaluate(topology)
         elif self.law.solver == "iterated":
@@ -165,12 +167,11 @@ class Batch:
                 topology, self.unit.constants, self.unit.area, self.settings.tolerance,
                 self.stress, self.iterations,
             )  # fmt: skip
-        self._newton_where_open(topology, z, before.z)
-        self.status[(self.iterations < 0) & (self.status == Status.OK)] = Status.NOT_CONVERGED
+        if (self.iterations < 0).any():
+            self._newton_where_open(topology, z, before.z)
+            self.status[(self.iterations < 0) & (self.status == _OK)] = Status.NOT_CONVERGED
 
     def _newton_where_open(self, topology: AnyTopology, z: Array, z_before: Array) -> None:
-        if not (self.iterations < 0).any():
-            return
         self._newton(topology, self.F, self.rate, z)
         astray = (self.iterations < 0) | (self.status == Status.UNSTABLE)
         if self.cold:
@@ -196,7 +197,7 @@ class Batch:
             return
         elastic = np.where(lost[:, None, None, :], before.relaxed, self.state.relaxed)
         self._newton_where_open(topology, elastic, before.relaxed)
-        found = lost & (self.iterations > 0) & (self.status == Status.OK)
+        found = lost & (self.iterations > 0) & (self.status == _OK)
         np.copyto(self.state.relaxed, elastic, where=lost[:, None, None, :])
         np.copyto(self.state.z, elastic, where=lost[:, None, None, :])
         stable, tiles = np.empty_like(lost), np.asarray(lost.any(axis=1))
@@ -213,8 +214,8 @@ class Batch:
         self.iterations[kept] = solved[kept]
         np.copyto(self.stress, stress, where=kept[:, None, None, :])
         np.copyto(self.state.z, z, where=kept[:, None, None, :])
-        self.status[lost & ~found & (self.status == Status.OK)] = Status.NOT_CONVERGED
-        self.status[(self.iterations < 0) & (self.status == Status.OK)] = Status.NOT_CONVERGED
+        self.status[lost & ~found & (self.status == _OK)] = Status.NOT_CONVERGED
+        self.status[(self.iterations < 0) & (self.status == _OK)] = Status.NOT_CONVERGED
 
     def _follow_from(self, at_F: Array, at_rate: Array, topology: AnyTopology) -> None:
         state = self.state
@@ -274,7 +275,7 @@ class Batch:
             (z_found, walked.solved.z),
             (self.stress, walked.solved.stress),
             (self.iterations, np.where(walked.arrived, walked.solved.iterations, -1)),
-            (self.status, np.where(walked.arrived, Status.OK, lost)),
+            (self.status, np.where(walked.arrived, _OK, lost)),
         ):
             put_points(mine, index, pack(new[row]))
         factors = self.state.factors.put(index, walked.solved.factors.take(row))
@@ -291,7 +292,7 @@ class Batch:
         """
         walked = np.zeros(self.before.points, dtype=np.bool_)
         walked[index] = True
-        arrived = pack(walked) & (self.status == Status.OK) & (self.iterations > 0)
+        arrived = pack(walked) & (self.status == _OK) & (self.iterations > 0)
         if arrived.any() and self.rate.any():
             self.iterations[arrived] = -1
             status = self.status.copy()

@@ -128,7 +128,8 @@ class RveLaw:
         batch.solve()
         status = unpack(batch.status, points)
         stress = unpack(batch.stress, points)
-        stress[status != Status.OK] = np.nan
+        if status.any():
+            stress[status != Status.OK] = np.nan
         slopes = batch.tangents(points) if tangents else None
         left = None if batch.state.left is None else unpack(batch.state.left, points)
         return StressResponse(
