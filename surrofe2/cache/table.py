@@ -15,20 +15,14 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.parts import Fallback
 from surrofe2.cache.table_evidence import weigh
-from surrofe2.cache.table_inputs import (
-    INPUT_SIGNS,
-    OUTPUT_SIGNS,
-    canonical_image,
-    input_scale,
-    to_components,
-    to_inputs,
-)
+from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, canonical_image, input_scale
 from surrofe2.cache.table_lookup import MANY, look_up
 from surrofe2.cache.table_probing import probed_records
 from surrofe2.cache.table_records import Records, joined, no_records
 from surrofe2.cache.table_tree import make_tree
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.polar_inputs import to_components, to_inputs
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_error import stress_spread
 from surrofe2.stress_law import Acceptance, StressResponse, check_deformation

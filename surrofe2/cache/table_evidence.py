@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.table_inputs import INPUT_SIGNS, INPUTS, OUTPUT_SIGNS, OUTPUTS
+from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, OUTPUTS
 from surrofe2.cache.table_records import Records
 from surrofe2.cache.table_tree import quadratic
 from surrofe2.compilation import kernel
+from surrofe2.polar_inputs import INPUTS
 
 Array = NDArray[np.float64]
 

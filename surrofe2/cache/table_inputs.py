@@ -1,13 +1,9 @@
 """Where a table keeps its records: seven inputs with rotation and the group of the cell taken out.
 
-With F = R U and A = RᵀḞ the stress is σ = R S Rᵀ, S a function of the inputs
-
-    x = (sum, difference, shear of U − I;  sum, difference, shear, spin of A)
-
-where sum is T₁₁ + T₂₂, difference T₁₁ − T₂₂, shear T₁₂ + T₂₁ and spin T₂₁ − T₁₂. S has the same
-four components s, and |S| = √(s·s/2) is its Frobenius norm. The group D4 of the square cell acts by
-signs (model.md): a turn by 90° flips difference and shear, a reflection flips shear and spin. So
-each state has four images; the one with difference and shear of U ≥ 0 is its canonical one.
+S of `polar_inputs` has the same four components as A, and |S| = √(s·s/2) is its Frobenius norm.
+The group D4 of the square cell acts by signs (model.md): a turn by 90° flips difference and shear,
+a reflection flips shear and spin. So each state has four images; the one with difference and shear
+of U ≥ 0 is its canonical one.
 """
 
 from __future__ import annotations
@@ -15,12 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.polar_inputs import INPUTS, from_components, to_components
 from surrofe2.sampling import SamplingRange
-from surrofe2.tensors import rotation, transpose
+from surrofe2.tensors import transpose
 
 Array = NDArray[np.float64]
 
-INPUTS, OUTPUTS = 7, 4
+OUTPUTS = 4
 DIFFERENCE_OF_U, SHEAR_OF_U = 1, 2
 
 _TURN = np.array([1.0, -1.0, -1.0, 1.0])  # of sum, difference, shear, spin
@@ -29,32 +26,6 @@ OUTPUT_SIGNS = np.array([np.ones(4), _TURN, _REFLECTION, _TURN * _REFLECTION])
 """(4, 4) by which each image flips the components of a tensor; bit 0: turned, bit 1: reflected."""
 INPUT_SIGNS = np.concatenate([OUTPUT_SIGNS[:, :3], OUTPUT_SIGNS], axis=1)
 """(4, 7) by which each image flips the inputs."""
-
-
-def to_components(T: Array) -> Array:
-    """(n, 4) sum, difference, shear and spin of T (n, 2, 2)."""
-    xx, xy, yx, yy = T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1]
-    return np.stack([xx + yy, xx - yy, xy + yx, yx - xy], axis=1)
-
-
-def from_components(components: Array) -> Array:
-    """T (n, 2, 2) from its sum, difference, shear and spin (n, 4)."""
-    total, difference, shear, spin = components.T
-    T = np.stack([total + difference, shear - spin, shear + spin, total - difference], axis=1)
-    return 0.5 * T.reshape(-1, 2, 2)
-
-
-def to_inputs(F: Array, F_dot: Array) -> tuple[Array, Array]:
-    """(x (n, 7), R (n, 2, 2)) of F and Ḟ, not folded."""
-    R = rotation(F)
-    stretch = to_components(transpose(R) @ F - np.eye(2))[:, :3]
-    return np.concatenate([stretch, to_components(transpose(R) @ F_dot)], axis=1), R
-
-
-def from_inputs(x: Array, R: Array) -> tuple[Array, Array]:
-    """F = R U and Ḟ = R A, (n, 2, 2) each; inverse of `to_inputs`."""
-    stretch = np.concatenate([x[:, :3], np.zeros((len(x), 1))], axis=1)
-    return R @ (np.eye(2) + from_components(stretch)), R @ from_components(x[:, 3:])
 
 
 def canonical_image(x: Array, symmetry: str) -> NDArray[np.intp]:

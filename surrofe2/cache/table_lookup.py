@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from surrofe2.cache.table_inputs import (
     DIFFERENCE_OF_U,
     INPUT_SIGNS,
-    INPUTS,
     OUTPUT_SIGNS,
     OUTPUTS,
     SHEAR_OF_U,
 )
 from surrofe2.cache.table_tree import find
 from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
 
 MANY = 1000  # points from which on more than one core pays

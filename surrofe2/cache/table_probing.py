@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.parts import Fallback
-from surrofe2.cache.table_inputs import INPUTS, from_inputs, input_slopes, to_components
+from surrofe2.cache.table_inputs import input_slopes
 from surrofe2.cache.table_records import (
     Records,
     curvature_from_constant,
@@ -16,6 +16,7 @@ from surrofe2.cache.table_records import (
     limited,
     make_records,
 )
+from surrofe2.polar_inputs import INPUTS, from_inputs, to_components
 from surrofe2.tensors import transpose
 
 Array = NDArray[np.float64]

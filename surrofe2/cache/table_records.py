@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.table_inputs import INPUTS, OUTPUTS
+from surrofe2.cache.table_inputs import OUTPUTS
+from surrofe2.polar_inputs import INPUTS
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.table_inputs import INPUTS
 from surrofe2.compilation import kernel
+from surrofe2.polar_inputs import INPUTS
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,13 @@ import h5py
 import numpy as np
 
 from surrofe2.cache.table import StressTable
-from surrofe2.cache.table_inputs import INPUTS, OUTPUTS
+from surrofe2.cache.table_inputs import OUTPUTS
 from surrofe2.cache.table_records import Records
 from surrofe2.errors import FileError, MismatchError
 from surrofe2.io.data_set_layout import tuples_of
 from surrofe2.io.files import opened_hdf5, plain, replacing
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.sampling import SamplingRange
 from surrofe2.units import STRESS
 

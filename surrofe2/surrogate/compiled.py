@@ -22,8 +22,8 @@ from numba import prange
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.components import INPUTS
 from surrofe2.surrogate.error_bound import EVERYWHERE_UNKNOWN, Trust, apply_trust
 from surrofe2.surrogate.features import STRETCH, Features
 from surrofe2.surrogate.packing import Weights

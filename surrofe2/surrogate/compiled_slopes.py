@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.compiled import (
     BLOCK,
     apply_layer,
@@ -19,7 +20,6 @@ from surrofe2.surrogate.compiled import (
     scale_inputs,
     take_rotation_out,
 )
-from surrofe2.surrogate.components import INPUTS
 from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.packing import Weights
 from surrofe2.surrogate.vector_tanh import fill_tanh

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.sampling import SLACK, StressSamples
-from surrofe2.surrogate.components import INPUTS
 from surrofe2.surrogate.trust_features import (
     Table,
     cliff_table,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.components import INPUTS
 from surrofe2.surrogate.trust_features import COMPRESSION, FACTORS, NORM, cliff_table, scale_table
 
 if TYPE_CHECKING:

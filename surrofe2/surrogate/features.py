@@ -18,15 +18,8 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 from surrofe2.errors import InputError
-from surrofe2.surrogate.components import (
-    DIFFERENCE,
-    INPUTS,
-    SHEAR,
-    SPIN,
-    SUM,
-    monomials,
-    parity,
-)
+from surrofe2.polar_inputs import INPUTS
+from surrofe2.surrogate.components import DIFFERENCE, SHEAR, SPIN, SUM, monomials, parity
 
 FORMS = ("energy", "stress", "potentials")
 SYMMETRIES = ("D4", "none")

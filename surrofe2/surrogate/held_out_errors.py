@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.polar_inputs import to_components, to_inputs
 from surrofe2.sampling import StressSamples
-from surrofe2.surrogate.components import COMPONENTS, to_components, to_inputs
+from surrofe2.surrogate.components import COMPONENTS
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.tensors import transpose
 

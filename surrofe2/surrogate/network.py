@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.surrogate.components import INPUTS
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.features import STRETCH, Features, Product, make_features
 from surrofe2.surrogate.settings import TrainingSettings
 

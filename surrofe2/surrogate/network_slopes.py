@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.surrogate.components import INPUTS
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.network import StressNetwork
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.polar_inputs import INPUTS
 from surrofe2.sampling import SLACK, SamplingRange
-from surrofe2.surrogate.components import INPUTS
 from surrofe2.surrogate.features import STRETCH, Product
 from surrofe2.surrogate.network import StressNetwork, TanhNetwork, slope_table
 

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.polar_inputs import to_inputs
 from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_law import (
     Acceptance,
@@ -24,7 +25,6 @@ from surrofe2.stress_law import (
 from surrofe2.surrogate.calibration import Calibration, subject
 from surrofe2.surrogate.compiled import evaluate_trusted, without_rest
 from surrofe2.surrogate.compiled_slopes import evaluate_slopes
-from surrofe2.surrogate.components import to_inputs
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Trust, pack_trust
 from surrofe2.surrogate.network import StressNetwork

@@ -18,9 +18,10 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.polar_inputs import INPUTS, to_inputs
 from surrofe2.sampling import TANGENTS, StressSamples
 from surrofe2.surrogate.baseline import fit_baseline
-from surrofe2.surrogate.components import INPUTS, input_scale, to_inputs
+from surrofe2.surrogate.components import input_scale
 from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.held_out_errors import measure_errors

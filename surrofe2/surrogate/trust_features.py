@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.polar_inputs import INPUTS, to_inputs
 from surrofe2.sampling import SamplingRange
-from surrofe2.surrogate.components import INPUTS, SUM, input_scale, parity, to_inputs
+from surrofe2.surrogate.components import SUM, input_scale, parity
 
 Array = NDArray[np.float64]
 Table = NDArray[np.int64]

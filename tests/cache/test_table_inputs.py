@@ -7,12 +7,10 @@ from surrofe2.cache.table_inputs import (
     INPUT_SIGNS,
     OUTPUT_SIGNS,
     canonical_image,
-    from_inputs,
     input_scale,
     input_slopes,
-    to_components,
-    to_inputs,
 )
+from surrofe2.polar_inputs import from_inputs, to_components, to_inputs
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.tensors import transpose
 from tests.cache.square_law import SquareLaw, square_stress

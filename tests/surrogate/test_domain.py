@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surrofe2.paths import random_states
+from surrofe2.polar_inputs import to_inputs
 from surrofe2.sampling import SamplingRange, StressSamples, contains, sample
 from surrofe2.surrogate import domain as domains
-from surrofe2.surrogate.components import to_inputs
 from surrofe2.surrogate.domain import Domain, fit_domain
 from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples
 
