@@ -6,15 +6,30 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surrofe2.cli.console import say
+
 if TYPE_CHECKING:
+    from surrofe2.config import Recipe
+    from surrofe2.io.harvest import Harvest
     from surrofe2.sampling import StressSamples
+    from surrofe2.stress_law import StressLaw
+
+_CHUNK = 512
+_SAME = 1e-6
+"""Share of the spread of stress within which two answers are the same."""
 
 
-def with_harvests(samples: StressSamples, paths: Sequence[Path]) -> StressSamples:
+def with_harvests(
+    samples: StressSamples, paths: Sequence[Path], recipe: Recipe, law: StressLaw | None = None
+) -> StressSamples:
     """The samples and, after them, the true answers in these harvests.
 
     The range stays that of the samples: states beyond it are trained on, and do not widen it.
-    Harvests have no tangents, so neither do the samples then.
+    Where the samples have tangents, those of harvested states are solved for, by RVEs from rest;
+    states whose stress they do not find again are left out.
+
+    Args:
+        law: whose tangents; default: the recipe's RVE.
 
     Raises:
         MismatchError: a harvest is of other cell parameters or initialisation.
@@ -24,19 +39,56 @@ def with_harvests(samples: StressSamples, paths: Sequence[Path]) -> StressSample
     import numpy as np
 
     from surrofe2.io.harvest import check_harvest, read_harvest
+    from surrofe2.rve import RveLaw
 
-    parts = []
-    for path in paths:
-        harvest = read_harvest(path)
+    harvests = [read_harvest(path) for path in paths]
+    for path, harvest in zip(paths, harvests, strict=True):
         check_harvest(path, harvest, samples.cell, samples.initialisation)
-        parts.append(harvest)
-    if not parts:
+    if not harvests:
         return samples
+    names = ["F", "F_dot", "stress", "status"]
+    parts = [{name: getattr(harvest, name) for name in names} for harvest in harvests]
+    if samples.P_by_F is not None:
+        names += ["P_by_F", "P_by_F_dot"]
+        law = law or RveLaw.from_settings(recipe.cell, recipe.rve)
+        parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
+        known = sum(len(part["status"]) for part in parts)
+        left_out = sum(len(harvest.status) for harvest in harvests) - known
+        if left_out:
+            say(f"{left_out} harvested states left out: RVEs from rest answer otherwise there")
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in (samples, *parts)])
-        for name in ("F", "F_dot", "stress", "status")
+        name: np.concatenate([getattr(samples, name), *(part[name] for part in parts)])
+        for name in names
     }
     left = samples.left_bifurcation
     if left is not None:  # harvests have no answers from beyond a bifurcation
         arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["status"]) - len(left)))
-    return replace(samples, P_by_F=None, P_by_F_dot=None, **arrays)
+    return replace(samples, **arrays)
+
+
+def _spread(samples: StressSamples) -> float:
+    from surrofe2.stress_error import stress_spread
+
+    return stress_spread(samples.stress[samples.status == 0])
+
+
+def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str, Any]:
+    """Arrays of harvested states with tangents: those that failed, and those that the law, from
+    rest, answers alike.
+    """
+    import numpy as np
+
+    from surrofe2.stress_error import stress_error
+
+    by_F, by_F_dot = np.full((2, len(harvest.status), 2, 2, 2, 2), np.nan)
+    kept = harvest.status != 0
+    valid = np.flatnonzero(~kept)
+    for first in range(0, len(valid), _CHUNK):
+        rows = valid[first : first + _CHUNK]
+        answer: Any = law.respond(harvest.F[rows], harvest.F_dot[rows], tangents=True)  # type: ignore[call-arg]
+        wrong = stress_error(answer.stress, harvest.stress[rows])
+        kept[rows] = (answer.status == 0) & (wrong <= _SAME * spread)
+        by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
+    arrays = {name: getattr(harvest, name) for name in ("F", "F_dot", "stress", "status")}
+    arrays |= {"P_by_F": by_F, "P_by_F_dot": by_F_dot}
+    return {name: values[kept] for name, values in arrays.items()}

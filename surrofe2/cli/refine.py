@@ -165,13 +165,14 @@ def _surrogate(recipe: Recipe, out: Path, k: int) -> tuple[SurrogateLaw, StressS
     path = out / f"round-{k}" / SURROGATE
     if k == 0:
         _make_first(recipe)
-        samples = with_harvests(read_data_set(recipe.data_path()), recipe.added_paths())
+        samples = with_harvests(read_data_set(recipe.data_path()), recipe.added_paths(), recipe)
         if not path.exists():
             path.write_bytes(recipe.training_path().read_bytes())
         return SurrogateLaw.load(path), samples
     samples = with_harvests(
         read_data_set(recipe.data_path()),
         [*recipe.added_paths(), *(out / f"round-{j}" / _NEW for j in range(k))],
+        recipe,
     )
     samples = replace(samples, range=_range_after(out, k - 1))
     if not path.exists():

@@ -77,7 +77,7 @@ def train_surrogate(
         raise FileError(f"{path}: exists; replace it with --force")
     samples = read_data_set(source)
     _check_data(recipe, samples, source)
-    samples = with_harvests(samples, [*recipe.added_paths(), *add])
+    samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
     surrogate = _matching(recipe, samples) if (keep or resume) and path.exists() else None
     if surrogate is not None and _is_calibrated(recipe, surrogate):
         return Trained(path, surrogate, True, calibration_summary(surrogate, samples))
