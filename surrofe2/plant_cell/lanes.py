@@ -126,9 +126,9 @@ def tiles_for(points: int) -> int:
 def pack(values: NDArray[Any]) -> NDArray[Any]:
     """(n, …) → (tiles, …, TILE); the last tile is filled up with copies of the last point."""
     n = len(values)
-    count = tiles_for(n)
-    index = np.minimum(np.arange(count * TILE), n - 1).reshape(count, TILE)
-    tiles = values[index]
+    if n % TILE:
+        values = values[np.minimum(np.arange(tiles_for(n) * TILE), n - 1)]
+    tiles = values.reshape(-1, TILE, *values.shape[1:])
     return np.ascontiguousarray(tiles.transpose(0, *range(2, tiles.ndim), 1))
 
 

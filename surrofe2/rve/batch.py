@@ -47,8 +47,8 @@ class Batch:
         self.law, self.unit, self.settings = law, law.unit_cell, law.settings
         self.F, self.F_dot, self.rate = F, F_dot, felt_rate(law.initialisation, F_dot)
         tiles = len(F)
-        self.stress = np.full((tiles, 2, 2, TILE), np.nan)
-        self.residual = np.full((tiles, 1, TILE), np.nan)
+        self.stress = np.empty((tiles, 2, 2, TILE))  # nothing where the status is not OK
+        self.residual = np.empty((tiles, 1, TILE))
         self.status = np.zeros((tiles, TILE), dtype=np.int8)
         self.iterations = np.zeros((tiles, TILE), dtype=np.int32)
         self.newton_solves = 0
