@@ -52,6 +52,14 @@ def contact_elastic(length, inverse, c):
 
 
 @pair_law
+def contact_bend(length, inverse, c):
+    """∂²t/∂|r|² without the dashpot."""
+    inverse_4 = inverse * inverse * inverse * inverse
+    bend = -42.0 * c.repulsion * inverse_4 * inverse_4
+    return where_less(length, c.cutoff, bend, 0.0)
+
+
+@pair_law
 def contact_energy(length, inverse, c):
     """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
     inverse_5 = inverse * inverse * inverse * inverse * inverse

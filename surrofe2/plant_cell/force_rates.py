@@ -1,7 +1,4 @@
-"""How forces change as particles move, without any matrix.
-
-`add_elastic_forces_and_rates`: the elastic forces and their rate ḟ = Σ ∂f/∂x · v.
-`add_force_slopes`: the change of all forces along any (δx, δv).
+"""The elastic forces and their rate ḟ = Σ ∂f/∂x · v as particles move, without any matrix.
 
 For a central pair with tension t(|r|), n = r/|r|, w = v_j − v_i, s = n·w::
 
@@ -15,11 +12,10 @@ and for the fluid, with a = m² c_s² (W′/|r|) (1/ρ_i + 1/ρ_j) of eq. (8) an
 from __future__ import annotations
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.contact import contact_elastic, contact_force, contact_slopes
-from surrofe2.plant_cell.forces import add_pair, difference, fluid_specific_volume
+from surrofe2.plant_cell.contact import contact_elastic
+from surrofe2.plant_cell.forces import add_pair, difference
 from surrofe2.plant_cell.simd import inverse_root, load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
-from surrofe2.plant_cell.wall import wall_force
 
 
 @pair_law
@@ -120,85 +116,3 @@ def add_elastic_forces_and_rates(x, v, f, f_rate, topology, c, slope, volume, vo
     _add_bonds(x, v, f, f_rate, topology.bonds, c)
     _add_contacts(x, v, f, f_rate, topology.contacts, c)
     _add_fluid(x, v, f, f_rate, topology, c, slope, volume, volume_rate)
-
-
-@pair_law
-def central_slope(tension, by_length, by_rate, inverse, nx, ny, wx, wy, dx, dy, ux, uy):
-    """Change of t n as r changes by (dx, dy) and w by (ux, uy), with s = n·w."""
-    stretch = nx * dx + ny * dy
-    turn_x, turn_y = (dx - nx * stretch) * inverse, (dy - ny * stretch) * inverse
-    change = by_length * stretch + by_rate * (nx * ux + ny * uy + turn_x * wx + turn_y * wy)
-    return change * nx + tension * turn_x, change * ny + tension * turn_y
-
-
-@kernel
-def _add_central_slopes(x, v, dx, dv, df, pairs, is_bond, c):
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        px, py = difference(dx, i, j)
-        ux, uy = difference(dv, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        length = square * inverse
-        nx, ny = rx * inverse, ry * inverse
-        rate = nx * wx + ny * wy
-        if is_bond:
-            tension = wall_force(length, rate, c)
-            by_length, by_rate = spread(c.wall_stiffness), spread(c.wall_damping)
-        else:
-            tension = contact_force(length, inverse, rate, c)
-            by_length, by_rate = contact_slopes(length, inverse, rate, c)
-        fx, fy = central_slope(tension, by_length, by_rate, inverse, nx, ny, wx, wy, px, py, ux, uy)
-        add_pair(df, i, j, fx, fy)
-
-
-@kernel
-def _add_fluid_slopes(x, v, dx, dv, df, topology, c, slope, volume, volume_change):
-    pairs, first = topology.fluid_pairs, topology.walls
-    h, m = c.smoothing_length, c.fluid_mass
-    fluid_specific_volume(x, topology, c, slope, volume)
-    for p in range(volume.shape[0]):
-        store(0.0, volume_change, p)
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        px, py = difference(dx, i, j)
-        density = m * load(slope, k) * (rx * px + ry * py)
-        volume_p, volume_q = load(volume, p), load(volume, q)
-        store(load(volume_change, p) - volume_p * volume_p * density, volume_change, p)
-        store(load(volume_change, q) - volume_q * volume_q * density, volume_change, q)
-    elastic, viscous = m * m * c.sound_speed_squared, -2.0 * m * m * c.viscosity
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        px, py = difference(dx, i, j)
-        ux, uy = difference(dv, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        steep = load(slope, k)
-        bend = (spline_curvature(square * inverse * (1.0 / h), h) - steep) * inverse
-        steep_change = bend * (rx * px + ry * py) * inverse
-        volume_i, volume_j = load(volume, p), load(volume, q)
-        change_i, change_j = load(volume_change, p), load(volume_change, q)
-        both, product = volume_i + volume_j, volume_i * volume_j
-        both_change = change_i + change_j
-        product_change = change_i * volume_j + volume_i * change_j
-        a, b = elastic * steep * both, viscous * steep * product
-        a_change = elastic * (steep_change * both + steep * both_change)
-        b_change = viscous * (steep_change * product + steep * product_change)
-        fx = a_change * rx + a * px + b_change * wx + b * ux
-        fy = a_change * ry + a * py + b_change * wy + b * uy
-        add_pair(df, i, j, fx, fy)
-
-
-@kernel
-def add_force_slopes(x, v, dx, dv, df, topology, c, slope, volume, volume_change):
-    """Add to df the change of all forces as x changes by dx and v by dv; each (2, local, TILE)."""
-    _add_central_slopes(x, v, dx, dv, df, topology.bonds, True, c)
-    _add_central_slopes(x, v, dx, dv, df, topology.contacts, False, c)
-    _add_fluid_slopes(x, v, dx, dv, df, topology, c, slope, volume, volume_change)

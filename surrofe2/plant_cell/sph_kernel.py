@@ -35,3 +35,11 @@ def spline_curvature(s, h):
     outer = where_less(s, 2.0, 2.0 - s, 0.0)
     inner = where_less(s, 1.0, 1.0 - s, 0.0)
     return SIGMA / (h * h * h * h) * (1.5 * outer - 6.0 * inner)
+
+
+@pair_law
+def spline_third(s, h):
+    """d³W/dr³ in 1/µm⁵; it jumps at s = 1 and s = 2."""
+    outer = where_less(s, 2.0, -1.5, 0.0)
+    inner = where_less(s, 1.0, 6.0, 0.0)
+    return SIGMA / (h * h * h * h * h) * (outer + inner)

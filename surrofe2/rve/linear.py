@@ -35,21 +35,23 @@ def factorise(a):
 
 
 @kernel
-def is_negative_definite(a, answer):
-    """answer (TILE,): whether the symmetric a, lane by lane, is; a is overwritten.
-
-    Elimination keeps to the upper triangle and the blocks on the diagonal; all pivots must be
-    negative.
-    """
+def factorise_symmetric(a):
+    """As `factorise` where a is symmetric; elimination keeps to the upper triangle and diagonal."""
     n = a.shape[0]
     for start in range(0, n, PANEL):
         end = min(start + PANEL, n)
         _factorise_panel(a, start, end, True)
         for i in range(end, n):
             _update_row(a, i, start, i - i % PANEL)
+
+
+@kernel
+def is_negative_definite(a, answer):
+    """answer (TILE,): whether the symmetric a, lane by lane, is; a is overwritten."""
+    factorise_symmetric(a)
     for k in range(TILE):
         answer[k] = True
-        for i in range(n):
+        for i in range(a.shape[0]):
             if not a[i, i, k] < 0.0:
                 answer[k] = False
 

@@ -22,6 +22,7 @@ from surrofe2.rve.direct import (
     set_jacobian,
     set_residual,
 )
+from surrofe2.rve.elastic_modes import equilibrium_modes, material_rate
 from surrofe2.rve.micro_state import (
     cauchy_stress,
     copy_particles,
@@ -34,7 +35,6 @@ from surrofe2.rve.micro_state import (
 )
 from surrofe2.rve.slow_manifold import set_velocities
 from surrofe2.rve.systems import factorise_free, make_matrices, solve
-from surrofe2.rve.tangents import equilibrium_modes, material_rate
 
 
 @parallel_kernel

@@ -19,8 +19,16 @@ from surrofe2.plant_cell.matrix_blocks import Blocks
 from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.plant_cell.sparsity import Pattern, factorisation_work
 from surrofe2.rve.factors import Factors, kept, kept_sparse
-from surrofe2.rve.linear import copy_from, factorise, is_negative_definite, solve_factorised
+from surrofe2.rve.linear import (
+    copy_from,
+    factorise,
+    factorise_symmetric,
+    is_negative_definite,
+    solve_factorised,
+)
+from surrofe2.rve.linear_columns import solve_four, solve_four_transposed
 from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots, solve_sparse
+from surrofe2.rve.sparse_transposed import solve_sparse_transposed
 
 AnyTopology = Topology | SparseTopology
 _OPTIONS = {"error_model": "numpy", "fastmath": FAST}
@@ -79,6 +87,11 @@ def factorise_free(matrices: Any, topology: Any) -> None:
     raise NotImplementedError("for kernels")
 
 
+def factorise_elastic(matrices: Any, topology: Any) -> None:
+    """As `factorise_free` for the symmetric Jacobian of the elastic forces."""
+    raise NotImplementedError("for kernels")
+
+
 def check_definite(matrices: Any, topology: Any, answer: Any) -> None:
     """answer (TILE,): whether the symmetric Jacobian is negative definite; overwrites `free`."""
     raise NotImplementedError("for kernels")
@@ -101,6 +114,16 @@ def kept_factors(address: Any, topology: Any) -> Any:
 
 def solve(lu: Any, b: Any, topology: Any) -> None:
     """Replace b by the solution."""
+    raise NotImplementedError("for kernels")
+
+
+def solve_columns(lu: Any, b: Any, topology: Any) -> None:
+    """Replace the four columns of b (4, unknowns, TILE) by the solutions."""
+    raise NotImplementedError("for kernels")
+
+
+def solve_transposed(lu: Any, b: Any, topology: Any) -> None:
+    """As `solve_columns` with the transposed matrix."""
     raise NotImplementedError("for kernels")
 
 
@@ -139,6 +162,18 @@ def _factorise_free(matrices, topology):
     def sparse(matrices, topology):
         matrices.free[:] = matrices.jacobian.values
         factorise_sparse(matrices.free, topology)
+
+    return dense if _is_dense(topology) else sparse
+
+
+@overload(factorise_elastic, jit_options=_OPTIONS)
+def _factorise_elastic(matrices, topology):
+    def dense(matrices, topology):
+        copy_from(matrices.jacobian, 2, matrices.free)
+        factorise_symmetric(matrices.free)
+
+    def sparse(matrices, topology):
+        factorise_free(matrices, topology)
 
     return dense if _is_dense(topology) else sparse
 
@@ -202,5 +237,29 @@ def _solve(lu, b, topology):
 
     def sparse(lu, b, topology):
         solve_sparse(lu, b, topology)
+
+    return dense if _is_dense(topology) else sparse
+
+
+@overload(solve_columns, jit_options=_OPTIONS)
+def _solve_columns(lu, b, topology):
+    def dense(lu, b, topology):
+        solve_four(lu, b)
+
+    def sparse(lu, b, topology):
+        for m in range(b.shape[0]):
+            solve_sparse(lu, b[m], topology)
+
+    return dense if _is_dense(topology) else sparse
+
+
+@overload(solve_transposed, jit_options=_OPTIONS)
+def _solve_transposed(lu, b, topology):
+    def dense(lu, b, topology):
+        solve_four_transposed(lu, b)
+
+    def sparse(lu, b, topology):
+        for m in range(b.shape[0]):
+            solve_sparse_transposed(lu, b[m], topology)
 
     return dense if _is_dense(topology) else sparse

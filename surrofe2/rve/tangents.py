@@ -1,15 +1,16 @@
 """Exact tangents ∂P/∂F and ∂P/∂Ḟ by the implicit function theorem (not in the paper; model.md).
 
-With P = 1/V₀ Σ f ⊗ Z over pairs (eq. 54, Z material distances), one direction δ of (F, Ḟ) at a
-time::
+With P = −1/V₀ Σ_k f_k ⊗ z_k over local particles (eq. 54, material positions z) and J the Jacobian
+of the forces that vanish at z, every change δf of forces at fixed z moves z by J F δz = −δf. What
+that does to P is the same for all directions of (F, Ḟ), and is solved for once for each of the four
+components (a, b), with the transposed Jacobian::
 
-    J F δz = −δf at fixed z,        δP = 1/V₀ Σ (δf ⊗ Z + f ⊗ δZ)
+    Jᵀ λ_ab = F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z,        δP_ab = −1/V₀ (Σ_k δf_ka z_kb − λ_ab·δf)
 
-δf along (δx, δv) comes from `add_force_slopes`. What the velocities do is the initialisation's:
+What the velocities do is the initialisation's:
 
-- elastic, constrained runs: v = Ḟ Z, so δv = δḞ Z + Ḟ δZ; the elastic J and δf of z know no v.
-- slow manifold: v = Ḟ z_el + F y with y = ∂z_el/∂F : Ḟ, linear in Ḟ. Along F, δy follows from
-  ḟ_el(x_el, v) = 0, whose change at fixed y is taken by a central difference.
+- elastic, constrained runs: v = Ḟ Z, so velocities move with z; the elastic J and δf know no v.
+- slow manifold: v = ∂x_el/∂F : Ḟ whatever z is, see `elastic_modes`.
 """
 
 from __future__ import annotations
@@ -18,10 +19,18 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates, add_force_slopes
+from surrofe2.plant_cell.force_gradients import add_force_gradients
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.simd import TILE, load, spread, store
-from surrofe2.rve.direct import move, set_jacobian, set_residual
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.rve.direct import set_jacobian
+from surrofe2.rve.elastic_modes import (
+    equilibrium_modes,
+    fold_columns,
+    subtract_columns,
+    unit_velocities,
+    velocity_slopes,
+)
+from surrofe2.rve.linear_columns import COLUMNS
 from surrofe2.rve.micro_state import (
     copy_particles,
     local_forces,
@@ -29,14 +38,10 @@ from surrofe2.rve.micro_state import (
     map_affine,
     set_images,
 )
-from surrofe2.rve.slow_manifold import set_velocities
-from surrofe2.rve.systems import factorise_free, make_matrices, solve
+from surrofe2.rve.systems import factorise_free, make_matrices, solve_transposed
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2
-
-DIFFERENCE = 2e-6
-"""Half width of the central difference along F, relative."""
 
 
 @parallel_kernel
@@ -51,64 +56,28 @@ def affine_tangents(F, F_dot, z, kind, topology, c, area, tangents):
 
 @kernel
 def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
-    own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(topology)
-    change = make_workspace(topology)
-    copy_particles(z, work.z)
-    set_images(work.z, topology)
-    map_affine(F, work.z, work.x)
-    still = np.zeros((2, 2, TILE))
-    felt = still if kind == _ELASTIC else F_dot
-    map_affine(felt, work.z, work.v)
-    set_jacobian(work, F, felt, topology, c, matrices.jacobian, matrices.columns)
-    factorise_free(matrices, topology)
+    work = make_workspace(topology)
+    _place(z, F, topology, work)
     map_affine(F_dot, work.z, work.v)
-    local_forces(work, topology, c)
-    at_point = work.f.copy()
-    dz = np.zeros((2, own, TILE))
-    for m in range(8):
-        dz[:] = 0.0
-        if not (kind == _CAUCHY_BORN or (kind == _ELASTIC and m >= 4)):
-            for i in range(2 * own - 2):
-                store(-load(matrices.columns, i + 2, m), matrices.step, i)
-            solve(matrices.free, matrices.step, topology)
-            move(matrices.step, F, dz)
-        _set_change(dz, F, work.z, m, m < 4, topology, change.x)
-        _set_change(dz, F_dot, work.z, m - 4, m >= 4, topology, change.v)
-        _add_stress_change(work, change, dz, at_point, topology, c, area, tangents, m)
-
-
-@kernel
-def _set_change(dz, A, z, m, direct, topology, change):
-    """change = A δZ, plus E_m Z where `direct`; an image has the δz of its owner."""
-    own = topology.particles
-    xx, xy, yx, yy = load(A, 0, 0), load(A, 0, 1), load(A, 1, 0), load(A, 1, 1)
-    for i in range(change.shape[1]):
-        k = i if i < own else topology.owner[i - own]
-        dx, dy = load(dz, 0, k), load(dz, 1, k)
-        store(xx * dx + xy * dy, change, 0, i)
-        store(yx * dx + yy * dy, change, 1, i)
-        if direct:
-            store(load(change, m // 2, i) + load(z, m % 2, i), change, m // 2, i)
-
-
-@kernel
-def _add_stress_change(work, change, dz, forces, topology, c, area, tangents, m):
-    """tangents[:, :, m] = −1/V₀ Σ_k (δf_k ⊗ z_k + f_k ⊗ δz_k) over local particles."""
-    own = topology.particles
-    change.f[:] = 0.0
-    add_force_slopes(
-        work.x, work.v, change.x, change.v, change.f, topology, c, work.slope, work.volume,
-        change.volume,
-    )  # fmt: skip
-    for a in range(2):
-        for b in range(2):
-            total = spread(0.0)
-            for i in range(work.z.shape[1]):
-                k = i if i < own else topology.owner[i - own]
-                total -= load(change.f, a, i) * load(work.z, b, i)
-                total -= load(forces, a, i) * load(dz, b, k)
-            store(total * (1.0 / area), tangents, a, b, m)
+    tangents[:] = 0.0
+    by_x, by_v = _stress_gradients(work, _virial_weights(work.z), topology, c)
+    _add_affine(by_x, work.z, 0, tangents)
+    _add_affine(by_v, work.z, 4, tangents)
+    if kind != _CAUCHY_BORN:
+        matrices = make_matrices(topology)
+        adjoint = _adjoint_load(work, by_x, by_v, F, F_dot, topology, c)
+        felt = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
+        map_affine(felt, work.z, work.v)
+        set_jacobian(work, F, felt, topology, c, matrices.jacobian, matrices.columns)
+        factorise_free(matrices, topology)
+        solve_transposed(matrices.free, adjoint, topology)
+        for m in range(4 if kind == _ELASTIC else 8):
+            for n in range(COLUMNS):
+                total = load(tangents, n // 2, n % 2, m)
+                for i in range(adjoint.shape[1]):
+                    total -= load(adjoint, n, i) * load(matrices.columns, i + 2, m)
+                store(total, tangents, n // 2, n % 2, m)
+    tangents[:] = tangents * (-1.0 / area)
 
 
 @parallel_kernel
@@ -120,114 +89,105 @@ def slow_tangents(F, F_dot, z, relaxed, topology, c, area, tangents):
 
 @kernel
 def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
-    own = topology.particles
     work, matrices = make_workspace(topology), make_matrices(topology)
-    at_rest, change = make_workspace(topology), make_workspace(topology)
-    copy_particles(relaxed, at_rest.z)
-    set_images(at_rest.z, topology)
-    modes = equilibrium_modes(at_rest, F, topology, c, matrices)
-    y = material_rate(modes, F_dot)
-    set_velocities(at_rest.z, y, F, F_dot, topology, at_rest.v)
-    bends = _velocity_slopes(at_rest, modes, y, F, F_dot, topology, c, matrices, change)
+    _place(relaxed, F, topology, work)
+    modes = equilibrium_modes(work, F, topology, c, matrices)
+    units = unit_velocities(work.z, modes, F, topology)
+    for m in range(COLUMNS):
+        for axis in range(2):
+            for k in range(work.v.shape[1]):
+                part = load(F_dot, m // 2, m % 2) * load(units, m, axis, k)
+                store(load(work.v, axis, k) + part, work.v, axis, k)
+    slopes = velocity_slopes(work, units, topology, c, matrices.free)
+    _place(z, F, topology, work)
+    weights = _virial_weights(work.z)
+    by_x, by_v = _stress_gradients(work, weights, topology, c)
+    still = np.zeros((2, 2, TILE))
+    adjoint = _adjoint_load(work, by_x, by_v, F, still, topology, c)
+    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
+    factorise_free(matrices, topology)
+    solve_transposed(matrices.free, adjoint, topology)
+    subtract_columns(adjoint, topology, weights)
+    by_x, by_v = _stress_gradients(work, weights, topology, c)
+    tangents[:] = 0.0
+    _add_affine(by_x, work.z, 0, tangents)
+    _add_products(by_v, slopes, 0, tangents)
+    _add_products(by_v, units, 4, tangents)
+    tangents[:] = tangents * (-1.0 / area)
+
+
+@kernel
+def _place(z, F, topology, work):
+    """Local z and x = F z of own material positions."""
     copy_particles(z, work.z)
     set_images(work.z, topology)
     map_affine(F, work.z, work.x)
-    work.v[:] = at_rest.v
-    still, unit = np.zeros((2, 2, TILE)), np.zeros((2, 2, TILE))
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    factorise_free(matrices, topology)
+
+
+@kernel
+def _virial_weights(z):
+    """(4, 2, local, TILE): e_a z_b for (a, b) = xx, xy, yx, yy."""
+    weights = np.zeros((COLUMNS, 2, z.shape[1], TILE))
+    for n in range(COLUMNS):
+        weights[n, n // 2] = z[n % 2]
+    return weights
+
+
+@kernel
+def _stress_gradients(work, weights, topology, c):
+    """(by_x, by_v) of the four sums of forces with these weights."""
+    by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
+    add_force_gradients(work.x, work.v, weights, by_x, by_v, topology, c, work.slope, work.volume)
+    return by_x, by_v
+
+
+@kernel
+def _adjoint_load(work, by_x, by_v, F, rate, topology, c):
+    """(4, 2n − 2, TILE): F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z as x = F z and v = rate z + … follow.
+
+    Forces of own particles, which the elastic initialisation leaves, are in z_kb's own slope.
+    """
+    free = 2 * topology.particles - 2
+    load_x, load_v = np.empty((COLUMNS, free, TILE)), np.empty((COLUMNS, free, TILE))
+    fold_columns(by_x, topology, load_x)
+    fold_columns(by_v, topology, load_v)
     local_forces(work, topology, c)
-    at_point = work.f.copy()
-    dz = np.zeros((2, own, TILE))
-    for m in range(8):
-        if m < 4:
-            change.v[:] = bends[m]
-        else:
-            unit[:] = 0.0
-            unit[(m - 4) // 2, m % 2] = 1.0
-            set_velocities(at_rest.z, modes[m - 4], F, unit, topology, change.v)
-        dz[:] = 0.0
-        _set_change(dz, F, work.z, m, m < 4, topology, change.x)
-        change.f[:] = 0.0
-        add_force_slopes(
-            work.x, work.v, change.x, change.v, change.f, topology, c, work.slope, work.volume,
-            change.volume,
-        )  # fmt: skip
-        fold_images(change.f, topology)
-        set_residual(change.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
-        move(matrices.step, F, dz)
-        _set_change(dz, F, work.z, m, m < 4, topology, change.x)
-        _add_stress_change(work, change, dz, at_point, topology, c, area, tangents, m)
+    fold_images(work.f, topology)
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    per_det = 1.0 / (xx * yy - xy * yx)
+    for n in range(COLUMNS):
+        for i in range(0, free, 2):
+            vx, vy = load(load_v, n, i), load(load_v, n, i + 1)
+            gx = load(rate, 0, 0) * vx + load(rate, 1, 0) * vy
+            gy = load(rate, 0, 1) * vx + load(rate, 1, 1) * vy
+            force = load(work.f, n // 2, i // 2 + 1)
+            if n % 2 == 0:
+                gx += force
+            else:
+                gy += force
+            store(load(load_x, n, i) + (yy * gx - yx * gy) * per_det, load_x, n, i)
+            store(load(load_x, n, i + 1) + (xx * gy - xy * gx) * per_det, load_x, n, i + 1)
+    return load_x
 
 
 @kernel
-def equilibrium_modes(work, F, topology, c, matrices):
-    """modes (4, 2, own, TILE) = ∂z_el/∂F_m; leaves the factorised elastic Jacobian behind."""
-    own = topology.particles
-    map_affine(F, work.z, work.x)
-    work.v[:] = 0.0
-    still = np.zeros((2, 2, TILE))
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    factorise_free(matrices, topology)
-    modes = np.zeros((4, 2, own, TILE))
-    for m in range(4):
-        for i in range(2 * own - 2):
-            store(-load(matrices.columns, i + 2, m), matrices.step, i)
-        solve(matrices.free, matrices.step, topology)
-        move(matrices.step, F, modes[m])
-    return modes
+def _add_affine(gradients, z, first, tangents):
+    """tangents[a, b, first + m] += Σ_k gradients of (a, b) along E_m z."""
+    for n in range(COLUMNS):
+        for m in range(COLUMNS):
+            total = load(tangents, n // 2, n % 2, first + m)
+            for k in range(z.shape[1]):
+                total += load(gradients, n, m // 2, k) * load(z, m % 2, k)
+            store(total, tangents, n // 2, n % 2, first + m)
 
 
 @kernel
-def material_rate(modes, F_dot):
-    """y = ∂z_el/∂F : Ḟ."""
-    y = np.zeros(modes.shape[1:])
-    for m in range(4):
-        for axis in range(2):
-            for i in range(y.shape[1]):
-                part = load(modes, m, axis, i) * load(F_dot, m // 2, m % 2)
-                store(load(y, axis, i) + part, y, axis, i)
-    return y
-
-
-@kernel
-def _velocity_slopes(work, modes, y, F, F_dot, topology, c, matrices, change):
-    """(4, 2, local, TILE) = ∂v/∂F_m of v = Ḟ z_el + F y, images included."""
-    own = topology.particles
-    slopes = np.empty((4, 2, work.x.shape[1], TILE))
-    x, v = work.x.copy(), work.v.copy()
-    rates = np.empty((2, 2, work.x.shape[1], TILE))
-    dy = np.zeros((2, own, TILE))
-    for m in range(4):
-        # at fixed y: δx = F δz_el + E_m Z, δv = Ḟ δz_el + E_m y
-        _set_change(modes[m], F, work.z, m, True, topology, change.x)
-        _set_change(modes[m], F_dot, work.z, m, False, topology, change.v)
-        for i in range(change.v.shape[1]):
-            k = i if i < own else topology.owner[i - own]
-            moved = load(change.v, m // 2, i) + load(y, m % 2, k)
-            store(moved, change.v, m // 2, i)
-        for side in range(2):
-            sign = DIFFERENCE if side == 0 else -DIFFERENCE
-            work.x[:] = x + sign * change.x
-            work.v[:] = v + sign * change.v
-            work.f[:] = 0.0
-            rates[side] = 0.0
-            add_elastic_forces_and_rates(
-                work.x, work.v, work.f, rates[side], topology, c, work.slope, work.volume,
-                change.volume,
-            )  # fmt: skip
-        change.f[:] = (rates[0] - rates[1]) / (2.0 * DIFFERENCE)
-        fold_images(change.f, topology)
-        set_residual(change.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
-        dy[:] = 0.0
-        move(matrices.step, F, dy)
-        for i in range(change.v.shape[1]):
-            k = i if i < own else topology.owner[i - own]
+def _add_products(gradients, fields, first, tangents):
+    """tangents[a, b, first + m] += Σ_k gradients of (a, b) along field m."""
+    for n in range(COLUMNS):
+        for m in range(COLUMNS):
+            total = load(tangents, n // 2, n % 2, first + m)
             for axis in range(2):
-                turned = load(F, axis, 0) * load(dy, 0, k) + load(F, axis, 1) * load(dy, 1, k)
-                store(load(change.v, axis, i) + turned, slopes, m, axis, i)
-    work.x[:] = x
-    work.v[:] = v
-    return slopes
+                for k in range(fields.shape[2]):
+                    total += load(gradients, n, axis, k) * load(fields, m, axis, k)
+            store(total, tangents, n // 2, n % 2, first + m)

@@ -1,0 +1,108 @@
+"""How the elastic equilibrium moves with F, and how these motions change with F in turn.
+
+With x_el = F z_el and f_el(x_el) = 0, K the elastic Jacobian and V_m = ∂x_el/∂F_m::
+
+    K F ∂z_el/∂F_m = −(∂f_el/∂F_m at fixed z),      K V_m = 0
+    K ∂V_n/∂F_m = −K̇ V_m,                           K̇: change of K along V_n
+
+K V_m = 0 on own particles, V_m reaching over images with the affine part E_m Z; what changes
+in V_n is the same for a particle and its images. The columns m are F_xx, xy, yx, yy.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.plant_cell.stiffness_rates import add_stiffness_rates
+from surrofe2.rve.direct import move, set_jacobian
+from surrofe2.rve.linear_columns import COLUMNS
+from surrofe2.rve.micro_state import map_affine
+from surrofe2.rve.slow_manifold import set_velocities
+from surrofe2.rve.systems import factorise_elastic, solve_columns
+
+
+@kernel
+def equilibrium_modes(work, F, topology, c, matrices):
+    """modes (4, 2, own, TILE) = ∂z_el/∂F_m; leaves the factorised elastic Jacobian behind."""
+    own = topology.particles
+    map_affine(F, work.z, work.x)
+    work.v[:] = 0.0
+    still = np.zeros((2, 2, TILE))
+    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
+    factorise_elastic(matrices, topology)
+    steps = np.empty((COLUMNS, 2 * own - 2, TILE))
+    modes = np.zeros((COLUMNS, 2, own, TILE))
+    for m in range(COLUMNS):
+        for i in range(2 * own - 2):
+            store(-load(matrices.columns, i + 2, m), steps, m, i)
+    solve_columns(matrices.free, steps, topology)
+    for m in range(COLUMNS):
+        move(steps[m], F, modes[m])
+    return modes
+
+
+@kernel
+def material_rate(modes, F_dot):
+    """y = ∂z_el/∂F : Ḟ."""
+    y = np.zeros(modes.shape[1:])
+    for m in range(COLUMNS):
+        for axis in range(2):
+            for i in range(y.shape[1]):
+                part = load(modes, m, axis, i) * load(F_dot, m // 2, m % 2)
+                store(load(y, axis, i) + part, y, axis, i)
+    return y
+
+
+@kernel
+def unit_velocities(z, modes, F, topology):
+    """V (4, 2, local, TILE) = ∂x_el/∂F_m, images included."""
+    velocities = np.empty((COLUMNS, 2, z.shape[1], TILE))
+    unit = np.zeros((2, 2, TILE))
+    for m in range(COLUMNS):
+        unit[:] = 0.0
+        unit[m // 2, m % 2] = 1.0
+        set_velocities(z, modes[m], F, unit, topology, velocities[m])
+    return velocities
+
+
+@kernel
+def velocity_slopes(work, units, topology, c, lu):
+    """(4, 2, local, TILE) = ∂v/∂F_m at work.x of v = Σ Ḟ_n V_n in work.v; lu of K."""
+    slopes, rates = np.zeros_like(units), np.zeros_like(units)
+    add_stiffness_rates(work.x, work.v, units, rates, topology, c, work.slope, work.volume)
+    steps = np.empty((COLUMNS, 2 * topology.particles - 2, TILE))
+    fold_columns(rates, topology, steps)
+    solve_columns(lu, steps, topology)
+    subtract_columns(steps, topology, slopes)
+    return slopes
+
+
+@kernel
+def fold_columns(fields, topology, columns):
+    """columns (4, 2n − 2, TILE): fields (4, 2, local, TILE) with what images feel, unless held."""
+    own = topology.particles
+    for m in range(COLUMNS):
+        for axis in range(2):
+            for i in range(1, own):
+                store(load(fields, m, axis, i), columns, m, 2 * i - 2 + axis)
+            for k in range(topology.owner.shape[0]):
+                i = topology.owner[k]
+                if i > 0:
+                    row = 2 * i - 2 + axis
+                    value = load(columns, m, row) + load(fields, m, axis, own + k)
+                    store(value, columns, m, row)
+
+
+@kernel
+def subtract_columns(columns, topology, fields):
+    """fields −= columns of own particles, and for images those of their owners."""
+    own = topology.particles
+    for m in range(COLUMNS):
+        for k in range(fields.shape[2]):
+            i = k if k < own else topology.owner[k - own]
+            if i > 0:
+                for axis in range(2):
+                    value = load(fields, m, axis, k) - load(columns, m, 2 * i - 2 + axis)
+                    store(value, fields, m, axis, k)
