@@ -103,9 +103,8 @@ class RveLaw:
     ) -> StressResponse:
         """Cauchy stress at n points by one RVE each; see `StressLaw.respond`.
 
-        With `tangents`, ∂P/∂F and ∂P/∂Ḟ too, exact for solver direct (for "slow-manifold" but for
-        a central difference of exact force rates, about 1e-8 relative). They are one-sided where
-        a pair sits at the cut-off.
+        With `tangents`, ∂P/∂F and ∂P/∂Ḟ too, exact for solver direct. They are one-sided where a
+        pair sits at the cut-off.
         """
         F, F_dot = check_deformation(F, F_dot)
         points = len(F)

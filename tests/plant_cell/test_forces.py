@@ -12,7 +12,7 @@ from surrofe2.plant_cell.geometry import even_positions, square_patch
 from surrofe2.plant_cell.lanes import make_constants, make_topology, pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
+from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope, spline_third
 from tests.plant_cell.twin import Twin
 
 REST = 1.9
@@ -84,7 +84,9 @@ def patch(request):
 
 def test_smoothing_kernel_integrates_to_one_and_its_slopes_are_its_derivatives():
     h = 5.5
-    w, slope, curvature = (call_kernel(law) for law in (spline, spline_slope, spline_curvature))
+    w, slope, curvature, third = map(
+        call_kernel, (spline, spline_slope, spline_curvature, spline_third)
+    )
     at = lambda law, r: law(np.array([r]), h)[0]  # noqa: E731
     total, _ = quad(lambda r: 2 * np.pi * r * at(w, r), 0, 2 * h, points=[h])
     assert total == pytest.approx(1.0, abs=1e-12)
@@ -94,6 +96,8 @@ def test_smoothing_kernel_integrates_to_one_and_its_slopes_are_its_derivatives()
                                rtol=1e-7, atol=1e-12)  # fmt: skip
     np.testing.assert_allclose(curvature(r, h), (slope(r + step, h) - slope(r - step, h))
                                / (2 * step), rtol=1e-7, atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(third(r, h), (curvature(r + step, h) - curvature(r - step, h))
+                               / (2 * step), rtol=1e-7, atol=1e-9)  # fmt: skip
     assert w(np.array([11.0, 12.0]), h).tolist() == [0.0, 0.0]
 
 

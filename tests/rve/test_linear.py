@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 
 from surrofe2.plant_cell.simd import TILE
-from surrofe2.rve.linear import factorise, is_negative_definite, solve_factorised
+from surrofe2.rve.linear import (
+    factorise,
+    factorise_symmetric,
+    is_negative_definite,
+    solve_factorised,
+)
+from surrofe2.rve.linear_columns import solve_four, solve_four_transposed
 
 
 def systems(n, seed=0):
@@ -21,6 +27,22 @@ def test_each_lane_solves_its_own_system(n, precision):
     expected = [np.linalg.solve(a[:, :, lane], b[:, lane]) for lane in range(TILE)]
     tolerance = 1e-12 if precision is np.float64 else 1e-5
     np.testing.assert_allclose(x, np.transpose(expected), rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("n", [1, 4, 9, 68])
+@pytest.mark.parametrize("kind", ["any", "transposed", "symmetric"])
+def test_four_columns_at_once(n, kind):
+    a = systems(n)
+    b = np.random.default_rng(1).normal(size=(4, n, TILE))
+    if kind == "symmetric":
+        a = a + a.swapaxes(0, 1)
+    lu, x = a.copy(), b.copy()
+    (factorise_symmetric if kind == "symmetric" else factorise)(lu)
+    (solve_four_transposed if kind == "transposed" else solve_four)(lu, x)
+    for lane in range(TILE):
+        matrix = a[:, :, lane].T if kind == "transposed" else a[:, :, lane]
+        expected = np.linalg.solve(matrix, b[:, :, lane].T).T
+        np.testing.assert_allclose(x[:, :, lane], expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [1, 4, 6, 68])

@@ -6,6 +6,7 @@ import pytest
 from surrofe2.plant_cell.simd import TILE
 from surrofe2.plant_cell.sparsity import factorisation_work, make_pattern
 from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots, solve_sparse
+from surrofe2.rve.sparse_transposed import solve_sparse_transposed
 
 PAIRS = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 0), (0, 3)]
 
@@ -51,6 +52,17 @@ def test_solution(precision, error):
     for k in range(TILE):
         expected = np.linalg.solve(dense[..., k], b[:, k])
         np.testing.assert_allclose(x[:, k], expected, rtol=0, atol=error)
+
+
+def test_solution_of_the_transposed_system():
+    pattern, values, dense = system(1)
+    b = np.random.default_rng(2).normal(size=dense.shape[1:])
+    x = b.copy()
+    factorise_sparse(values, pattern)
+    solve_sparse_transposed(values, x, pattern)
+    for k in range(TILE):
+        expected = np.linalg.solve(dense[..., k].T, b[:, k])
+        np.testing.assert_allclose(x[:, k], expected, rtol=0, atol=1e-12)
 
 
 def test_work_is_less_than_dense_and_fill_is_kept():

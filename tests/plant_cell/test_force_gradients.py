@@ -1,0 +1,128 @@
+"""Slopes of weighted force sums, and of the elastic stiffness, against what they derive from."""
+
+import numpy as np
+import pytest
+
+from surrofe2.plant_cell import force_rates, forces, jacobian
+from surrofe2.plant_cell.force_gradients import add_force_gradients
+from surrofe2.plant_cell.simd import TILE
+from surrofe2.plant_cell.stiffness_rates import add_stiffness_rates
+from tests.plant_cell.test_forces import Patch
+
+
+class Local(Patch):
+    """A patch with the velocities of any motion and four fields over local particles."""
+
+    def __init__(self, preset):
+        super().__init__(preset)
+        self.owners = np.concatenate([np.arange(self.patch.particles), self.patch.owner])
+        rng = np.random.default_rng(7)
+        self.x = self.local(self.z, self.F)
+        self.v = self.local(self.z, self.F_dot)
+        self.fields = rng.normal(size=(4, 2, len(self.owners), TILE))
+        self.others = rng.normal(size=self.fields.shape)
+
+    @property
+    def scratch(self):
+        fluid = self.patch.particles - self.patch.walls
+        return np.empty((len(self.patch.fluid_pairs), TILE)), np.empty((fluid, TILE))
+
+    def gradients(self, weights):
+        by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
+        add_force_gradients(
+            self.x, self.v, weights, by_x, by_v, self.topology, self.constants, *self.scratch
+        )
+        return by_x, by_v
+
+    def all_forces(self, x, v):
+        f = np.zeros_like(x)
+        forces.add_forces(x, v, f, self.topology, self.constants, *self.scratch)
+        return f
+
+    def elastic_rates(self, x, v):
+        f, rate, (slope, volume) = np.zeros_like(x), np.zeros_like(x), self.scratch
+        force_rates.add_elastic_forces_and_rates(
+            x, v, f, rate, self.topology, self.constants, slope, volume, np.empty_like(volume)
+        )
+        return rate
+
+    def stiffness_rates(self, u, v):
+        f = np.zeros_like(u)
+        add_stiffness_rates(self.x, v, u, f, self.topology, self.constants, *self.scratch)
+        return f
+
+
+@pytest.fixture(params=["printed", "water"])
+def local(request):
+    return Local(request.param)
+
+
+def along(first, second):
+    """(4, TILE): products of fields, summed over particles."""
+    return np.einsum("mapl,mapl->ml", first, second)
+
+
+def test_gradients_are_the_slopes_of_the_weighted_sum(local):
+    """Images have weights of their own here, as they have in the virial."""
+    by_x, by_v = local.gradients(local.fields)
+    step = 1e-6
+    for way_x, way_v, slope in (
+        (local.others, 0.0 * local.others, along(by_x, local.others)),
+        (0.0 * local.others, local.others, along(by_v, local.others)),
+    ):
+        for m in range(4):
+            up, down = (
+                local.all_forces(local.x + s * way_x[m], local.v + s * way_v[m])
+                for s in (step, -step)
+            )
+            expected = np.sum(local.fields[m] * (up - down), axis=(0, 1)) / (2.0 * step)
+            scale = np.abs(slope).max()
+            np.testing.assert_allclose(slope[m], expected, rtol=0, atol=1e-6 * scale)
+
+
+def test_gradients_are_the_transposed_jacobian(local):
+    n, F, F_dot = local.patch.particles, local.F, local.F_dot
+    J, columns = np.empty((2 * n, 2 * n, TILE)), np.empty((2 * n, 8, TILE))
+    L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
+    Z = local.local(local.z, np.broadcast_to(np.eye(2), F.shape))
+    jacobian.force_jacobian(local.x, local.v, L, Z, local.topology, local.constants, J, columns)
+    weights = np.ascontiguousarray(local.fields[:, :, local.owners])
+    by_x, by_v = local.gradients(weights)
+    own = weights[:, :, :n].swapaxes(1, 2).reshape(4, 2 * n, TILE)
+    for fields, first in ((by_x, 0), (by_v, 4)):
+        affine = np.einsum("mckl,dkl->mcdl", fields, Z).reshape(4, 4, TILE)
+        expected = np.einsum("mil,ijl->mjl", own, columns[:, first : first + 4])
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(affine, expected, rtol=0, atol=1e-12 * scale)
+    total = by_x + np.einsum("cal,mckl->makl", L, by_v)
+    folded = np.zeros((4, 2, n, TILE))
+    np.add.at(folded, (slice(None), slice(None), local.owners), total)
+    expected = np.einsum("mil,ijl->mjl", own, J)
+    np.testing.assert_allclose(
+        folded.swapaxes(1, 2).reshape(4, 2 * n, TILE), expected, rtol=0,
+        atol=1e-12 * np.abs(expected).max(),
+    )  # fmt: skip
+
+
+def test_stiffness_rates_are_the_slopes_of_the_elastic_force_rates(local):
+    rates = local.stiffness_rates(local.fields, local.v)
+    step = 1e-6
+    for m in range(4):
+        up, down = (
+            local.elastic_rates(local.x + s * local.fields[m], local.v) for s in (step, -step)
+        )
+        scale = np.abs(rates[m]).max()
+        np.testing.assert_allclose(rates[m], (up - down) / (2.0 * step), rtol=0, atol=1e-6 * scale)
+
+
+def test_third_derivatives_of_the_energy_are_symmetric(local):
+    """γ·K̇ u along v: any two of the three may change places."""
+    u, gamma = local.fields, local.others
+    for m in range(4):
+        v = np.ascontiguousarray(np.roll(local.others, 1, axis=0)[m])
+        one = along(local.stiffness_rates(u, v), gamma)[m]
+        swapped = np.repeat(v[None], 4, axis=0)
+        two = along(local.stiffness_rates(swapped, np.ascontiguousarray(u[m])), gamma)[m]
+        three = along(local.stiffness_rates(gamma, v), u)[m]
+        np.testing.assert_allclose(two, one, rtol=0, atol=1e-11 * np.abs(one).max())
+        np.testing.assert_allclose(three, one, rtol=0, atol=1e-11 * np.abs(one).max())
