@@ -7,15 +7,15 @@ compiler turns into SIMD instructions:
     frame (rows, BLOCK)  float64: A, Ḟ, cos and sin of R, U, σ
     x     (8, BLOCK)     scaled inputs and, in the last row, ones
     h     (units, BLOCK) layer of the network; weights are broadcast over the row
-    y     (4, BLOCK)     components of P̂ = RᵀP
+    y     (7, BLOCK)     components of P̂ = RᵀP, and those of the baseline's energy
 
-From x on everything is in the precision of the weights. Rows of a layer are computed two at a
-time from four of the layer before, so sizes are padded with zeros to multiples of four.
+From x on everything is in the precision of the weights. What sums over many rows, network,
+polynomials and half-spaces, takes `LANES` points of a block at a time, see `lanes`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
@@ -24,13 +24,15 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.error_bound import EVERYWHERE_UNKNOWN, Trust, apply_trust
+from surrofe2.surrogate.compiled_network import energy_slope, network_factors
+from surrofe2.surrogate.error_bound import EVERYWHERE_UNKNOWN, ROOM, Trust, apply_trust
 from surrofe2.surrogate.features import STRETCH, Features
-from surrofe2.surrogate.packing import Weights
-from surrofe2.surrogate.vector_tanh import fill_tanh
+from surrofe2.surrogate.lanes import BLOCK, LANES
+from surrofe2.surrogate.packing import BIOT, Weights
+from surrofe2.surrogate.polynomials import ROWS, add_polynomials
 
-BLOCK = 40
 MANY = 2000  # points from which on more than one core pays
+_PART = 16 * BLOCK  # points that a core takes at a time
 
 _ONE = INPUTS  # row of x that holds ones
 _OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
@@ -60,7 +62,9 @@ def without_rest(weights: Weights, features: Features) -> Weights:
     """The weights that subtract what the network gives at rest, by the very same instructions."""
     x = np.zeros((INPUTS + 1, BLOCK), dtype=weights.input_factor.dtype)
     x[_ONE] = 1.0
-    factors = network_factors(x, weights)[: features.factors, 0]
+    room = _make_room(weights)
+    network_factors(x, weights, room.layers, room.factors)
+    factors = room.factors[: features.factors, 0]
     subtracted = np.zeros(features.factors, dtype=bool)
     subtracted[[term.factor for term in features.terms if not term.product]] = True
     slope = np.zeros(STRETCH, dtype=factors.dtype)
@@ -72,38 +76,77 @@ def without_rest(weights: Weights, features: Features) -> Weights:
     )
 
 
+class _Room(NamedTuple):
+    """What a block is worked out in, used again for the next; float64 where trusted, else p."""
+
+    frame: Any
+    inside: Any
+    x: Any
+    y: Any
+    layers: Any
+    factors: Any
+    products: Any
+    trusted: Any
+
+
+@kernel
+def _make_room(weights):  # type: ignore[no-untyped-def]
+    sizes, precision = weights.sizes, weights.input_factor.dtype
+    return _Room(
+        np.empty((19, BLOCK)),
+        np.empty(BLOCK, dtype=np.bool_),
+        np.empty((INPUTS + 1, BLOCK), dtype=precision),
+        np.empty((BIOT + STRETCH, BLOCK), dtype=precision),
+        np.empty((2, sizes.max(), BLOCK), dtype=precision),
+        np.empty((sizes[-1], BLOCK), dtype=precision),
+        np.empty((ROWS + weights.made.shape[0], LANES), dtype=precision),
+        np.empty((ROOM, BLOCK)),
+    )
+
+
 @kernel
 def _evaluate_serial(  # type: ignore[no-untyped-def]
     F, F_dot, weights, trust, tolerance, stress, status, bound
 ):
-    for block in range((F.shape[0] + BLOCK - 1) // BLOCK):
-        _evaluate_block(block * BLOCK, F, F_dot, weights, trust, tolerance, stress, status, bound)
+    _evaluate_some(0, F.shape[0], F, F_dot, weights, trust, tolerance, stress, status, bound)
 
 
 @parallel_kernel
 def _evaluate_parallel(F, F_dot, weights, trust, tolerance, stress, status, bound):  # type: ignore[no-untyped-def]
-    for block in prange((F.shape[0] + BLOCK - 1) // BLOCK):
-        _evaluate_block(block * BLOCK, F, F_dot, weights, trust, tolerance, stress, status, bound)
+    for part in prange((F.shape[0] + _PART - 1) // _PART):
+        _evaluate_some(
+            part * _PART,
+            min((part + 1) * _PART, F.shape[0]),
+            F, F_dot, weights, trust, tolerance, stress, status, bound,
+        )  # fmt: skip
 
 
 @kernel
-def _evaluate_block(start, F, F_dot, weights, trust, tolerance, stress, status, bound):  # type: ignore[no-untyped-def]
-    frame = np.empty((19, BLOCK))
-    inside = np.empty(BLOCK, dtype=np.bool_)
-    y = np.zeros((4, BLOCK), dtype=weights.input_factor.dtype)
-    x = np.empty((INPUTS + 1, BLOCK), dtype=weights.input_factor.dtype)
+def _evaluate_some(  # type: ignore[no-untyped-def]
+    begin, end, F, F_dot, weights, trust, tolerance, stress, status, bound
+):
+    room = _make_room(weights)
+    for start in range(begin, end, BLOCK):
+        _evaluate_block(start, F, F_dot, weights, trust, tolerance, room, stress, status, bound)
+
+
+@kernel
+def _evaluate_block(start, F, F_dot, weights, trust, tolerance, room, stress, status, bound):  # type: ignore[no-untyped-def]
+    frame, x, y = room.frame, room.x, room.y
     read_points(start, F, F_dot, frame)
     take_rotation_out(frame)
-    _test_range(frame, weights.bounds, inside)
+    _test_range(frame, weights.bounds, room.inside)
     scale_inputs(frame, weights.input_factor, x)
-    _combine(x, network_factors(x, weights), weights, y)
-    _add_polynomials(x, weights.monomials, weights.coefficients, y)
+    network_factors(x, weights, room.layers, room.factors)
+    y[:] = 0.0
+    _combine(x, room.factors, weights, y)
+    add_polynomials(x, weights, room.products, y)
     if weights.powers[0]:
         _add_elastic(x, frame, weights, y)
     _turn_to_cauchy(y, frame)
     _put_rotation_back(frame)
-    _write(start, frame, inside, stress, status)
-    apply_trust(start, frame, trust, tolerance, stress, status, bound)
+    _write(start, frame, room.inside, stress, status)
+    apply_trust(start, frame, trust, tolerance, room.trusted, stress, status, bound)
 
 
 @kernel
@@ -163,102 +206,6 @@ def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def network_factors(x, weights):  # type: ignore[no-untyped-def]
-    """Rows of the factors of the terms at scaled inputs x (8, BLOCK), summed over the members."""
-    sizes = weights.sizes
-    total = np.zeros((sizes[-1], BLOCK), dtype=x.dtype)
-    for member in range(weights.weights.shape[0]):
-        source = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
-        for k in range(weights.invariants.shape[0]):
-            a, b, c = weights.invariants[k]
-            for p in range(BLOCK):
-                source[k, p] = x[a, p] * x[b, p] * x[c, p]
-        first, first_bias = 0, 0
-        for layer in range(1, sizes.shape[0]):
-            rows, columns = sizes[layer], sizes[layer - 1]
-            size = rows * columns
-            matrix = weights.weights[member, first : first + size].reshape(rows, columns)
-            bias = weights.biases[member, first_bias : first_bias + rows]
-            target = np.empty((rows, BLOCK), dtype=x.dtype)
-            apply_layer(matrix, bias, source, target)
-            if layer + 1 < sizes.shape[0]:
-                fill_tanh(target)
-            source = target
-            first += size
-            first_bias += rows
-        for row in range(sizes[-1]):
-            for p in range(BLOCK):
-                total[row, p] += source[row, p]
-    return total
-
-
-@kernel
-def energy_slope(x, weights):  # type: ignore[no-untyped-def]
-    """Rows of ∂W by the invariants of U (4, BLOCK), summed over the members: forward and back."""
-    sizes = weights.energy_sizes
-    total = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
-    none = np.zeros(sizes.max(), dtype=x.dtype)
-    for member in range(weights.energy_weights.shape[0]):
-        hidden = np.zeros((sizes[:-1].sum(), BLOCK), dtype=x.dtype)
-        for k in range(3):
-            for p in range(BLOCK):
-                hidden[k, p] = x[k, p] * x[k, p] if weights.powers[k] == 2 else x[k, p]
-        begin, first, first_bias = 0, 0, 0
-        for layer in range(1, sizes.shape[0] - 1):
-            rows, columns = sizes[layer], sizes[layer - 1]
-            matrix = weights.energy_weights[member, first : first + rows * columns].reshape(
-                rows, columns
-            )
-            end = begin + columns
-            bias = weights.energy_biases[member, first_bias : first_bias + rows]
-            apply_layer(matrix, bias, hidden[begin:end], hidden[end : end + rows])
-            fill_tanh(hidden[end : end + rows])
-            begin = end
-            first += rows * columns
-            first_bias += rows
-        last = weights.energy_weights[member, first : first + sizes[-2]]
-        back = np.empty((sizes[-2], BLOCK), dtype=x.dtype)
-        for row in range(sizes[-2]):
-            for p in range(BLOCK):
-                back[row, p] = last[row]
-        for layer in range(sizes.shape[0] - 2, 0, -1):
-            rows, columns = sizes[layer], sizes[layer - 1]
-            for row in range(rows):
-                for p in range(BLOCK):
-                    h = hidden[begin + row, p]
-                    back[row, p] *= 1.0 - h * h
-            first -= rows * columns
-            matrix = weights.energy_turned[member, first : first + rows * columns].reshape(
-                columns, rows
-            )
-            before = np.empty((columns, BLOCK), dtype=x.dtype)
-            apply_layer(matrix, none, back, before)
-            back = before
-            begin -= columns
-        for row in range(sizes[0]):
-            for p in range(BLOCK):
-                total[row, p] += back[row, p]
-    return total
-
-
-@kernel
-def apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
-    """target = matrix source + bias, (rows, BLOCK)."""
-    for j in range(0, matrix.shape[0], 2):
-        for p in range(BLOCK):
-            target[j, p] = bias[j]
-            target[j + 1, p] = bias[j + 1]
-        for k in range(0, matrix.shape[1], 4):
-            a0, a1, a2, a3 = matrix[j, k], matrix[j, k + 1], matrix[j, k + 2], matrix[j, k + 3]
-            b0, b1 = matrix[j + 1, k], matrix[j + 1, k + 1]
-            b2, b3 = matrix[j + 1, k + 2], matrix[j + 1, k + 3]
-            for p in range(BLOCK):
-                s0, s1, s2, s3 = source[k, p], source[k + 1, p], source[k + 2, p], source[k + 3, p]
-                target[j, p] += a0 * s0 + a1 * s1 + a2 * s2 + a3 * s3
-                target[j + 1, p] += b0 * s0 + b1 * s1 + b2 * s2 + b3 * s3
-
-
-@kernel
 def _combine(x, factors, weights, y):  # type: ignore[no-untyped-def]
     for k in range(weights.terms.shape[0]):
         a, b, c, component, factor = weights.terms[k]
@@ -272,34 +219,16 @@ def _combine(x, factors, weights, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_polynomials(x, table, coefficients, y):  # type: ignore[no-untyped-def]
-    """Each monomial is an earlier one times one more input; row 0 of the earlier ones is 1."""
-    kept = np.empty((max(1, table[:, 3].max() + 1) if table.shape[0] else 1, BLOCK), dtype=x.dtype)
-    kept[0] = 1.0
-    for k in range(table.shape[0]):
-        prefix, factor, component, keep = table[k]
-        c = coefficients[k]
-        if keep >= 0:
-            for p in range(BLOCK):
-                kept[keep, p] = kept[prefix, p] * x[factor, p]
-                y[component, p] += c * kept[keep, p]
-        else:
-            for p in range(BLOCK):
-                y[component, p] += c * kept[prefix, p] * x[factor, p]
-
-
-@kernel
 def _add_elastic(x, frame, weights, y):  # type: ignore[no-untyped-def]
     """2 ∂W/∂(s, d, g), and the spin that makes the Cauchy stress of these symmetric."""
-    biot = np.zeros((3, BLOCK), dtype=x.dtype)
+    biot = np.empty((STRETCH, BLOCK), dtype=x.dtype)
     slope = energy_slope(x, weights)
     for k in range(3):
         at_rest, factor = weights.energy_at_rest[k], weights.energy_factor[k]
         squared = weights.powers[k] == 2
         for p in range(BLOCK):
             inner = x[k, p] + x[k, p] if squared else x[_ONE, p]
-            biot[k, p] = (slope[k, p] - at_rest) * inner * factor
-    _add_polynomials(x, weights.energy_monomials, weights.energy_coefficients, biot)
+            biot[k, p] = y[BIOT + k, p] + (slope[k, p] - at_rest) * inner * factor
     for p in range(BLOCK):
         difference, shear = frame[10, p] - frame[12, p], 2.0 * frame[11, p]
         spin = (biot[1, p] * shear - biot[2, p] * difference) / (frame[10, p] + frame[12, p])

@@ -13,14 +13,10 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.polar_inputs import INPUTS
-from surrofe2.surrogate.compiled import (
-    BLOCK,
-    apply_layer,
-    read_points,
-    scale_inputs,
-    take_rotation_out,
-)
+from surrofe2.surrogate.compiled import read_points, scale_inputs, take_rotation_out
+from surrofe2.surrogate.compiled_network import apply_layer
 from surrofe2.surrogate.features import STRETCH
+from surrofe2.surrogate.lanes import BLOCK
 from surrofe2.surrogate.packing import Weights
 from surrofe2.surrogate.vector_tanh import fill_tanh
 

@@ -94,6 +94,9 @@ class Domain:
         pairs = np.array(content["pairs"], dtype=np.int64).reshape(-1, 2)
         if pairs.size and not 0 <= pairs.min() <= pairs.max() < FEATURES:
             raise ValueError("domain: pairs beyond the features")
+        signs = np.array(content["signs"], dtype=np.float64).reshape(len(pairs), 2)
+        if not np.isin(signs, (-1.0, 0.0, 1.0)).all():
+            raise ValueError("domain: signs that are not -1, 0 or 1")
         square = bool(content["square"])
         cliff = np.array(content["cliff"], dtype=np.float64)
         if len(cliff) not in (0, len(cliff_table(square))):
@@ -102,7 +105,7 @@ class Domain:
             scale=np.array(content["scale"], dtype=np.float64).reshape(INPUTS),
             square=square,
             pairs=pairs,
-            signs=np.array(content["signs"], dtype=np.float64).reshape(len(pairs), 2),
+            signs=signs,
             limits=np.array(content["limits"], dtype=np.float64).reshape(len(pairs)),
             cliff=cliff,
         )

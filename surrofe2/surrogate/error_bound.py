@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel
 from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
+from surrofe2.surrogate.domain import FEATURES, Domain
+from surrofe2.surrogate.lanes import LANES, filled, larger, load, store
 from surrofe2.surrogate.trust_features import COMPRESSION, FACTORS, NORM, cliff_table, scale_table
 
 if TYPE_CHECKING:
     from surrofe2.surrogate.calibration import Calibration
-    from surrofe2.surrogate.domain import Domain
 
 _ROWS = NORM + 1
+_SIDES = 2 * FEATURES + 1
+ROOM = _ROWS + _SIDES + 3
+"""Rows that `apply_trust` works in."""
 _NOT_TRUSTED, _OUT_OF_RANGE = int(Status.NOT_TRUSTED), int(Status.OUT_OF_RANGE)
 
 
@@ -26,15 +30,16 @@ class Trust(NamedTuple):
     Attributes:
         factor: (7,) 1/scale of the inputs.
         square: (1,) int64, 1 where moduli are taken.
-        pairs: (m, 2) int64; faces: (m, 3) both signs and the limit of each half-space.
+        sides: (m, 2) int64, the two features of each half-space: 0 to 8, 9 more for the negative,
+            18 for none; limits: (m,) of their sum; m is even.
         cliff_table: (k, 4) int64; cliff: (k,) float64.
         bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
     """
 
     factor: NDArray[np.float64]
     square: NDArray[np.int64]
-    pairs: NDArray[np.int64]
-    faces: NDArray[np.float64]
+    sides: NDArray[np.int64]
+    limits: NDArray[np.float64]
     cliff_table: NDArray[np.int64]
     cliff: NDArray[np.float64]
     bound_table: NDArray[np.int64]
@@ -43,12 +48,11 @@ class Trust(NamedTuple):
 
 def pack_trust(domain: Domain | None, calibration: Calibration | None) -> Trust:
     """The arrays of a domain (None: everywhere) and a bound (None: infinite) for `compiled`."""
-    pairs, faces = np.empty((0, 2), dtype=np.int64), np.empty((0, 3))
+    sides, limits = np.empty((0, 2), dtype=np.int64), np.empty(0)
     table, cliff = np.empty((0, FACTORS), dtype=np.int64), np.empty(0)
     factor, square = np.ones(INPUTS), False
     if domain is not None:
-        pairs = domain.pairs
-        faces = np.column_stack([domain.signs, domain.limits])
+        sides, limits = _pack_faces(domain)
         factor, square = 1.0 / domain.scale, domain.square
         if len(domain.cliff):
             table, cliff = cliff_table(square), domain.cliff
@@ -57,7 +61,18 @@ def pack_trust(domain: Domain | None, calibration: Calibration | None) -> Trust:
         used = calibration.scale > 0.0
         bound_table = scale_table()[used]
         bound = calibration.quantile * calibration.scale[used]
-    return Trust(factor, np.array([int(square)]), pairs, faces, table, cliff, bound_table, bound)
+    return Trust(factor, np.array([int(square)]), sides, limits, table, cliff, bound_table, bound)
+
+
+def _pack_faces(domain: Domain) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Sides and limits; where their number is odd, with a half-space that holds everything."""
+    sides = np.where(domain.signs < 0.0, domain.pairs + FEATURES, domain.pairs)
+    sides[domain.signs == 0.0] = 2 * FEATURES
+    odd = len(sides) % 2
+    return (
+        np.concatenate([sides, np.full((odd, 2), 2 * FEATURES)]),
+        np.concatenate([domain.limits, np.full(odd, np.inf)]),
+    )
 
 
 EVERYWHERE_UNKNOWN = pack_trust(None, None)
@@ -65,29 +80,28 @@ EVERYWHERE_UNKNOWN = pack_trust(None, None)
 
 
 @kernel
-def apply_trust(start, frame, trust, tolerance, stress, status, bound):  # type: ignore[no-untyped-def]
+def apply_trust(start, frame, trust, tolerance, room, stress, status, bound):  # type: ignore[no-untyped-def]
     """Write the bound; take the stress away outside the domain or where the bound is too large.
 
-    Rows 10 to 12 of `frame` hold U₁₁, U₁₂, U₂₂, rows 0 to 3 A = RᵀḞ.
+    Rows 10 to 12 of `frame` hold U₁₁, U₁₂, U₂₂, rows 0 to 3 A = RᵀḞ. room: (`ROOM`, size).
     """
     size = frame.shape[1]
-    x = np.empty((_ROWS, size))
+    x, f = room[:_ROWS], room[_ROWS : _ROWS + _SIDES]
+    height, beyond, local = room[ROOM - 3 : ROOM - 2], room[ROOM - 2 : ROOM - 1], room[ROOM - 1 :]
     _scale_inputs(frame, trust.factor, x)
-    height = np.full(size, -1.0)
-    if trust.cliff.shape[0]:
-        height[:] = 0.0
-        _add_products(trust.cliff_table, trust.cliff, x, height)
-    beyond = np.zeros(size)
-    _test_faces(x, trust, beyond)
-    local = np.zeros(size)
+    height[:] = 0.0 if trust.cliff.shape[0] else -1.0
+    _add_products(trust.cliff_table, trust.cliff, x, height)
+    _set_features(x, trust.square[0] == 1, f)
+    _test_faces(f, trust, beyond)
     _square_rows(x)
+    local[:] = 0.0
     _add_products(trust.bound_table, trust.bound, x, local)
     known = trust.bound.shape[0] > 0
     for p in range(min(size, stress.shape[0] - start)):
         point = start + p
-        value = local[p] if known else np.inf
+        value = local[0, p] if known else np.inf
         code = status[point]
-        if code == 0 and not (beyond[p] <= 0.0 and height[p] <= 0.0):
+        if code == 0 and not (beyond[0, p] <= 0.0 and height[0, p] <= 0.0):
             code = _OUT_OF_RANGE
         if code == 0 and not value <= tolerance:
             code = _NOT_TRUSTED
@@ -115,27 +129,34 @@ def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _test_faces(x, trust, beyond):  # type: ignore[no-untyped-def]
-    """How far each point is beyond the half-space that it violates most; NaN or above 0: out."""
-    size = x.shape[1]
-    f = np.empty((9, size))
-    square = trust.square[0] == 1
-    for k in range(7):
-        if square and k != 0 and k != 3:
-            for p in range(size):
-                f[k, p] = abs(x[k, p])
-        else:
-            for p in range(size):
-                f[k, p] = x[k, p]
-    for p in range(size):
-        f[7, p] = x[1, p] * x[4, p]
-        f[8, p] = x[2, p] * x[5, p]
-    for k in range(trust.pairs.shape[0]):
-        i, j = trust.pairs[k, 0], trust.pairs[k, 1]
-        a, b, limit = trust.faces[k, 0], trust.faces[k, 1], trust.faces[k, 2]
-        for p in range(size):
-            over = a * f[i, p] + b * f[j, p] - limit
-            beyond[p] = over if over > beyond[p] else beyond[p]
+def _set_features(x, square, f):  # type: ignore[no-untyped-def]
+    """Rows 0 to 8: the features of `domain`; 9 to 17: negatives of what has a sign; 18: zeros."""
+    for p in range(0, f.shape[1], LANES):
+        for k in range(FEATURES):
+            one = load(x, k if k < INPUTS else k - 6, p)
+            if k >= INPUTS:
+                one = one * load(x, k - 3, p)  # dD and gG
+            other = filled(0.0) - one
+            if square and k < INPUTS and k != 0 and k != 3:
+                one = larger(one, other)
+            store(f, k, p, one)
+            store(f, FEATURES + k, p, other)
+        store(f, 2 * FEATURES, p, filled(0.0))
+
+
+@kernel
+def _test_faces(f, trust, beyond):  # type: ignore[no-untyped-def]
+    """How far each point is beyond the half-space that it violates most, 0 where within all."""
+    sides, limits = trust.sides, trust.limits
+    for p in range(0, f.shape[1], LANES):
+        most = filled(0.0)
+        other = most
+        for k in range(0, limits.shape[0], 2):  # two at a time, as one has to wait for the last
+            over = load(f, sides[k, 0], p) + load(f, sides[k, 1], p) - filled(limits[k])
+            most = larger(over, most)
+            over = load(f, sides[k + 1, 0], p) + load(f, sides[k + 1, 1], p) - filled(limits[k + 1])
+            other = larger(over, other)
+        store(beyond, 0, p, larger(other, most))
 
 
 @kernel
@@ -153,8 +174,10 @@ def _square_rows(x):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_products(table, coefficients, x, values):  # type: ignore[no-untyped-def]
-    for k in range(table.shape[0]):
-        a, b, c, d = table[k, 0], table[k, 1], table[k, 2], table[k, 3]
-        factor = coefficients[k]
-        for p in range(x.shape[1]):
-            values[p] += factor * (x[a, p] * x[b, p]) * (x[c, p] * x[d, p])
+    for p in range(0, x.shape[1], LANES):
+        total = load(values, 0, p)
+        for k in range(table.shape[0]):
+            a, b, c, d = table[k, 0], table[k, 1], table[k, 2], table[k, 3]
+            product = (load(x, a, p) * load(x, b, p)) * (load(x, c, p) * load(x, d, p))
+            total = total + filled(coefficients[k]) * product
+        store(values, 0, p, total)

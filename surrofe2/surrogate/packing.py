@@ -12,7 +12,10 @@ from surrofe2.polar_inputs import INPUTS
 from surrofe2.sampling import SLACK, SamplingRange
 from surrofe2.surrogate.features import STRETCH, Product
 from surrofe2.surrogate.network import StressNetwork, TanhNetwork, slope_table
+from surrofe2.surrogate.polynomials import make_polynomials
 
+BIOT = 4
+"""Components of P̂; behind them stand the symmetric ones of its elastic part."""
 _ONE = INPUTS  # behind the inputs stands a row of ones, so that every product has three factors
 
 
@@ -26,8 +29,11 @@ class Weights(NamedTuple):
         energy_factor: (3,) p; from slopes of the energy networks to components of P̂.
         at_rest: (factors,) p; what the factors are at rest, 0 unless they are subtracted.
         energy_at_rest: (3,) p; likewise of the energy networks' slope.
-        monomials: (m, 4) int64; row of the product of all factors but the first, that
-            factor or the row of ones, component, row to keep the product in or −1.
+        made, heads, begins, tails, tail_coefficients: `polynomials.Polynomials` of the baseline;
+            the components of P̂, and from `BIOT` on those that come from its energy.
+        monomials: (m, 4) int64, the same of P̂ for its slopes by the inputs; row of the product of
+            all factors but the first, that factor or the row of ones, component, row to keep the
+            product in or −1.
         coefficients: (m,) p.
         energy_monomials, energy_coefficients: of the slopes of the baseline's energy, likewise.
         invariants: (i, 3) int64 factors.
@@ -45,6 +51,11 @@ class Weights(NamedTuple):
     energy_factor: NDArray[Any]
     at_rest: NDArray[Any]
     energy_at_rest: NDArray[Any]
+    made: NDArray[np.int64]
+    heads: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    tails: NDArray[np.int64]
+    tail_coefficients: NDArray[Any]
     monomials: NDArray[np.int64]
     coefficients: NDArray[Any]
     energy_monomials: NDArray[np.int64]
@@ -76,11 +87,16 @@ def pack(network: StressNetwork, range: SamplingRange) -> Weights:
         energy[k] * number * to_biot[variable]
         for (k, number), variable in zip(numbers, owner, strict=True)
     ]
-    energy_monomials, energy_coefficients = _chain(
-        zip(shapes, owner, strict=True), np.array(biot_coefficients, dtype=precision)
+    slopes = list(zip(shapes, owner, strict=True))
+    slope_coefficients = np.array(biot_coefficients, dtype=precision)
+    energy_monomials, energy_coefficients = _chain(slopes, slope_coefficients)
+    polynomials = make_polynomials(
+        [*features.monomials, *((shape, BIOT + variable) for shape, variable in slopes)],
+        np.concatenate([network.coefficients.numpy(), slope_coefficients]),
     )
-    factors = _layers([member.factors for member in members])
-    energies = _layers([member.energy for member in members if member.energy is not None])
+    factors = _layers([member.factors for member in members], precision)
+    own_energies = [member.energy for member in members if member.energy is not None]
+    energies = _layers(own_energies, precision)
     return Weights(
         bounds=np.array(
             [low - SLACK, high + SLACK, range.shear + SLACK, range.rate + SLACK * range.rate]
@@ -90,6 +106,7 @@ def pack(network: StressNetwork, range: SamplingRange) -> Weights:
         energy_factor=(network.energy_scale.numpy() * to_biot / len(members)).astype(precision),
         at_rest=np.zeros(features.factors, dtype=precision),
         energy_at_rest=np.zeros(STRETCH, dtype=precision),
+        **polynomials._asdict(),
         monomials=monomials,
         coefficients=coefficients,
         energy_monomials=energy_monomials,
@@ -114,9 +131,9 @@ class _Layers(NamedTuple):
     turned: NDArray[Any]
 
 
-def _layers(networks: list[TanhNetwork]) -> _Layers:
+def _layers(networks: list[TanhNetwork], precision: np.dtype[Any]) -> _Layers:
     if not networks:
-        none = np.empty((0, 0))
+        none = np.empty((0, 0), dtype=precision)
         return _Layers(np.empty(0, dtype=np.int64), none, none, none)
     weights, biases, turned = [], [], []
     for network in networks:
