@@ -73,7 +73,7 @@ class Bookkeeping:
         if self.trust.is_off or state.bound is None:
             return
         chosen = self._audit.choose(hits)
-        due = self._audit.wait(
+        if len(chosen) and self._audit.wait(
             Question(
                 np.full(len(chosen), step),
                 chosen,
@@ -82,8 +82,7 @@ class Bookkeeping:
                 stress[chosen],
                 state.bound[chosen],
             )
-        )
-        if due:
+        ):
             self.hold_audit()
         fault = self._watch.look(F, stress, state.bound, hits, held.why, state.tolerance)
         if fault is not None and not self.trust.is_off:

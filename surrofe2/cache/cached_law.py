@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from inspect import signature
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -121,10 +122,9 @@ class CachedLaw:
             F, F_dot = check_deformation(F, F_dot)
         if tangents and not self.has_tangents:
             raise InputError("tangents: the surrogate or its fallback has none; use true RVEs")
-        with self._book.meter.part("total"):
-            answer = self._respond(F, F_dot, state, tangents)
-        self._book.meter.asked += len(F)
-        self._book.meter.calls += 1
+        began = perf_counter()
+        answer = self._respond(F, F_dot, state, tangents)
+        self._book.meter.answered(len(F), perf_counter() - began)
         return answer
 
     def _respond(
@@ -139,7 +139,7 @@ class CachedLaw:
         missed = status.nonzero()[0]
         if not len(missed) and not len(state.held):
             slopes = surrogate_tangents(self.surrogate, F, F_dot) if tangents else None
-            after = replace(state, bound=bound)
+            after = CachedState(count, state.held, state.tolerance, bound, state.before)
             return StressResponse(stress, status, after, {**NO_EFFORT, "hits": count}, slopes)
         check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
         why = status[missed]
@@ -224,9 +224,10 @@ class CachedLaw:
         """Choose the branches of the next step, looking as far ahead as it will go."""
         tolerance, held = self._book.trust.tolerance, state.held
         stress = response.stress
-        leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
-        stay = np.ones(len(held), dtype=bool)
-        if not self._book.trust.is_off:
+        if self._book.trust.is_off:
+            leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
+            stay = np.ones(len(held), dtype=bool)
+        else:
             leaving, known, status, returning = leaving_and_returning(
                 self.surrogate, F, F_dot, state, tolerance
             )

@@ -67,7 +67,14 @@ def look_ahead(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> tu
     """(F, Ḟ) a step of the last length on and a bit, the motion carried on straight."""
     if before is None or before[0].shape != F.shape:
         return F, F_dot
-    return F + AHEAD * (F - before[0]), F_dot + AHEAD * (F_dot - before[1])
+    return _carried_on(F, before[0]), _carried_on(F_dot, before[1])
+
+
+def _carried_on(now: Array, before: Array) -> Array:
+    ahead = now - before
+    ahead *= AHEAD
+    ahead += now
+    return ahead
 
 
 def leaving_and_returning(
@@ -82,8 +89,11 @@ def leaving_and_returning(
     """
     points = state.held.points
     _, ahead, bound_ahead = surrogate.lookup(*look_ahead(F, F_dot, state.before), tolerance)
+    narrower = tolerance < state.tolerance
+    if not len(points) and not narrower:
+        return ahead, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
     leaving = np.where(state.free(), ahead, np.int8(0))
-    if state.bound is not None and tolerance < state.tolerance:
+    if state.bound is not None and narrower:
         leaving[state.free() & (leaving == 0) & ~(state.bound <= tolerance)] = Status.NOT_TRUSTED
     if not len(points):
         return leaving, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)

@@ -33,6 +33,12 @@ class Meter:
     steps: int = 0
     _open: list[str] = field(default_factory=list)
 
+    def answered(self, points: int, seconds: float) -> None:
+        """Count an answer for so many points."""
+        self.total += seconds
+        self.asked += points
+        self.calls += 1
+
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
         """Count the time within for `name`; what is fallback within an audit is the audit's."""
