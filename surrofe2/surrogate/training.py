@@ -38,6 +38,7 @@ Checkpoint = Callable[[dict[str, Any]], None]
 
 LEAST_SAMPLES = 20
 _ITERATIONS_A_ROUND = 20
+_OUTLIER = 8.0  # times the median of what the baseline leaves of a slope: of no use for training
 _LEAST_SPREAD = 0.1  # a component of less than this share of the largest counts as one of it
 
 
@@ -138,7 +139,7 @@ class _Task:
 
     `weight` (4,): of the squared error of a component of S = Rᵀ σ R. `slope` (n, 4): of P̂ along
     one direction a sample, along which the shapes have the slopes `moving`; both None where there
-    are no tangents.
+    are no tangents. `slope_weight` (n, 1): of its squared error, 0 at outliers.
     """
 
     shapes: Shapes
@@ -147,7 +148,7 @@ class _Task:
     weight: torch.Tensor
     moving: Shapes | None = None
     slope: torch.Tensor | None = None
-    slope_weight: float = 0.0
+    slope_weight: torch.Tensor | float = 0.0
 
     def loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes."""
@@ -157,11 +158,14 @@ class _Task:
             lambda *shapes: network.correction(member, Shapes(*shapes)), self.shapes, self.moving
         )
         by_stress = self._mean_square(found - self.target)
-        return by_stress + self.slope_weight * self._mean_square(slope - self.slope)
+        return by_stress + (self.slope_weight * self._squares(slope - self.slope)).mean()
 
     def _mean_square(self, error: torch.Tensor) -> torch.Tensor:
+        return self._squares(error).mean()
+
+    def _squares(self, error: torch.Tensor) -> torch.Tensor:
         cauchy = torch.matmul(self.to_cauchy, error[:, :, None])[:, :, 0]
-        return (cauchy**2 * self.weight).mean()
+        return cauchy**2 * self.weight
 
     def stress_loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
         """The mean square error of stress alone."""
@@ -193,7 +197,18 @@ def _make_task(network: StressNetwork, data: _Data, settings: TrainingSettings) 
     below = along(network.baseline, (data.x,), (direction,))[1]
     slope = torch.einsum("nkj,nj->nk", data.slopes, direction) - below
     moving = along(network.shapes, (data.x,), (direction,))[1]
-    return replace(task, moving=moving, slope=slope, slope_weight=settings.tangent_weight)
+    weight = settings.tangent_weight * _typical(task, slope)
+    return replace(task, moving=moving, slope=slope, slope_weight=weight)
+
+
+def _typical(task: _Task, slope: torch.Tensor) -> torch.Tensor:
+    """(n, 1): 0 where a slope is an outlier, else 1.
+
+    Where a pair of particles is about to cross the cut-off, the tangent of the slow manifold is
+    exact for steps of F of some 1e-5 and off for all others; a few such steer a whole network.
+    """
+    size = task._squares(slope).sum(dim=1, keepdim=True).sqrt()
+    return (size <= _OUTLIER * size.median()).to(slope.dtype)
 
 
 def _set_scales(network: StressNetwork, task: _Task) -> None:

@@ -12,6 +12,7 @@ from surrofe2.sampling import sample
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.held_out_errors import measure_errors
 from tests.surrogate.lattice_law import CELL, RANGE, WELL_INSIDE, lattice_samples, lattice_stress
+from tests.surrogate.test_implicit_runs import differences
 
 SMALL = TrainingSettings(hidden=(8,), baseline_degree=2, iterations=60, checkpoint_interval=20)
 
@@ -44,6 +45,23 @@ def test_the_network_is_what_makes_it_accurate(law, samples, settings):
     for name, error in law.errors["rms"].items():
         assert error < 0.6 * baseline.errors["rms"][name]
     assert law.errors["rms"]["shear"] < 0.1 * baseline.errors["rms"]["shear"]
+
+
+def test_a_few_wrong_tangents_do_not_steer_the_network():
+    """One sample in a hundred has those of another; were they not left out, tenfold the error."""
+    samples = lattice_samples(600)
+    exact = differences(lattice_stress, samples.F, samples.F_dot)
+    wrong = np.random.default_rng(3).random(600) < 0.01
+    spoilt = exact.P_by_F.copy()
+    spoilt[wrong] = np.roll(exact.P_by_F, 1, axis=0)[wrong]
+    settings = replace(SMALL, baseline_degree=3, iterations=150, tangent_weight=0.1)
+    fresh = lattice_samples(1000, seed=98)
+    errors = []
+    for P_by_F in (spoilt, exact.P_by_F):
+        data = replace(samples, P_by_F=P_by_F, P_by_F_dot=exact.P_by_F_dot)
+        errors.append(max(measure_errors(train(data, settings), fresh)["rms"].values()))
+    assert wrong.sum() >= 3
+    assert errors[0] < 2.0 * errors[1]
 
 
 def test_errors_are_relative_to_the_spread(law):
