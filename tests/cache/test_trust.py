@@ -194,7 +194,9 @@ def test_a_surrogate_of_other_parameters_with_a_forged_label_is_caught():
     assert event["action"] in ("tightened", "off")
     assert event["step"] < 0.3 * run.counts["steps"]
     # All but what hardly deforms is answered by the true law from there on.
-    assert cached.counts["hits"] < 0.3 * cached.counts["fallbacks"]
+    counts = cached.counts
+    points = (counts["hits"] + counts["fallbacks"]) // counts["steps"]
+    assert counts["hits"] - points * event["step"] < 0.1 * counts["fallbacks"]
 
 
 def test_a_surrogate_without_a_bound_says_so(caplog):
