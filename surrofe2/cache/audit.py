@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
 REMEMBERED = 256
-"""Points whose last audit is kept to start the next from, unless more are audited at once."""
+"""Points whose last audit is kept to start the next from; only the last batch, if it is large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +95,15 @@ class Audit:
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
 
     def _solve(self, asked: Question) -> StressResponse:
-        """The true law, warm at points that were audited before, in the order of the question."""
+        """The true law in the order of the question; warm at points that were audited before,
+        where that is most of them.
+        """
         places = np.full(1 + max(asked.points.max(), self._known.points.max(initial=0)), -1)
         places[self._known.points] = np.arange(len(self._known))
         place = places[asked.points]
         known, new = (place >= 0).nonzero()[0], (place < 0).nonzero()[0]
         warm = NOBODY
-        if len(known) and self._known.state is not None:
+        if len(known) >= len(new) and self._known.state is not None:
             unchanged = np.array_equal(place, np.arange(len(self._known)))
             state = self._known.state if unchanged else self._known.state.take(place[known])
             warm = PointSet(known, np.zeros(len(known), dtype=np.int8), state)
@@ -129,7 +131,8 @@ class Audit:
         chosen[latest[status[latest] == 0]] = True
         fresh = PointSet(points, status, state).only(chosen)
         old = self._known.only(~np.isin(self._known.points, points))
-        if len(old) and len(fresh) and len(old) + len(fresh) <= REMEMBERED:
+        few = len(fresh) <= 2 * BATCH and len(old) + len(fresh) <= REMEMBERED
+        if len(old) and len(fresh) and few:
             fresh = old.and_also(fresh.points, fresh.why, fresh.state)
         self._known = fresh if len(fresh) else self._known
 

@@ -54,7 +54,7 @@ class Batch:
         self.newton_solves = 0
         self.before = state
         self.cold = cold
-        self.state = replace(state, F=F, F_dot=F_dot, iterations=self.iterations)
+        self.state = replace(state, F=F, F_dot=F_dot, iterations=self.iterations, is_checked=cold)
 
     def solve(self, level: int = 0) -> None:
         """Initialise every RVE; where the list of contacts was too short, again with a longer."""

@@ -143,7 +143,8 @@ class RveLaw:
         The state of the answer stays as it is; the new one shares with it what was not renewed.
         """
         state = response.state
-        if self.initialisation == "cauchy-born" or self.solver == "iterated":
+        unchecked = self.initialisation == "cauchy-born" or self.solver == "iterated"
+        if unchecked or state.is_checked:
             return Acceptance(response.status, state)
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
         tired = (state.iterations > limit).any(axis=1)

@@ -31,6 +31,7 @@ class RveState:
         iterations: (tiles, TILE) force evaluations of the last solve.
         left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here; None:
             nowhere.
+        is_checked: whether every point was found stable at this very z, its factors made there.
     """
 
     points: int
@@ -42,6 +43,7 @@ class RveState:
     factors: Factors
     iterations: NDArray[np.int32]
     left: NDArray[np.bool_] | None = None
+    is_checked: bool = False
 
     @property
     def relaxed(self) -> Reals:
@@ -76,6 +78,7 @@ class RveState:
             factors=self.factors.take(index),
             iterations=taken(self.iterations),
             left=None if self.left is None else taken(self.left),
+            is_checked=self.is_checked,
         )
 
     def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
@@ -101,6 +104,7 @@ class RveState:
             factors=self.factors.put(index, part.factors),
             iterations=put(self.iterations, part.iterations),
             left=None if on_branch else put(flags(self), flags(part)),
+            is_checked=self.is_checked and part.is_checked,
         )
 
 

@@ -253,3 +253,17 @@ def test_bad_settings_are_named(settings, message):
 def test_no_points_no_stress():
     answer = law("printed").respond(np.empty((0, 2, 2)), np.empty((0, 2, 2)))
     assert answer.stress.shape == (0, 2, 2)
+
+
+def test_cold_answers_are_checked_and_warm_ones_at_accept():
+    at, index = deformations("water", 4), np.array([1])
+    cold = law("water").respond(*at)
+    assert cold.state.is_checked
+    assert law("water").accept(*at, cold).state is cold.state
+    squeezed = np.tile(0.93 * np.eye(2), (4, 1, 1))  # walls buckle from 4.5 % on (model.md)
+    beyond = law("water").respond(squeezed, np.zeros_like(squeezed))
+    assert (beyond.left_bifurcation | (beyond.status != 0)).all()
+    warm = law("water").respond(*at, cold.state)
+    assert not warm.state.is_checked
+    assert law("water").accept(*at, warm).state is not warm.state
+    assert not cold.state.put(index, warm.state.take(index)).is_checked
