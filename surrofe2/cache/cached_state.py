@@ -63,6 +63,16 @@ def look_up(
     return stress, status, bound
 
 
+def _look_whether(
+    surrogate: Any, F: Array, F_dot: Array, tolerance: float
+) -> tuple[NDArray[np.int8], Array]:
+    if hasattr(surrogate, "look_whether"):
+        status, bound = surrogate.look_whether(F, F_dot, tolerance)
+        return status, bound
+    _, status, bound = surrogate.lookup(F, F_dot, tolerance)
+    return status, bound
+
+
 def look_ahead(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> tuple[Array, Array]:
     """(F, Ḟ) a step of the last length on and a bit, the motion carried on straight."""
     if before is None or before[0].shape != F.shape:
@@ -88,7 +98,7 @@ def leaving_and_returning(
         (k,): whether each of them may return.
     """
     points = state.held.points
-    _, ahead, bound_ahead = surrogate.lookup(*look_ahead(F, F_dot, state.before), tolerance)
+    ahead, bound_ahead = _look_whether(surrogate, *look_ahead(F, F_dot, state.before), tolerance)
     narrower = tolerance < state.tolerance
     if not len(points) and not narrower:
         return ahead, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)

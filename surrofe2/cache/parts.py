@@ -22,6 +22,8 @@ class Surrogate(Protocol):
       is taken to know no bound of its error, and its range alone decides, with a warning.
     - ``tangents(F, F_dot) -> Tangents`` of the answers of `lookup`, or
       ``respond(F, F_dot, tangents=True)``: for implicit macro steps.
+    - ``look_whether(F, F_dot, tolerance) -> (status, bound)`` of `lookup`, where that is cheaper
+      without the stress: asked for a step ahead.
     - ``learn(F, F_dot, stress, state)``: true answers of the fallback at ends of kept steps, all
       of status 0, with its state for these points (or None). Called from `CachedLaw.accept` only,
       with what was not answered by the surrogate and what an audit found wrong.

@@ -58,6 +58,17 @@ def evaluate_trusted(
     return stress, status, bound
 
 
+def status_and_bound(
+    F: Any, F_dot: Any, weights: Weights, trust: Trust, tolerance: float
+) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+    """Status and bound of `evaluate_trusted` without the stress, which is not found."""
+    status = np.empty(len(F), dtype=np.int8)
+    bound = np.empty(len(F))
+    test = _test_parallel if len(F) >= MANY else _test_some
+    test(F, F_dot, weights.bounds, trust, float(tolerance), status, bound)
+    return status, bound
+
+
 def without_rest(weights: Weights, features: Features) -> Weights:
     """The weights that subtract what the network gives at rest, by the very same instructions."""
     x = np.zeros((INPUTS + 1, BLOCK), dtype=weights.input_factor.dtype)
@@ -146,7 +157,28 @@ def _evaluate_block(start, F, F_dot, weights, trust, tolerance, room, stress, st
     _turn_to_cauchy(y, frame)
     _put_rotation_back(frame)
     _write(start, frame, room.inside, stress, status)
-    apply_trust(start, frame, trust, tolerance, room.trusted, stress, status, bound)
+    apply_trust(start, frame, trust, tolerance, room.trusted, status, bound)
+    _take_away(start, status, stress)
+
+
+@parallel_kernel
+def _test_parallel(F, F_dot, bounds, trust, tolerance, status, bound):  # type: ignore[no-untyped-def]
+    for part in prange((F.shape[0] + _PART - 1) // _PART):
+        some = slice(part * _PART, min((part + 1) * _PART, F.shape[0]))
+        _test_some(F[some], F_dot[some], bounds, trust, tolerance, status[some], bound[some])
+
+
+@kernel
+def _test_some(F, F_dot, bounds, trust, tolerance, status, bound):  # type: ignore[no-untyped-def]
+    frame, rows = np.empty((19, BLOCK)), np.empty((ROOM, BLOCK))
+    inside = np.empty(BLOCK, dtype=np.bool_)
+    for start in range(0, F.shape[0], BLOCK):
+        read_points(start, F, F_dot, frame)
+        take_rotation_out(frame)
+        _test_range(frame, bounds, inside)
+        for p in range(min(BLOCK, F.shape[0] - start)):
+            status[start + p] = _OK if inside[p] else _OUT_OF_RANGE
+        apply_trust(start, frame, trust, tolerance, rows, status, bound)
 
 
 @kernel
@@ -272,6 +304,14 @@ def _write(start, frame, inside, stress, status):  # type: ignore[no-untyped-def
         for i in range(4):
             if code == _OK and not np.isfinite(frame[13 + i, p]):
                 code = _NOT_FINITE
+            stress[start + p, i // 2, i % 2] = frame[13 + i, p]
         status[start + p] = code
-        for i in range(4):
-            stress[start + p, i // 2, i % 2] = frame[13 + i, p] if code == _OK else np.nan
+
+
+@kernel
+def _take_away(start, status, stress):  # type: ignore[no-untyped-def]
+    """No stress where the status is not 0."""
+    for point in range(start, min(start + BLOCK, stress.shape[0])):
+        if status[point] != _OK:
+            for i in range(4):
+                stress[point, i // 2, i % 2] = np.nan

@@ -80,12 +80,11 @@ EVERYWHERE_UNKNOWN = pack_trust(None, None)
 
 
 @kernel
-def apply_trust(start, frame, trust, tolerance, room, stress, status, bound):  # type: ignore[no-untyped-def]
-    """Write the bound; take the stress away outside the domain or where the bound is too large.
+def apply_trust(start, frame, trust, tolerance, room, status, bound):  # type: ignore[no-untyped-def]
+    """Write the bound, and the status outside the domain or where the bound is too large.
 
     Rows 10 to 12 of `frame` hold U₁₁, U₁₂, U₂₂, rows 0 to 3 A = RᵀḞ. room: (`ROOM`, size).
     """
-    size = frame.shape[1]
     x, f = room[:_ROWS], room[_ROWS : _ROWS + _SIDES]
     height, beyond, local = room[ROOM - 3 : ROOM - 2], room[ROOM - 2 : ROOM - 1], room[ROOM - 1 :]
     _scale_inputs(frame, trust.factor, x)
@@ -97,7 +96,7 @@ def apply_trust(start, frame, trust, tolerance, room, stress, status, bound):  #
     local[:] = 0.0
     _add_products(trust.bound_table, trust.bound, x, local)
     known = trust.bound.shape[0] > 0
-    for p in range(min(size, stress.shape[0] - start)):
+    for p in range(min(frame.shape[1], status.shape[0] - start)):
         point = start + p
         value = local[0, p] if known else np.inf
         code = status[point]
@@ -106,12 +105,7 @@ def apply_trust(start, frame, trust, tolerance, room, stress, status, bound):  #
         if code == 0 and not value <= tolerance:
             code = _NOT_TRUSTED
         bound[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
-        if code != status[point]:
-            status[point] = code
-            stress[point, 0, 0] = np.nan
-            stress[point, 0, 1] = np.nan
-            stress[point, 1, 0] = np.nan
-            stress[point, 1, 1] = np.nan
+        status[point] = code
 
 
 @kernel

@@ -23,7 +23,7 @@ from surrofe2.stress_law import (
     check_deformation,
 )
 from surrofe2.surrogate.calibration import Calibration, subject
-from surrofe2.surrogate.compiled import evaluate_trusted, without_rest
+from surrofe2.surrogate.compiled import evaluate_trusted, status_and_bound, without_rest
 from surrofe2.surrogate.compiled_slopes import evaluate_slopes
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Trust, pack_trust
@@ -173,6 +173,15 @@ class SurrogateLaw:
         F, F_dot: contiguous float64 (n, 2, 2).
         """
         return evaluate_trusted(F, F_dot, self._weights, self._trust, tolerance)
+
+    def look_whether(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[NDArray[np.int8], Array]:
+        """(status (n,), bound (n,)) of `lookup`, which is several times dearer.
+
+        That the network's answer is finite is not tested.
+        """
+        return status_and_bound(F, F_dot, self._weights, self._trust, tolerance)
 
     def reference(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""

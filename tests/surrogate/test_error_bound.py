@@ -9,6 +9,7 @@ from surrofe2.paths import random_states
 from surrofe2.sampling import contains
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.calibration import Calibration, local_scale, subject
+from surrofe2.surrogate.compiled import MANY
 from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.trust_features import scale_table, scaled_inputs
 from tests.surrogate.lattice_law import RANGE
@@ -72,6 +73,19 @@ def test_the_tolerance_decides_point_by_point(trusted):
     assert np.isnan(stress[~trusted_ones]).all()
     at_bound = trusted.lookup(F[trusted_ones], F_dot[trusted_ones], bound[trusted_ones].max())
     assert not at_bound[1].any()
+
+
+@pytest.mark.parametrize("count", [0, 7, MANY + 3])
+def test_status_and_bound_need_no_stress(trusted, count):
+    F, F_dot = turned(count)
+    F[3::50] *= 2.0
+    some = trusted.error_bound(*turned(200))
+    some = np.median(some[np.isfinite(some)])
+    _, status, bound = trusted.lookup(F, F_dot, some)
+    found = trusted.look_whether(F, F_dot, some)
+    assert count < MANY or len(set(status.tolist())) == 3
+    assert np.array_equal(found[0], status)
+    assert np.array_equal(found[1], bound)
 
 
 def test_rotation_and_D4_make_no_difference(trusted):
