@@ -47,10 +47,10 @@ _NETWORKS: Mapping[str, dict[str, Any]] = {
     "+ energy": {"form": "energy", "baseline_degree": 0, "tangent_weight": 0.0},
     "+ tangents": {"form": "energy", "baseline_degree": 0, "tangent_weight": _WEIGHT},
     "+ Kelvin–Voigt": {"form": "energy", "baseline_degree": 1, "tangent_weight": _WEIGHT},
-    "+ polynomial": {"form": "energy", "baseline_degree": 4, "tangent_weight": _WEIGHT},
-    "+ polynomial − tangents": {"form": "energy", "baseline_degree": 4, "tangent_weight": 0.0},
-    "+ polynomial − energy": {"form": "stress", "baseline_degree": 4, "tangent_weight": _WEIGHT},
-    "+ polynomial − both": {"form": "stress", "baseline_degree": 4, "tangent_weight": 0.0},
+    "+ polynomial": {"form": "energy", "baseline_degree": 3, "tangent_weight": _WEIGHT},
+    "+ polynomial − tangents": {"form": "energy", "baseline_degree": 3, "tangent_weight": 0.0},
+    "+ polynomial − energy": {"form": "stress", "baseline_degree": 3, "tangent_weight": _WEIGHT},
+    "+ polynomial − both": {"form": "stress", "baseline_degree": 3, "tangent_weight": 0.0},
 }
 _RIVALS: Mapping[str, Callable[[], Regressor]] = {
     "nearest neighbours": NearestNeighbours,

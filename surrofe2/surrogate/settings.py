@@ -43,15 +43,15 @@ class TrainingSettings:
         seed: of the initial weights and of the choice of held-out samples.
     """
 
-    hidden: tuple[int, ...] = (32, 32)
+    hidden: tuple[int, ...] = (24, 24)
     energy_hidden: tuple[int, ...] = (16, 16)
     form: str = "stress"
     members: int = 1
     tangent_weight: float = 0.1
-    baseline_degree: int = 4
+    baseline_degree: int = 3
     precision: str = "float64"
     held_out: float = 0.1
-    iterations: int = 500
+    iterations: int = 1000
     history: int = 100
     checkpoint_interval: int = 100
     seed: int = 0
