@@ -7,6 +7,7 @@ from collections.abc import Callable
 from time import monotonic
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
@@ -70,15 +71,17 @@ def simulate(
     t = stepper.start.t
     last_checkpoint = monotonic()
     try:
-        while t < load_case.duration:
-            step = stepper.advance()
-            recorder.record(step)
-            t = step.t
-            if progress is not None:
-                progress(t, load_case.duration)
-            if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
-                checkpoint(recorder.state())
-                last_checkpoint = monotonic()
+        # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
+        with threadpool_limits(1, user_api="blas"):
+            while t < load_case.duration:
+                step = stepper.advance()
+                recorder.record(step)
+                t = step.t
+                if progress is not None:
+                    progress(t, load_case.duration)
+                if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
+                    checkpoint(recorder.state())
+                    last_checkpoint = monotonic()
     except TrialError as failure:
         raise SimulationError(
             f"no time step succeeds after {MAX_HALVINGS} halvings: {failure}",
