@@ -1,7 +1,8 @@
 """The bar by true and by cached FE² against the full tissue, in one run, on all cores.
 
-The tissue takes the largest micro step whose displacement stays within `ERROR` of that at half the
-paper-scale default over the whole run; stability, not accuracy, is what ends the search.
+The tissue takes the micro step that is soonest done with a displacement that stays within `ERROR` of
+that at `REFERENCE` over the whole run. That is not always the largest: near the limit of stability
+particles rattle, and neighbour lists have to be built all the time.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ TITLE = "FE² against the full tissue"
 ERROR = 1e-3
 """Largest difference of the watched displacement over the largest displacement, in all the run."""
 CANDIDATES = (2.5e-3, 2.4e-3, 2.3e-3, 2.2e-3, 2.1e-3, 2e-3)
-"""µs, tried in this order; an output interval of 0.5 µs has a whole number of the steps taken."""
+"""µs; an output interval of 0.5 µs has a whole number of the steps taken."""
 REFERENCE = 1e-3
 """Step of the run that errors are taken against, µs."""
 
@@ -49,7 +50,7 @@ def _against(setting: Setting, preset: str) -> list[Row]:
     side, duration = 25.0 * cells, setting.pick(250.0, 10.0)
     load = LoadCase(width=side, height=side, watched=(side, 0.5 * side), duration=duration)
     reference = _tissue(preset, cells, duration, REFERENCE)
-    step, tissue, error = _largest_step(preset, cells, duration, reference)
+    step, tissue, error = _fastest_step(preset, cells, duration, reference)
     laws = {"true": (rve(preset), 10.0), "cached": (setting.cached(preset), 50.0)}
     rows = [
         Row(
@@ -81,19 +82,20 @@ def _against(setting: Setting, preset: str) -> list[Row]:
     return rows
 
 
-def _largest_step(
+def _fastest_step(
     preset: str, cells: int, duration: float, reference: TissueTime
 ) -> tuple[float, TissueTime, float]:
-    """The first candidate that holds the error: over a tenth of the run, then over all of it."""
+    """The candidate that holds the error and takes least time: of a tenth of the run, then all."""
     if reference.curve is None:
         raise RuntimeError(f"the tissue's reference run with steps of {REFERENCE:g} µs broke")
-    for step in CANDIDATES:
-        for part in (0.1 * duration, duration):
-            made = _tissue(preset, cells, part, step)
-            error = _error(made.curve, reference.curve)
-            if error > ERROR:
-                break
-        else:
+    tried = [(step, _tissue(preset, cells, 0.1 * duration, step)) for step in CANDIDATES]
+    held = [
+        (made.run, step) for step, made in tried if _error(made.curve, reference.curve) <= ERROR
+    ]
+    for _, step in sorted(held):
+        made = _tissue(preset, cells, duration, step)
+        error = _error(made.curve, reference.curve)
+        if error <= ERROR:
             return step, made, error
     raise RuntimeError(f"no micro step down to {CANDIDATES[-1]:g} µs holds the error")
 
