@@ -1,8 +1,8 @@
 """The bar by true and by cached FE² against the full tissue, in one run, on all cores.
 
-The tissue takes the micro step that is soonest done with a displacement that stays within `ERROR` of
-that at `REFERENCE` over the whole run. That is not always the largest: near the limit of stability
-particles rattle, and neighbour lists have to be built all the time.
+The tissue takes the micro step that is soonest done with a displacement that stays within `ERROR`
+of that at `REFERENCE` over the whole run. That is not always the largest: near the limit of
+stability particles rattle, and neighbour lists have to be built all the time.
 """
 
 from __future__ import annotations
