@@ -221,7 +221,7 @@ class CachedLaw:
     def _turn(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
     ) -> Acceptance:
-        """Choose the branches of the next step, looking as far ahead as it will go."""
+        """Choose the branches of the next step, looking ahead to where it will end."""
         tolerance, held = self._book.trust.tolerance, state.held
         stress = response.stress
         if self._book.trust.is_off:

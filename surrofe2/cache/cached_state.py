@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.cache.foresight import look_ahead
 from surrofe2.cache.parts import Surrogate
 from surrofe2.cache.point_set import NOBODY, Indices, PointSet
 from surrofe2.errors import InputError
@@ -15,8 +16,6 @@ from surrofe2.stress_law import Status, StressResponse, Tangents
 
 Array = NDArray[np.float64]
 
-AHEAD = 1.25
-"""Steps by which the motion of the last one is carried on to see who will not be trusted."""
 RETURN = 0.8
 """Share of the tolerance at which a point may come back, so that none goes to and fro."""
 
@@ -71,20 +70,6 @@ def _look_whether(
         return status, bound
     _, status, bound = surrogate.lookup(F, F_dot, tolerance)
     return status, bound
-
-
-def look_ahead(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> tuple[Array, Array]:
-    """(F, Ḟ) a step of the last length on and a bit, the motion carried on straight."""
-    if before is None or before[0].shape != F.shape:
-        return F, F_dot
-    return _carried_on(F, before[0]), _carried_on(F_dot, before[1])
-
-
-def _carried_on(now: Array, before: Array) -> Array:
-    ahead = now - before
-    ahead *= AHEAD
-    ahead += now
-    return ahead
 
 
 def leaving_and_returning(

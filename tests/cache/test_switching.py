@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache.foresight import look_ahead
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
@@ -27,6 +28,11 @@ def cached_law(limit=0.02, tolerance=TOLERANCE, audit=0.0, size=0.01):
         error=shear_error(size), bound=lambda F, F_dot: 0.1 * abs(F[:, 1, 0]) / limit
     )
     return CachedLaw(surrogate, Truth(), CacheSettings(tolerance=tolerance, audit=audit))
+
+
+def blind(F, F_dot, before):
+    """What `look_ahead` sees if it does not look."""
+    return F, F_dot
 
 
 def right_hand_sides(run):
@@ -82,7 +88,7 @@ class Watched(CachedLaw):
 
 def test_no_kept_step_mixes_branches(monkeypatch):
     """Without looking ahead, every point that leaves is found within a step."""
-    monkeypatch.setattr("surrofe2.cache.cached_state.AHEAD", 0.0)
+    monkeypatch.setattr("surrofe2.cache.cached_state.look_ahead", blind)
     cached = cached_law()
     watched = Watched(cached.surrogate, cached.fallback, cached.settings)
     run = simulate(LOAD_CASE, watched, replace(SETTINGS, record_dissipation=False))
@@ -100,9 +106,33 @@ def test_no_kept_step_mixes_branches(monkeypatch):
 
 def test_looking_ahead_saves_the_repeats(monkeypatch):
     ahead = simulate(LOAD_CASE, cached_law(), SETTINGS)
-    monkeypatch.setattr("surrofe2.cache.cached_state.AHEAD", 0.0)
-    blind = simulate(LOAD_CASE, cached_law(), SETTINGS)
-    assert ahead.counts["repeated_steps"] < 0.5 * blind.counts["repeated_steps"]
+    monkeypatch.setattr("surrofe2.cache.cached_state.look_ahead", blind)
+    without = simulate(LOAD_CASE, cached_law(), SETTINGS)
+    assert ahead.counts["repeated_steps"] < 0.5 * without.counts["repeated_steps"]
+
+
+def test_foresight_meets_cubics():
+    """A point with F a cubic of time among many that move evenly, which tell the length h."""
+    coefficients = np.zeros((4, 2000, 2, 2))
+    coefficients[0], coefficients[1, 1:] = np.eye(2), 0.1
+    coefficients[1:, 0] = np.random.default_rng(2).normal(size=(3, 2, 2)) * 0.1
+    k = np.arange(4)
+
+    def at(t):
+        rates = k * np.power(t, np.maximum(k - 1, 0))
+        return tuple(np.tensordot(weights, coefficients, 1) for weights in (t**k, rates))
+
+    found, there, now = look_ahead(*at(0.3), at(0.2)), at(0.4), at(0.3)
+    for a, b, c, scale in zip(found, there, now, (1e-6, 1e-5), strict=True):
+        assert abs(a - b).max() < scale
+        assert abs(b - c).max() > 1e-3
+
+
+def test_foresight_of_what_rests_is_rest():
+    F, F_dot = np.tile(np.eye(2), (3, 1, 1)), np.zeros((3, 2, 2))
+    for before in (None, (F, F_dot), (1.01 * F, F_dot)):
+        for found, now in zip(look_ahead(F, F_dot, before), (F, F_dot), strict=True):
+            np.testing.assert_array_equal(found, now)
 
 
 def test_a_repeated_step_has_the_length_of_the_first_trial():
