@@ -16,8 +16,10 @@ from surrofe2.stress_law import Status, StressResponse, Tangents
 
 Array = NDArray[np.float64]
 
-RETURN = 0.8
-"""Share of the tolerance at which a point may come back, so that none goes to and fro."""
+NOT_TRUSTED = np.int8(Status.NOT_TRUSTED)
+STAY, RETURN = 0.9, 0.8
+"""Shares of the tolerance up to which the bound foreseen may rise for a point to stay with the
+surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,9 @@ def leaving_and_returning(
     """
     points = state.held.points
     ahead, bound_ahead = _look_whether(surrogate, *look_ahead(F, F_dot, state.before), tolerance)
+    if state.bound is not None and np.isfinite(tolerance):
+        rising = (bound_ahead > STAY * tolerance) & (bound_ahead > state.bound)
+        ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
     narrower = tolerance < state.tolerance
     if not len(points) and not narrower:
         return ahead, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)

@@ -155,9 +155,10 @@ def test_a_point_comes_back_when_its_step_is_kept(cached):
 
 
 def test_a_point_on_its_way_out_begins_the_next_step_on_the_fallback(cached, fallback):
-    F, F_dot = stretched(1.2, 1.0)
-    state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
+    F, _ = stretched(1.2, 1.0)
     further, _ = stretched(1.4, 1.0)  # one more such step would end at 1.6
+    F_dot = 0.1 * (further - F)
+    state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
     accepted = cached.accept(further, F_dot, cached.respond(further, F_dot, state))
     assert accepted.state.held.points.tolist() == [0]
     assert np.array_equal(accepted.state.held.state.F, further[[0]] + 100.0)
