@@ -1,4 +1,10 @@
-"""Stress from a table's linear models, point by point, in one compiled pass."""
+"""Stress from a table's linear models, point by point, in one compiled pass.
+
+All models answer whose ellipsoids hold the point or an image of it, each with a weight that is 0
+at the surface of its ellipsoid and infinite at its centre, so that the answer is continuous
+wherever there is one: a macro scale that chooses its steps by their error sees no jumps. With b
+the bound of a model and L the largest that is allowed, the weight is (L/b − 1)².
+"""
 
 from __future__ import annotations
 
@@ -9,13 +15,11 @@ from numba import prange
 from numpy.typing import NDArray
 
 from surrofe2.cache.table_inputs import (
-    DIFFERENCE_OF_U,
     INPUT_SIGNS,
     OUTPUT_SIGNS,
     OUTPUTS,
-    SHEAR_OF_U,
 )
-from surrofe2.cache.table_tree import find
+from surrofe2.cache.table_tree import find_all
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
@@ -25,6 +29,8 @@ MANY = 1000  # points from which on more than one core pays
 _OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
 _AT_ONCE = 100  # points a core answers at once
+_MOST = 256  # models that answer for a point
+_NEAREST = 1e-9  # of the tolerance: a bound that is as good as none
 
 
 def look_up(
@@ -61,8 +67,9 @@ def _some(  # type: ignore[no-untyped-def]
     first, last, F, F_dot, tolerance, own, images, centre, response, slope, curvature, tree,
     stress, status, bound,
 ):  # fmt: skip
-    x, image, d = np.empty(INPUTS), np.empty(INPUTS), np.empty(INPUTS)
-    s = np.empty(OUTPUTS)
+    x, image, s = np.empty(INPUTS), np.empty(INPUTS), np.empty(OUTPUTS)
+    records, bounds = np.empty(_MOST, dtype=np.int32), np.empty(_MOST)
+    limit = min(own, tolerance * abs(tolerance) / own)
     for p in range(first, last):
         stress[p] = np.nan
         bound[p] = np.inf
@@ -70,31 +77,41 @@ def _some(  # type: ignore[no-untyped-def]
         cosine, sine = read_inputs(F[p], F_dot[p], x)
         if not np.isfinite(cosine):
             continue
-        turned = home_image(x, images)
-        best = -1
-        for other in range(images):
-            flips = turned ^ other
+        least, total, radius = np.inf, 0.0, 0.0
+        s[:] = 0.0
+        for flips in range(images):
             for i in range(INPUTS):
                 image[i] = x[i] * INPUT_SIGNS[flips, i]
-            best, value = find(image, own, centre, curvature, tree)
-            if best >= 0:
-                break
-        if best < 0:
+            for n in range(find_all(image, own, centre, curvature, tree, records, bounds)):
+                k, b = records[n], bounds[n]
+                least = min(least, b)
+                if b <= limit:
+                    weight = ((limit - b) / max(b, _NEAREST * own) + _NEAREST) ** 2
+                    total += weight
+                    radius += weight * np.sqrt(b * own)
+                    _add(weight, image, centre[k], response[k], slope[k], OUTPUT_SIGNS[flips], s)
+        if least == np.inf:
             continue
-        bound[p] = np.sqrt(value * own)
-        if bound[p] > tolerance:
+        if total == 0.0:
             status[p] = _NOT_TRUSTED
+            bound[p] = np.sqrt(least * own)
             continue
-        for i in range(INPUTS):
-            d[i] = image[i] - centre[best, i]
+        bound[p] = radius / total
         for k in range(OUTPUTS):
-            s[k] = response[best, k]
-            for i in range(INPUTS):
-                s[k] += slope[best, k, i] * d[i]
-            s[k] *= OUTPUT_SIGNS[flips, k]
+            s[k] /= total
         write_stress(s, cosine, sine, stress[p])
         finite = np.isfinite(stress[p, 0, 0] + stress[p, 0, 1] + stress[p, 1, 0] + stress[p, 1, 1])
         status[p] = _OK if finite else _NOT_FINITE
+
+
+@kernel
+def _add(weight, image, centre, response, slope, signs, s):  # type: ignore[no-untyped-def]
+    """Add a linear model's components, turned back by the signs of the image, to s."""
+    for k in range(OUTPUTS):
+        value = response[k]
+        for i in range(INPUTS):
+            value += slope[k, i] * (image[i] - centre[i])
+        s[k] += weight * signs[k] * value
 
 
 @kernel
@@ -116,16 +133,6 @@ def read_inputs(F, F_dot, x):  # type: ignore[no-untyped-def]
     ayx, ayy = c * vyx - s * vxx, c * vyy - s * vxy
     x[3], x[4], x[5], x[6] = axx + ayy, axx - ayy, axy + ayx, ayx - axy
     return c, s
-
-
-@kernel
-def home_image(x, images):  # type: ignore[no-untyped-def]
-    """Which image of x is the canonical one."""
-    if images == 1:
-        return 0
-    turned = 1 if x[DIFFERENCE_OF_U] < 0.0 else 0
-    shear = -x[SHEAR_OF_U] if turned == 1 else x[SHEAR_OF_U]
-    return turned + (2 if shear < 0.0 else 0)
 
 
 @kernel

@@ -1,8 +1,8 @@
-"""Which ellipsoid of thousands holds a point: a binary tree of boxes around them, compiled.
+"""Which ellipsoids of thousands hold a point: a binary tree of boxes around them, compiled.
 
 Each node has the box that bounds its ellipsoids, each leaf a few of them. A search goes down every
 branch whose box holds the point, so unlike the tree of ISAT (Pope 1997, section 3.4), which cuts
-space by planes between records, it finds the best of all ellipsoids that hold the point.
+space by planes between records, it finds all ellipsoids that hold the point.
 """
 
 from __future__ import annotations
@@ -106,15 +106,15 @@ def _partition(centre, order, begin, size, axis, least, most):  # type: ignore[n
 
 
 @kernel
-def find(x, tolerance, centre, curvature, tree):  # type: ignore[no-untyped-def]
-    """(record, bound) of the ellipsoid with the smallest bound at x (7,); −1 where none holds it.
+def find_all(x, tolerance, centre, curvature, tree, records, bounds):  # type: ignore[no-untyped-def]
+    """Number of ellipsoids that hold x (7,), of which `records` and `bounds` are filled.
 
     The bound of record k is dᵀ curvature[k] d with d = x − centre[k]; its ellipsoid is where that
-    is at most `tolerance`.
+    is at most `tolerance`. What no longer fits into the arrays is left out.
     """
-    best, smallest = -1, tolerance
+    found = 0
     if centre.shape[0] == 0:
-        return best, smallest
+        return found
     stack = np.empty(_DEPTH, dtype=np.int32)
     stack[0] = 0
     height = 1
@@ -137,8 +137,21 @@ def find(x, tolerance, centre, curvature, tree):  # type: ignore[no-untyped-def]
             for i in range(INPUTS):
                 d[i] = x[i] - centre[k, i]
             bound = quadratic(d, curvature[k])
-            if bound <= smallest:
-                best, smallest = k, bound
+            if bound <= tolerance and found < records.shape[0]:
+                records[found], bounds[found] = k, bound
+                found += 1
+    return found
+
+
+@kernel
+def find(x, tolerance, centre, curvature, tree):  # type: ignore[no-untyped-def]
+    """(record, bound) of the ellipsoid with the smallest bound at x (7,); −1 where none holds x."""
+    count = centre.shape[0]
+    records, bounds = np.empty(count, dtype=np.int32), np.empty(count)
+    best, smallest = -1, tolerance
+    for n in range(find_all(x, tolerance, centre, curvature, tree, records, bounds)):
+        if bounds[n] <= smallest:
+            best, smallest = records[n], bounds[n]
     return best, smallest
 
 

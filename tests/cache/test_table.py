@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable, TableBehind, sampled_spread
-from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, canonical_image
+from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS
 from surrofe2.cache.table_merge import merged
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
@@ -62,24 +62,43 @@ def test_lookup_is_what_plain_numpy_gives():
     F, F_dot = states(200, angle=-1.1)
     stress, status, bound = table.lookup(F, F_dot)
     x, R = to_inputs(F, F_dot)
-    records, checked = table.records, 0
+    records, own, alone, together = table.records, table.tolerance, 0, 0
     for p in range(len(F)):
-        for other in range(4):
-            image = canonical_image(x[p : p + 1], "D4")[0] ^ other
-            d = x[p] * INPUT_SIGNS[image] - records.centre
-            bounds = np.einsum("ni,nij,nj->n", d, records.curvature, d)
-            k = bounds.argmin()
-            if bounds[k] <= table.tolerance:
-                break
-        else:
+        models, bounds = [], []
+        for inner, outer in zip(INPUT_SIGNS, OUTPUT_SIGNS, strict=True):
+            d = x[p] * inner - records.centre
+            bounds.append(np.einsum("ni,nij,nj->n", d, records.curvature, d))
+            models.append((records.stress + np.einsum("nki,ni->nk", records.slope, d)) * outer)
+        bounds, models = np.concatenate(bounds), np.concatenate(models)
+        models, bounds = models[bounds <= own], bounds[bounds <= own]
+        if not len(bounds):
             assert status[p] == Status.OUT_OF_RANGE
             continue
-        s = (records.stress[k] + records.slope[k] @ d[k]) * OUTPUT_SIGNS[image]
+        weight = ((own - bounds) / np.maximum(bounds, 1e-9 * own)) ** 2
+        s = weight @ models / weight.sum()
         rotated = to_components(transpose(R[p : p + 1]) @ stress[p : p + 1] @ R[p : p + 1])[0]
-        np.testing.assert_allclose(rotated, s, atol=1e-10)
-        assert bound[p] == pytest.approx(np.sqrt(bounds[k] * table.tolerance), abs=1e-10)
-        checked += 1
-    assert checked > 100
+        np.testing.assert_allclose(rotated, s, atol=1e-7)
+        radius = weight @ np.sqrt(bounds * own) / weight.sum()
+        assert bound[p] == pytest.approx(radius, abs=1e-7)
+        alone += len(bounds) == 1
+        together += len(bounds) > 1
+    assert min(alone, together) > 20
+
+
+def test_the_answer_has_no_jumps_where_there_is_one():
+    """Along a line through many ellipsoids: the stress jumps nowhere by what it may be wrong."""
+    table = taught(*states(2000))
+    ends = [sample(RANGE, 1, seed) for seed in (5, 8)]
+    t = np.linspace(0.0, 1.0, 20_001)[:, None, None]
+    F, F_dot = ((1.0 - t) * a + t * b for a, b in zip(*ends, strict=True))
+    stress, status, _ = table.lookup(F, F_dot)
+    true = square_stress(F, F_dot)
+    known = (status[1:] == 0) & (status[:-1] == 0)
+    error = stress_error(stress, true)
+    jump = stress_error(np.diff(stress - true, axis=0), np.zeros((len(t) - 1, 2, 2)))[known]
+    assert known.mean() > 0.5
+    assert np.quantile(error[status == 0], 0.9) > 0.05 * table.tolerance
+    assert jump.max() < 2e-3 * table.tolerance
 
 
 def test_many_points_are_answered_as_few():
