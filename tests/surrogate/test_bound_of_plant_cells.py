@@ -14,7 +14,7 @@ from surrofe2.cli.calibrate import calibrate_surrogate
 from surrofe2.config import load_recipe
 from surrofe2.errors import SimulationError
 from surrofe2.paths import WatchedLaw, random_states, random_walks, true_stress
-from surrofe2.sampling import SamplingRange, StressSamples
+from surrofe2.sampling import SamplingRange, StressSamples, contains
 from surrofe2.stress_error import stress_error
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
@@ -90,7 +90,7 @@ def test_the_bound_holds_on_random_states_in_range(study):
     F, F_dot = random_states(study.recipe.range, study.states, seed=71).states
     error, bound, inside = study.errors(F, F_dot)
     share = study.recipe.calibration.share
-    assert inside.mean() > 0.75
+    assert inside.mean() > (0.35 if study.recipe.range is WIDE else 0.75)
     assert np.isfinite(error[inside]).all()  # nowhere inside is the RVE without a stress
     assert (error[inside] > bound[inside]).mean() <= share
 
@@ -107,12 +107,16 @@ def test_the_bound_holds_on_fresh_walks(study):
 
 
 def out_of_range(range, count, seed=73):
-    """States too large, too fast or both, a few neither; some inside out, some not numbers."""
+    """States too large, too fast or both; some inside out, some not numbers."""
     rng = np.random.default_rng(seed)
-    far = 1.0 + rng.exponential(1.0, (count, 1, 1))
-    F, F_dot = random_states(range, count, seed).states
-    F = np.eye(2) + np.where(rng.random((count, 1, 1)) < 0.7, far, 1.0) * (F - np.eye(2))
-    F_dot = np.where(rng.random((count, 1, 1)) < 0.7, far, 1.0) * F_dot
+    F, F_dot = random_states(range, 4 * count, seed).states
+    large, fast = (rng.random((4 * count, 1, 1)) < 0.7 for _ in "ab")
+    far = 1.0 + rng.exponential(1.0, (4 * count, 1, 1))
+    F = np.eye(2) + np.where(large, far, 1.0) * (F - np.eye(2))
+    F_dot = np.where(fast, far, 1.0) * F_dot
+    outside = np.flatnonzero(~contains(range, F, F_dot))[:count]
+    assert len(outside) == count
+    F, F_dot = F[outside], F_dot[outside]
     F[: count // 20] *= -1.0
     F[count // 20 : count // 10, 0] *= -1.0
     strange = rng.choice([np.nan, np.inf, -np.inf, 1e300], count // 10)
@@ -124,8 +128,23 @@ def out_of_range(range, count, seed=73):
 def test_nothing_is_accepted_out_of_range_with_a_large_error(study):
     F, F_dot = out_of_range(study.recipe.range, study.states)
     error, _, accepted = study.errors(F, F_dot, study.tolerance)
-    assert 0.05 < accepted.mean() < 0.3  # those in range after all
+    assert accepted.mean() < 0.01
     assert (error[accepted] <= study.tolerance).all()
+
+
+def test_nothing_unstable_is_accepted_with_a_large_error(study):
+    """States within the bounds of the range of which the RVE has no stress, or one of several."""
+    F, F_dot = random_states(study.recipe.range, study.states, seed=74).states
+    answer = study.rve.respond(F, F_dot)
+    unstable = answer.status != 0
+    if answer.left_bifurcation is not None:
+        unstable |= answer.left_bifurcation
+    if study.recipe.range is WIDE:
+        assert unstable.sum() > 100
+    stress, status, _ = study.surrogate.lookup(F, F_dot, study.tolerance)
+    accepted = unstable & (status == 0)
+    error = stress_error(stress[accepted], answer.stress[accepted])
+    assert (error <= study.tolerance).all()
 
 
 def test_failed_samples_are_outside(study):
@@ -134,7 +153,8 @@ def test_failed_samples_are_outside(study):
     left = samples.left_bifurcation
     known = (samples.status == 0) & (True if left is None else ~left)
     assert not inside[~known].any()
-    assert inside[known].mean() > 0.85
+    # a ninth of the wide range is unstable, and the cliff keeps its distance from all of that
+    assert inside[known].mean() > (0.4 if study.recipe.range is WIDE else 0.85)
 
 
 def test_the_bar_is_accepted(study):
