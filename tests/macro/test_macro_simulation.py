@@ -263,12 +263,12 @@ def test_step_length_settles_where_stability_limits_it():
     """Scipy's own control rejects every tenth trial of this stiff bar."""
     run = simulate(replace(LOAD_CASE, duration=40.0), KelvinVoigt(), SETTINGS)
     assert run.counts["steps"] > 100
-    assert run.counts["rejected_steps"] <= 0.02 * run.counts["steps"]
+    assert run.counts["rejected_steps"] <= 0.03 * run.counts["steps"]
 
 
 def test_step_length_follows_the_error():
-    """The next step keeps its length where the error is 0.061, 0.8^(1/0.08), of that allowed."""
-    error = 0.8 ** (1.0 / 0.08)
+    """The next step keeps its length where the error is 0.27, 0.9^(1/0.08), of that allowed."""
+    error = 0.9 ** (1.0 / 0.08)
     assert damped(2.0, 2.0 * 0.9 * error**-0.2, np.inf) == pytest.approx(2.0)
     assert damped(2.0, 2.0 * 0.9, np.inf) < 2.0 < damped(2.0, 20.0, np.inf)
     assert damped(2.0, 20.0, 2.0) == 2.0
