@@ -35,10 +35,10 @@ def test_shipped_recipes_are_the_paper_s_bar():
     assert printed.load == LoadCase()
     assert printed.cell == CellParameters.preset("printed")
     assert shipped["bending-bar-water"].cell == CellParameters.preset("water")
-    double = shipped["bending-bar-double-load"]
-    assert double.load.body_force == (0.0, 2 * printed.load.body_force[1])
-    assert double.data_path() == printed.data_path()
-    assert double.training_path() == printed.training_path()
+    triple = shipped["bending-bar-triple-load"]
+    assert triple.load.body_force == pytest.approx((0.0, 3 * printed.load.body_force[1]))
+    assert triple.data_path() == printed.data_path()
+    assert triple.training_path() == printed.training_path()
 
 
 def test_single_constants_change_a_preset():

@@ -52,8 +52,8 @@ def run_both(study, recipe_name):
 def test_default_surrogate_meets_its_accuracy(study):
     errors = SurrogateLaw.load(study / "training" / "bending-bar.pt").errors
     for component in ("xx", "xy", "yx", "yy"):
-        assert errors["rms"][component] < 0.0005
-        assert errors["worst"][component] < 0.005
+        assert errors["rms"][component] < 0.0001
+        assert errors["worst"][component] < 0.0015
 
 
 def test_cached_bar_follows_the_true_one_nearly_without_a_fallback(study):
@@ -67,12 +67,12 @@ def test_cached_bar_follows_the_true_one_nearly_without_a_fallback(study):
     assert not cached["cache"]["trust"]["off"]
 
 
-def test_double_load_leaves_the_range_and_falls_back_where_it_does(study):
-    comparison, cached = run_both(study, "bending-bar-double-load")
+def test_triple_load_leaves_the_range_and_falls_back_where_it_does(study):
+    comparison, cached = run_both(study, "bending-bar-triple-load")
     assert comparison["reference"] == "rve"
     assert comparison["runs"][0]["difference"]["largest"] < 0.005
     counts = cached["counts"]
-    assert counts["fallbacks_out_of_range"] > 1000
+    assert counts["fallbacks_out_of_range"] > 200
     assert counts["fallbacks_not_finite"] == 0
     assert counts["rve_solves"] >= counts["fallbacks"]
     assert counts["hits"] > counts["fallbacks"]

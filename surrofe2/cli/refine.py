@@ -243,7 +243,7 @@ def refine(
     RVEs there and around, trains again, and so on until a run has no unknown state and its audit
     holds. DIR receives refine.json (the table of rounds) and surrogate.pt.
 
-    Example: [bold]surrofe2 refine data/bending-bar-double-load.toml[/bold]
+    Example: [bold]surrofe2 refine data/bending-bar-triple-load.toml[/bold]
 
     Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.pt --out out/run[/bold]
     """
