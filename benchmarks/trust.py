@@ -27,8 +27,9 @@ from surrofe2.macro import MacroRun
 TITLE = "The cache against its tolerance, every accepted answer audited"
 TOLERANCE = 1e-3
 PRESETS = ("printed", "water")
-BORNE = 60.0
-"""µs; under three times its body force true FE² with `printed` ends at 69.6 µs, at F₂₁ = −0.31."""
+BORNE = {"printed": 60.0, "water": 20.0}
+"""µs under three times its body force: true FE² with `printed` ends at 69.6 µs, at F₂₁ = −0.31; with
+`water` trials fail from 20.2 µs on, and it ends at 26.6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +43,9 @@ class Case:
     of_all: bool = False
 
 
-def cases(duration: float) -> tuple[Case, ...]:
-    """The bars of the issue, each for so long."""
+def cases(preset: str, duration: float) -> tuple[Case, ...]:
+    """The bars that a surrogate of the default recipe is tried on, each for so long at most."""
+    borne = BORNE[preset]
     usual = LoadCase(duration=duration)
     x, y = usual.body_force
     push = tuple((t * duration, a) for t, a in ((0.0, 0.0), (0.1, 1.0), (0.4, 1.0), (0.6, -1.0)))
@@ -51,8 +53,8 @@ def cases(duration: float) -> tuple[Case, ...]:
         Case("default bar", usual, hits=0.99),
         Case("twice the body force", replace(usual, body_force=(2.0 * x, 2.0 * y))),
         Case(
-            f"three times the body force, {BORNE:g} µs",
-            replace(usual, body_force=(3.0 * x, 3.0 * y), duration=min(duration, BORNE)),
+            f"three times the body force, {borne:g} µs",
+            replace(usual, body_force=(3.0 * x, 3.0 * y), duration=min(duration, borne)),
         ),
         Case(
             "500 × 300 µm, 10 × 6 elements",
@@ -92,7 +94,7 @@ def run(setting: Setting) -> list[Row]:
     rows, reports = [], []
     for preset in setting.pick(PRESETS, PRESETS[:1]):
         for subject in SUBJECTS:
-            for case in cases(setting.pick(250.0, 10.0)):
+            for case in cases(preset, setting.pick(250.0, 10.0)):
                 settings = CacheSettings(tolerance=TOLERANCE, audit=1.0)
                 law = CachedLaw(subject.make(setting, preset), rve(preset), settings)
                 learns = subject.hits is not None

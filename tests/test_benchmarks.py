@@ -232,6 +232,6 @@ def test_trust_compares_every_accepted_answer_with_the_tolerance(error, kept):
 
 
 def test_the_push_of_the_trust_cases_reverses():
-    case = trust.cases(250.0)[-1]
+    case = trust.cases("printed", 250.0)[-1]
     assert case.load.amplitude_at(50.0) == 1.0
     assert case.load.amplitude_at(200.0) == -1.0
