@@ -28,8 +28,8 @@ TITLE = "The cache against its tolerance, every accepted answer audited"
 TOLERANCE = 1e-3
 PRESETS = ("printed", "water")
 BORNE = {"printed": 60.0, "water": 20.0}
-"""µs under three times its body force: true FE² with `printed` ends at 69.6 µs, at F₂₁ = −0.31; with
-`water` trials fail from 20.2 µs on, and it ends at 26.6."""
+"""µs under three times its body force: true FE² with `printed` ends at 69.6 µs, at F₂₁ = −0.31;
+with `water` trials fail from 20.2 µs on, and it ends at 26.6."""
 
 
 @dataclass(frozen=True, slots=True)
