@@ -149,10 +149,18 @@ class Bookkeeping:
         self.hold_audit()
         cost = None
         if self.latest is not None:
-            calls = self.meter.calls / max(self.meter.steps, 1)
-            true = time_true_law(self._fallback, *self.latest, calls)
+            true = self._seconds_of_true_law(*self.latest)
             cost = cost_of(self.meter, true) if true is not None else None
         return self.history() | {"cost": cost.to_dict() if cost else None}
+
+    def _seconds_of_true_law(
+        self, before: tuple[Array, Array], now: tuple[Array, Array]
+    ) -> float | None:
+        """Seconds a stress; those of the run itself where the true law answered all of it."""
+        meter = self.meter
+        if not self.counts["hits"] and meter.fallback:
+            return meter.fallback / max(meter.asked, 1)
+        return time_true_law(self._fallback, before, now, meter.calls / max(meter.steps, 1))
 
     def restore(self, report: Mapping[str, Any]) -> None:
         """Go on from the counts, audits and trust of an earlier part of the same run."""

@@ -119,6 +119,11 @@ def summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
         )
     at_rest = surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0]
     everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
+    if not np.isfinite(at_rest):
+        return (
+            "bound: none, because the samples that failed or left a bifurcation leave no domain "
+            "even at rest, and every point of a cached run would go to its RVE; narrow [range]"
+        )
     edge = everywhere[np.isfinite(everywhere)].max(initial=at_rest)
     centre, edge = (100.0 * bound / calibration.stress_spread for bound in (at_rest, edge))
     paths = sum(kind["paths"] for kind in calibration.kinds.values())

@@ -77,9 +77,9 @@ def test_lookup_is_what_plain_numpy_gives():
         weight = ((own - bounds) / np.maximum(bounds, 1e-9 * own)) ** 2
         s = weight @ models / weight.sum()
         rotated = to_components(transpose(R[p : p + 1]) @ stress[p : p + 1] @ R[p : p + 1])[0]
-        np.testing.assert_allclose(rotated, s, atol=1e-7)
+        np.testing.assert_allclose(rotated, s, atol=1e-10)
         radius = weight @ np.sqrt(bounds * own) / weight.sum()
-        assert bound[p] == pytest.approx(radius, abs=1e-7)
+        assert bound[p] == pytest.approx(radius, abs=1e-10)
         alone += len(bounds) == 1
         together += len(bounds) > 1
     assert min(alone, together) > 20
