@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
+from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
 
 Array = NDArray[np.float64]
@@ -28,6 +29,7 @@ _TURN = 0.5  # radians between two of them, at most
 _LOAD_TIMES = 4
 _LOAD_FACTOR = (0.25, 3.0)  # of the body force
 _LONGEST_RUN = 50.0  # µs, about a period of the paper's bar
+_SAME = 1e-6  # relative, and µN/µm: stresses of one equilibrium differ by less
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,9 +188,9 @@ def true_stress(
 ) -> tuple[Array, NDArray[np.int8]]:
     """Stress (length n, 2, 2) and status (length n,) of a law along paths, as `states` has them.
 
-    Each history is followed in time from a warm start; where that ends without a stress, the law
-    is asked once more without one. The status is UNSTABLE beyond a bifurcation, where the stress
-    is one of several.
+    Each history is followed in time from a warm start. Where that ends without a stress, or has
+    been beyond a bifurcation, the law is asked once more without one: the status is UNSTABLE
+    where both know a stress and the two differ, and where the second leaves a bifurcation too.
 
     Args:
         progress: called with the number of states done, now and then.
@@ -204,26 +206,41 @@ def true_stress(
             F, F_dot = (np.ascontiguousarray(T[k, part]) for T in (paths.F, paths.F_dot))
             answer = law.respond(F, F_dot, state)
             acceptance = law.accept(F, F_dot, answer)
-            stress[k, part], status[k, part] = answer.stress, acceptance.status
             state = acceptance.state
-            lost = np.flatnonzero(acceptance.status)
-            if len(lost):
-                again = law.respond(F[lost], F_dot[lost])
-                stress[k, first + lost], status[k, first + lost] = again.stress, again.status
-                _mark(status[k], first + lost, again.left_bifurcation)
-            _mark(status[k], np.arange(first, first + len(F)), acceptance.left_bifurcation)
-            _mark(status[k], np.arange(first, first + len(F)), answer.left_bifurcation)
+            stress[k, part], status[k, part] = answer.stress, acceptance.status
+            doubtful = np.flatnonzero((acceptance.status != 0) | _left(answer) | _left(acceptance))
+            if len(doubtful):
+                again = law.respond(F[doubtful], F_dot[doubtful])
+                points = first + doubtful
+                stress[k, points], status[k, points] = _settled(
+                    stress[k, points], status[k, points] == 0, again
+                )
             done += len(F)
             if progress is not None:
                 progress(done)
     return stress.reshape(-1, 2, 2), status.reshape(-1)
 
 
-def _mark(
-    status: NDArray[np.int8], points: NDArray[np.intp], left: NDArray[np.bool_] | None
-) -> None:
-    if left is not None:
-        status[points[left]] = Status.UNSTABLE
+def _left(answer: StressResponse | Acceptance) -> NDArray[np.bool_]:
+    """(n,) whether points are beyond a bifurcation."""
+    left = answer.left_bifurcation
+    return np.zeros(len(answer.status), dtype=np.bool_) if left is None else left
+
+
+def _settled(
+    stress: Array, known: NDArray[np.bool_], again: StressResponse
+) -> tuple[Array, NDArray[np.int8]]:
+    """Stress (n, 2, 2) and status (n,) by a second answer from a cold start.
+
+    Args:
+        stress: (n, 2, 2) that histories led to; known: (n,) where there is one.
+    """
+    status = again.status.copy()
+    size = np.sqrt((again.stress**2).sum(axis=(1, 2)))
+    with np.errstate(invalid="ignore"):
+        other = known & (stress_error(stress, again.stress) > _SAME * (1.0 + size))
+    status[(status == 0) & (other | _left(again))] = Status.UNSTABLE
+    return again.stress, status
 
 
 def _box(range: SamplingRange) -> tuple[Array, Array]:

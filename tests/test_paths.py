@@ -140,6 +140,33 @@ def test_where_no_stress_is_found_the_status_says_so():
     assert np.array_equal(np.isnan(stress).all(axis=(1, 2)), failed)
 
 
+class LawOfTwoBranches(SoftLaw):
+    """Leaves its branch where F₁₂ > 0.03 and stays on the other, which differs where F₁₁ > 1."""
+
+    def respond(self, F, F_dot, state=None):
+        answer = super().respond(F, F_dot)
+        left = F[:, 0, 1] > 0.03
+        if state is not None:
+            left |= state
+        answer.stress[left & (F[:, 0, 0] > 1.0)] += 0.5
+        return StressResponse(answer.stress, answer.status, left, left_bifurcation=left)
+
+    def accept(self, F, F_dot, response):
+        return Acceptance(response.status, response.state, None, response.left_bifurcation)
+
+
+def test_beyond_a_bifurcation_there_is_no_one_stress_but_back_on_the_branch_there_is():
+    walks = random_walks(RANGE, 200, 12, seed=6)
+    stress, status = true_stress(walks, LawOfTwoBranches())
+    left = np.maximum.accumulate(walks.F[:, :, 0, 1] > 0.03)
+    beyond, other = walks.F[:, :, 0, 1] > 0.03, walks.F[:, :, 0, 0] > 1.0
+    lost = (beyond | (left & other)).reshape(-1)
+    assert 100 < lost.sum() < left.sum() - 100
+    assert np.array_equal(status == Status.UNSTABLE, lost)
+    F, F_dot = walks.states
+    assert np.array_equal(stress[~lost], SoftLaw().respond(F, F_dot).stress[~lost])
+
+
 def test_a_watched_law_answers_as_before_and_remembers_accepted_steps():
     law, watched = SoftLaw(), WatchedLaw(SoftLaw())
     F, F_dot = random_states(RANGE, 4, seed=1).states

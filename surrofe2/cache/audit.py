@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.error_record import ErrorRecord
 from surrofe2.cache.parts import Fallback
-from surrofe2.cache.point_set import NOBODY, Indices, PointSet, answer_both
+from surrofe2.cache.point_set import Indices, beyond_bifurcation, state_of_both
 from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import StressResponse
 
@@ -54,6 +54,33 @@ class Finding:
     state: Any
 
 
+@dataclass(frozen=True, slots=True)
+class Audited:
+    """What later audits may start from.
+
+    Attributes:
+        points: (k,) where audits were, each once. at: (k, 8) `together` of F and Ḟ there.
+        state: the fallback's for these points, in this order.
+    """
+
+    points: Indices
+    at: Array
+    state: Any
+
+    def only(self, chosen: NDArray[np.bool_]) -> Audited:
+        """The points chosen (k,)."""
+        places = chosen.nonzero()[0]
+        return Audited(self.points[places], self.at[places], self.state.take(places))
+
+    def and_also(self, more: Audited) -> Audited:
+        """These points and others."""
+        return Audited(
+            np.concatenate([self.points, more.points]),
+            np.concatenate([self.at, more.at]),
+            state_of_both(self.state, len(self.points), more.state, len(more.points)),
+        )
+
+
 class Audit:
     """Chooses answers at random, by a seed, and compares them batch by batch.
 
@@ -67,7 +94,7 @@ class Audit:
         self._share = share
         self._random = np.random.default_rng(seed)
         self._waiting: list[Question] = []
-        self._known: PointSet = NOBODY
+        self._known = Audited(np.empty(0, dtype=np.intp), np.empty((0, 8)), None)
 
     def choose(self, points: Indices) -> Indices:
         """Those of the points that are to be audited, each with the share's probability."""
@@ -95,46 +122,35 @@ class Audit:
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
 
     def _solve(self, asked: Question) -> StressResponse:
-        """The true law in the order of the question; warm at points that were audited before,
-        where that is most of them.
-        """
-        places = np.full(1 + max(asked.points.max(), self._known.points.max(initial=0)), -1)
-        places[self._known.points] = np.arange(len(self._known))
-        place = places[asked.points]
-        known, new = (place >= 0).nonzero()[0], (place < 0).nonzero()[0]
-        warm = NOBODY
-        if len(known) >= len(new) and self._known.state is not None:
-            unchanged = np.array_equal(place, np.arange(len(self._known)))
-            state = self._known.state if unchanged else self._known.state.take(place[known])
-            warm = PointSet(known, np.zeros(len(known), dtype=np.int8), state)
-        else:
-            known, new = known[:0], np.arange(len(place))
-        order = np.concatenate([known, new])
-        answer = answer_both(self._fallback, asked.F, asked.F_dot, warm, new)
-        F, F_dot = asked.F[order], asked.F_dot[order]
-        accepted = self._fallback.accept(F, F_dot, answer)
-        self._remember(asked.points[order], accepted.status, accepted.state)
-        back = np.empty_like(order)
-        back[order] = np.arange(len(order))
-        state = accepted.state
-        if state is not None and not np.array_equal(back, np.arange(len(back))):
-            state = state.take(back)
-        return StressResponse(answer.stress[back], accepted.status[back], state)
+        """The true law, each point from its own last audit, or else from that of nearest (F, Ḟ)."""
+        known, start = self._known, None
+        if len(known.points):
+            places = np.full(1 + max(asked.points.max(), known.points.max()), -1)
+            places[known.points] = np.arange(len(known.points))
+            place = places[asked.points]
+            new = (place < 0).nonzero()[0]
+            if len(new):
+                place[new] = nearest(known.at, together(asked.F[new], asked.F_dot[new]))
+            start = known.state.take(place)
+        answer = self._fallback.respond(asked.F, asked.F_dot, start)
+        accepted = self._fallback.accept(asked.F, asked.F_dot, answer)
+        self._remember(asked, accepted.status, accepted.state)
+        return StressResponse(answer.stress, accepted.status, accepted.state)
 
-    def _remember(self, points: Indices, status: NDArray[np.int8], state: Any) -> None:
+    def _remember(self, asked: Question, status: NDArray[np.int8], state: Any) -> None:
         """Keep the state of the latest solved audit of each point."""
         if state is None:
             return
-        latest = np.unique(points[::-1], return_index=True)[1]
-        latest = np.sort(len(points) - 1 - latest)
-        chosen = np.zeros(len(points), dtype=bool)
-        chosen[latest[status[latest] == 0]] = True
-        fresh = PointSet(points, status, state).only(chosen)
-        old = self._known.only(~np.isin(self._known.points, points))
-        few = len(fresh) <= 2 * BATCH and len(old) + len(fresh) <= REMEMBERED
-        if len(old) and len(fresh) and few:
-            fresh = old.and_also(fresh.points, fresh.why, fresh.state)
-        self._known = fresh if len(fresh) else self._known
+        points = asked.points
+        latest = np.sort(len(points) - 1 - np.unique(points[::-1], return_index=True)[1])
+        latest = latest[(status[latest] == 0) & ~beyond_bifurcation(state, len(points))[latest]]
+        if not len(latest):
+            return
+        at = together(asked.F[latest], asked.F_dot[latest])
+        fresh = Audited(points[latest], at, state.take(latest))
+        old = ~np.isin(self._known.points, fresh.points)
+        few = len(latest) <= 2 * BATCH and old.sum() + len(latest) <= REMEMBERED
+        self._known = self._known.only(old).and_also(fresh) if few and old.any() else fresh
 
     def _note_worst(self, asked: Question, truth: Array, error: Array) -> None:
         known = np.nan_to_num(error, nan=-1.0)
@@ -152,6 +168,19 @@ class Audit:
             "stress": asked.stress[k].tolist(),
             "true_stress": truth[k].tolist(),
         }
+
+
+def together(F: Array, F_dot: Array) -> Array:
+    """(n, 8) F and Ḟ times 1 µs side by side."""
+    return np.concatenate([F.reshape(-1, 4), F_dot.reshape(-1, 4)], axis=1)
+
+
+def nearest(known: Array, asked: Array) -> Indices:
+    """(n,) the place in `known` (k, 8), k ≥ 1, that is nearest to each of `asked` (n, 8)."""
+    from scipy.spatial import cKDTree  # here, because it takes long to import
+
+    place: Indices = cKDTree(known).query(asked)[1].astype(np.intp)
+    return place
 
 
 def _joined(questions: list[Question]) -> Question:

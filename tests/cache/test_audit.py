@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.cache.audit import BATCH
+from surrofe2.cache.audit import BATCH, Audit, Question
 from surrofe2.cache.error_record import ErrorRecord
 from surrofe2.errors import InputError
 from surrofe2.stress_error import stress_error
@@ -138,6 +138,24 @@ def test_a_sparse_audit_starts_from_the_last_one_of_each_point():
             assert (F[:, 0, 1] * state.F[:, 0, 1] >= 0.0).all()
         last.update({round(f, 12): True for f in F[:, 0, 1]})
     assert warm > 0.5 * len(last)
+
+
+def test_an_audit_of_a_new_point_starts_from_the_nearest_that_is_known():
+    truth = Warm()
+    audit = Audit(truth, share=1.0, seed=0, tolerance=1.0)
+
+    def held(points, shears):
+        F = np.eye(2) * np.ones((len(points), 1, 1))
+        F[:, 0, 1] = shears
+        zero = np.zeros_like(F)
+        audit.wait(Question(np.zeros(len(F), int), np.array(points), F, zero, zero, zero[:, 0, 0]))
+        audit.hold()
+
+    held([3, 5, 9], [0.1, 0.2, 0.4])
+    held([7, 5, 2], [0.39, 0.5, 0.11])
+    (_, first), (_, second) = truth.asked
+    assert first is None
+    assert second.F[:, 0, 1].tolist() == [0.4, 0.2, 0.1]  # 5 from its own, the others from 9 and 3
 
 
 def test_fallback_and_audit_answers_are_kept_and_learnt():

@@ -86,21 +86,13 @@ def study(request):
     return Study(*request.param)
 
 
-def holds_most(study, inside, share):
-    """Known to fail with a ninth of the range unstable: the cliff keeps far from all of it."""
-    assert inside.mean() > 0.3
-    if study.recipe.range is WIDE and inside.mean() <= share:
-        pytest.xfail(f"the domain holds {inside.mean():.0%}, and should hold {share:.0%}")
-    assert inside.mean() > share
-
-
 def test_the_bound_holds_on_random_states_in_range(study):
     F, F_dot = random_states(study.recipe.range, study.states, seed=71).states
     error, bound, inside = study.errors(F, F_dot)
     share = study.recipe.calibration.share
     assert np.isfinite(error[inside]).all()  # nowhere inside is the RVE without a stress
     assert (error[inside] > bound[inside]).mean() <= share
-    holds_most(study, inside, 0.75)
+    assert inside.mean() > 0.75
 
 
 def test_the_bound_holds_on_fresh_walks(study):
@@ -161,7 +153,7 @@ def test_failed_samples_are_outside(study):
     left = samples.left_bifurcation
     known = (samples.status == 0) & (True if left is None else ~left)
     assert not inside[~known].any()
-    holds_most(study, inside[known], 0.85)
+    assert inside[known].mean() > 0.85
 
 
 def test_the_bar_is_accepted(study):
