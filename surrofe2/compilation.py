@@ -21,6 +21,8 @@ os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 import numba
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
+OPTIONS = {"error_model": "numpy", "fastmath": FAST}
+"""Of all that is compiled; `numba.extending.overload` takes them as jit_options."""
 
 
 @cache
@@ -38,7 +40,7 @@ def cache_folder() -> Path:
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with options of one's own, cached here."""
-    options = {"cache": True, "error_model": "numpy", "fastmath": FAST} | options
+    options = {"cache": True} | OPTIONS | options
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR
@@ -57,5 +59,5 @@ kernel = compiled()
 parallel_kernel = compiled(parallel=True)
 """A kernel whose `numba.prange` loops run on all cores; their bodies are one call of a kernel."""
 
-pair_law = numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+pair_law = numba.njit(inline="always", **OPTIONS)
 """A formula that is written out where kernels use it."""

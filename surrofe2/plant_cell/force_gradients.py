@@ -13,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.contact import contact_force, contact_slopes
+from surrofe2.plant_cell.central import central_slopes
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
-from surrofe2.plant_cell.forces import difference, fluid_specific_volume
-from surrofe2.plant_cell.jacobian import add_to, central_slopes
-from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
-from surrofe2.plant_cell.sph_kernel import spline_curvature
-from surrofe2.plant_cell.wall import wall_force
+from surrofe2.plant_cell.forces import fluid_specific_volume
+from surrofe2.plant_cell.jacobian import add_to, central_gradient
+from surrofe2.plant_cell.pair_geometry import difference, pair_at
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.plant_cell.sph_kernel import spline_bend
 
 FIELDS = 4
 
@@ -44,20 +44,10 @@ def add_field_pair(fields, m, i, j, fx, fy):
 def _add_central(x, v, weights, by_x, by_v, pairs, is_bond, c):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        length = square * inverse
-        nx, ny = rx * inverse, ry * inverse
-        rate = nx * wx + ny * wy
-        if is_bond:
-            tension = wall_force(length, rate, c)
-            by_length, by_rate = spread(c.wall_stiffness), spread(c.wall_damping)
-        else:
-            tension = contact_force(length, inverse, rate, c)
-            by_length, by_rate = contact_slopes(length, inverse, rate, c)
-        xx, xy, yx, yy = central_slopes(tension, by_length, by_rate, inverse, rate, nx, ny, wx, wy)
+        pair = pair_at(x, v, i, j)
+        tension, by_length, by_rate = central_slopes(pair, is_bond, c)
+        xx, xy, yx, yy = central_gradient(pair, tension, by_length, by_rate)
+        nx, ny = pair.nx, pair.ny
         for m in range(FIELDS):
             px, py = field_difference(weights, m, i, j)
             along = by_rate * (nx * px + ny * py)
@@ -74,14 +64,11 @@ def _add_fluid(x, v, weights, by_x, by_v, topology, c, slope, volume):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        nx, ny = rx * inverse, ry * inverse
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
         steep, volume_i, volume_j = load(slope, k), load(volume, p), load(volume, q)
         a, b = fluid_coefficients(steep, volume_i, volume_j, c)
-        bend = (spline_curvature(square * inverse * (1.0 / h), h) - steep) * inverse
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
         da, db = fluid_coefficients(bend, volume_i, volume_j, c)
         ai, bi = fluid_volume_slopes(steep, volume_j, c)
         aj, bj = fluid_volume_slopes(steep, volume_i, c)

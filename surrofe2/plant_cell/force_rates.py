@@ -11,50 +11,23 @@ and for the fluid, with a = m² c_s² (W′/|r|) (1/ρ_i + 1/ρ_j) of eq. (8) an
 
 from __future__ import annotations
 
-from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.contact import contact_elastic
-from surrofe2.plant_cell.forces import add_pair, difference
-from surrofe2.plant_cell.simd import inverse_root, load, spread, store
-from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
-
-
-@pair_law
-def central_rate(tension, by_length, inverse, rate, rx, ry, wx, wy):
-    """ḟ of a central pair force."""
-    over = tension * inverse
-    along = (by_length - over) * rate * inverse
-    return along * rx + over * wx, along * ry + over * wy
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.central import central_elastic
+from surrofe2.plant_cell.pair_geometry import add_pair, pair_at
+from surrofe2.plant_cell.simd import load, spread, store
+from surrofe2.plant_cell.sph_kernel import spline, spline_bend, spline_slope
 
 
 @kernel
-def _add_bonds(x, v, f, f_rate, bonds, c):
-    for k in range(bonds.shape[0]):
-        i, j = bonds[k, 0], bonds[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        tension = c.wall_stiffness * (square * inverse - c.rest_length)
-        over = tension * inverse
-        add_pair(f, i, j, over * rx, over * ry)
-        rate = (rx * wx + ry * wy) * inverse
-        gx, gy = central_rate(tension, spread(c.wall_stiffness), inverse, rate, rx, ry, wx, wy)
-        add_pair(f_rate, i, j, gx, gy)
-
-
-@kernel
-def _add_contacts(x, v, f, f_rate, contacts, c):
-    for k in range(contacts.shape[0]):
-        i, j = contacts[k, 0], contacts[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        tension, by_length = contact_elastic(square * inverse, inverse, c)
-        over = tension * inverse
-        add_pair(f, i, j, over * rx, over * ry)
-        rate = (rx * wx + ry * wy) * inverse
-        gx, gy = central_rate(tension, by_length, inverse, rate, rx, ry, wx, wy)
+def _add_central(x, v, f, f_rate, pairs, is_bond, c):
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(x, v, i, j)
+        tension, by_length, _ = central_elastic(pair, is_bond, c)
+        over = tension * pair.inverse
+        along = (by_length - over) * pair.rate * pair.inverse
+        add_pair(f, i, j, over * pair.rx, over * pair.ry)
+        gx, gy = along * pair.rx + over * pair.wx, along * pair.ry + over * pair.wy
         add_pair(f_rate, i, j, gx, gy)
 
 
@@ -69,15 +42,12 @@ def _add_fluid(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        s = square * inverse * (1.0 / h)
-        steep = spline_slope(s, h) * inverse
-        store(steep, slope, k)
+        pair = pair_at(x, v, i, j)
+        s = pair.length * (1.0 / h)
+        fall = spline_slope(s, h)
+        store(fall * pair.inverse, slope, k)
         density = c.fluid_mass * spline(s, h)
-        density_rate = c.fluid_mass * steep * (rx * wx + ry * wy)
+        density_rate = c.fluid_mass * fall * pair.rate
         store(load(volume, p) + density, volume, p)
         store(load(volume, q) + density, volume, q)
         store(load(volume_rate, p) + density_rate, volume_rate, p)
@@ -90,20 +60,17 @@ def _add_fluid(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
+        pair = pair_at(x, v, i, j)
         steep = load(slope, k)
         volumes = strength * (load(volume, p) + load(volume, q))
         a = steep * volumes
-        add_pair(f, i, j, a * rx, a * ry)
-        bend = (spline_curvature(square * inverse * (1.0 / h), h) - steep) * inverse
-        rate = (rx * wx + ry * wy) * inverse
-        a_rate = bend * rate * volumes + steep * strength * (
+        add_pair(f, i, j, a * pair.rx, a * pair.ry)
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
+        a_rate = bend * pair.rate * volumes + steep * strength * (
             load(volume_rate, p) + load(volume_rate, q)
         )
-        add_pair(f_rate, i, j, a_rate * rx + a * wx, a_rate * ry + a * wy)
+        gx, gy = a_rate * pair.rx + a * pair.wx, a_rate * pair.ry + a * pair.wy
+        add_pair(f_rate, i, j, gx, gy)
 
 
 @kernel
@@ -113,6 +80,6 @@ def add_elastic_forces_and_rates(x, v, f, f_rate, topology, c, slope, volume, vo
     x, v, f, f_rate: (2, local, TILE). Scratch: slope (pairs, TILE), volume and volume_rate
     (fluid, TILE).
     """
-    _add_bonds(x, v, f, f_rate, topology.bonds, c)
-    _add_contacts(x, v, f, f_rate, topology.contacts, c)
+    _add_central(x, v, f, f_rate, topology.bonds, True, c)
+    _add_central(x, v, f, f_rate, topology.contacts, False, c)
     _add_fluid(x, v, f, f_rate, topology, c, slope, volume, volume_rate)

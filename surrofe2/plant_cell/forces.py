@@ -8,54 +8,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.contact import contact_energy, contact_force
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.central import central_energy, central_tension
 from surrofe2.plant_cell.fluid import fluid_coefficients
-from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
+from surrofe2.plant_cell.pair_geometry import add_pair, difference, norm, pair_at
+from surrofe2.plant_cell.simd import TILE, load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
-from surrofe2.plant_cell.wall import wall_energy, wall_force
-
-
-@pair_law
-def difference(x, i, j):
-    """x_j − x_i, both components."""
-    return load(x, 0, j) - load(x, 0, i), load(x, 1, j) - load(x, 1, i)
-
-
-@pair_law
-def add_pair(f, i, j, fx, fy):
-    """f on i, −f on j."""
-    store(load(f, 0, i) + fx, f, 0, i)
-    store(load(f, 1, i) + fy, f, 1, i)
-    store(load(f, 0, j) - fx, f, 0, j)
-    store(load(f, 1, j) - fy, f, 1, j)
 
 
 @kernel
-def add_bond_forces(x, v, f, bonds, c):
-    """Add wall tensions (eq. 1) to f."""
-    for k in range(bonds.shape[0]):
-        i, j = bonds[k, 0], bonds[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        a = wall_force(square * inverse, (rx * wx + ry * wy) * inverse, c) * inverse
-        add_pair(f, i, j, a * rx, a * ry)
+def add_central_forces(x, v, f, pairs, share, is_bond, c):
+    """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
 
-
-@kernel
-def add_contact_forces(x, v, f, contacts, c):
-    """Add contact repulsion (eq. 2) to f."""
-    for k in range(contacts.shape[0]):
-        i, j = contacts[k, 0], contacts[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        rate = (rx * wx + ry * wy) * inverse
-        a = contact_force(square * inverse, inverse, rate, c) * inverse
-        add_pair(f, i, j, a * rx, a * ry)
+    share (pairs, TILE) scales the whole force of a pair, lane by lane (model.md, Forces): ½ where
+    one of the two walls is missing, on the boundary of a tissue, 0 in lanes without that pair; c(r)
+    keeps the parameter m_wall. None: 1 everywhere.
+    """
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(x, v, i, j)
+        a = central_tension(pair, is_bond, c) * pair.inverse
+        if share is not None:
+            a = load(share, k) * a
+        add_pair(f, i, j, a * pair.rx, a * pair.ry)
 
 
 @kernel
@@ -86,9 +61,8 @@ def fluid_specific_volume(x, topology, c, slope, volume):
     for k in range(pairs.shape[0]):
         p, q = pairs[k, 0] - first, pairs[k, 1] - first
         rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        s = square * inverse * (1.0 / h)
+        length, inverse = norm(rx, ry)
+        s = length * (1.0 / h)
         store(spline_slope(s, h) * inverse, slope, k)
         density = c.fluid_mass * spline(s, h)
         store(load(volume, p) + density, volume, p)
@@ -100,8 +74,8 @@ def fluid_specific_volume(x, topology, c, slope, volume):
 @kernel
 def add_forces(x, v, f, topology, c, slope, volume):
     """Add all forces on local particles to f."""
-    add_bond_forces(x, v, f, topology.bonds, c)
-    add_contact_forces(x, v, f, topology.contacts, c)
+    add_central_forces(x, v, f, topology.bonds, None, True, c)
+    add_central_forces(x, v, f, topology.contacts, None, False, c)
     add_fluid_forces(x, v, f, topology, c, slope, volume)
 
 
@@ -116,22 +90,28 @@ def fold_images(f, topology):
 
 
 @kernel
+def add_central_energy(x, pairs, share, is_bond, c, energy):
+    """Add the stored energy of bonds or contacts, pJ, to energy (1, TILE); share as above."""
+    total = spread(0.0)
+    for k in range(pairs.shape[0]):
+        rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
+        length, inverse = norm(rx, ry)
+        part = central_energy(length, inverse, is_bond, c)
+        if share is not None:
+            part = load(share, k) * part
+        total += part
+    store(load(energy, 0) + total, energy, 0)
+
+
+@kernel
 def elastic_energy(x, topology, c, energy):
     """energy (1, TILE): stored energy of bonds, contacts and fluid (Σ m c_s² ln ρ), pJ."""
     slope = np.empty((topology.fluid_pairs.shape[0], TILE))
     volume = np.empty((topology.particles - topology.walls, TILE))
     fluid_specific_volume(x, topology, c, slope, volume)
-    total = spread(0.0)
-    for k in range(topology.bonds.shape[0]):
-        rx, ry = difference(x, topology.bonds[k, 0], topology.bonds[k, 1])
-        square = rx * rx + ry * ry
-        total += wall_energy(square * inverse_root(square), c)
-    for k in range(topology.contacts.shape[0]):
-        rx, ry = difference(x, topology.contacts[k, 0], topology.contacts[k, 1])
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        total += contact_energy(square * inverse, inverse, c)
-    store(total, energy, 0)
+    store(0.0, energy, 0)
+    add_central_energy(x, topology.bonds, None, True, c, energy)
+    add_central_energy(x, topology.contacts, None, False, c, energy)
     for p in range(volume.shape[0]):
         for lane in range(TILE):
             energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])

@@ -19,22 +19,23 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.contact import contact_force, contact_slopes
+from surrofe2.plant_cell.central import central_slopes
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
-from surrofe2.plant_cell.forces import difference, fluid_specific_volume
+from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.matrix_blocks import add_block, add_fluid_product, add_product, clear
-from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
-from surrofe2.plant_cell.sph_kernel import spline_curvature
-from surrofe2.plant_cell.wall import wall_force
+from surrofe2.plant_cell.pair_geometry import difference, pair_at
+from surrofe2.plant_cell.simd import TILE, load, spread, store
+from surrofe2.plant_cell.sph_kernel import spline_bend
 
 
 @pair_law
-def central_slopes(tension, by_length, by_rate, inverse, rate, nx, ny, wx, wy):
+def central_gradient(pair, tension, by_length, by_rate):
     """∂(t n)/∂r as (xx, xy, yx, yy); ∂(t n)/∂w is by_rate n ⊗ n."""
-    over = tension * inverse
+    nx, ny = pair.nx, pair.ny
+    over = tension * pair.inverse
     along = by_length - over
-    ux = along * nx + by_rate * (wx - rate * nx) * inverse
-    uy = along * ny + by_rate * (wy - rate * ny) * inverse
+    ux = along * nx + by_rate * (pair.wx - pair.rate * nx) * pair.inverse
+    uy = along * ny + by_rate * (pair.wy - pair.rate * ny) * pair.inverse
     return over + nx * ux, nx * uy, ny * ux, over + ny * uy
 
 
@@ -87,20 +88,10 @@ def _add_central(x, v, L, Z, pairs, is_bond, topology, c, jacobian, columns):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         j_own = j if j < own else topology.owner[j - own]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        length = square * inverse
-        nx, ny = rx * inverse, ry * inverse
-        rate = nx * wx + ny * wy
-        if is_bond:
-            tension = wall_force(length, rate, c)
-            by_length, by_rate = spread(c.wall_stiffness), spread(c.wall_damping)
-        else:
-            tension = contact_force(length, inverse, rate, c)
-            by_length, by_rate = contact_slopes(length, inverse, rate, c)
-        rr = central_slopes(tension, by_length, by_rate, inverse, rate, nx, ny, wx, wy)
+        pair = pair_at(x, v, i, j)
+        tension, by_length, by_rate = central_slopes(pair, is_bond, c)
+        rr = central_gradient(pair, tension, by_length, by_rate)
+        nx, ny = pair.nx, pair.ny
         cross = by_rate * nx * ny
         rw = (by_rate * nx * nx, cross, cross, by_rate * ny * ny)
         add_pair_jacobian(jacobian, L, i, j_own, rr, rw)
@@ -128,15 +119,12 @@ def _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, column
     for k in range(topology.fluid_pair_start[cell], topology.fluid_pair_start[cell + 1]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        nx, ny = rx * inverse, ry * inverse
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
         steep = load(slope, k)
         volume_i, volume_j = load(volume, i - topology.walls), load(volume, j - topology.walls)
         a, b = fluid_coefficients(steep, volume_i, volume_j, c)
-        bend = (spline_curvature(square * inverse * (1.0 / h), h) - steep) * inverse
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
         da, db = fluid_coefficients(bend, volume_i, volume_j, c)
         ux, uy = da * rx + db * wx, da * ry + db * wy
         rr = (a + ux * nx, ux * ny, uy * nx, a + uy * ny)

@@ -12,10 +12,8 @@ from numba.core import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from surrofe2.compilation import FAST, kernel
+from surrofe2.compilation import OPTIONS, kernel
 from surrofe2.plant_cell.simd import load, store
-
-_OPTIONS = {"error_model": "numpy", "fastmath": FAST}
 
 
 class Blocks(NamedTuple):
@@ -44,7 +42,7 @@ def _is_dense(jacobian: Any) -> bool:
     return isinstance(jacobian, types.Array)
 
 
-@overload(clear, jit_options=_OPTIONS)
+@overload(clear, jit_options=OPTIONS)
 def _clear(jacobian):
     def dense(jacobian):
         jacobian[:] = 0.0
@@ -55,7 +53,7 @@ def _clear(jacobian):
     return dense if _is_dense(jacobian) else sparse
 
 
-@overload(add_block, jit_options=_OPTIONS)
+@overload(add_block, jit_options=OPTIONS)
 def _add_block(jacobian, i, j, xx, xy, yx, yy):
     def dense(jacobian, i, j, xx, xy, yx, yy):
         row, column = 2 * i, 2 * j
@@ -78,7 +76,7 @@ def _add_block(jacobian, i, j, xx, xy, yx, yy):
     return dense if _is_dense(jacobian) else sparse
 
 
-@overload(add_fluid_product, jit_options=_OPTIONS)
+@overload(add_fluid_product, jit_options=OPTIONS)
 def _add_fluid_product(left, right, jacobian, first):
     def dense(left, right, jacobian, first):
         add_product(left, right, jacobian, 2 * first, 2 * first)

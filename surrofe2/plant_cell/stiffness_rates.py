@@ -18,35 +18,26 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.contact import contact_bend, contact_elastic
+from surrofe2.plant_cell.central import central_elastic
 from surrofe2.plant_cell.force_gradients import FIELDS, add_field_pair, field_difference
-from surrofe2.plant_cell.forces import difference, fluid_specific_volume
+from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.jacobian import add_to
-from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
-from surrofe2.plant_cell.sph_kernel import spline_curvature, spline_third
+from surrofe2.plant_cell.pair_geometry import pair_at
+from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.plant_cell.sph_kernel import spline_bend, spline_third
 
 
 @kernel
 def _add_central(x, v, u, f, pairs, is_bond, c):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        length = square * inverse
-        nx, ny = rx * inverse, ry * inverse
-        rate = nx * wx + ny * wy
-        if is_bond:
-            tension = c.wall_stiffness * (length - c.rest_length)
-            by_length, bend = spread(c.wall_stiffness), spread(0.0)
-        else:
-            tension, by_length = contact_elastic(length, inverse, c)
-            bend = contact_bend(length, inverse, c)
+        pair = pair_at(x, v, i, j)
+        tension, by_length, bend = central_elastic(pair, is_bond, c)
+        nx, ny, inverse, rate = pair.nx, pair.ny, pair.inverse, pair.rate
         b = by_length - tension * inverse
         across = b * rate * inverse
         along = bend * rate - across
-        turn_x, turn_y = b * (wx - rate * nx) * inverse, b * (wy - rate * ny) * inverse
+        turn_x, turn_y = b * (pair.wx - rate * nx) * inverse, b * (pair.wy - rate * ny) * inverse
         for m in range(FIELDS):
             px, py = field_difference(u, m, i, j)
             stretch = nx * px + ny * py
@@ -66,12 +57,10 @@ def _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both)
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy = pair.rx, pair.ry, pair.wx, pair.wy
         steep = load(slope, k)
-        bend = (spline_curvature(square * inverse * (1.0 / h), h) - steep) * inverse
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
         along = rx * wx + ry * wy
         density = mass * steep * along
         store(load(rate, p) + density, rate, p)
@@ -82,7 +71,7 @@ def _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both)
             density = mass * steep * stretch
             add_to(change, m, p, density)
             add_to(change, m, q, density)
-            density = mass * (bend * inverse * stretch * along + steep * (px * wx + py * wy))
+            density = mass * (bend * pair.inverse * stretch * along + steep * (px * wx + py * wy))
             add_to(both, m, p, density)
             add_to(both, m, q, density)
     for p in range(volume.shape[0]):
@@ -107,16 +96,13 @@ def _add_fluid(x, v, u, f, topology, c, slope, volume):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        rx, ry = difference(x, i, j)
-        wx, wy = difference(v, i, j)
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        s = square * inverse * (1.0 / h)
-        nx, ny = rx * inverse, ry * inverse
-        speed = nx * wx + ny * wy
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
+        inverse, speed = pair.inverse, pair.rate
         steep = strength * load(slope, k)
-        bend = (strength * spline_curvature(s, h) - steep) * inverse
-        bend_slope = (strength * spline_third(s, h) - 2.0 * bend) * inverse
+        bend = strength * spline_bend(load(slope, k), pair.length, inverse, h)
+        third = strength * spline_third(pair.length * (1.0 / h), h)
+        bend_slope = (third - 2.0 * bend) * inverse
         volumes, volumes_rate = load(volume, p) + load(volume, q), load(rate, p) + load(rate, q)
         steep_rate = bend * speed
         a_rate = steep_rate * volumes + steep * volumes_rate

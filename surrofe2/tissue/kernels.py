@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.forces import add_contact_forces, add_fluid_forces
+from surrofe2.plant_cell.forces import add_central_forces, add_fluid_forces
 from surrofe2.plant_cell.simd import TILE, load, spread, store, where_less
-from surrofe2.tissue.shared_forces import add_shared_bond_forces, add_shared_contact_forces
 
 Array = NDArray[np.float64]
 
@@ -96,10 +95,10 @@ def sum_forces(t, x, v, f, lists, fluid, c, periods):
         store(0.0, ft, 0, i)
         store(0.0, ft, 1, i)
     rows = slice(here[1], end[1])
-    add_shared_bond_forces(xt, vt, ft, lists.bonds[rows], lists.bond_share[rows], c)
+    add_central_forces(xt, vt, ft, lists.bonds[rows], lists.bond_share[rows], True, c)
     rows = slice(here[2], end[2])
-    add_shared_contact_forces(xt, vt, ft, lists.lines[rows], lists.line_share[rows], c)
-    add_contact_forces(xt, vt, ft, lists.contacts[here[3] : end[3]], c)
+    add_central_forces(xt, vt, ft, lists.lines[rows], lists.line_share[rows], False, c)
+    add_central_forces(xt, vt, ft, lists.contacts[here[3] : end[3]], None, False, c)
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((own - fluid.walls, TILE))

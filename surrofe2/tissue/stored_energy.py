@@ -6,10 +6,8 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.contact import contact_energy
-from surrofe2.plant_cell.forces import difference, fluid_specific_volume
-from surrofe2.plant_cell.simd import TILE, inverse_root, load, spread, store
-from surrofe2.plant_cell.wall import wall_energy
+from surrofe2.plant_cell.forces import add_central_energy, fluid_specific_volume
+from surrofe2.plant_cell.simd import TILE, store
 
 
 @parallel_kernel
@@ -25,45 +23,15 @@ def stored_energy(x, lists, grid, fluid, c, energy):
 @kernel
 def _stored_in_tile(t, x, lists, grid, fluid, c, energy):
     here, end = lists.starts[t], lists.starts[t + 1]
-    store(0.0, energy, t)
-    bonds, lines = slice(here[1], end[1]), slice(here[2], end[2])
-    _add_bonds(x[t], lists.bonds[bonds], lists.bond_share[bonds], c, energy, t)
-    _add_shared_contacts(x[t], lists.lines[lines], lists.line_share[lines], c, energy, t)
-    _add_contacts(x[t], lists.contacts[here[3] : end[3]], c, energy, t)
+    mine = energy[t : t + 1]
+    store(0.0, mine, 0)
+    rows = slice(here[1], end[1])
+    add_central_energy(x[t], lists.bonds[rows], lists.bond_share[rows], True, c, mine)
+    rows = slice(here[2], end[2])
+    add_central_energy(x[t], lists.lines[rows], lists.line_share[rows], False, c, mine)
+    add_central_energy(x[t], lists.contacts[here[3] : end[3]], None, False, c, mine)
     if t < lists.fluid_tiles:
         _add_fluid(x[t], grid.exists[t], fluid, c, energy[t])
-
-
-@kernel
-def _add_bonds(x, bonds, share, c, energy, t):
-    total = spread(0.0)
-    for k in range(bonds.shape[0]):
-        rx, ry = difference(x, bonds[k, 0], bonds[k, 1])
-        square = rx * rx + ry * ry
-        total += load(share, k) * wall_energy(square * inverse_root(square), c)
-    store(load(energy, t) + total, energy, t)
-
-
-@kernel
-def _add_shared_contacts(x, contacts, share, c, energy, t):
-    total = spread(0.0)
-    for k in range(contacts.shape[0]):
-        rx, ry = difference(x, contacts[k, 0], contacts[k, 1])
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        total += load(share, k) * contact_energy(square * inverse, inverse, c)
-    store(load(energy, t) + total, energy, t)
-
-
-@kernel
-def _add_contacts(x, contacts, c, energy, t):
-    total = spread(0.0)
-    for k in range(contacts.shape[0]):
-        rx, ry = difference(x, contacts[k, 0], contacts[k, 1])
-        square = rx * rx + ry * ry
-        inverse = inverse_root(square)
-        total += contact_energy(square * inverse, inverse, c)
-    store(load(energy, t) + total, energy, t)
 
 
 @kernel
