@@ -15,7 +15,8 @@ from surrofe2.rve.contact_lists import covers
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
 from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
 from surrofe2.rve.rve_state import RveState, flags, with_copies
-from surrofe2.rve.slow_manifold import follow, renew_slow
+from surrofe2.rve.slow_factors import renew_slow
+from surrofe2.rve.slow_manifold import follow
 from surrofe2.rve.slow_newton import newton_slow
 from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents

@@ -11,15 +11,12 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.micro_state import (
-    cauchy_stress,
     copy_particles,
     keep_lane,
-    local_forces,
     make_workspace,
-    mean_force,
+    measure,
 )
 
 
@@ -51,10 +48,7 @@ def iterate_tile(
     done = np.zeros(TILE, dtype=np.bool_)
     for count in range(limit + 1):
         _set_moving_images(F, rate, work.x, work.v, topology)
-        local_forces(work, topology, c)
-        cauchy_stress(work.x, work.f, F, area, sigma)
-        fold_images(work.f, topology)
-        mean_force(work.f, own, mean)
+        measure(work, F, topology, c, area, sigma, mean)
         open_lanes = 0
         for k in range(TILE):
             if done[k]:

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.jacobian import force_jacobian
 from surrofe2.plant_cell.lanes import Constants
 from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.factors import Factors
@@ -33,6 +32,8 @@ from surrofe2.rve.micro_state import (
     map_affine,
     set_images,
 )
+from surrofe2.rve.newton_steps import correct, newton_loop, predict, set_jacobian, settle
+from surrofe2.rve.system_solves import solve
 from surrofe2.rve.systems import (
     AnyTopology,
     check_definite,
@@ -40,7 +41,6 @@ from surrofe2.rve.systems import (
     keep_factors,
     kept_factors,
     make_matrices,
-    solve,
 )
 
 Array = NDArray[np.float64]
@@ -49,9 +49,6 @@ Flags = NDArray[np.bool_]
 CHORD_LIMIT = 10
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor."""
-NEWTON_LIMIT = 40
-LONGEST_STEP = 0.4
-"""Longest Newton step of a particle, µm; contacts stiffen over r/7."""
 
 SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
 """What `newton` does with a tile; each does what the one before does, too."""
@@ -84,71 +81,15 @@ def chord_tile(
     iterations[:] = 0
     for count in range(1, CHORD_LIMIT + 1):
         evaluate(work, F, rate, topology, c, area, sigma, residual)
-        open_lanes = 0
-        for k in range(TILE):
-            if iterations[k] == 0:
-                if residual[0, k] <= tolerance:
-                    iterations[k] = count
-                    keep_lane(sigma, k, stress)
-                elif not residual[0, k] < CONTRACTION * before[k] or count == CHORD_LIMIT:
-                    iterations[k] = -1
-                else:
-                    open_lanes += 1
-                before[k] = residual[0, k]
-        if open_lanes == 0:
+        left = settle(
+            residual, before, CONTRACTION, tolerance, count, CHORD_LIMIT, sigma, stress, iterations
+        )
+        if left == 0:
             break
-        set_residual(work.f, step)
-        solve(lu, step, topology)
-        hold(step, iterations)
-        move(step, F, work.z)
+        correct(lu, work.f, step, iterations, F, work.z, topology)
     for k in range(TILE):
         if iterations[k] > 0:
             keep_lane(work.z, k, z)
-
-
-@kernel
-def predict(z, F, rate, at_F, at_rate, slopes, there):
-    """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`."""
-    f0, f1 = load(F, 0, 0) - load(at_F, 0, 0), load(F, 0, 1) - load(at_F, 0, 1)
-    f2, f3 = load(F, 1, 0) - load(at_F, 1, 0), load(F, 1, 1) - load(at_F, 1, 1)
-    r0, r1 = load(rate, 0, 0) - load(at_rate, 0, 0), load(rate, 0, 1) - load(at_rate, 0, 1)
-    r2, r3 = load(rate, 1, 0) - load(at_rate, 1, 0), load(rate, 1, 1) - load(at_rate, 1, 1)
-    for axis in range(2):
-        store(load(z, axis, 0), there, axis, 0)
-        for i in range(1, z.shape[1]):
-            m = 2 * i - 2 + axis
-            by_F = load(slopes, m, 0) * f0 + load(slopes, m, 1) * f1
-            by_F += load(slopes, m, 2) * f2 + load(slopes, m, 3) * f3
-            by_rate = load(slopes, m, 4) * r0 + load(slopes, m, 5) * r1
-            by_rate += load(slopes, m, 6) * r2 + load(slopes, m, 7) * r3
-            store(load(z, axis, i) + (by_F + by_rate), there, axis, i)
-
-
-@kernel
-def set_residual(f, step):
-    """step = −f of the free particles."""
-    for i in range(1, step.shape[0] // 2 + 1):
-        store(-load(f, 0, i), step, 2 * i - 2)
-        store(-load(f, 1, i), step, 2 * i - 1)
-
-
-@kernel
-def hold(step, iterations):
-    """No step in lanes that are done."""
-    for k in range(TILE):
-        if iterations[k] != 0:
-            step[:, k] = 0.0
-
-
-@kernel
-def move(step, F, z):
-    """z += F⁻¹ δx on own particles but the held one."""
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
-    for i in range(1, step.shape[0] // 2 + 1):
-        dx, dy = load(step, 2 * i - 2), load(step, 2 * i - 1)
-        store(load(z, 0, i) + (yy * dx - xy * dy) * per_det, z, 0, i)
-        store(load(z, 1, i) + (xx * dy - yx * dx) * per_det, z, 1, i)
 
 
 @parallel_kernel
@@ -197,69 +138,13 @@ def newton_tile(
     work, matrices = make_workspace(topology), make_matrices(topology)
     copy_particles(z, work.z)
     if task >= SOLVE:
-        _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterations)
+        newton_loop(work, matrices, F, rate, True, topology, c, area, tolerance, stress, iterations)
         copy_particles(work.z, z)
     set_images(work.z, topology)
     if task >= RENEW:
         lu, slopes = kept_factors(factors, topology)
         _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
     check_stable(work, matrices, F, topology, c, stable)
-
-
-@kernel
-def _solve(work, matrices, F, rate, topology, c, area, tolerance, stress, iterations):
-    """Newton from work.z, own particles set."""
-    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    for k in range(TILE):
-        if iterations[k] <= 0:
-            iterations[k] = 0
-    for count in range(1, NEWTON_LIMIT + 1):
-        evaluate(work, F, rate, topology, c, area, sigma, residual)
-        open_lanes = 0
-        for k in range(TILE):
-            if iterations[k] == 0:
-                if residual[0, k] <= tolerance:
-                    iterations[k] = count
-                    keep_lane(sigma, k, stress)
-                elif not residual[0, k] < np.inf or count == NEWTON_LIMIT:
-                    iterations[k] = -1
-                else:
-                    open_lanes += 1
-        if open_lanes == 0:
-            break
-        set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
-        factorise_free(matrices, topology)
-        set_residual(work.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
-        limit_step(matrices.step)
-        hold(matrices.step, iterations)
-        move(matrices.step, F, work.z)
-
-
-@kernel
-def limit_step(step):
-    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
-    for k in range(TILE):
-        longest = 0.0
-        for i in range(step.shape[0]):
-            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest > LONGEST_STEP:
-            factor = LONGEST_STEP / longest
-            for i in range(step.shape[0]):
-                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
-
-
-@kernel
-def set_jacobian(work, F, rate, topology, c, jacobian, columns):
-    """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
-    L = np.empty((2, 2, TILE))
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    per_det = 1.0 / (xx * yy - xy * yx)
-    for i in range(2):
-        rx, ry = load(rate, i, 0), load(rate, i, 1)
-        store((rx * yy - ry * yx) * per_det, L, i, 0)
-        store((ry * xx - rx * xy) * per_det, L, i, 1)
-    force_jacobian(work.x, work.v, L, work.z, topology, c, jacobian, columns)
 
 
 @kernel

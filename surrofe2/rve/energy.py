@@ -16,15 +16,9 @@ import numpy as np
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import elastic_energy, fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.direct import set_jacobian
 from surrofe2.rve.linear import copy_from
-from surrofe2.rve.micro_state import (
-    copy_particles,
-    local_forces,
-    make_workspace,
-    map_affine,
-    set_images,
-)
+from surrofe2.rve.micro_state import local_forces, make_workspace, place
+from surrofe2.rve.newton_steps import set_jacobian
 from surrofe2.rve.systems import make_matrices
 
 
@@ -38,7 +32,7 @@ def energies(F, z, topology, c, energy):
 @kernel
 def _energy_tile(F, z, topology, c, energy):
     work, total = make_workspace(topology), np.empty((1, TILE))
-    _place(work, F, z, topology)
+    place(work, z, F, topology)
     elastic_energy(work.x, topology, c, total)
     energy[:] = total[0]
 
@@ -53,7 +47,7 @@ def curvatures(F, z, topology, c, forces, slope):
 @kernel
 def _curvature_tile(F, z, topology, c, forces, slope):
     work, matrices = make_workspace(topology), make_matrices(topology)
-    _place(work, F, z, topology)
+    place(work, z, F, topology)
     work.v[:] = 0.0
     local_forces(work, topology, c)
     fold_images(work.f, topology)
@@ -63,10 +57,3 @@ def _curvature_tile(F, z, topology, c, forces, slope):
     still = np.zeros((2, 2, TILE))
     set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
     copy_from(matrices.jacobian, 2, slope)
-
-
-@kernel
-def _place(work, F, z, topology):
-    copy_particles(z, work.z)
-    set_images(work.z, topology)
-    map_affine(F, work.z, work.x)

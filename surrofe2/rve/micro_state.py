@@ -78,6 +78,20 @@ def map_affine(F, z, x):
 
 
 @kernel
+def place_images(work, F, topology):
+    """Images of the own particles in work.z, and x = F z of all."""
+    set_images(work.z, topology)
+    map_affine(F, work.z, work.x)
+
+
+@kernel
+def place(work, z, F, topology):
+    """Material positions z of own particles, their images, and x = F z of all."""
+    copy_particles(z, work.z)
+    place_images(work, F, topology)
+
+
+@kernel
 def local_forces(work, topology, c):
     """Forces on own particles and, not yet folded, on images."""
     work.f[:] = 0.0
@@ -118,15 +132,20 @@ def mean_force(f, own, residual):
 
 
 @kernel
-def evaluate(work, F, rate, topology, c, area, stress, residual):
-    """Forces (folded), stress and mean force at work.z with affine velocities v = rate z."""
-    set_images(work.z, topology)
-    map_affine(F, work.z, work.x)
-    map_affine(rate, work.z, work.v)
+def measure(work, F, topology, c, area, stress, residual):
+    """Forces (folded), stress and mean force at work.x and work.v."""
     local_forces(work, topology, c)
     cauchy_stress(work.x, work.f, F, area, stress)
     fold_images(work.f, topology)
     mean_force(work.f, topology.particles, residual)
+
+
+@kernel
+def evaluate(work, F, rate, topology, c, area, stress, residual):
+    """`measure` at work.z with affine velocities v = rate z."""
+    place_images(work, F, topology)
+    map_affine(rate, work.z, work.v)
+    measure(work, F, topology, c, area, stress, residual)
 
 
 @kernel

@@ -16,7 +16,7 @@ from surrofe2.rve.batch import Batch, covered_by, felt_rate
 from surrofe2.rve.direct import renew
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
-from surrofe2.rve.slow_manifold import renew_slow
+from surrofe2.rve.slow_factors import renew_slow
 from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation

@@ -23,32 +23,17 @@ from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.direct import (
-    check_stable,
-    hold,
-    move,
-    predict,
-    set_jacobian,
-    set_residual,
-)
 from surrofe2.rve.micro_state import (
-    cauchy_stress,
     copy_particles,
     keep_lane,
-    local_forces,
     make_workspace,
     map_affine,
     mean_force,
-    set_images,
+    measure,
+    place_images,
 )
-from surrofe2.rve.systems import (
-    check_pivots,
-    factorise_free,
-    keep_factors,
-    kept_factors,
-    make_matrices,
-    solve,
-)
+from surrofe2.rve.newton_steps import correct, predict, settle
+from surrofe2.rve.systems import kept_factors
 
 LIMIT = 40
 CONTRACTION = 0.9
@@ -86,9 +71,9 @@ def _follow_tile(
     count = np.zeros(TILE, dtype=np.int32)
     predict(elastic, F, still, at_F, still, slopes, work.z)
     _predict_rates(slopes, rate, y)
-    _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count)
     relaxed = np.empty((2, own, TILE))
     copy_particles(work.z, relaxed)
+    _find_velocities(work, y, F, rate, lu, topology, c, tolerance, relaxed, count)
     _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, work.z)
     _find_positions(work, F, lu, topology, c, area, tolerance, stress, count)
     for k in range(TILE):
@@ -96,10 +81,7 @@ def _follow_tile(
         if count[k] > 0:
             keep_lane(work.z, k, z)
             keep_lane(relaxed, k, elastic)
-    for axis in range(2):
-        for i in range(own):
-            affine = load(rate, axis, 0) * load(z, 0, i) + load(rate, axis, 1) * load(z, 1, i)
-            store(load(work.v, axis, i) - affine, fluctuation, axis, i)
+    set_fluctuation(work.v, z, rate, fluctuation)
 
 
 @kernel
@@ -142,17 +124,24 @@ def set_velocities(z, y, F, rate, topology, v):
 
 
 @kernel
-def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
-    """z_el into work.z and v into work.v; count (TILE,) of evaluations, −1 where it failed."""
+def set_fluctuation(v, z, rate, fluctuation):
+    """fluctuation = v − Ḟ z of own particles, v − L x."""
+    for axis in range(2):
+        for i in range(fluctuation.shape[1]):
+            affine = load(rate, axis, 0) * load(z, 0, i) + load(rate, axis, 1) * load(z, 1, i)
+            store(load(v, axis, i) - affine, fluctuation, axis, i)
+
+
+@kernel
+def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, relaxed, count):
+    """z_el into work.z and relaxed, v into work.v; count (TILE,) of evaluations, −1: failed."""
     own = topology.particles
     f_rate, volume_rate = np.empty_like(work.f), np.empty_like(work.volume)
     residual, residual_rate = np.empty((1, TILE)), np.empty((1, TILE))
-    before = np.full(TILE, np.inf)
-    done, settled = np.zeros(TILE, dtype=np.int32), np.zeros(TILE, dtype=np.int32)
+    before, settled = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
     step = np.empty((2 * own - 2, TILE))
     for evaluation in range(1, LIMIT + 1):
-        set_images(work.z, topology)
-        map_affine(F, work.z, work.x)
+        place_images(work, F, topology)
         set_velocities(work.z, y, F, rate, topology, work.v)
         work.f[:] = 0.0
         f_rate[:] = 0.0
@@ -163,31 +152,17 @@ def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, count):
         fold_images(f_rate, topology)
         mean_force(work.f, own, residual)
         mean_force(f_rate, own, residual_rate)
-        left = 0
         for k in range(TILE):
             # where z_el is found it stays: a pair at the cut-off must not flicker
-            settled[k] = max(settled[k], np.int32(residual[0, k] <= tolerance), done[k])
-            if done[k] == 0:
-                worst = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
-                if worst <= tolerance:
-                    done[k] = 1
-                    count[k] = evaluation
-                elif not worst < CONTRACTION * before[k] or evaluation == LIMIT:
-                    done[k] = 1
-                    count[k] = -1
-                else:
-                    left += 1
-                before[k] = worst
+            settled[k] = max(settled[k], np.int32(residual[0, k] <= tolerance), abs(count[k]))
+            residual[0, k] = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
+        left = settle(
+            residual, before, CONTRACTION, tolerance, evaluation, LIMIT, work.z, relaxed, count
+        )
         if left == 0:
             return
-        set_residual(work.f, step)
-        solve(lu, step, topology)
-        hold(step, settled)
-        move(step, F, work.z)
-        set_residual(f_rate, step)
-        solve(lu, step, topology)
-        hold(step, done)
-        move(step, F, y)
+        correct(lu, work.f, step, settled, F, work.z, topology)
+        correct(lu, f_rate, step, count, F, y, topology)
 
 
 @kernel
@@ -195,91 +170,16 @@ def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
     """z into work.z at given velocities work.v; adds to count, or sets −1."""
     own = topology.particles
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    before, done = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
+    before, found = np.full(TILE, np.inf), np.minimum(count, 0)
     step = np.empty((2 * own - 2, TILE))
-    for k in range(TILE):
-        if count[k] < 0:
-            done[k] = 1
     for evaluation in range(1, LIMIT + 1):
-        set_images(work.z, topology)
-        map_affine(F, work.z, work.x)
-        local_forces(work, topology, c)
-        cauchy_stress(work.x, work.f, F, area, sigma)
-        fold_images(work.f, topology)
-        mean_force(work.f, own, residual)
-        left = 0
-        for k in range(TILE):
-            if done[k] == 0:
-                if residual[0, k] <= tolerance:
-                    done[k] = 1
-                    count[k] += evaluation
-                    keep_lane(sigma, k, stress)
-                elif not residual[0, k] < CONTRACTION * before[k] or evaluation == LIMIT:
-                    done[k] = 1
-                    count[k] = -1
-                else:
-                    left += 1
-                before[k] = residual[0, k]
+        place_images(work, F, topology)
+        measure(work, F, topology, c, area, sigma, residual)
+        left = settle(
+            residual, before, CONTRACTION, tolerance, evaluation, LIMIT, sigma, stress, found
+        )
         if left == 0:
-            return
-        set_residual(work.f, step)
-        solve(lu, step, topology)
-        hold(step, done)
-        move(step, F, work.z)
-
-
-@parallel_kernel
-def renew_slow(F, elastic, factors, wanted, topology, c, stable):
-    """Check stability of every tile at z_el; write the factors of the `wanted` ones.
-
-    factors (tiles,): addresses of their blocks.
-    """
-    for t in numba.prange(elastic.shape[0]):
-        _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, c, stable[t])
-
-
-@kernel
-def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
-    own = topology.particles
-    work, matrices = make_workspace(topology), make_matrices(topology)
-    copy_particles(elastic, work.z)
-    set_images(work.z, topology)
-    if not wanted:
-        check_stable(work, matrices, F, topology, c, stable)
-        return
-    map_affine(F, work.z, work.x)
-    work.v[:] = 0.0
-    still = np.zeros((2, 2, TILE))
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    factorise_free(matrices, topology)
-    lu, slopes = kept_factors(factors, topology)
-    keep_factors(matrices.free, lu, topology)
-    check_pivots(matrices.free, topology, stable)
-    local_forces(work, topology, c)
-    at_rest = work.f.copy()
-    y, unit = np.empty((2, own, TILE)), np.zeros((2, 2, TILE))
-    for m in range(4):
-        for i in range(2 * own - 2):
-            store(-load(matrices.columns, i + 2, m), matrices.step, i)
-        solve(matrices.free, matrices.step, topology)
-        y[:] = 0.0
-        move(matrices.step, F, y)
-        _keep(y, slopes, m)
-        unit[:] = 0.0
-        unit[m // 2, m % 2] = 1.0
-        set_velocities(work.z, y, F, unit, topology, work.v)
-        local_forces(work, topology, c)
-        work.f[:] = work.f - at_rest
-        fold_images(work.f, topology)
-        set_residual(work.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
-        y[:] = 0.0
-        move(matrices.step, F, y)
-        _keep(y, slopes, 4 + m)
-
-
-@kernel
-def _keep(y, slopes, column):
-    for i in range(1, y.shape[1]):
-        store(load(y, 0, i), slopes, 2 * i - 2, column)
-        store(load(y, 1, i), slopes, 2 * i - 1, column)
+            break
+        correct(lu, work.f, step, found, F, work.z, topology)
+    for k in range(TILE):
+        count[k] = count[k] + found[k] if found[k] > 0 else -1

@@ -12,29 +12,12 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.direct import (
-    NEWTON_LIMIT,
-    hold,
-    limit_step,
-    move,
-    set_jacobian,
-    set_residual,
-)
+from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.elastic_modes import equilibrium_modes, material_rate
-from surrofe2.rve.micro_state import (
-    cauchy_stress,
-    copy_particles,
-    keep_lane,
-    local_forces,
-    make_workspace,
-    map_affine,
-    mean_force,
-    set_images,
-)
-from surrofe2.rve.slow_manifold import set_velocities
-from surrofe2.rve.systems import factorise_free, make_matrices, solve
+from surrofe2.rve.micro_state import keep_lane, make_workspace, place
+from surrofe2.rve.newton_steps import newton_loop
+from surrofe2.rve.slow_manifold import set_fluctuation, set_velocities
+from surrofe2.rve.systems import make_matrices
 
 
 @parallel_kernel
@@ -56,54 +39,15 @@ def newton_slow(
 def _newton_tile(
     F, rate, z, elastic, fluctuation, topology, c, area, tolerance, stress, iterations
 ):  # fmt: skip
-    own = topology.particles
     work, matrices = make_workspace(topology), make_matrices(topology)
-    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    still = np.zeros((2, 2, TILE))
+    still, beyond = np.zeros((2, 2, TILE)), np.empty_like(fluctuation)
     wanted = iterations <= 0
-    for k in range(TILE):
-        iterations[k] = 0 if wanted[k] else iterations[k]
-    copy_particles(elastic, work.z)
-    set_images(work.z, topology)
+    place(work, elastic, F, topology)
     y = material_rate(equilibrium_modes(work, F, topology, c, matrices), rate)
     set_velocities(work.z, y, F, rate, topology, work.v)
-    for count in range(1, NEWTON_LIMIT + 1):
-        set_images(work.z, topology)
-        map_affine(F, work.z, work.x)
-        local_forces(work, topology, c)
-        cauchy_stress(work.x, work.f, F, area, sigma)
-        fold_images(work.f, topology)
-        mean_force(work.f, own, residual)
-        left = 0
-        for k in range(TILE):
-            if iterations[k] == 0:
-                if residual[0, k] <= tolerance:
-                    iterations[k] = count
-                    keep_lane(sigma, k, stress)
-                elif not residual[0, k] < np.inf or count == NEWTON_LIMIT:
-                    iterations[k] = -1
-                else:
-                    left += 1
-        if left == 0:
-            break
-        set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-        factorise_free(matrices, topology)
-        set_residual(work.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
-        limit_step(matrices.step)
-        hold(matrices.step, iterations)
-        move(matrices.step, F, work.z)
-    _keep(work, rate, wanted, iterations, z, fluctuation)
-
-
-@kernel
-def _keep(work, rate, wanted, iterations, z, fluctuation):
-    affine = np.empty_like(work.v)
-    map_affine(rate, work.z, affine)
-    for axis in range(2):
-        for i in range(z.shape[1]):
-            store(load(work.v, axis, i) - load(affine, axis, i), affine, axis, i)
+    newton_loop(work, matrices, F, still, False, topology, c, area, tolerance, stress, iterations)
+    set_fluctuation(work.v, work.z, rate, beyond)
     for k in range(TILE):
         if wanted[k] and iterations[k] > 0:
             keep_lane(work.z, k, z)
-            keep_lane(affine, k, fluctuation)
+            keep_lane(beyond, k, fluctuation)

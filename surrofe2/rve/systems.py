@@ -13,7 +13,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from surrofe2.compilation import FAST, kernel
+from surrofe2.compilation import OPTIONS, kernel
 from surrofe2.plant_cell.lanes import SparseTopology, Topology
 from surrofe2.plant_cell.matrix_blocks import Blocks
 from surrofe2.plant_cell.simd import TILE, load, store
@@ -24,14 +24,10 @@ from surrofe2.rve.linear import (
     factorise,
     factorise_symmetric,
     is_negative_definite,
-    solve_factorised,
 )
-from surrofe2.rve.linear_columns import solve_four, solve_four_transposed
-from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots, solve_sparse
-from surrofe2.rve.sparse_transposed import solve_sparse_transposed
+from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots
 
 AnyTopology = Topology | SparseTopology
-_OPTIONS = {"error_model": "numpy", "fastmath": FAST}
 SPARSE_PAYS_BELOW = 0.8
 """Sparse where it multiplies less than this part of what dense does."""
 
@@ -112,26 +108,12 @@ def kept_factors(address: Any, topology: Any) -> Any:
     raise NotImplementedError("for kernels")
 
 
-def solve(lu: Any, b: Any, topology: Any) -> None:
-    """Replace b by the solution."""
-    raise NotImplementedError("for kernels")
-
-
-def solve_columns(lu: Any, b: Any, topology: Any) -> None:
-    """Replace the four columns of b (4, unknowns, TILE) by the solutions."""
-    raise NotImplementedError("for kernels")
-
-
-def solve_transposed(lu: Any, b: Any, topology: Any) -> None:
-    """As `solve_columns` with the transposed matrix."""
-    raise NotImplementedError("for kernels")
-
-
-def _is_dense(topology: Any) -> bool:
+def is_dense(topology: Any) -> bool:
+    """Of numba's type of a topology: whether its matrices are dense."""
     return "size" not in topology.fields
 
 
-@overload(_empty_jacobian, jit_options=_OPTIONS)
+@overload(_empty_jacobian, jit_options=OPTIONS)
 def _make_jacobian(n, topology):
     def dense(n, topology):
         return np.empty((2 * n, 2 * n, TILE))
@@ -139,10 +121,10 @@ def _make_jacobian(n, topology):
     def sparse(n, topology):
         return Blocks(np.empty((topology.size, TILE)), topology)
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(_empty_factors, jit_options=_OPTIONS)
+@overload(_empty_factors, jit_options=OPTIONS)
 def _make_factors(n, topology):
     def dense(n, topology):
         return np.empty((2 * n - 2, 2 * n - 2, TILE))
@@ -150,10 +132,10 @@ def _make_factors(n, topology):
     def sparse(n, topology):
         return np.empty((topology.size, TILE))
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(factorise_free, jit_options=_OPTIONS)
+@overload(factorise_free, jit_options=OPTIONS)
 def _factorise_free(matrices, topology):
     def dense(matrices, topology):
         copy_from(matrices.jacobian, 2, matrices.free)
@@ -163,10 +145,10 @@ def _factorise_free(matrices, topology):
         matrices.free[:] = matrices.jacobian.values
         factorise_sparse(matrices.free, topology)
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(factorise_elastic, jit_options=_OPTIONS)
+@overload(factorise_elastic, jit_options=OPTIONS)
 def _factorise_elastic(matrices, topology):
     def dense(matrices, topology):
         copy_from(matrices.jacobian, 2, matrices.free)
@@ -175,10 +157,10 @@ def _factorise_elastic(matrices, topology):
     def sparse(matrices, topology):
         factorise_free(matrices, topology)
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(check_definite, jit_options=_OPTIONS)
+@overload(check_definite, jit_options=OPTIONS)
 def _check_definite(matrices, topology, answer):
     def dense(matrices, topology, answer):
         copy_from(matrices.jacobian, 2, matrices.free)
@@ -189,10 +171,10 @@ def _check_definite(matrices, topology, answer):
         factorise_sparse(matrices.free, topology)
         has_negative_pivots(matrices.free, topology, answer)
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(check_pivots, jit_options=_OPTIONS)
+@overload(check_pivots, jit_options=OPTIONS)
 def _check_pivots(lu, topology, answer):
     def dense(lu, topology, answer):
         for k in range(TILE):
@@ -204,10 +186,10 @@ def _check_pivots(lu, topology, answer):
     def sparse(lu, topology, answer):
         has_negative_pivots(lu, topology, answer)
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(keep_factors, jit_options=_OPTIONS)
+@overload(keep_factors, jit_options=OPTIONS)
 def _keep_factors(lu, target, topology):
     def dense(lu, target, topology):
         copy_from(lu, 0, target)
@@ -216,10 +198,10 @@ def _keep_factors(lu, target, topology):
         for i in range(lu.shape[0]):
             store(load(lu, i), target, i)
 
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse
 
 
-@overload(kept_factors, jit_options=_OPTIONS)
+@overload(kept_factors, jit_options=OPTIONS)
 def _kept_factors(address, topology):
     def dense(address, topology):
         return kept(address, 2 * topology.particles - 2)
@@ -227,39 +209,4 @@ def _kept_factors(address, topology):
     def sparse(address, topology):
         return kept_sparse(address, topology.size, 2 * topology.particles - 2)
 
-    return dense if _is_dense(topology) else sparse
-
-
-@overload(solve, jit_options=_OPTIONS)
-def _solve(lu, b, topology):
-    def dense(lu, b, topology):
-        solve_factorised(lu, b)
-
-    def sparse(lu, b, topology):
-        solve_sparse(lu, b, topology)
-
-    return dense if _is_dense(topology) else sparse
-
-
-@overload(solve_columns, jit_options=_OPTIONS)
-def _solve_columns(lu, b, topology):
-    def dense(lu, b, topology):
-        solve_four(lu, b)
-
-    def sparse(lu, b, topology):
-        for m in range(b.shape[0]):
-            solve_sparse(lu, b[m], topology)
-
-    return dense if _is_dense(topology) else sparse
-
-
-@overload(solve_transposed, jit_options=_OPTIONS)
-def _solve_transposed(lu, b, topology):
-    def dense(lu, b, topology):
-        solve_four_transposed(lu, b)
-
-    def sparse(lu, b, topology):
-        for m in range(b.shape[0]):
-            solve_sparse_transposed(lu, b[m], topology)
-
-    return dense if _is_dense(topology) else sparse
+    return dense if is_dense(topology) else sparse

@@ -22,7 +22,6 @@ from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.force_gradients import add_force_gradients
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.simd import TILE, load, store
-from surrofe2.rve.direct import set_jacobian
 from surrofe2.rve.elastic_modes import (
     equilibrium_modes,
     fold_columns,
@@ -31,14 +30,10 @@ from surrofe2.rve.elastic_modes import (
     velocity_slopes,
 )
 from surrofe2.rve.linear_columns import COLUMNS
-from surrofe2.rve.micro_state import (
-    copy_particles,
-    local_forces,
-    make_workspace,
-    map_affine,
-    set_images,
-)
-from surrofe2.rve.systems import factorise_free, make_matrices, solve_transposed
+from surrofe2.rve.micro_state import local_forces, make_workspace, map_affine, place
+from surrofe2.rve.newton_steps import set_jacobian
+from surrofe2.rve.system_solves import solve_transposed
+from surrofe2.rve.systems import factorise_free, make_matrices
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2
@@ -57,7 +52,7 @@ def affine_tangents(F, F_dot, z, kind, topology, c, area, tangents):
 @kernel
 def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
     work = make_workspace(topology)
-    _place(z, F, topology, work)
+    place(work, z, F, topology)
     map_affine(F_dot, work.z, work.v)
     tangents[:] = 0.0
     by_x, by_v = _stress_gradients(work, _virial_weights(work.z), topology, c)
@@ -90,7 +85,7 @@ def slow_tangents(F, F_dot, z, relaxed, topology, c, area, tangents):
 @kernel
 def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
     work, matrices = make_workspace(topology), make_matrices(topology)
-    _place(relaxed, F, topology, work)
+    place(work, relaxed, F, topology)
     modes = equilibrium_modes(work, F, topology, c, matrices)
     units = unit_velocities(work.z, modes, F, topology)
     for m in range(COLUMNS):
@@ -99,7 +94,7 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
                 part = load(F_dot, m // 2, m % 2) * load(units, m, axis, k)
                 store(load(work.v, axis, k) + part, work.v, axis, k)
     slopes = velocity_slopes(work, units, topology, c, matrices.free)
-    _place(z, F, topology, work)
+    place(work, z, F, topology)
     weights = _virial_weights(work.z)
     by_x, by_v = _stress_gradients(work, weights, topology, c)
     still = np.zeros((2, 2, TILE))
@@ -114,14 +109,6 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
     _add_products(by_v, slopes, 0, tangents)
     _add_products(by_v, units, 4, tangents)
     tangents[:] = tangents * (-1.0 / area)
-
-
-@kernel
-def _place(z, F, topology, work):
-    """Local z and x = F z of own material positions."""
-    copy_particles(z, work.z)
-    set_images(work.z, topology)
-    map_affine(F, work.z, work.x)
 
 
 @kernel
