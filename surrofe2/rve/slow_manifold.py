@@ -10,8 +10,7 @@ solve with the elastic Jacobian, and v is exact when the elastic forces stay zer
 
     z_el ← z_el − F⁻¹ J⁻¹ f_el,    y ← y − F⁻¹ J⁻¹ ḟ_el,    then    z ← z − F⁻¹ J⁻¹ f(F z, v)
 
-Kept per point: `lu` of the elastic Jacobian at z_el, and in `slopes` first ∂z_el/∂F, then
-∂(z − z_el)/∂Ḟ, four columns each.
+What is kept per point for this: `slow_factors`.
 """
 
 from __future__ import annotations
