@@ -105,15 +105,6 @@ def lay_out(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type) -> 
     return file[name]
 
 
-def check_schema(path: Path, file: h5py.File) -> None:
-    """Refuse HDF5 files that are no data set of this schema."""
-    if file.attrs.get("schema") != SCHEMA:
-        raise FileError(f"{path}: an HDF5 file, but not a surrofe2 data set")
-    version = int(file.attrs["schema_version"])
-    if version != SCHEMA_VERSION:
-        raise FileError(f"{path}: data set schema {version}; this surrofe2 reads {SCHEMA_VERSION}")
-
-
 def check_header(path: Path, file: h5py.File, header: DataSetHeader) -> None:
     """Refuse to continue a data set that was begun with other settings."""
     there = {"samples.tangents": False} | json.loads(file.attrs["compared"])

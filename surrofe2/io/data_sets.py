@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
+from surrofe2.io.checks import check_schema
 from surrofe2.io.data_set_layout import (
     LEFT,
+    SCHEMA,
+    SCHEMA_VERSION,
     DataSetHeader,
     check_header,
-    check_schema,
     create_file,
     samples_of,
 )
@@ -102,7 +104,7 @@ def writing_data_set(
     if not path.exists() or force:
         create_file(path, header)
     with opened_hdf5(path, "r") as file:
-        check_schema(path, file)
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 data set")
         check_header(path, file, header)
     with opened_hdf5(path, "r+") as file:
         yield DataSetWriter(path, file)
@@ -136,7 +138,7 @@ def read_data_set(path: str | Path) -> StressSamples:
     """
     path = Path(path)
     with opened_hdf5(path, "r") as file:
-        check_schema(path, file)
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 data set")
         if file.attrs["status"] != "finished":
             raise InputError(
                 f"{path}: unfinished, {int(file['completed'][()])} of {file['F'].shape[0]} "

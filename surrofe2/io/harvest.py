@@ -18,7 +18,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError, MismatchError
+from surrofe2.errors import FileError
+from surrofe2.io.checks import check_same_rve, check_schema
 from surrofe2.io.data_set_layout import lay_out
 from surrofe2.io.files import opened_hdf5, plain, replacing, reported
 from surrofe2.plant_cell.parameters import CellParameters
@@ -142,13 +143,7 @@ def read_harvest(path: str | Path) -> Harvest:
     """
     path = Path(path)
     with opened_hdf5(path, "r") as file:
-        if file.attrs.get("schema") != SCHEMA:
-            raise FileError(f"{path}: an HDF5 file, but not a harvest of surrofe2")
-        schema = int(file.attrs["schema_version"])
-        if schema != SCHEMA_VERSION:
-            raise FileError(
-                f"{path}: harvest schema {schema}; this surrofe2 reads {SCHEMA_VERSION}"
-            )
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "harvest of surrofe2")
         try:
             count = int(file["completed"][()])
             arrays = {name: file[name][:count] for name in _UNITS}
@@ -169,14 +164,4 @@ def check_harvest(path: Path, harvest: Harvest, cell: CellParameters, initialisa
     Raises:
         MismatchError: naming the first parameter that differs.
     """
-    here, there = cell.to_dict(), harvest.cell.to_dict()
-    for name, value in here.items():
-        if there.get(name) != value:
-            raise MismatchError(
-                f"{path}: harvested for cell.{name} = {there.get(name)}, not {value}; leave it out"
-            )
-    if harvest.initialisation != initialisation:
-        raise MismatchError(
-            f"{path}: harvested for initialisation {harvest.initialisation}, not {initialisation}; "
-            "leave it out"
-        )
+    check_same_rve(f"{path}: harvested", harvest, cell, initialisation, "leave it out")

@@ -16,7 +16,8 @@ import numpy as np
 from surrofe2.cache.table import StressTable
 from surrofe2.cache.table_inputs import OUTPUTS
 from surrofe2.cache.table_records import Records
-from surrofe2.errors import FileError, MismatchError
+from surrofe2.errors import FileError
+from surrofe2.io.checks import check_same_rve, check_schema
 from surrofe2.io.data_set_layout import tuples_of
 from surrofe2.io.files import opened_hdf5, plain, replacing
 from surrofe2.plant_cell.parameters import CellParameters
@@ -106,11 +107,7 @@ def read_table(path: str | Path) -> StoredTable:
     """
     path = Path(path)
     with opened_hdf5(path, "r") as file:
-        if file.attrs.get("schema") != SCHEMA:
-            raise FileError(f"{path}: an HDF5 file, but not a surrofe2 table")
-        schema = int(file.attrs["schema_version"])
-        if schema != SCHEMA_VERSION:
-            raise FileError(f"{path}: table schema {schema}; this surrofe2 reads {SCHEMA_VERSION}")
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 table")
         try:
             table = StoredTable(
                 records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
@@ -145,15 +142,5 @@ def check_table(path: Path, table: StoredTable, cell: CellParameters, initialisa
     Raises:
         MismatchError: naming the first parameter that differs.
     """
-    here, there = cell.to_dict(), table.cell.to_dict()
-    for name, value in here.items():
-        if there.get(name) != value:
-            raise MismatchError(
-                f"{path}: a table for cell.{name} = {there.get(name)}, not {value}; start an "
-                "empty one or use one of these parameters"
-            )
-    if table.initialisation != initialisation:
-        raise MismatchError(
-            f"{path}: a table for initialisation {table.initialisation}, not {initialisation}; "
-            "start an empty one or use one of this initialisation"
-        )
+    advice = "start an empty one or use one of {}"
+    check_same_rve(f"{path}: a table", table, cell, initialisation, advice)
