@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from surrofe2.cli.console import InterruptedWork, progress, say
+from surrofe2.cli.options import RecipeFile, ReplaceFiles, Threads
 
 if TYPE_CHECKING:
     from surrofe2.config import Recipe
@@ -21,7 +22,7 @@ _TEST_SEED = 987_654
 
 
 def ablation(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for figure and table.")],
     counts: Annotated[
         str, typer.Option(metavar="N,…", help="Numbers of RVE samples.")
@@ -29,10 +30,8 @@ def ablation(
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep what an interrupted call has found.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace files in DIR.")] = False,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
+    force: ReplaceFiles = False,
+    threads: Threads = None,
 ) -> None:
     """The surrogate part by part, beside nearest neighbours, a Gaussian process and a table.
 

@@ -12,6 +12,7 @@ from surrofe2.cli.compare import compare_runs, show_comparison
 from surrofe2.cli.console import InterruptedWork, duration, progress, say
 from surrofe2.cli.generate import generate_data_set
 from surrofe2.cli.generate import summary as data_summary
+from surrofe2.cli.options import Again
 from surrofe2.cli.run import run_study
 from surrofe2.cli.run import summary as run_summary
 from surrofe2.cli.train import summary as training_summary
@@ -53,9 +54,7 @@ def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for runs and picture.")] = Path(
         "out/demo"
     ),
-    force: Annotated[
-        bool, typer.Option("--force", help="Do again what is already finished.")
-    ] = False,
+    force: Again = False,
 ) -> None:
     """The bending bar by true and by cached FE²: data set, training, both runs, comparison.
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.options import RecipeFile, Threads
 
 if TYPE_CHECKING:
     from surrofe2.config import Recipe
@@ -105,14 +106,12 @@ def generate_data_set(
 
 
 def generate(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an unfinished data set.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing data set.")] = False,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
+    threads: Threads = None,
 ) -> None:
     """Compute plant-cell stresses over a range of (F, Ḟ) into a data set.
 

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from surrofe2.cli.console import say
+from surrofe2.cli.options import Preset, ReplaceFiles
 
 
 def memory(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for figure and data.")],
-    preset: Annotated[
-        Literal["printed", "water"], typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")
-    ] = "printed",
+    preset: Preset = "printed",
     period: Annotated[
         float, typer.Option(metavar="µs", help="Of the fastest motion expected.")
     ] = 17.0,
     tolerance: Annotated[
         float, typer.Option(help="Part of the stress that may depend on the past.")
     ] = 0.01,
-    force: Annotated[bool, typer.Option("--force", help="Replace files in DIR.")] = False,
+    force: ReplaceFiles = False,
 ) -> None:
     """Whether a cache on (F, Ḟ) is sound: two pasts that end in the same (F, Ḟ).
 

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from surrofe2.cli.console import complain, progress, say, show_table
+from surrofe2.cli.options import AnyInitialisation, JsonFile, RecipeFile, ReplaceFile, Threads
 
 if TYPE_CHECKING:
     from surrofe2.config import Recipe
     from surrofe2.macro import Modes, Rest
 
-Choice = Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"]
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the body force by the name of the state."""
 
 
 def modes(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     initialisation: Annotated[
-        Choice, typer.Option(help="How RVEs are initialised: one way, or all.")
+        AnyInitialisation, typer.Option(help="How RVEs are initialised: one way, or all.")
     ] = "all",
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Modes, slowest first.")] = 4,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="All numbers as JSON.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE.")] = False,
+    threads: Threads = None,
+    out: JsonFile = None,
+    force: ReplaceFile = False,
 ) -> None:
     """Period and damping of the bar's small oscillations, by true FE² and its exact tangents.
 

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from surrofe2.cli.console import complain, say, show_table
+from surrofe2.cli.options import AnyInitialisation, JsonFile, Preset, ReplaceFile
 
 if TYPE_CHECKING:
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.studies.moduli_tables import ModuliRow
 
-Choice = Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"]
 NAMES = ("C11", "C12", "C66", "bulk", "shear", "shear_45", "young", "poisson")
 
 
 def moduli(
-    preset: Annotated[
-        Literal["printed", "water"], typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")
-    ] = "printed",
-    initialisation: Annotated[Choice, typer.Option(help="One initialisation, or all.")] = "all",
+    preset: Preset = "printed",
+    initialisation: Annotated[
+        AnyInitialisation, typer.Option(help="One initialisation, or all.")
+    ] = "all",
     turgor: Annotated[
         float | None,
         typer.Option(metavar="MPa", help="Wanted turgor instead of the fluid's mass."),
@@ -29,8 +28,8 @@ def moduli(
     tables: Annotated[
         bool, typer.Option("--tables", help="Also how they change with turgor, walls, particles.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="All numbers as JSON.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE.")] = False,
+    out: JsonFile = None,
+    force: ReplaceFile = False,
 ) -> None:
     """Elastic and viscous moduli of a plant cell at rest, in N/m and MPa.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from surrofe2.cli.console import InterruptedWork, duration, progress, say, show_table
+from surrofe2.cli.options import RecipeFile, Threads
 from surrofe2.errors import FileError, MismatchError, SimulationError
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ def _tolerance(recipe: Recipe) -> float:
 
 
 def refine(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the rounds; default: out/refine-RECIPE."),
@@ -233,9 +234,7 @@ def refine(
     rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds at most.")] = 6,
     resume: Annotated[bool, typer.Option("--resume", help="Continue interrupted rounds.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the rounds in DIR.")] = False,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
+    threads: Threads = None,
 ) -> None:
     """Teach the surrogate what the recipe's own run meets.
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from surrofe2.cli.console import progress, say, show_table
+from surrofe2.cli.options import Preset, ReplaceFiles
 
 if TYPE_CHECKING:
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.report.study import Study
 
 Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability"]
-Preset = Literal["printed", "water"]
 
 
 def reproduce(
     figure: Annotated[Figure, typer.Argument(help="Which figure.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figure's files.")],
-    preset: Annotated[Preset, typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")] = "printed",
+    preset: Preset = "printed",
     meshes: Annotated[
         str | None,
         typer.Option(
@@ -39,7 +39,7 @@ def reproduce(
         float,
         typer.Option(metavar="µs", help="fig8, scales, damping: length of a run of 16 x 16 cells."),
     ] = 250.0,
-    force: Annotated[bool, typer.Option("--force", help="Replace files in DIR.")] = False,
+    force: ReplaceFiles = False,
 ) -> None:
     """A figure of the paper, its data as CSV and its numbers as JSON.
 

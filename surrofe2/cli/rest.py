@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.options import Initialisation, RecipeFile, ReplaceRun, RunFolder, Threads
 from surrofe2.errors import SimulationError
 
 if TYPE_CHECKING:
@@ -97,19 +98,15 @@ def _store(folder: Path, record: RunRecord, path: list[Rest]) -> RunRecord:
 
 
 def rest(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")],
+    recipe: RecipeFile,
+    out: RunFolder,
     factor: Annotated[float, typer.Option(help="Of the recipe's body force, at the end.")] = 1.0,
     load_steps: Annotated[
         int, typer.Option(min=1, metavar="N", help="Load steps; halved where one fails.")
     ] = 10,
-    initialisation: Annotated[
-        str | None, typer.Option(help="How RVEs are initialised; default: the recipe's.")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the run in DIR.")] = False,
+    initialisation: Initialisation = None,
+    threads: Threads = None,
+    force: ReplaceRun = False,
 ) -> None:
     """Find the tissue at rest under the recipe's body force, by true FE², without time.
 

@@ -11,6 +11,15 @@ import typer
 
 from surrofe2.cli.cache_notes import cache_notes, cache_report, resume_cache
 from surrofe2.cli.console import InterruptedWork, complain, duration, progress, say
+from surrofe2.cli.options import (
+    Initialisation,
+    RecipeFile,
+    ReplaceRun,
+    ResumeRun,
+    RunFolder,
+    SurrogateFile,
+    Threads,
+)
 from surrofe2.cli.reaping import Reaping, counts_of
 from surrofe2.errors import SimulationError
 
@@ -161,7 +170,7 @@ def _met(run: MacroRun) -> dict[str, Any]:
 
 
 def run(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     law: Annotated[
         Literal["rve", "surrogate", "cached", "table"],
         typer.Option(
@@ -169,10 +178,8 @@ def run(
             "its range, or a table that learns from RVEs as it goes, without any training."
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")],
-    surrogate: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Surrogate (.pt); default: the recipe's.")
-    ] = None,
+    out: RunFolder,
+    surrogate: SurrogateFile = None,
     table: Annotated[
         list[Path] | None,
         typer.Option(
@@ -184,9 +191,7 @@ def run(
     harvest: Annotated[
         bool, typer.Option(help="Keep the true answers of cached runs in DIR/harvest.h5.")
     ] = True,
-    initialisation: Annotated[
-        str | None, typer.Option(help="How RVEs are initialised; default: the recipe's.")
-    ] = None,
+    initialisation: Initialisation = None,
     solver: Annotated[
         str | None, typer.Option(help="How constrained runs are solved; default: the recipe's.")
     ] = None,
@@ -209,13 +214,9 @@ def run(
             help="Cached: share of its answers that RVEs check, 1: all; default: the recipe's.",
         ),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the interrupted run in DIR.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace the run in DIR.")] = False,
+    threads: Threads = None,
+    resume: ResumeRun = False,
+    force: ReplaceRun = False,
 ) -> None:
     """Run the recipe's load case: a tissue clamped at its left, pulled by a body force.
 

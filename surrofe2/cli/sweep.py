@@ -10,6 +10,7 @@ import typer
 
 from surrofe2.cli.compare import ratio
 from surrofe2.cli.console import InterruptedWork, progress, say, show_table
+from surrofe2.cli.options import Again, RecipeFile, SurrogateFile, Threads
 from surrofe2.cli.run import change_cache, run_study
 from surrofe2.errors import FileError, InputError
 
@@ -62,7 +63,7 @@ def run_sweep(
 
 
 def sweep(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the runs and the picture.")],
     tolerances: Annotated[
         str, typer.Option(metavar="X,…", help="Stress tolerances, shares of the spread of stress.")
@@ -71,15 +72,9 @@ def sweep(
         float | None,
         typer.Option(metavar="SHARE", help="Share of answers audited; default: the recipe's."),
     ] = None,
-    surrogate: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Surrogate (.pt); default: the recipe's.")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Do again what is already finished.")
-    ] = False,
+    surrogate: SurrogateFile = None,
+    threads: Threads = None,
+    force: Again = False,
 ) -> None:
     """Run the load case at several stress tolerances: what a tolerance buys.
 

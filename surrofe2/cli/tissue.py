@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.options import RecipeFile, ReplaceRun, ResumeRun, RunFolder, Threads
 from surrofe2.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
@@ -168,8 +169,8 @@ def _store(folder: Path, record: RunRecord, run: TissueRun | None, compilation: 
 
 
 def tissue(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")],
+    recipe: RecipeFile,
+    out: RunFolder,
     cells: Annotated[
         tuple[int, int] | None,
         typer.Option(
@@ -181,13 +182,9 @@ def tissue(
     micro_step: Annotated[
         float | None, typer.Option(metavar="DT", help="Longest step in µs; default: the recipe's.")
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the interrupted run in DIR.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace the run in DIR.")] = False,
+    threads: Threads = None,
+    resume: ResumeRun = False,
+    force: ReplaceRun = False,
 ) -> None:
     """Run the recipe's load case on all particles of the tissue: what FE² approximates.
 

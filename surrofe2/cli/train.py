@@ -15,6 +15,7 @@ from surrofe2.cli.adding import with_harvests
 from surrofe2.cli.calibrate import calibrate_surrogate
 from surrofe2.cli.calibrate import summary as calibration_summary
 from surrofe2.cli.console import InterruptedWork, Report, duration, progress, say, show_table
+from surrofe2.cli.options import RecipeFile, Threads
 from surrofe2.errors import FileError, MismatchError
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ def _note(figures: Mapping[str, float]) -> str:
 
 
 def train(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")],
+    recipe: RecipeFile,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted training.")
     ] = False,
@@ -179,9 +180,7 @@ def train(
             help="Harvest (harvest.h5) of a cached run to train on too; may be repeated.",
         ),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-    ] = None,
+    threads: Threads = None,
 ) -> None:
     """Fit a surrogate of the plant-cell stress to the recipe's data set.
 
