@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, progress, say
-from surrofe2.cli.options import RecipeFile, ReplaceFiles, Threads
+from surrofe2.cli.console import keeping, progress, say
+from surrofe2.cli.options import RecipeFile, ReplaceFiles, Threads, integers
 
 if TYPE_CHECKING:
     from surrofe2.config import Recipe
@@ -50,7 +50,7 @@ def ablation(
     from surrofe2.studies.ablation_table import describe
 
     study = load_recipe(recipe)
-    numbers = _numbers(counts)
+    numbers = tuple(sorted(set(integers("--counts", counts, least=64))))
     name = f"ablation-{study.preset}-{study.rve.initialisation}"
     if not (force or resume):
         check_free(out, name)
@@ -65,19 +65,18 @@ def ablation(
         known={(row.contender, row.samples): row for row in rows},
     )  # fmt: skip
     found: list[Row] = []
-    try:
-        with progress("ablation", len(numbers) * len(contenders()), "fits") as report:
-            for row in steps:
-                found.append(row)
-                record = {"identity": identity, "rows": [asdict(r) for r in found]}
-                write_json(kept, record)
-                report(len(found), f"{row.contender}, {row.samples} samples")
-            report(len(numbers) * len(contenders()), "")
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            "the fits so far are kept; continue with: "
-            f"surrofe2 ablation {recipe} --out {out} --counts {counts} --resume"
-        ) from None
+    total = len(numbers) * len(contenders())
+    again = f"surrofe2 ablation {recipe} --out {out} --counts {counts} --resume"
+    with (
+        keeping(f"the fits so far are kept; continue with: {again}"),
+        progress("ablation", total, "fits") as report,
+    ):
+        for row in steps:
+            found.append(row)
+            record = {"identity": identity, "rows": [asdict(r) for r in found]}
+            write_json(kept, record)
+            report(len(found), f"{row.contender}, {row.samples} samples")
+        report(total, "")
     described = describe(found, study.training, study.preset, name, identity)
     for path in write_study(out, described, study.cell, study.preset):
         say(str(path))
@@ -129,15 +128,3 @@ def _known(path: Path, identity: Mapping[str, Any]) -> list[Row]:
         return [Row(**row) for row in stored["rows"]]
     except (KeyError, TypeError):
         raise FileError(f"{path}: not the rows of an ablation; delete it") from None
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    from surrofe2.errors import InputError
-
-    try:
-        numbers = tuple(sorted({int(part) for part in text.split(",")}))
-    except ValueError:
-        numbers = ()
-    if not numbers or numbers[0] < 64:
-        raise InputError(f"--counts: {text!r}; it must be integers of at least 64 with commas")
-    return numbers

@@ -75,6 +75,19 @@ def show_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
 
 
 @contextmanager
+def keeping(what: str) -> Iterator[None]:
+    """Say what was kept and how to go on where Ctrl-C ends the block.
+
+    Raises:
+        InterruptedWork: Ctrl-C.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptedWork(what) from None
+
+
+@contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
     """A function (done, note) that shows how far work is, at which rate, and the time left.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from surrofe2.cli.compare import compare_runs, show_comparison
-from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.console import duration, keeping, progress, say
 from surrofe2.cli.generate import generate_data_set
 from surrofe2.cli.generate import summary as data_summary
 from surrofe2.cli.options import Again
@@ -67,11 +67,8 @@ def demo(
 
     study = load_recipe(recipe)
     begin = time.perf_counter()
-    try:
+    kept = "finished steps and the samples so far are kept; `surrofe2 demo` goes on from there"
+    with keeping(kept):
         result = run_demo(study, out, force=force)
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            "finished steps and the samples so far are kept; `surrofe2 demo` goes on from there"
-        ) from None
     show_comparison(result)
     say(f"done in {duration(time.perf_counter() - begin)}: {out / 'comparison/comparison.png'}")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.console import duration, keeping, progress, say
 from surrofe2.cli.options import RecipeFile, Threads
 
 if TYPE_CHECKING:
@@ -130,20 +129,10 @@ def generate(
     study = load_recipe(recipe)
     use_threads(threads)
     begin = time.perf_counter()
-    with _kept(recipe), progress("generate", study.samples.count, "samples") as report:
+    kept = f"the samples so far are kept; continue with: surrofe2 generate {recipe} --resume"
+    with keeping(kept), progress("generate", study.samples.count, "samples") as report:
         made = generate_data_set(study, resume=resume, force=force, report=report)
     say(f"{made.path}: {summary(made)}, {duration(time.perf_counter() - begin)}")
-
-
-@contextmanager
-def _kept(recipe: Path) -> Iterator[None]:
-    """On Ctrl-C, say that the samples so far are kept."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"the samples so far are kept; continue with: surrofe2 generate {recipe} --resume"
-        ) from None
 
 
 def summary(made: Generated) -> str:

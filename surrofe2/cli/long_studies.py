@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surrofe2.cli.console import InterruptedWork, progress, say
+from surrofe2.cli.console import keeping, progress, say
 
 if TYPE_CHECKING:
     from surrofe2.io.kept_curves import KeptCurves
@@ -63,12 +63,8 @@ def make_all(pieces: list[Piece], out: Path) -> list[BarRun]:
     there = sum(kept.read(piece.name, piece.configuration()) is not None for piece in pieces)
     if there:
         say(f"{kept.folder}: {there} of {len(pieces)} curves are there already")
-    try:
+    with keeping(f"{kept.folder} keeps the finished curves; the same command goes on from there"):
         return [_made(piece, kept, k + 1, len(pieces)) for k, piece in enumerate(pieces)]
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"{kept.folder} keeps the finished curves; the same command goes on from there"
-        ) from None
 
 
 def _made(piece: Piece, kept: KeptCurves, number: int, count: int) -> BarRun:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, duration, progress, say, show_table
+from surrofe2.cli.console import duration, keeping, progress, say, show_table
 from surrofe2.cli.options import RecipeFile, Threads
 from surrofe2.errors import FileError, MismatchError, SimulationError
 
@@ -253,14 +253,12 @@ def refine(
     folder = out or Path("out") / f"refine-{recipe.stem}"
     use_threads(threads)
     begin = time.perf_counter()
+    kept = f"{folder} keeps the finished rounds; continue with: surrofe2 refine {recipe} --resume"
     try:
-        found = refine_surrogate(
-            study, folder, rounds=rounds, resume=resume, force=force, tell=_tell
-        )
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"{folder} keeps the finished rounds; continue with: surrofe2 refine {recipe} --resume"
-        ) from None
+        with keeping(kept):
+            found = refine_surrogate(
+                study, folder, rounds=rounds, resume=resume, force=force, tell=_tell
+            )
     except SimulationError as error:
         if isinstance(error.partial, list):
             _show(error.partial)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from surrofe2.cli.console import progress, say, show_table
-from surrofe2.cli.options import Preset, ReplaceFiles
+from surrofe2.cli.options import Preset, ReplaceFiles, integers
 
 if TYPE_CHECKING:
     from surrofe2.plant_cell.parameters import CellParameters
@@ -63,12 +63,12 @@ def reproduce(
     if not force:
         check_free(out, name)
     cell = CellParameters.preset(preset)
-    mesh_numbers = _numbers("--meshes", meshes or ("4,8" if figure == "fig8" else "4,8,16"))
+    mesh_numbers = integers("--meshes", meshes or ("4,8" if figure == "fig8" else "4,8,16"))
     if figure == "fig8":
         study = _bar(cell, preset, name, mesh_numbers, tissue, duration)
     elif figure == "scales":
         study = scales_study(
-            cell, preset, name, out, _numbers("--sizes", sizes), mesh_numbers, duration
+            cell, preset, name, out, integers("--sizes", sizes), mesh_numbers, duration
         )
     elif figure == "damping":
         study = damping_study(cell, preset, name, out, mesh_numbers, duration)
@@ -135,15 +135,3 @@ def _bar(
         relative_tolerance=bars.RELATIVE_TOLERANCE, absolute_tolerance=bars.ABSOLUTE_TOLERANCE,
         duration=duration,
     )  # fmt: skip
-
-
-def _numbers(option: str, text: str) -> tuple[int, ...]:
-    from surrofe2.errors import InputError
-
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if not numbers or min(numbers) < 1:
-        raise InputError(f"{option}: {text!r}; it must be integers of at least 1 with commas")
-    return numbers

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.console import duration, keeping, progress, say
 from surrofe2.cli.options import Initialisation, RecipeFile, ReplaceRun, RunFolder, Threads
 from surrofe2.errors import SimulationError
 
@@ -42,13 +42,13 @@ def rest_study(
         SimulationError: a load step finds no equilibrium.
     """
     from surrofe2.cli.laws import choose_law, use_threads, warm_up
-    from surrofe2.cli.run import new_record
+    from surrofe2.cli.run_records import new_record
     from surrofe2.io.runs import ended, open_run_folder
     from surrofe2.macro import find_rest
 
     used = use_threads(threads)
     chosen = choose_law(recipe, "rve")
-    record = new_record(recipe, "rve", chosen, used)
+    record = new_record(recipe, "rve", used)
     stated = {"factor": factor, "load_steps": load_steps}
     record = replace(record, recipe={**record.recipe, "rest": stated})
     open_run_folder(folder, record, force=force)
@@ -122,19 +122,17 @@ def rest(
     from surrofe2.config import load_recipe
 
     study = change_rve(load_recipe(recipe), initialisation, None)
-    try:
-        with progress("rest", 1.0, "loads") as report:
-            record, path = rest_study(
-                study,
-                out,
-                factor=factor,
-                load_steps=load_steps,
-                threads=threads,
-                force=force,
-                report=report,
-            )
-    except KeyboardInterrupt:
-        raise InterruptedWork(f"{out} keeps the load steps up to here") from None
+    kept = f"{out} keeps the load steps up to here"
+    with keeping(kept), progress("rest", 1.0, "loads") as report:
+        record, path = rest_study(
+            study,
+            out,
+            factor=factor,
+            load_steps=load_steps,
+            threads=threads,
+            force=force,
+            report=report,
+        )
     u_x, u_y = path[-1].watched
     counts = record.counts
     say(

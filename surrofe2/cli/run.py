@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from surrofe2.cli.cache_notes import cache_notes, cache_report, resume_cache
-from surrofe2.cli.console import InterruptedWork, complain, duration, progress, say
+from surrofe2.cli.console import complain, duration, progress, say
 from surrofe2.cli.options import (
     Initialisation,
     RecipeFile,
@@ -21,6 +21,7 @@ from surrofe2.cli.options import (
     Threads,
 )
 from surrofe2.cli.reaping import Reaping, counts_of
+from surrofe2.cli.run_records import keeping_run, new_record
 from surrofe2.errors import SimulationError
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def run_study(
     used = use_threads(threads)
     reaping = Reaping(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = chosen or choose_law(recipe, kind, surrogate_file, tables, reaping.keep)
-    record = new_record(recipe, kind, chosen, used)
+    record = new_record(recipe, kind, used, chosen.surrogate)
     earlier = open_run_folder(folder, record, resume=resume, force=force)
     if earlier is not None and earlier.status == "finished":
         return earlier
@@ -112,30 +113,6 @@ def run_study(
     record = _store(folder, record, done, compilation, chosen.table)
     checkpoint.unlink(missing_ok=True)
     return record
-
-
-def new_record(recipe: Recipe, kind: str, chosen: ChosenLaw, threads: int) -> RunRecord:
-    """The record of a run by the law called `kind` that is about to start."""
-    from datetime import UTC, datetime
-    from importlib.metadata import version
-
-    from surrofe2.cli.platforms import describe_platform
-    from surrofe2.io.runs import RunRecord
-
-    return RunRecord(
-        status="running",
-        recipe=recipe.to_dict(),
-        law=kind,
-        initialisation=recipe.rve.initialisation,
-        solver=recipe.rve.solver,
-        package_version=version("surrofe2"),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        cell_fingerprint=recipe.cell.fingerprint,
-        threads=threads,
-        seed=recipe.samples.seed,
-        surrogate=chosen.surrogate,
-        platform=describe_platform(),
-    )
 
 
 def _store(
@@ -234,25 +211,19 @@ def run(
     study = change_cache(study, tolerance, audit)
     if integrator is not None:
         study = replace(study, macro=replace(study.macro, integrator=integrator))
-    try:
-        with progress(f"run by {law}", study.load.duration, "µs") as report:
-            record = run_study(
-                study,
-                law,
-                out,
-                surrogate_file=surrogate,
-                tables=table or (),
-                harvest=harvest,
-                threads=threads,
-                resume=resume,
-                force=force,
-                report=report,
-            )
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"{out} keeps the run up to its last checkpoint; continue it by the same command "
-            "with --resume"
-        ) from None
+    with keeping_run(out), progress(f"run by {law}", study.load.duration, "µs") as report:
+        record = run_study(
+            study,
+            law,
+            out,
+            surrogate_file=surrogate,
+            tables=table or (),
+            harvest=harvest,
+            threads=threads,
+            resume=resume,
+            force=force,
+            report=report,
+        )
     say(f"{out}: {summary(record)}")
     for sentence, is_warning in cache_notes(record):
         (complain if is_warning else say)(sentence)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from surrofe2.cli.compare import ratio
-from surrofe2.cli.console import InterruptedWork, progress, say, show_table
+from surrofe2.cli.console import keeping, progress, say, show_table
 from surrofe2.cli.options import Again, RecipeFile, SurrogateFile, Threads
 from surrofe2.cli.run import change_cache, run_study
-from surrofe2.errors import FileError, InputError
+from surrofe2.errors import InputError
 
 if TYPE_CHECKING:
     from surrofe2.config import Recipe
@@ -92,24 +92,20 @@ def sweep(
         change_cache(study, tolerance, None)
     if force:
         _make_way(out)
-    try:
+    with keeping(f"{out} keeps what is finished; the same command goes on from there"):
         result = run_sweep(
             study, out, numbers, surrogate_file=surrogate, threads=threads, force=force
         )
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"{out} keeps what is finished; the same command goes on from there"
-        ) from None
     show_sweep(result)
     say(f"{out}: {' and '.join(FILES)} written")
 
 
 def _make_way(out: Path) -> None:
+    from surrofe2.io.files import reported
+
     for name in FILES:
-        try:
+        with reported(out / name, "written"):
             (out / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise FileError(f"{out / name}: cannot be written: {error.strerror}") from None
 
 
 def parse_tolerances(text: str) -> tuple[float, ...]:

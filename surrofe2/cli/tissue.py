@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from surrofe2.cli.console import InterruptedWork, duration, progress, say
+from surrofe2.cli.console import duration, progress, say
 from surrofe2.cli.options import RecipeFile, ReplaceRun, ResumeRun, RunFolder, Threads
+from surrofe2.cli.run_records import keeping_run, new_record
 from surrofe2.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def run_tissue(
 
     used = use_threads(threads)
     cells = cells_of(recipe)
-    record = _new_record(recipe, used)
+    record = new_record(recipe, LAW, used)
+    record = replace(record, initialisation="none", solver="leapfrog", seed=None)
     earlier = open_run_folder(folder, record, resume=resume, force=force)
     if earlier is not None and earlier.status == "finished":
         return earlier
@@ -128,27 +130,6 @@ def warm_up(tissue: Tissue) -> float:
     return time.perf_counter() - begin
 
 
-def _new_record(recipe: Recipe, threads: int) -> RunRecord:
-    from datetime import UTC, datetime
-    from importlib.metadata import version
-
-    from surrofe2.cli.platforms import describe_platform
-    from surrofe2.io.runs import RunRecord
-
-    return RunRecord(
-        status="running",
-        recipe=recipe.to_dict(),
-        law=LAW,
-        initialisation="none",
-        solver="leapfrog",
-        package_version=version("surrofe2"),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        cell_fingerprint=recipe.cell.fingerprint,
-        threads=threads,
-        platform=describe_platform(),
-    )
-
-
 def _store(folder: Path, record: RunRecord, run: TissueRun | None, compilation: float) -> RunRecord:
     """Write everything of a run; run.json last, so that a finished record has all its files."""
     from surrofe2.io.runs import write_curve, write_energies, write_record
@@ -205,16 +186,8 @@ def tissue(
         study = resized(study, cells)
     if micro_step is not None:
         study = replace(study, tissue=replace(study.tissue, micro_step=micro_step))
-    try:
-        with progress("full tissue", study.load.duration, "µs") as report:
-            record = run_tissue(
-                study, out, threads=threads, resume=resume, force=force, report=report
-            )
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"{out} keeps the run up to its last checkpoint; continue it by the same command "
-            "with --resume"
-        ) from None
+    with keeping_run(out), progress("full tissue", study.load.duration, "µs") as report:
+        record = run_tissue(study, out, threads=threads, resume=resume, force=force, report=report)
     say(f"{out}: {tissue_summary(record)}")
 
 

@@ -14,7 +14,7 @@ import typer
 from surrofe2.cli.adding import with_harvests
 from surrofe2.cli.calibrate import calibrate_surrogate
 from surrofe2.cli.calibrate import summary as calibration_summary
-from surrofe2.cli.console import InterruptedWork, Report, duration, progress, say, show_table
+from surrofe2.cli.console import Report, duration, keeping, progress, say, show_table
 from surrofe2.cli.options import RecipeFile, Threads
 from surrofe2.errors import FileError, MismatchError
 
@@ -199,12 +199,9 @@ def train(
     study = load_recipe(recipe)
     use_threads(threads)
     begin = time.perf_counter()
-    try:
+    kept = f"the iterations so far are kept; continue with: surrofe2 train {recipe} --resume"
+    with keeping(kept):
         trained = train_surrogate(study, resume=resume, force=force, add=add or (), stage=progress)
-    except KeyboardInterrupt:
-        raise InterruptedWork(
-            f"the iterations so far are kept; continue with: surrofe2 train {recipe} --resume"
-        ) from None
     errors = trained.surrogate.errors
     show_table(
         f"Held-out errors, {errors['points']} samples",
