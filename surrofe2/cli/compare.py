@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from surrofe2.cli.console import say, show_table
-from surrofe2.errors import FileError
 
 if TYPE_CHECKING:
     from surrofe2.report.comparison import Comparison
@@ -19,14 +18,13 @@ FILES = ("comparison.json", "comparison.png")
 
 def compare_runs(folders: list[Path], out: Path, *, force: bool = False) -> Comparison:
     """Compare runs and write comparison.json and comparison.png into `out`."""
-    from surrofe2.io.files import write_json
+    from surrofe2.io.files import refuse_existing, write_json
     from surrofe2.io.runs import read_run
     from surrofe2.report.comparison import compare
     from surrofe2.report.comparison_plot import write_comparison_plot
 
-    for name in FILES:
-        if (out / name).exists() and not force:
-            raise FileError(f"{out / name}: exists; replace it with --force")
+    for name in () if force else FILES:
+        refuse_existing(out / name)
     runs = [read_run(folder) for folder in folders]
     result = compare(runs)
     write_json(out / FILES[0], result.to_dict())

@@ -39,12 +39,11 @@ def modes(
     """
     from surrofe2.cli.laws import use_threads
     from surrofe2.config import load_recipe
-    from surrofe2.errors import FileError
-    from surrofe2.io.files import write_json
+    from surrofe2.io.files import refuse_existing, write_json
     from surrofe2.rve import INITIALISATIONS
 
-    if out is not None and out.exists() and not force:
-        raise FileError(f"{out}: exists; replace it with --force")
+    if out is not None and not force:
+        refuse_existing(out)
     study = load_recipe(recipe)
     used = use_threads(threads)
     methods = INITIALISATIONS if initialisation == "all" else (initialisation,)

@@ -40,8 +40,7 @@ def moduli(
     """
     from importlib.metadata import version
 
-    from surrofe2.errors import FileError
-    from surrofe2.io.files import write_json
+    from surrofe2.io.files import refuse_existing, write_json
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.rve import INITIALISATIONS
     from surrofe2.studies.moduli import cell_moduli, to_numbers, with_turgor
@@ -49,8 +48,8 @@ def moduli(
     from surrofe2.studies.moduli_tables import TABLES
     from surrofe2.studies.moduli_tables import to_numbers as row_numbers
 
-    if out is not None and out.exists() and not force:
-        raise FileError(f"{out}: exists; replace it with --force")
+    if out is not None and not force:
+        refuse_existing(out)
     cell = CellParameters.preset(preset)
     if turgor is not None:
         cell = with_turgor(cell, turgor)

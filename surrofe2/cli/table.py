@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli.console import say
-from surrofe2.errors import FileError
 
 table = typer.Typer(
     help="Tables of stresses that runs by --law table leave behind: show and merge them.",
@@ -28,10 +27,11 @@ def merge_tables(files: list[Path], out: Path, *, force: bool = False) -> int:
     from dataclasses import replace
 
     from surrofe2.cache.table_merge import merged
+    from surrofe2.io.files import refuse_existing
     from surrofe2.io.tables import check_table, read_table, write_table
 
-    if out.exists() and not force:
-        raise FileError(f"{out}: exists; replace it with --force")
+    if not force:
+        refuse_existing(out)
     tables = [read_table(path) for path in files]
     first = tables[0]
     tolerance = min(stored.tolerance for stored in tables)

@@ -71,11 +71,11 @@ def train_surrogate(
             other data or settings.
     """
     from surrofe2.io.data_sets import read_data_set
-    from surrofe2.io.files import reported
+    from surrofe2.io.files import refuse_existing, reported
 
     path, source = recipe.training_path(), recipe.data_path()
-    if path.exists() and not (keep or force or resume):
-        raise FileError(f"{path}: exists; replace it with --force")
+    if not (keep or force or resume):
+        refuse_existing(path)
     samples = read_data_set(source)
     _check_data(recipe, samples, source)
     samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
@@ -83,8 +83,8 @@ def train_surrogate(
     if surrogate is not None and _is_calibrated(recipe, surrogate):
         return Trained(path, surrogate, True, calibration_summary(surrogate, samples))
     if surrogate is None:
-        if path.exists() and not (keep or force):
-            raise FileError(f"{path}: exists; replace it with --force")
+        if not (keep or force):
+            refuse_existing(path)
         with reported(path, "written"):
             path.parent.mkdir(parents=True, exist_ok=True)
         surrogate = _train(recipe, samples, resume, stage)

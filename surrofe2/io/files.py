@@ -41,6 +41,16 @@ def replacing(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
+def refuse_existing(path: Path) -> None:
+    """Refuse to write over a file.
+
+    Raises:
+        FileError: it is there.
+    """
+    if path.exists():
+        raise FileError(f"{path}: exists; replace it with --force")
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole."""
     with replacing(path) as partial:

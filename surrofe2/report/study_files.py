@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.errors import FileError
-from surrofe2.io.files import write_json, write_text
+from surrofe2.io.files import refuse_existing, write_json, write_text
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.figures import write_figure
 from surrofe2.report.study import Study
@@ -22,9 +21,7 @@ SUFFIXES = ("png", "csv", "json", "md")
 def check_free(out: Path, name: str) -> None:
     """A FileError where a file of the study is there already."""
     for suffix in SUFFIXES:
-        path = out / f"{name}.{suffix}"
-        if path.exists():
-            raise FileError(f"{path}: exists; replace it with --force")
+        refuse_existing(out / f"{name}.{suffix}")
 
 
 def write_study(out: Path, study: Study, cell: CellParameters, preset: str) -> list[Path]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.io.runs import read_curve, read_record
+from tests.cli.finished_run import FILES
 from tests.fakes import SoftLaw, StoppingLaw
 
 
@@ -17,13 +18,7 @@ def folder(tmp_path):
 def test_run_folder(invoke, recipe_path, folder, recipe):
     done = invoke("run", recipe_path, "--law", "rve", "--out", folder)
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "curve.csv",
-        "energies.csv",
-        "fields.h5",
-        "fields.xdmf",
-        "run.json",
-    ]
+    assert sorted(path.name for path in folder.iterdir()) == FILES
     stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert stored["status"] == "finished"
     assert stored["error"] is None

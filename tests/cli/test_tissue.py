@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from surrofe2.cli import app
 from surrofe2.config import load_recipe
 from surrofe2.io.runs import read_curve, read_record
+from tests.cli.finished_run import FILES
 
 
 @pytest.fixture
@@ -33,13 +34,7 @@ def invoke(*arguments):
 def test_run_folder(short, folder):
     done = invoke(short, "--out", folder)
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "curve.csv",
-        "energies.csv",
-        "fields.h5",
-        "fields.xdmf",
-        "run.json",
-    ]
+    assert sorted(path.name for path in folder.iterdir()) == FILES
     stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert (stored["status"], stored["law"], stored["solver"]) == ("finished", "tissue", "leapfrog")
     assert stored["recipe"]["tissue"]["micro_step"] == 2e-3
