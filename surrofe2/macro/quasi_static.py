@@ -20,7 +20,7 @@ from surrofe2.macro.right_hand_side import (
     Tally,
     TrialError,
 )
-from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.tangent_assembly import (
     Pattern,
     assembled_tangents,
@@ -36,8 +36,6 @@ MAX_HALVINGS = 10
 MAX_ITERATIONS = 20
 _LEAST_FRACTION = 1.0 / 64.0
 _DECREASE = 1e-4
-
-SECTION_6_2 = MacroSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,32 +154,11 @@ def _rest_of(
     """
     while True:
         try:
-            return _rest_on_one_branch(rhs, pattern, factor, u, settings, path)
+            now, residuals = _balanced(rhs, pattern, factor, u, settings.newton_tolerance)
         except MovedError as found:
             rhs.begin_anew(found.moved)
-
-
-def _rest_on_one_branch(
-    rhs: RightHandSide,
-    pattern: Pattern,
-    factor: float,
-    u: Array,
-    settings: MacroSettings,
-    path: Array,
-) -> Rest:
-    now = rhs.evaluate(factor, u, np.zeros_like(u), tangents=True)
-    residuals = [_relative_residual(rhs.bar, now)]
-    while True:
-        while residuals[-1] > settings.newton_tolerance:
-            if len(residuals) > MAX_ITERATIONS:
-                _give_up(rhs, now, f"Newton did not converge in {MAX_ITERATIONS} iterations")
-            now = _corrected(rhs, pattern, now)
-            residuals.append(_relative_residual(rhs.bar, now))
-        start = rhs.accept()
-        if start is now or start.response.left_bifurcation is None:
+        else:
             break
-        now = rhs.evaluate(factor, now.u, now.v, tangents=True)
-        residuals.append(_relative_residual(rhs.bar, now))
     K, C = assembled_tangents(rhs.bar, pattern, now.F, now.response)
     rhs.tally.counts["load_steps"] += factor != 0.0
     here = np.append(factor, rhs.bar.at_watched_point(now.u))
@@ -198,6 +175,25 @@ def _rest_on_one_branch(
         residuals=tuple(residuals),
         counts=_counts(rhs.tally),
     )
+
+
+def _balanced(
+    rhs: RightHandSide, pattern: Pattern, factor: float, u: Array, tolerance: float
+) -> tuple[Evaluation, list[float]]:
+    """The equilibrium on one branch of the law, and the residuals on the way to it."""
+    now = rhs.evaluate(factor, u, np.zeros_like(u), tangents=True)
+    residuals = [_relative_residual(rhs.bar, now)]
+    while True:
+        while residuals[-1] > tolerance:
+            if len(residuals) > MAX_ITERATIONS:
+                _give_up(rhs, now, f"Newton did not converge in {MAX_ITERATIONS} iterations")
+            now = _corrected(rhs, pattern, now)
+            residuals.append(_relative_residual(rhs.bar, now))
+        start = rhs.accept()
+        if start is now or start.response.left_bifurcation is None:
+            return now, residuals
+        now = rhs.evaluate(factor, now.u, now.v, tangents=True)
+        residuals.append(_relative_residual(rhs.bar, now))
 
 
 def _corrected(rhs: RightHandSide, pattern: Pattern, now: Evaluation) -> Evaluation:

@@ -78,3 +78,7 @@ def _is_integer(value: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+SECTION_6_2 = MacroSettings()
+"""The bar of the paper's section 6.2."""

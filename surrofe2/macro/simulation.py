@@ -16,12 +16,10 @@ from surrofe2.macro.mesh import Bar, make_bar
 from surrofe2.macro.recording import Recorder
 from surrofe2.macro.results import MacroRun, make_run
 from surrofe2.macro.right_hand_side import RightHandSide, Tally, TrialError
-from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.state import MacroState
 from surrofe2.macro.time_integration import MAX_HALVINGS, Stepper
 from surrofe2.stress_law import StressLaw
-
-SECTION_6_2 = MacroSettings()
 
 
 def simulate(
