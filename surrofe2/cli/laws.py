@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from surrofe2.macro import MacroSettings
     from surrofe2.stress_law import StressLaw
 
-LAWS = ("rve", "surrogate", "cached", "table")
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.load_case import LoadCase
@@ -22,8 +21,6 @@ from surrofe2.report.damped_fit import DampedFit, fit_damped_modes
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.studies.bar_comparison import TISSUE, BarRun
 from surrofe2.studies.bar_pieces import MICRO_STEP, Piece
-
-Array = NDArray[np.float64]
 
 METHODS = ("elastic", "constrained-runs", "slow-manifold")
 MESHES = (4, 8, 16)

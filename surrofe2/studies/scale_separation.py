@@ -14,15 +14,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.studies.bar_comparison import TISSUE, BarRun, figures
 from surrofe2.studies.bar_pieces import Piece
-
-Array = NDArray[np.float64]
 
 SIZES = (8, 16, 32)
 """Plant cells a side."""

@@ -20,15 +20,11 @@ from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.features import STRETCH, Features, Product, make_features
 from surrofe2.surrogate.settings import TrainingSettings
-
-Array = NDArray[np.float64]
 
 
 class TanhNetwork(torch.nn.Module):
