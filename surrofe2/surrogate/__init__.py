@@ -1,10 +1,10 @@
 """A learnt stress law: samples in, `SurrogateLaw` out.
 
-Reading order: `settings`, `components` (what is learnt), `network`, `training`,
+Reading order: `settings`, `components` (what is learnt), `network`, `training_task`, `training`,
 `held_out_errors`, `surrogate_law`, `checkpoint`; where it may be trusted: `domain`,
-`calibration`, `trust_features`; and for speed `packing`, `compiled`, `compiled_network`,
-`polynomials`, `error_bound`, `lanes`, `vector_tanh`. torch is imported when it is first needed, so
-that recipes can be checked without it.
+`calibration`, `trust_features`; and for speed `packing`, `compiled`, `compiled_frame`,
+`compiled_network`, `polynomials`, `error_bound`, `lanes`, `vector_tanh`. torch is imported when it
+is first needed, so that recipes can be checked without it.
 """
 
 from __future__ import annotations

@@ -24,6 +24,14 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
+from surrofe2.surrogate.compiled_frame import (
+    FRAME_ROWS,
+    put_rotation_back,
+    read_points,
+    scale_inputs,
+    take_rotation_out,
+    turn_to_cauchy,
+)
 from surrofe2.surrogate.compiled_network import energy_slope, network_factors
 from surrofe2.surrogate.error_bound import EVERYWHERE_UNKNOWN, ROOM, Trust, apply_trust
 from surrofe2.surrogate.features import STRETCH, Features
@@ -104,7 +112,7 @@ class _Room(NamedTuple):
 def _make_room(weights):  # type: ignore[no-untyped-def]
     sizes, precision = weights.sizes, weights.input_factor.dtype
     return _Room(
-        np.empty((19, BLOCK)),
+        np.empty((FRAME_ROWS, BLOCK)),
         np.empty(BLOCK, dtype=np.bool_),
         np.empty((INPUTS + 1, BLOCK), dtype=precision),
         np.empty((BIOT + STRETCH, BLOCK), dtype=precision),
@@ -154,8 +162,8 @@ def _evaluate_block(start, F, F_dot, weights, trust, tolerance, room, stress, st
     add_polynomials(x, weights, room.products, y)
     if weights.powers[0]:
         _add_elastic(x, frame, weights, y)
-    _turn_to_cauchy(y, frame)
-    _put_rotation_back(frame)
+    turn_to_cauchy(y, frame)
+    put_rotation_back(frame)
     _write(start, frame, room.inside, stress, status)
     apply_trust(start, frame, trust, tolerance, room.trusted, status, bound)
     _take_away(start, status, stress)
@@ -170,7 +178,7 @@ def _test_parallel(F, F_dot, bounds, trust, tolerance, status, bound):  # type: 
 
 @kernel
 def _test_some(F, F_dot, bounds, trust, tolerance, status, bound):  # type: ignore[no-untyped-def]
-    frame, rows = np.empty((19, BLOCK)), np.empty((ROOM, BLOCK))
+    frame, rows = np.empty((FRAME_ROWS, BLOCK)), np.empty((ROOM, BLOCK))
     inside = np.empty(BLOCK, dtype=np.bool_)
     for start in range(0, F.shape[0], BLOCK):
         read_points(start, F, F_dot, frame)
@@ -182,37 +190,6 @@ def _test_some(F, F_dot, bounds, trust, tolerance, status, bound):  # type: igno
 
 
 @kernel
-def read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
-    """Rows 0 to 3: F, rows 4 to 7: Ḟ; behind the last point it is repeated."""
-    for p in range(BLOCK):
-        point = min(start + p, F.shape[0] - 1)
-        for i in range(2):
-            for j in range(2):
-                frame[2 * i + j, p] = F[point, i, j]
-                frame[4 + 2 * i + j, p] = F_dot[point, i, j]
-
-
-@kernel
-def take_rotation_out(frame):  # type: ignore[no-untyped-def]
-    """Rows 8, 9: cos and sin of R; rows 10 to 12: U₁₁, U₁₂, U₂₂; rows 0 to 3: A = RᵀḞ."""
-    for p in range(BLOCK):
-        xx, xy, yx, yy = frame[0, p], frame[1, p], frame[2, p], frame[3, p]
-        along, across = xx + yy, yx - xy
-        length = 1.0 / np.sqrt(along * along + across * across)
-        c, s = along * length, across * length
-        frame[8, p] = c
-        frame[9, p] = s
-        frame[10, p] = c * xx + s * yx
-        frame[11, p] = c * xy + s * yy
-        frame[12, p] = c * yy - s * xy
-        vxx, vxy, vyx, vyy = frame[4, p], frame[5, p], frame[6, p], frame[7, p]
-        frame[0, p] = c * vxx + s * vyx
-        frame[1, p] = c * vxy + s * vyy
-        frame[2, p] = c * vyx - s * vxx
-        frame[3, p] = c * vyy - s * vxy
-
-
-@kernel
 def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
     low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
     for p in range(BLOCK):
@@ -221,20 +198,6 @@ def _test_range(frame, bounds, inside):  # type: ignore[no-untyped-def]
         ok &= (abs(frame[0, p]) <= rate) & (abs(frame[1, p]) <= rate)
         ok &= (abs(frame[2, p]) <= rate) & (abs(frame[3, p]) <= rate)
         inside[p] = ok
-
-
-@kernel
-def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
-    """The inputs of `components`, scaled, and a row of ones."""
-    for p in range(BLOCK):
-        x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
-        x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]
-        x[2, p] = 2.0 * frame[11, p] * factor[2]
-        x[3, p] = (frame[0, p] + frame[3, p]) * factor[3]
-        x[4, p] = (frame[0, p] - frame[3, p]) * factor[4]
-        x[5, p] = (frame[1, p] + frame[2, p]) * factor[5]
-        x[6, p] = (frame[2, p] - frame[1, p]) * factor[6]
-        x[_ONE, p] = 1.0
 
 
 @kernel
@@ -268,33 +231,6 @@ def _add_elastic(x, frame, weights, y):  # type: ignore[no-untyped-def]
         y[1, p] += biot[1, p]
         y[2, p] += biot[2, p]
         y[3, p] += spin
-
-
-@kernel
-def _turn_to_cauchy(y, frame):  # type: ignore[no-untyped-def]
-    """Rows 13 to 16: components of S = P̂ U/det U."""
-    for p in range(BLOCK):
-        t, d, g = frame[10, p] + frame[12, p], frame[10, p] - frame[12, p], 2.0 * frame[11, p]
-        factor = 2.0 / (t * t - d * d - g * g)
-        frame[13, p] = factor * (t * y[0, p] + d * y[1, p] + g * y[2, p])
-        frame[14, p] = factor * (d * y[0, p] + t * y[1, p] - g * y[3, p])
-        frame[15, p] = factor * (g * y[0, p] + t * y[2, p] + d * y[3, p])
-        frame[16, p] = factor * (t * y[3, p] - g * y[1, p] + d * y[2, p])
-
-
-@kernel
-def _put_rotation_back(frame):  # type: ignore[no-untyped-def]
-    """Rows 13 to 16: σ₁₁, σ₁₂, σ₂₁, σ₂₂; R turns (difference, shear) by twice its angle."""
-    for p in range(BLOCK):
-        c, s = frame[8, p], frame[9, p]
-        c2, s2 = c * c - s * s, 2.0 * c * s
-        total, spin = frame[13, p], frame[16, p]
-        difference = c2 * frame[14, p] - s2 * frame[15, p]
-        shear = s2 * frame[14, p] + c2 * frame[15, p]
-        frame[13, p] = 0.5 * (total + difference)
-        frame[14, p] = 0.5 * (shear - spin)
-        frame[15, p] = 0.5 * (shear + spin)
-        frame[16, p] = 0.5 * (total - difference)
 
 
 @kernel

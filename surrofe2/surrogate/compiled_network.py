@@ -8,11 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.lanes import BLOCK, LANES, filled, load, store
 from surrofe2.surrogate.vector_tanh import fill_tanh
-
-_ONE = INPUTS  # row of x that holds ones
 
 
 @kernel

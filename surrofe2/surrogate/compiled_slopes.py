@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.polar_inputs import INPUTS
-from surrofe2.surrogate.compiled import read_points, scale_inputs, take_rotation_out
+from surrofe2.surrogate.compiled_frame import (
+    FRAME_ROWS,
+    read_points,
+    scale_inputs,
+    take_rotation_out,
+)
 from surrofe2.surrogate.compiled_network import apply_layer
 from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.lanes import BLOCK
@@ -42,7 +47,7 @@ def _evaluate(F, F_dot, weights, P, slopes):  # type: ignore[no-untyped-def]
 
 @kernel
 def _evaluate_block(start, F, F_dot, weights, P, slopes):  # type: ignore[no-untyped-def]
-    frame = np.empty((19, BLOCK))
+    frame = np.empty((FRAME_ROWS, BLOCK))
     precision = weights.input_factor.dtype
     x = np.empty((INPUTS + 1, BLOCK), dtype=precision)
     y, dy = np.zeros((4, BLOCK), dtype=precision), np.zeros((INPUTS, 4, BLOCK), dtype=precision)

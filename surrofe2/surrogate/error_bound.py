@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel
 from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
+from surrofe2.surrogate.compiled_frame import scale_inputs
 from surrofe2.surrogate.domain import FEATURES, Domain
 from surrofe2.surrogate.lanes import LANES, filled, larger, load, store
 from surrofe2.surrogate.trust_features import COMPRESSION, FACTORS, NORM, cliff_table, scale_table
@@ -87,7 +88,7 @@ def apply_trust(start, frame, trust, tolerance, room, status, bound):  # type: i
     """
     x, f = room[:_ROWS], room[_ROWS : _ROWS + _SIDES]
     height, beyond, local = room[ROOM - 3 : ROOM - 2], room[ROOM - 2 : ROOM - 1], room[ROOM - 1 :]
-    _scale_inputs(frame, trust.factor, x)
+    scale_inputs(frame, trust.factor, x)
     height[:] = 0.0 if trust.cliff.shape[0] else -1.0
     _add_products(trust.cliff_table, trust.cliff, x, height)
     _set_features(x, trust.square[0] == 1, f)
@@ -106,20 +107,6 @@ def apply_trust(start, frame, trust, tolerance, room, status, bound):  # type: i
             code = _NOT_TRUSTED
         bound[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
         status[point] = code
-
-
-@kernel
-def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
-    """Rows 0 to 6: s, d, g, S, D, G, W; row 7: ones."""
-    for p in range(frame.shape[1]):
-        x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
-        x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]
-        x[2, p] = 2.0 * frame[11, p] * factor[2]
-        x[3, p] = (frame[0, p] + frame[3, p]) * factor[3]
-        x[4, p] = (frame[0, p] - frame[3, p]) * factor[4]
-        x[5, p] = (frame[1, p] + frame[2, p]) * factor[5]
-        x[6, p] = (frame[2, p] - frame[1, p]) * factor[6]
-        x[7, p] = 1.0
 
 
 @kernel
