@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from surrofe2.cache import CachedLaw, CacheSettings, StressTable, TableBehind, sampled_spread
+from surrofe2.cache import StressTable, sampled_spread
 from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS
-from surrofe2.cache.table_merge import merged
-from surrofe2.errors import InputError, MismatchError
-from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Status
@@ -263,87 +261,6 @@ def test_spread_is_that_of_the_samples():
     stress = square_stress(*sample(RANGE, 512, 1))
     expected = np.sqrt(((stress - stress.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean())
     assert sampled_spread(SquareLaw(), RANGE) == pytest.approx(expected)
-
-
-def test_merged_tables_know_what_both_know():
-    first, second = taught(*states(100)), taught(*sample(RANGE, 100, 9))
-    both = make()
-    both.restore(merged(first.records, second.records, both.tolerance, 4))
-    assert first.size < both.size <= first.size + second.size
-    F, F_dot = sample(RANGE, 1000, 10)
-    known = [table.lookup(F, F_dot)[1] == 0 for table in (first, second, both)]
-    assert (known[0] | known[1])[known[2]].mean() == 1.0
-    assert known[2].sum() > max(known[0].sum(), known[1].sum())
-    again = merged(both.records, first.records, both.tolerance, 4)
-    assert len(again.centre) == both.size
-
-
-def test_a_merged_table_is_cut_where_the_other_knows_better():
-    F, F_dot = states(200)
-    table, sound = taught(F, F_dot), taught(*sample(RANGE, 300, 4))
-    slope = table.records.slope.copy()
-    slope[:, 0, 0] += 20.0
-    records = merged(sound.records, table.records._replace(slope=slope), table.tolerance, 4)
-    volume = np.linalg.det(records.curvature)
-    before = np.concatenate([np.linalg.det(t.records.curvature) for t in (sound, table)])
-    assert volume.sum() > 2.0 * before.sum()
-
-
-class Half:
-    """Knows F₁₁ ≤ 1, off by 0.01."""
-
-    def __init__(self, law):
-        self.cell, self.initialisation, self.density = law.cell, law.initialisation, law.density
-
-    def lookup(self, F, F_dot, tolerance=np.inf):
-        stress, status = square_stress(F, F_dot) + 0.01, np.zeros(len(F), dtype=np.int8)
-        status[F[:, 0, 0] > 1.0] = Status.OUT_OF_RANGE
-        stress[status != 0] = np.nan
-        return stress, status, np.where(status == 0, 0.01, np.inf)
-
-
-def test_a_table_behind_a_surrogate_answers_the_rest():
-    law = SquareLaw()
-    table = make(law)
-    F, F_dot = sample(RANGE, 200, 3)
-    cached = CachedLaw(
-        TableBehind(Half(law), table), law, settings=CacheSettings(tolerance=5e-2, audit=0.0)
-    )
-    for _ in range(2):
-        cached.reset_counts()
-        answer = cached.respond(F, F_dot)
-        cached.accept(F, F_dot, answer)
-    left = F[:, 0, 0] > 1.0
-    assert cached.counts["hits"] == 200
-    exact = square_stress(F, F_dot)
-    np.testing.assert_allclose(answer.stress[~left], exact[~left] + 0.01, atol=1e-12)
-    assert stress_error(answer.stress, exact)[left].max() <= table.tolerance
-    assert 0 < table.size < left.sum()
-
-
-def test_a_table_of_another_cell_is_refused_behind_a_surrogate():
-    other = SquareLaw(CellParameters.preset("water"))
-    with pytest.raises(MismatchError, match="use a table of these parameters"):
-        TableBehind(Half(SquareLaw()), make(other))
-
-
-def test_a_cached_law_teaches_its_table_only_at_kept_steps():
-    law, kept = SquareLaw(fails_above=1.2), []
-    cached = CachedLaw(make(law), law, keep=lambda *answers: kept.append(answers))
-    F, F_dot = states(20, angle=0.0)
-    answer = cached.respond(F, F_dot)
-    assert cached.surrogate.size == 0
-    assert not kept
-    cached.accept(F, F_dot, answer)
-    assert cached.surrogate.size > 0
-    np.testing.assert_array_equal(kept[0][2], square_stress(F, F_dot))
-    assert not kept[0][4].any()
-    beyond = F.copy()
-    beyond[0, 0, 0] = 1.5
-    count = cached.surrogate.size
-    cached.accept(beyond, F_dot, cached.respond(beyond, F_dot))
-    assert cached.surrogate.size == count
-    assert len(kept) == 1
 
 
 def test_the_range_of_a_table_may_be_a_point_in_some_inputs():

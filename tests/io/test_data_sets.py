@@ -18,7 +18,7 @@ from surrofe2.io.data_sets import (
 )
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_law import Status, Tangents, describe
+from surrofe2.stress_law import Status, describe
 from tests.fakes import SoftLaw
 
 RANGE = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)
@@ -230,82 +230,3 @@ def test_no_write_permission(unwritable):
     with pytest.raises(FileError) as caught, writing_data_set(path, HEADER):
         pass
     assert str(caught.value) == f"{path}: cannot be written: Not a directory"
-
-
-def test_tangents_are_kept_to_the_bit(tmp_path):
-    path, header = tmp_path / "cells.h5", replace(HEADER, tangents=True)
-    law = SoftLaw(fails_above=1.03)
-    F, F_dot = sample(RANGE, 20, 3)
-    answer = law.respond(F, F_dot)
-    values = np.random.default_rng(5).normal(size=(2, 20, 2, 2, 2, 2))
-    values[:, answer.status != 0] = np.nan
-    with writing_data_set(path, header) as data:
-        for rows in (slice(0, 8), slice(8, 20)):
-            slopes = Tangents(values[0, rows], values[1, rows])
-            data.append(F[rows], F_dot[rows], answer.stress[rows], answer.status[rows], slopes)
-    finish_data_set(path)
-    samples = read_data_set(path)
-    np.testing.assert_array_equal(samples.P_by_F, values[0])
-    np.testing.assert_array_equal(samples.P_by_F_dot, values[1])
-    with h5py.File(path) as file:
-        assert file["P_by_F"].attrs["unit"] == "µN/µm"
-        assert file["P_by_F_dot"].attrs["unit"] == "µN µs/µm"
-    with h5py.File(path, "r+") as file:
-        file["P_by_F_dot"][0, 0, 0, 0, 0] += 1e-12
-    with pytest.raises(FileError, match="its numbers changed since it was written"):
-        read_data_set(path)
-
-
-def test_a_data_set_without_tangents_has_none_and_is_not_continued_with_them(tmp_path):
-    path = tmp_path / "cells.h5"
-    write_all(path)
-    assert read_data_set(path).P_by_F is read_data_set(path).P_by_F_dot is None
-    with (
-        pytest.raises(MismatchError, match=r"samples\.tangents: the recipe has True, the data set"),
-        writing_data_set(path, replace(HEADER, tangents=True), resume=True),
-    ):
-        pass
-
-
-def test_a_data_set_from_before_tangents_is_continued(tmp_path):
-    path = tmp_path / "cells.h5"
-    with writing_data_set(path, HEADER) as data:
-        append_chunk(data, SoftLaw())
-    with h5py.File(path, "r+") as file:
-        compared = json.loads(file.attrs["compared"])
-        assert compared.pop("samples.tangents") is False
-        file.attrs["compared"] = json.dumps(compared)
-    with writing_data_set(path, HEADER, resume=True) as data:
-        assert data.completed == 8
-
-
-def test_samples_beyond_a_bifurcation_are_marked_and_not_valid(tmp_path):
-    path = tmp_path / "cells.h5"
-    F, F_dot = sample(RANGE, 20, 3)
-    answer = SoftLaw(fails_above=1.03).respond(F, F_dot)
-    left = np.arange(20) % 5 == 0
-    with writing_data_set(path, HEADER) as data:
-        data.append(F[:8], F_dot[:8], answer.stress[:8], answer.status[:8])
-        data.append(
-            F[8:], F_dot[8:], answer.stress[8:], answer.status[8:], left_bifurcation=left[8:]
-        )
-        assert data.left_count() == 2
-    finish_data_set(path)
-    samples = read_data_set(path)
-    assert samples.left_bifurcation.nonzero()[0].tolist() == [10, 15]
-    kept = np.flatnonzero((answer.status == 0) & ~samples.left_bifurcation)
-    np.testing.assert_array_equal(samples.valid.F, F[kept])
-    assert replace(samples, left_bifurcation=None).fingerprint != samples.fingerprint
-    with pytest.raises(InputError, match="left_bifurcation"):
-        replace(samples, left_bifurcation=left[:3])
-
-
-def test_data_sets_from_before_bifurcations_were_marked_are_read(tmp_path):
-    path = tmp_path / "cells.h5"
-    write_all(path)
-    before = read_data_set(path)
-    with h5py.File(path, "r+") as file:
-        del file["left_bifurcation"]
-    after = read_data_set(path)
-    assert after.left_bifurcation is None
-    assert after.fingerprint == before.fingerprint

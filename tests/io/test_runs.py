@@ -10,7 +10,6 @@ import pytest
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.runs import (
-    RunRecord,
     ended,
     open_run_folder,
     read_curve,
@@ -20,23 +19,13 @@ from surrofe2.io.runs import (
     write_energies,
     write_record,
 )
+from tests.run_records import finished_record
 
 
 @pytest.fixture
 def record(recipe):
-    return RunRecord(
-        status="finished",
-        recipe=recipe.to_dict(),
-        law="rve",
-        initialisation="constrained-runs",
-        solver="direct",
-        package_version="0.1.0",
-        created="2026-01-01T00:00:00+00:00",
-        cell_fingerprint=recipe.cell.fingerprint,
-        threads=2,
-        wall_time={"total": 3.0, "law": 2.0, "macro": 1.0},
-        counts={"stress_points": 80},
-    )
+    wall_time = {"total": 3.0, "law": 2.0, "macro": 1.0}
+    return finished_record(recipe, "rve", wall_time, {"stress_points": 80})
 
 
 @pytest.fixture

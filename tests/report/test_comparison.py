@@ -12,9 +12,10 @@ import pytest
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import plain
-from surrofe2.io.runs import RunRecord, StoredRun
+from surrofe2.io.runs import StoredRun
 from surrofe2.report.comparison import compare
 from surrofe2.report.comparison_plot import write_comparison_plot
+from tests.run_records import finished_record
 
 
 @pytest.fixture
@@ -22,19 +23,9 @@ def make_run(recipe):
     t = np.linspace(0.0, 4.0, 5)
 
     def make(name, law, offset, wall, solves, points=100):
-        record = RunRecord(
-            status="finished",
-            recipe=recipe.to_dict(),
-            law=law,
-            initialisation="constrained-runs",
-            solver="direct",
-            package_version="0.1.0",
-            created="2026-01-01T00:00:00+00:00",
-            cell_fingerprint=recipe.cell.fingerprint,
-            threads=2,
-            wall_time={"total": wall, "law": 0.8 * wall, "macro": 0.2 * wall},
-            counts={"stress_points": points, "rve_solves": solves},
-        )
+        wall_time = {"total": wall, "law": 0.8 * wall, "macro": 0.2 * wall}
+        counts = {"stress_points": points, "rve_solves": solves}
+        record = finished_record(recipe, law, wall_time, counts)
         u = np.stack([0.0 * t, -2.0 * t + offset], axis=1)
         return StoredRun(Path(name), record, DisplacementCurve(t, u))
 

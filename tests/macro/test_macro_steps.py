@@ -1,0 +1,178 @@
+"""Steps in time: turned back where the law fails, and as long as error and stability allow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import SimulationError
+from surrofe2.macro import simulate
+from surrofe2.macro.mesh import make_bar
+from surrofe2.macro.right_hand_side import RightHandSide, Tally
+from surrofe2.macro.time_integration import Stepper, damped
+from surrofe2.stress_law import Status
+
+from .analytic_laws import Failing, KelvinVoigt
+from .test_macro_simulation import LOAD_CASE, SETTINGS
+
+
+class FailsAtQuestions:
+    """Answers NaN with a status at the questions whose number (from 0) is listed."""
+
+    def __init__(self, numbers):
+        self.inner, self.numbers, self.asked = KelvinVoigt(), set(numbers), -1
+        self.density = self.inner.density
+
+    def respond(self, F, F_dot, state=None):
+        self.asked += 1
+        answer = self.inner.respond(F, F_dot, state)
+        if self.asked in self.numbers:
+            answer.status[3] = Status.NOT_CONVERGED
+            answer.stress[3] = np.nan
+        return answer
+
+    def accept(self, F, F_dot, response):
+        return self.inner.accept(F, F_dot, response)
+
+
+def stepper_of(law, first_step=0.4):
+    bar = make_bar(LOAD_CASE, (2, 3), law.density)
+    right_hand_side = RightHandSide(bar, law, LOAD_CASE.amplitude_at, Tally())
+    y = np.zeros(4 * len(bar.free))
+    loose = replace(SETTINGS, absolute_tolerance=1e3)
+    return Stepper(right_hand_side, 0.0, y, 6.0, loose, first_step), right_hand_side.tally
+
+
+def test_step_whose_trial_fails_is_repeated_at_half_its_length():
+    # Questions 0 and 1 are at the start; 2 to 7 are the first step's.
+    for question in (2, 5, 7):
+        stepper, tally = stepper_of(FailsAtQuestions([question]))
+        step = stepper.advance()
+        assert step.t == pytest.approx(0.2, rel=1e-12), question
+        # Having failed, it does not grow at once.
+        assert step.next_step == pytest.approx(0.2, rel=1e-12)
+        assert tally.counts["failed_trials"] == 1
+        assert stepper.advance().t == pytest.approx(0.4, rel=1e-12)
+
+
+def test_unfailing_step_has_its_length_and_grows():
+    stepper, tally = stepper_of(FailsAtQuestions([]))
+    step = stepper.advance()
+    assert step.t == pytest.approx(0.4, rel=1e-12)
+    assert step.next_step > 0.5
+    assert tally.counts["failed_trials"] == 0
+
+
+def test_failing_trials_leave_the_motion_as_it_is():
+    law = KelvinVoigt()
+    settings = replace(SETTINGS, absolute_tolerance=1e-8, relative_tolerance=1e-8)
+    whole = simulate(LOAD_CASE, law, settings)
+    failing = simulate(LOAD_CASE, FailsAtQuestions(range(20, 400, 17)), settings)
+    assert failing.counts["failed_trials"] > 5
+    np.testing.assert_allclose(failing.curve.displacement, whole.curve.displacement, atol=1e-6)
+    for name in ("load", "internal"):
+        np.testing.assert_allclose(
+            failing.energies[name], whole.energies[name], atol=1e-6 * whole.energies["load"].max()
+        )
+
+
+def test_step_whose_end_the_law_refuses_is_taken_back():
+    accepted = []
+
+    def second(F, F_dot):
+        accepted.append(F)
+        return np.full(len(F), len(accepted) == 2)
+
+    stepper, tally = stepper_of(Failing(KelvinVoigt(), refuses=second))
+    plain, _ = stepper_of(KelvinVoigt(), first_step=0.2)
+    step, expected = stepper.advance(), plain.advance()
+    assert tally.counts["failed_trials"] == 1
+    assert step.t_old == 0.0
+    assert step.t == pytest.approx(0.2, rel=1e-12)
+    np.testing.assert_allclose(step.y, expected.y, rtol=1e-10, atol=1e-14)
+    np.testing.assert_allclose(step.work(step.t), expected.work(step.t), rtol=1e-10)
+
+
+def test_refused_steps_leave_the_motion_as_it_is():
+    """The law refuses a few ends of steps once the bar has picked up speed."""
+    law = KelvinVoigt()
+    refused = []
+
+    def too_far(F, F_dot):
+        moving = abs(F_dot).max() > 0.008 and len(refused) < 3
+        if moving:
+            refused.append(True)
+        return np.full(len(F), moving)
+
+    whole = simulate(LOAD_CASE, law, SETTINGS)
+    run = simulate(LOAD_CASE, Failing(law, refuses=too_far), SETTINGS)
+    assert len(refused) == run.counts["failed_trials"] == 3
+    assert run.finished
+    scale = abs(whole.curve.displacement).max()
+    np.testing.assert_allclose(run.curve.displacement, whole.curve.displacement, atol=5e-3 * scale)
+
+
+@pytest.mark.parametrize("role", ["fails", "refuses"])
+def test_ten_halvings_end_the_run_with_what_was_computed(role):
+    def sheared(F, F_dot):
+        return abs(F[:, 1, 0]) > 0.03
+
+    law = Failing(KelvinVoigt(), code=Status.UNSTABLE, **{role: sheared})
+    with pytest.raises(SimulationError, match="10 halvings") as caught:
+        simulate(LOAD_CASE, law, SETTINGS)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in ("point ", "µm, t = ", "F = [[", "unstable"):
+        assert part in message
+    partial = caught.value.partial
+    assert not partial.finished
+    assert partial.counts["failed_trials"] >= 11
+    whole = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS)
+    rows = partial.curve.t.size
+    assert 3 < rows < whole.curve.t.size
+    scale = abs(whole.curve.displacement).max()
+    np.testing.assert_allclose(
+        partial.curve.displacement, whole.curve.displacement[:rows], atol=5e-3 * scale
+    )
+    assert np.isfinite(partial.energies["dissipated"]).all()
+    assert abs(partial.met.F[0][1, 0]) <= 0.03
+
+
+def test_law_that_fails_at_the_start_is_named():
+    law = Failing(KelvinVoigt(), fails=lambda F, F_dot: np.arange(len(F)) == 7)
+    with pytest.raises(SimulationError, match=r"cannot start: point 7 at .* did not converge"):
+        simulate(LOAD_CASE, law, SETTINGS)
+
+
+def test_inverted_element_is_a_failed_trial():
+    """A load so sudden that a step would turn elements inside out."""
+    soft = KelvinVoigt(shear_modulus=1e-3, lame=1e-3, shear_viscosity=0.0, bulk_viscosity=0.0)
+    settings = replace(SETTINGS, absolute_tolerance=1e6, relative_tolerance=1e6)
+    with pytest.raises(SimulationError, match=r"det F = -.*inverted"):
+        simulate(replace(LOAD_CASE, body_force=(-3.0, 0.0)), soft, settings)
+
+
+def test_stress_that_is_not_finite_is_a_failed_trial():
+    class Careless(KelvinVoigt):
+        def stress(self, F, F_dot):
+            stress = super().stress(F, F_dot)
+            stress[abs(F[:, 1, 0]) > 0.01] = np.nan
+            return stress
+
+    with pytest.raises(SimulationError, match="NaN or infinite"):
+        simulate(LOAD_CASE, Careless(), SETTINGS)
+
+
+def test_step_length_settles_where_stability_limits_it():
+    """Scipy's own control rejects every tenth trial of this stiff bar."""
+    run = simulate(replace(LOAD_CASE, duration=40.0), KelvinVoigt(), SETTINGS)
+    assert run.counts["steps"] > 100
+    assert run.counts["rejected_steps"] <= 0.03 * run.counts["steps"]
+
+
+def test_step_length_follows_the_error():
+    """The next step keeps its length where the error is 0.27, 0.9^(1/0.08), of that allowed."""
+    error = 0.9 ** (1.0 / 0.08)
+    assert damped(2.0, 2.0 * 0.9 * error**-0.2, np.inf) == pytest.approx(2.0)
+    assert damped(2.0, 2.0 * 0.9, np.inf) < 2.0 < damped(2.0, 20.0, np.inf)
+    assert damped(2.0, 20.0, 2.0) == 2.0

@@ -1,0 +1,22 @@
+"""Records of runs that nobody has made."""
+
+from __future__ import annotations
+
+from surrofe2.io.runs import RunRecord
+
+
+def finished_record(recipe, law, wall_time, counts):
+    """The record of a finished run by constrained runs."""
+    return RunRecord(
+        status="finished",
+        recipe=recipe.to_dict(),
+        law=law,
+        initialisation="constrained-runs",
+        solver="direct",
+        package_version="0.1.0",
+        created="2026-01-01T00:00:00+00:00",
+        cell_fingerprint=recipe.cell.fingerprint,
+        threads=2,
+        wall_time=wall_time,
+        counts=counts,
+    )
