@@ -6,24 +6,29 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from surrofe2.io.files import replacing
 from surrofe2.io.runs import StoredRun
 from surrofe2.report.audit_plot import draw_audits, has_audit
 from surrofe2.report.comparison import ComparedRun, Comparison, order_runs
+from surrofe2.report.pictures import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    new_figure,
+    write_png,
+)
 
-# Okabe and Ito's palette, told apart by readers of every colour vision; the reference is black.
-_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_COLOURS = (VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY)
 _DASHES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 
 def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[StoredRun]) -> None:
     """Draw the compared runs into a PNG."""
     reference, *others = order_runs(runs)
-    figure = Figure(figsize=(8.0, 6.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0, 6.6)
     audited = [run for run in others if has_audit(run)]
     heights = [3.0, 1.6, *([1.6] if audited else []), 0.32 * (len(others) + 2)]
     figure.set_figheight(6.6 + (1.9 if audited else 0.0))
@@ -35,8 +40,7 @@ def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[Sto
     _draw_differences(below, reference, others)
     _draw_table(table, reference, comparison)
     figure.suptitle(_title(reference))
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=150)
+    write_png(path, figure)
 
 
 def _title(reference: StoredRun) -> str:

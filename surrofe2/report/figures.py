@@ -7,14 +7,21 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from surrofe2.io.files import replacing
+from surrofe2.report.pictures import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    new_figure,
+    write_png,
+)
 from surrofe2.report.study import Curve, Panel, Study
 
-# Okabe and Ito's palette, told apart by readers of every colour vision; references are black.
 _REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
 # A grid of 41 x 41 points fills a panel of _PANEL_SIZE without gaps.
 _TILE = ((-1.0, -0.62), (1.0, -0.62), (1.0, 0.62), (-1.0, 0.62))
@@ -22,19 +29,19 @@ _AREA: dict[str, Any] = {
     "linestyle": "none", "marker": _TILE, "markersize": 7.0, "fillstyle": "full", "mew": 0.0,
 }  # fmt: skip
 _STYLES: dict[str, dict[str, Any]] = {
-    "cauchy-born": {"color": "#CC79A7", "linestyle": ":", "marker": "^"},
-    "elastic": {"color": "#D55E00", "linestyle": "--", "marker": "s"},
-    "constrained-runs": {"color": "#0072B2", "linestyle": "-.", "marker": "o"},
-    "slow-manifold": {"color": "#009E73", "linestyle": "-", "marker": "x", "zorder": 1.5},
-    "direct": {"color": "#56B4E9", "linestyle": "-", "marker": "D"},
+    "cauchy-born": {"color": PURPLE, "linestyle": ":", "marker": "^"},
+    "elastic": {"color": VERMILION, "linestyle": "--", "marker": "s"},
+    "constrained-runs": {"color": BLUE, "linestyle": "-.", "marker": "o"},
+    "slow-manifold": {"color": GREEN, "linestyle": "-", "marker": "x", "zorder": 1.5},
+    "direct": {"color": SKY, "linestyle": "-", "marker": "D"},
     "micro-integration": _REFERENCE,
     "tissue": _REFERENCE,
-    "stable": _AREA | {"color": "#0072B2"},
-    "stable after leaving a bifurcation": _AREA | {"color": "#E69F00"},
-    "no stable state found": _AREA | {"color": "#CC79A7"},
+    "stable": _AREA | {"color": BLUE},
+    "stable after leaving a bifurcation": _AREA | {"color": ORANGE},
+    "no stable state found": _AREA | {"color": PURPLE},
     "solve failed": _AREA | {"color": "black"},
 }
-_OTHER = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_OTHER = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 _TURNS: tuple[dict[str, str], ...] = (
     {"marker": "o", "linestyle": "-"},
     {"marker": "s", "linestyle": "--"},
@@ -49,8 +56,7 @@ def write_figure(path: Path, study: Study) -> None:
     columns = study.columns
     rows = -(-len(study.panels) // columns)
     width = max(_PANEL_SIZE[0] * columns, 6.4)
-    figure = Figure(figsize=(width, _PANEL_SIZE[1] * rows + _LEGEND_HEIGHT), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(width, _PANEL_SIZE[1] * rows + _LEGEND_HEIGHT)
     axes = figure.subplots(rows, columns, squeeze=False)
     for place, panel in zip(axes.flat, study.panels, strict=False):
         _draw(place, panel)
@@ -58,8 +64,7 @@ def write_figure(path: Path, study: Study) -> None:
         place.axis("off")
     figure.suptitle(study.title, fontsize=11)
     _draw_legend(figure, axes)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=150)
+    write_png(path, figure)
 
 
 def _draw(axes: Axes, panel: Panel) -> None:

@@ -7,36 +7,32 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from surrofe2.io.files import replacing
+from surrofe2.report.pictures import BLUE, VERMILION, new_figure, write_png
 from surrofe2.report.tolerance_sweep import Sweep
 
-# Okabe and Ito's palette, as in the other figures.
-_BLUE, _ORANGE, _GREY = "#0072B2", "#D55E00", "0.45"
+_GREY = "0.45"
 _STYLE: dict[str, Any] = {"linewidth": 1.3, "markersize": 5.0}
 
 
 def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     """Draw stress error, displacement error, hits and speed-up over tolerance into a PNG."""
-    figure = Figure(figsize=(8.6, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.6, 6.4)
     (stress, displacement), (hits, speed) = figure.subplots(2, 2, sharex=True)
     tolerances = [row.tolerance for row in sweep.rows]
     _draw_stress(stress, sweep)
     displacement.plot(
-        tolerances, [row.displacement_error for row in sweep.rows], "o-", color=_BLUE, **_STYLE
+        tolerances, [row.displacement_error for row in sweep.rows], "o-", color=BLUE, **_STYLE
     )
     displacement.set_yscale("log")
     displacement.set_title("largest error of displacement", fontsize=10)
     displacement.set_ylabel("relative to largest displacement")
-    hits.plot(tolerances, [100.0 * row.hits for row in sweep.rows], "o-", color=_BLUE, **_STYLE)
+    hits.plot(tolerances, [100.0 * row.hits for row in sweep.rows], "o-", color=BLUE, **_STYLE)
     hits.set_ylim(-4.0, 104.0)
     hits.set_title("stresses answered by the cache", fontsize=10)
     hits.set_ylabel("hits (%)")
-    speed.plot(tolerances, [row.speed_up for row in sweep.rows], "o-", color=_BLUE, **_STYLE)
+    speed.plot(tolerances, [row.speed_up for row in sweep.rows], "o-", color=BLUE, **_STYLE)
     speed.axhline(1.0, color=_GREY, linewidth=1.0, linestyle="--")
     speed.annotate(
         f"true FE², {sweep.true_wall_time:.3g} s",
@@ -64,8 +60,7 @@ def write_sweep_plot(path: Path, sweep: Sweep) -> None:
         axes.xaxis.set_major_formatter(FuncFormatter(_percent))
     _mark_off(speed, sweep)
     figure.suptitle(_title(sweep), fontsize=11)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=150)
+    write_png(path, figure)
 
 
 def _draw_stress(axes: Axes, sweep: Sweep) -> None:
@@ -77,8 +72,8 @@ def _draw_stress(axes: Axes, sweep: Sweep) -> None:
         at = [row.tolerance for row in audited]
         largest: list[Any] = [row.error_largest for row in audited]
         most: list[Any] = [row.error_99 for row in audited]
-        axes.plot(at, largest, "s--", color=_ORANGE, fillstyle="none", label="largest", **_STYLE)
-        axes.plot(at, most, "o-", color=_BLUE, label="99 % are below", **_STYLE)
+        axes.plot(at, largest, "s--", color=VERMILION, fillstyle="none", label="largest", **_STYLE)
+        axes.plot(at, most, "o-", color=BLUE, label="99 % are below", **_STYLE)
     axes.set_yscale("log")
     axes.set_title("stress error found by audits", fontsize=10)
     axes.set_ylabel("relative to spread of stress")
@@ -96,7 +91,7 @@ def _mark_off(axes: Axes, sweep: Sweep) -> None:
                 ha="left",
                 va="top",
                 fontsize=8,
-                color=_ORANGE,
+                color=VERMILION,
             )
 
 
