@@ -150,7 +150,11 @@ def load_recipe(path: str | Path) -> Recipe:
 
 
 def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> Recipe:
-    """A recipe from the nested tables of a TOML file."""
+    """A recipe from the nested tables of a TOML file.
+
+    Raises:
+        InputError: naming the section or key that is unknown or out of its range.
+    """
     for name, section in table.items():
         if name not in SECTIONS:
             raise InputError(_unknown(name, name, "section", SECTIONS))

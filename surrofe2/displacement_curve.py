@@ -39,6 +39,9 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
 
     Displacement vectors are compared by their Euclidean distance; `curve` is interpolated
     linearly where its times differ.
+
+    Raises:
+        InputError: they have no common time, or the reference does not move.
     """
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():

@@ -68,6 +68,9 @@ def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple
     Returns:
         F (count, 2, 2) symmetric, so F = U, and F_dot (count, 2, 2) in 1/µs. The same seed gives
         the same sequence, however it is cut into calls.
+
+    Raises:
+        InputError: a number is negative, or the sequence ends before.
     """
     for name, value in (("count", count), ("seed", seed), ("start", start)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:

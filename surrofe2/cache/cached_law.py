@@ -117,7 +117,13 @@ class CachedLaw:
     def respond(
         self, F: Array, F_dot: Array, state: CachedState | None = None, *, tangents: bool = False
     ) -> StressResponse:
-        """Stress at n points; a point that neither part can answer has the fallback's status."""
+        """Stress at n points; a point that neither part can answer has the fallback's status.
+
+        F, F_dot: (n, 2, 2), rates in 1/µs.
+
+        Raises:
+            InputError: tangents are asked for, and surrogate or fallback have none.
+        """
         if not (_is_ready(F) and _is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
         if tangents and not self.has_tangents:

@@ -124,7 +124,11 @@ def surrogate_has_tangents(surrogate: Any) -> bool:
 
 
 def surrogate_tangents(surrogate: Any, F: Array, F_dot: Array) -> Tangents:
-    """Tangents of the answers of `lookup` at (F, Ḟ), by whichever way the surrogate has."""
+    """Tangents of the answers of `lookup` at (F, Ḟ), (n, 2, 2), by whichever way the surrogate has.
+
+    Raises:
+        InputError: it gave none.
+    """
     if hasattr(surrogate, "tangents"):
         return surrogate.tangents(F, F_dot)
     response: StressResponse = surrogate.respond(F, F_dot, tangents=True)

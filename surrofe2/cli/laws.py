@@ -47,6 +47,7 @@ def choose_law(
         keep: is given true answers at accepted steps, see `CachedLaw`.
 
     Raises:
+        InputError: tables for a law that takes none.
         MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
     from surrofe2.rve import RveLaw
@@ -170,7 +171,11 @@ def warm_up(
 
 
 def use_threads(wanted: int | None) -> int:
-    """Limit numba, BLAS and torch to so many threads (None: all cores); the number used."""
+    """Limit numba, BLAS and torch to so many threads (None: all cores); the number used.
+
+    Raises:
+        InputError: more than the machine has cores.
+    """
     available = os.cpu_count() or 1
     if wanted is None:
         return available

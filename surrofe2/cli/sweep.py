@@ -109,7 +109,11 @@ def _make_way(out: Path) -> None:
 
 
 def parse_tolerances(text: str) -> tuple[float, ...]:
-    """Numbers between commas, falling, each once."""
+    """Numbers between commas, falling, each once.
+
+    Raises:
+        InputError: something between them is no number.
+    """
     try:
         numbers = {float(part) for part in text.split(",")}
     except ValueError:

@@ -86,7 +86,11 @@ def run_tissue(
 
 
 def cells_of(recipe: Recipe) -> tuple[int, int]:
-    """Plant cells in x and y that fill the load case's rectangle."""
+    """Plant cells in x and y that fill the load case's rectangle.
+
+    Raises:
+        InputError: no whole number of them does.
+    """
     side = recipe.cell.cell_side
     counts = []
     for name in ("width", "height"):
@@ -102,7 +106,11 @@ def cells_of(recipe: Recipe) -> tuple[int, int]:
 
 
 def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
-    """The recipe on a rectangle of so many plant cells, its watched point moved along."""
+    """The recipe on a rectangle of so many plant cells, its watched point moved along.
+
+    Raises:
+        InputError: less than one in a direction.
+    """
     if min(cells) < 1:
         raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
     load, side = recipe.load, recipe.cell.cell_side

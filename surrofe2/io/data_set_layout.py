@@ -106,7 +106,11 @@ def lay_out(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type) -> 
 
 
 def check_header(path: Path, file: h5py.File, header: DataSetHeader) -> None:
-    """Refuse to continue a data set that was begun with other settings."""
+    """Refuse to continue a data set that was begun with other settings.
+
+    Raises:
+        MismatchError: naming the first that differs.
+    """
     there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
     for name, value in header.compared().items():
         if there.get(name) != value:
@@ -117,7 +121,11 @@ def check_header(path: Path, file: h5py.File, header: DataSetHeader) -> None:
 
 
 def samples_of(path: Path, file: h5py.File) -> StressSamples:
-    """All samples of an open data set, as the numerics know them."""
+    """All samples of an open data set, as the numerics know them.
+
+    Raises:
+        FileError: the file is damaged.
+    """
     try:
         given = [name for name in TANGENTS if name in file]
         arrays = {name: file[name][:] for name in (*_ARRAYS, "status", *given)}

@@ -62,9 +62,12 @@ class DataSetWriter:
         tangents: Tangents | None = None,
         left_bifurcation: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Write the next rows, then count them; with tangents if the data set holds them.
+        """Write the next n rows, then count them; with tangents if the data set holds them.
 
-        left_bifurcation: as in `StressResponse`.
+        Args:
+            F, F_dot, stress: (n, 2, 2); 1, 1/µs and µN/µm.
+            status: (n,) codes of `Status`.
+            left_bifurcation: as in `StressResponse`.
         """
         rows = slice(self.completed, self.completed + len(F))
         arrays = {"F": F, "F_dot": F_dot, "stress": stress, "status": status}
@@ -111,7 +114,11 @@ def writing_data_set(
 
 
 def finish_data_set(path: Path) -> None:
-    """Seal a data set whose rows are all there: list the failed samples, set its fingerprint."""
+    """Seal a data set whose rows are all there: list the failed samples, set its fingerprint.
+
+    Raises:
+        InputError: rows are missing.
+    """
     with replacing(path) as partial:
         partial.write_bytes(path.read_bytes())
         with h5py.File(partial, "r+") as file:

@@ -147,7 +147,11 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 
 def read_record(folder: Path) -> RunRecord:
-    """Read run.json."""
+    """Read run.json.
+
+    Raises:
+        FileError: missing, damaged, or of another schema.
+    """
     path = folder / "run.json"
     stored = read_json(path)
     if stored.pop("schema", None) != SCHEMA:
@@ -168,7 +172,11 @@ def write_curve(folder: Path, curve: DisplacementCurve) -> None:
 
 
 def read_curve(folder: Path) -> DisplacementCurve:
-    """Read curve.csv."""
+    """Read curve.csv.
+
+    Raises:
+        FileError: missing or damaged.
+    """
     path = folder / "curve.csv"
     with reported(path, "read"):
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -182,7 +190,7 @@ def read_curve(folder: Path) -> DisplacementCurve:
 
 
 def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray]) -> None:
-    """Write energies.csv: each energy in pJ over t in µs."""
+    """Write energies.csv: each energy (m,) in pJ over t (m,) in µs."""
     header = ",".join(["t_us", *(f"{name}_pJ" for name in energies)])
     _write_table(folder / "energies.csv", header, [t, *energies.values()])
 
@@ -198,7 +206,12 @@ def _write_table(path: Path, header: str, columns: list[np.ndarray]) -> None:
 
 
 def read_run(folder: str | Path) -> StoredRun:
-    """A finished run, or an InputError that says what to do."""
+    """A finished run.
+
+    Raises:
+        FileError: not a run folder, or damaged.
+        InputError: the run is not finished; it says what to do.
+    """
     folder = Path(folder)
     if not (folder / "run.json").exists():
         raise FileError(f"{folder}: no run.json; it is not a run folder")

@@ -53,6 +53,8 @@ def simulate(
             without a state are those of the uninterrupted run to the bit.
 
     Raises:
+        InputError: `checkpoint_interval` is negative, or the integrator is "implicit" and the law
+            has no tangents.
         SimulationError: ten halvings in a row found no acceptable step; `partial` is the
             `MacroRun` up to there (None if the law fails already where the run starts).
         MismatchError: `resume` is of another run.

@@ -72,7 +72,11 @@ class MacroState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> MacroState:
-        """The state whose `to_arrays` gave `arrays`."""
+        """The state whose `to_arrays` gave `arrays`.
+
+        Raises:
+            InputError: one of them is missing.
+        """
         values: dict[str, Any] = {}
         for item in fields(cls):
             if str(item.type).startswith("dict"):

@@ -48,7 +48,11 @@ class Comparison:
 
 
 def order_runs(runs: Sequence[StoredRun]) -> list[StoredRun]:
-    """The reference first: the first full tissue, else by true RVEs, else the first of all."""
+    """The reference first: the first full tissue, else by true RVEs, else the first of all.
+
+    Raises:
+        InputError: fewer than two runs.
+    """
     if len(runs) < 2:
         raise InputError(f"compare: {len(runs)} run folder; give at least two")
     ranks = {"tissue": 0, "rve": 1}

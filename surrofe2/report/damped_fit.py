@@ -69,7 +69,15 @@ def fit_damped_modes(t: Array, u: Array, count: int = 2) -> DampedFit:
 
 
 def first_minimum(t: Array, u: Array) -> tuple[float, float]:
-    """(t, u) of the first interior minimum, by the parabola through its three lowest samples."""
+    """(t, u) of the first interior minimum, by the parabola through its three lowest samples.
+
+    Args:
+        t: (m,) increasing, µs.
+        u: (m,) at these times, µm.
+
+    Raises:
+        InputError: there is no minimum within.
+    """
     lower = np.flatnonzero((u[1:-1] < u[:-2]) & (u[1:-1] <= u[2:]))
     if lower.size == 0:
         raise InputError("first minimum: the curve has none; let the run last longer")

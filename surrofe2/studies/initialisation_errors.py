@@ -71,7 +71,7 @@ def initialisation_errors(
 
 
 def order(rate: Array, error: Array) -> float:
-    """Slope of log error over log rate, by least squares."""
+    """Slope of log error (k,) over log rate (k,), by least squares."""
     return float(np.polyfit(np.log(rate), np.log(error), 1)[0])
 
 

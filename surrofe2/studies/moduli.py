@@ -83,7 +83,11 @@ class CellModuli:
 
 
 def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
-    """Moduli at rest. One-sided where a pair sits at the cut-off of the repulsion."""
+    """Moduli at rest. One-sided where a pair sits at the cut-off of the repulsion.
+
+    Raises:
+        InputError: the plant cell has no equilibrium at rest.
+    """
     F = np.eye(2)[None]
     tangents = RveLaw(cell, initialisation).respond(F, 0.0 * F, tangents=True).tangents
     if tangents is None or not np.isfinite(tangents.P_by_F).all():
