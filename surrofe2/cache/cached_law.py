@@ -119,8 +119,6 @@ class CachedLaw:
     ) -> StressResponse:
         """Stress at n points; a point that neither part can answer has the fallback's status.
 
-        F, F_dot: (n, 2, 2), rates in 1/µs.
-
         Raises:
             InputError: tangents are asked for, and surrogate or fallback have none.
         """
