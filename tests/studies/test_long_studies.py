@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app, long_studies
+from surrofe2.cli.console import InterruptedWork
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError
 from surrofe2.io.kept_curves import KeptCurves
@@ -123,7 +124,7 @@ def test_a_stopped_study_goes_on_with_the_curves_it_has(tmp_path, monkeypatch):
         return make_bar_run(piece.method, piece.elements, curve(50.0, 0.04), 1.0)
 
     monkeypatch.setattr(bar_pieces.Piece, "compute", compute)
-    with pytest.raises(long_studies.InterruptedWork, match="keeps the finished curves"):
+    with pytest.raises(InterruptedWork, match="keeps the finished curves"):
         long_studies.make_all(pieces, tmp_path)
     kept = KeptCurves(tmp_path / "curves")
     assert [kept.read(p.name, p.configuration()) is not None for p in pieces] == [True, True, False]
