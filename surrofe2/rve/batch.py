@@ -26,6 +26,7 @@ from surrofe2.stress_law import Array, Status, Tangents
 if TYPE_CHECKING:
     from surrofe2.rve.rve_law import RveLaw
 
+_NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a cold start
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
 
 
@@ -159,21 +160,21 @@ class Batch:
     def _solve_directly(self, topology: AnyTopology) -> None:
         before, z = self.before, self.before.z.copy()
         self.state = replace(self.state, z=z, factors=before.factors)
+        self.iterations[:] = 0
         if self.cold:
-            self.iterations[:] = -1
-        else:
-            solve_tiles(
-                chord, self.F, self.rate, z, before.F,
-                felt_rate(self.law.initialisation, before.F_dot), before.factors.address,
-                topology, self.unit.constants, self.unit.area, self.settings.tolerance,
-                self.stress, self.iterations,
-            )  # fmt: skip
-        if (self.iterations < 0).any():
+            self.iterations[np.abs(self.F - before.F).max(axis=(1, 2)) > _NEAR] = -1
+        solve_tiles(
+            chord, self.F, self.rate, z, before.F,
+            felt_rate(self.law.initialisation, before.F_dot), before.factors.address,
+            topology, self.unit.constants, self.unit.area, self.settings.tolerance,
+            self.stress, self.iterations,
+        )  # fmt: skip
+        if self.cold or (self.iterations < 0).any():
             self._newton_where_open(topology, z, before.z)
             self.status[(self.iterations < 0) & (self.status == _OK)] = Status.NOT_CONVERGED
 
     def _newton_where_open(self, topology: AnyTopology, z: Array, z_before: Array) -> None:
-        self._newton(topology, self.F, self.rate, z)
+        self._newton(topology, self.F, self.rate, z, renewed=self.cold)
         astray = (self.iterations < 0) | (self.status == Status.UNSTABLE)
         if self.cold:
             astray |= is_far(self.F)
@@ -237,17 +238,20 @@ class Batch:
         )  # fmt: skip
         self.iterations[soft] = counts[soft]
 
-    def _newton(self, topology: AnyTopology, F: Array, rate: Array, z: Array) -> None:
+    def _newton(
+        self, topology: AnyTopology, F: Array, rate: Array, z: Array, renewed: bool = False
+    ) -> None:
+        """Solve where `chord` did not; check stability there, or everywhere with new factors."""
         failed = self.iterations < 0
         self.newton_solves += int(failed.sum())
-        tiles = np.asarray(failed.any(axis=1))
+        tiles = np.asarray(failed.any(axis=1)) | renewed
         factors, stable = self.state.factors.renewed(tiles), np.ones_like(failed)
         task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
         solve_tiles(
             newton, F, rate, z, factors.address, task, topology, self.unit.constants,
             self.unit.area, self.settings.tolerance, self.stress, self.iterations, stable,
         )  # fmt: skip
-        self.status[failed & ~stable] = Status.UNSTABLE
+        self.status[(failed | renewed) & ~stable] = Status.UNSTABLE
         self.state = replace(self.state, factors=factors)
 
     def _walk(

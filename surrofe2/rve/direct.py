@@ -59,7 +59,8 @@ def chord(F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stre
     """Solve from z, known at (at_F, at_rate), in place; all (tiles, …, TILE).
 
     factors (tiles,): addresses of the kept factors, which are read only.
-    iterations (tiles, TILE): force evaluations used, or −1 where the point did not converge.
+    iterations (tiles, TILE): 0 where to solve, −1 where not; becomes the number of force
+    evaluations used, or −1 where the point did not converge.
     """
     for t in numba.prange(z.shape[0]):
         chord_tile(
@@ -73,12 +74,13 @@ def chord_tile(
     F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stress, iterations
 ):
     """`chord` for one tile, arrays without their first axis."""
+    if iterations.max() < 0:
+        return
     work, free = make_workspace(topology), 2 * topology.particles - 2
     lu, slopes = kept_factors(factors, topology)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     before, step = np.full(TILE, np.inf), np.empty((free, TILE))
     predict(z, F, rate, at_F, at_rate, slopes, work.z)
-    iterations[:] = 0
     for count in range(1, CHORD_LIMIT + 1):
         evaluate(work, F, rate, topology, c, area, sigma, residual)
         left = settle(

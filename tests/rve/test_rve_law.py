@@ -105,6 +105,9 @@ def test_respond_is_pure():
 
 def test_a_point_does_not_feel_its_neighbours_in_the_batch():
     F, F_dot = deformations("printed", n=21)
+    F[::2] = np.eye(2) + 0.1 * (F[::2] - np.eye(2))  # solved by the reference's own factors
+    near = abs(F - np.eye(2)).max(axis=(1, 2)) <= 0.01
+    assert 8 <= near.sum() <= 13
     together = law("printed").respond(F, F_dot).stress
     alone = np.concatenate(
         [law("printed").respond(F[i : i + 1], F_dot[i : i + 1]).stress for i in range(21)]
