@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.error_record import ErrorRecord
 from surrofe2.cache.parts import Fallback
-from surrofe2.cache.point_set import Indices, beyond_bifurcation, state_of_both
+from surrofe2.cache.point_set import Indices, beyond_bifurcation
 from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import StressResponse
 
@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 
 BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
-REMEMBERED = 256
-"""Points whose last audit is kept to start the next from; only the last batch, if it is large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,33 +52,6 @@ class Finding:
     state: Any
 
 
-@dataclass(frozen=True, slots=True)
-class Audited:
-    """What later audits may start from.
-
-    Attributes:
-        points: (k,) where audits were, each once. at: (k, 8) `together` of F and Ḟ there.
-        state: the fallback's for these points, in this order.
-    """
-
-    points: Indices
-    at: Array
-    state: Any
-
-    def only(self, chosen: NDArray[np.bool_]) -> Audited:
-        """The points chosen (k,)."""
-        places = chosen.nonzero()[0]
-        return Audited(self.points[places], self.at[places], self.state.take(places))
-
-    def and_also(self, more: Audited) -> Audited:
-        """These points and others."""
-        return Audited(
-            np.concatenate([self.points, more.points]),
-            np.concatenate([self.at, more.at]),
-            state_of_both(self.state, len(self.points), more.state, len(more.points)),
-        )
-
-
 class Audit:
     """Chooses answers at random, by a seed, and compares them batch by batch.
 
@@ -94,7 +65,7 @@ class Audit:
         self._share = share
         self._random = np.random.default_rng(seed)
         self._waiting: list[Question] = []
-        self._known = Audited(np.empty(0, dtype=np.intp), np.empty((0, 8)), None)
+        self._last: tuple[Indices, Array, Any] | None = None
 
     def choose(self, points: Indices) -> Indices:
         """Those of the points that are to be audited, each with the share's probability."""
@@ -122,35 +93,22 @@ class Audit:
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
 
     def _solve(self, asked: Question) -> StressResponse:
-        """The true law, each point from its own last audit, or else from that of nearest (F, Ḟ)."""
-        known, start = self._known, None
-        if len(known.points):
-            places = np.full(1 + max(asked.points.max(), known.points.max()), -1)
-            places[known.points] = np.arange(len(known.points))
-            place = places[asked.points]
-            new = (place < 0).nonzero()[0]
-            if len(new):
-                place[new] = nearest(known.at, together(asked.F[new], asked.F_dot[new]))
-            start = known.state.take(place)
+        """The true law, from the last batch: of the same points, or else of nearest (F, Ḟ)."""
+        at, start = together(asked.F, asked.F_dot), None
+        if self._last is not None:
+            points, known, state = self._last
+            same = np.array_equal(points, asked.points)
+            start = state if same else state.take(nearest(known, at))
         answer = self._fallback.respond(asked.F, asked.F_dot, start)
         accepted = self._fallback.accept(asked.F, asked.F_dot, answer)
-        self._remember(asked, accepted.status, accepted.state)
+        self._remember(asked.points, at, accepted.status, accepted.state)
         return StressResponse(answer.stress, accepted.status, accepted.state)
 
-    def _remember(self, asked: Question, status: NDArray[np.int8], state: Any) -> None:
-        """Keep the state of the latest solved audit of each point."""
-        if state is None:
-            return
-        points = asked.points
-        latest = np.sort(len(points) - 1 - np.unique(points[::-1], return_index=True)[1])
-        latest = latest[(status[latest] == 0) & ~beyond_bifurcation(state, len(points))[latest]]
-        if not len(latest):
-            return
-        at = together(asked.F[latest], asked.F_dot[latest])
-        fresh = Audited(points[latest], at, state.take(latest))
-        old = ~np.isin(self._known.points, fresh.points)
-        few = len(latest) <= 2 * BATCH and old.sum() + len(latest) <= REMEMBERED
-        self._known = self._known.only(old).and_also(fresh) if few and old.any() else fresh
+    def _remember(self, points: Indices, at: Array, status: NDArray[np.int8], state: Any) -> None:
+        """Keep what can be started from: stable, on the branch of the reference."""
+        good = ((status == 0) & ~beyond_bifurcation(state, len(at))).nonzero()[0]
+        if state is not None and len(good):
+            self._last = points[good], at[good], state.take(good)
 
     def _note_worst(self, asked: Question, truth: Array, error: Array) -> None:
         known = np.nan_to_num(error, nan=-1.0)

@@ -94,8 +94,9 @@ class Factors:
         if (tile == tile[0]).all() and (lane == np.arange(TILE)).all():
             return first
         block = np.empty_like(first)
-        for k in range(TILE):
-            block[:, k] = self.blocks[tile[k]][:, lane[k]]
+        for source in np.unique(tile).tolist():
+            here = (tile == source).nonzero()[0]
+            block[:, here] = self.blocks[source][:, lane[here]]
         return block
 
 

@@ -127,7 +127,7 @@ def test_an_audit_starts_from_the_last_one_of_its_point():
     assert np.array_equal(third.F, walked[1][0])
 
 
-def test_a_sparse_audit_starts_from_the_last_one_of_each_point():
+def test_a_sparse_audit_starts_warm_from_its_own_side():
     truth = Warm()
     walk(law(audit=0.3, truth=truth), 60, points=20)
     last, warm = {}, 0
@@ -140,7 +140,7 @@ def test_a_sparse_audit_starts_from_the_last_one_of_each_point():
     assert warm > 0.5 * len(last)
 
 
-def test_an_audit_of_a_new_point_starts_from_the_nearest_that_is_known():
+def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
     truth = Warm()
     audit = Audit(truth, share=1.0, seed=0, tolerance=1.0)
 
@@ -153,9 +153,11 @@ def test_an_audit_of_a_new_point_starts_from_the_nearest_that_is_known():
 
     held([3, 5, 9], [0.1, 0.2, 0.4])
     held([7, 5, 2], [0.39, 0.5, 0.11])
-    (_, first), (_, second) = truth.asked
+    held([7, 5, 2], [0.5, 0.1, 0.3])
+    (_, first), (_, second), (_, third) = truth.asked
     assert first is None
-    assert second.F[:, 0, 1].tolist() == [0.4, 0.2, 0.1]  # 5 from its own, the others from 9 and 3
+    assert second.F[:, 0, 1].tolist() == [0.4, 0.4, 0.1]
+    assert third.F[:, 0, 1].tolist() == [0.39, 0.5, 0.11]  # the same points: each from its own
 
 
 def test_fallback_and_audit_answers_are_kept_and_learnt():
