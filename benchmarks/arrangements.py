@@ -19,13 +19,13 @@ from matplotlib.figure import Figure
 from benchmarks.timing import side_by_side, threads
 from surrofe2.plant_cell.arrangements import make_arrangement, start_positions
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.plant_cell.sparsity import Pattern, factorisation_work
 from surrofe2.rve import RveLaw
 from surrofe2.rve.arranged_cells import equilibria_in, make_lists, start_set
 from surrofe2.rve.equilibria import distinct
 from surrofe2.rve.linear import factorise, solve_factorised
 from surrofe2.rve.sparse_linear import factorise_sparse, solve_sparse
+from surrofe2.simd import TILE
 
 SHOWN = (("square", 1), ("square", 9), ("hexagon", 9), ("voronoi", 9))
 LADDER = (

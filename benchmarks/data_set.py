@@ -13,7 +13,7 @@ from benchmarks.row import Row
 from benchmarks.setting import PRESETS, Setting
 from benchmarks.timing import all_cores
 from surrofe2.cli.generate import Generated, generate_data_set
-from surrofe2.config import Recipe
+from surrofe2.recipe import Recipe
 
 TITLE = "Data sets"
 _COUNT = 16_384

@@ -13,7 +13,6 @@ from benchmarks.plain_forces import evaluate_plainly, make_plain_workspace
 from surrofe2.compilation import compiled
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.micro_state import (
     evaluate,
     local_forces,
@@ -21,6 +20,7 @@ from surrofe2.rve.micro_state import (
     map_affine,
     set_images,
 )
+from surrofe2.simd import TILE
 
 loop = compiled(cache=False)
 

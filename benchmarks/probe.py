@@ -26,8 +26,8 @@ def main() -> None:
     given = parser.parse_args()
 
     from surrofe2.cli.laws import choose_law, warm_up
-    from surrofe2.config import load_recipe
     from surrofe2.macro import MacroSettings, simulate
+    from surrofe2.recipe import load_recipe
 
     recipe = load_recipe(given.recipe)
     chosen = choose_law(recipe, given.law, given.surrogate)

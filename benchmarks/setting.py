@@ -14,11 +14,11 @@ from surrofe2 import CachedLaw, CellParameters, RveLaw, SurrogateLaw
 from surrofe2.cache import CacheSettings
 from surrofe2.cli.generate import generate_data_set
 from surrofe2.cli.train import train_surrogate
-from surrofe2.config import load_recipe
+from surrofe2.recipe import load_recipe
 from surrofe2.rve.unit_cell import UnitCell, make_unit_cell
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
 
 T = TypeVar("T")
 Array = NDArray[np.float64]

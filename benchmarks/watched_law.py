@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.setting import Array
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve import RveLaw
+from surrofe2.simd import TILE
 from surrofe2.stress_law import Acceptance, StressResponse
 
 

@@ -11,7 +11,7 @@ from surrofe2.cli.compare import compare_runs
 from surrofe2.cli.generate import generate_data_set
 from surrofe2.cli.run import run_study
 from surrofe2.cli.train import train_surrogate
-from surrofe2.config import load_recipe
+from surrofe2.recipe import load_recipe
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
 

@@ -13,7 +13,7 @@ from surrofe2.cli.console import keeping, progress, say
 from surrofe2.cli.options import RecipeFile, ReplaceFiles, Threads, integers
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
     from surrofe2.rve import RveLaw
     from surrofe2.sampling import StressSamples
     from surrofe2.studies.ablation import Row
@@ -42,8 +42,8 @@ def ablation(
     Example: [bold]surrofe2 ablation data/bending-bar.toml --out out/ablation[/bold]
     """
     from surrofe2.cli.laws import use_threads
-    from surrofe2.config import load_recipe
     from surrofe2.io.files import write_json
+    from surrofe2.recipe import load_recipe
     from surrofe2.report.study_files import check_free, write_study
     from surrofe2.rve import RveLaw
     from surrofe2.studies.ablation import compete, contenders

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from surrofe2.cli.console import say
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
     from surrofe2.io.harvest import Harvest
+    from surrofe2.recipe import Recipe
     from surrofe2.sampling import StressSamples
     from surrofe2.stress_law import StressLaw
 

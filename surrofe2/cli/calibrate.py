@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from surrofe2.errors import SimulationError
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
     from surrofe2.load_case import LoadCase
     from surrofe2.macro import MacroSettings
     from surrofe2.paths import Paths, State
+    from surrofe2.recipe import Recipe
     from surrofe2.sampling import StressSamples
     from surrofe2.stress_law import StressLaw
     from surrofe2.surrogate import SurrogateLaw

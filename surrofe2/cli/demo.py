@@ -19,7 +19,7 @@ from surrofe2.cli.train import summary as training_summary
 from surrofe2.cli.train import train_surrogate
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
     from surrofe2.report.comparison import Comparison
 
 LAWS = ("rve", "cached")
@@ -63,7 +63,7 @@ def demo(
 
     Example: [bold]surrofe2 demo --out out/demo[/bold]
     """
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = load_recipe(recipe)
     begin = time.perf_counter()

@@ -15,7 +15,7 @@ from surrofe2.cli.console import duration, keeping, progress, say
 from surrofe2.cli.options import RecipeFile, Threads
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
     from surrofe2.stress_law import StressLaw
 
 CHUNK = 512
@@ -124,7 +124,7 @@ def generate(
     Next: [bold]surrofe2 train data/bending-bar.toml[/bold]
     """
     from surrofe2.cli.laws import use_threads
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = load_recipe(recipe)
     use_threads(threads)

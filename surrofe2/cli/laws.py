@@ -15,8 +15,8 @@ from surrofe2.errors import InputError, MismatchError
 if TYPE_CHECKING:
     from surrofe2.cache import StressTable
     from surrofe2.cache.parts import Fallback, Keep
-    from surrofe2.config import Recipe
     from surrofe2.macro import MacroSettings
+    from surrofe2.recipe import Recipe
     from surrofe2.stress_law import StressLaw
 
 _MANY_POINTS = 2048

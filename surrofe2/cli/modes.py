@@ -10,8 +10,8 @@ from surrofe2.cli.console import complain, progress, say, show_table
 from surrofe2.cli.options import AnyInitialisation, JsonFile, RecipeFile, ReplaceFile, Threads
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
     from surrofe2.macro import Modes, Rest
+    from surrofe2.recipe import Recipe
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the body force by the name of the state."""
@@ -38,8 +38,8 @@ def modes(
     with the loaded periods.
     """
     from surrofe2.cli.laws import use_threads
-    from surrofe2.config import load_recipe
     from surrofe2.io.files import refuse_existing, write_json
+    from surrofe2.recipe import load_recipe
     from surrofe2.rve import INITIALISATIONS
 
     if out is not None and not force:

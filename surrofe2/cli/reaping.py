@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surrofe2.cache import StressTable
     from surrofe2.cache.parts import Keep
-    from surrofe2.config import Recipe
     from surrofe2.io.harvest import HarvestWriter
+    from surrofe2.recipe import Recipe
 
 TABLE, HARVEST = "table.h5", "harvest.h5"
 

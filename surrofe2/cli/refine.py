@@ -16,7 +16,7 @@ from surrofe2.errors import FileError, MismatchError, SimulationError
 
 if TYPE_CHECKING:
     from surrofe2.cli.refining import Round
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
     from surrofe2.sampling import SamplingRange, StressSamples
     from surrofe2.surrogate import SurrogateLaw
 
@@ -247,7 +247,7 @@ def refine(
     Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.pt --out out/run[/bold]
     """
     from surrofe2.cli.laws import use_threads
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = load_recipe(recipe)
     folder = out or Path("out") / f"refine-{recipe.stem}"

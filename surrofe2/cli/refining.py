@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from surrofe2.cache.parts import Surrogate
-    from surrofe2.config import Recipe
     from surrofe2.io.harvest import Harvest
+    from surrofe2.recipe import Recipe
     from surrofe2.sampling import SamplingRange
     from surrofe2.stress_law import StressLaw
 

@@ -15,9 +15,9 @@ from surrofe2.cli.options import Initialisation, RecipeFile, ReplaceRun, RunFold
 from surrofe2.errors import SimulationError
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
     from surrofe2.io.runs import RunRecord
     from surrofe2.macro import Rest
+    from surrofe2.recipe import Recipe
 
 
 def rest_study(
@@ -119,7 +119,7 @@ def rest(
     Next: [bold]surrofe2 modes data/bending-bar.toml[/bold]
     """
     from surrofe2.cli.run import change_rve
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = change_rve(load_recipe(recipe), initialisation, None)
     kept = f"{out} keeps the load steps up to here"

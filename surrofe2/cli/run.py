@@ -27,9 +27,9 @@ from surrofe2.errors import SimulationError
 if TYPE_CHECKING:
     from surrofe2.cache import StressTable
     from surrofe2.cli.laws import ChosenLaw
-    from surrofe2.config import Recipe
     from surrofe2.io.runs import RunRecord
     from surrofe2.macro import MacroRun
+    from surrofe2.recipe import Recipe
 
 CHECKPOINT_INTERVAL = 5.0  # s
 
@@ -205,7 +205,7 @@ def run(
 
     Next: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
     """
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = change_rve(load_recipe(recipe), initialisation, solver)
     study = change_cache(study, tolerance, audit)

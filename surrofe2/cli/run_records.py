@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from surrofe2.cli.console import keeping
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
     from surrofe2.io.runs import RunRecord
+    from surrofe2.recipe import Recipe
 
 
 def new_record(

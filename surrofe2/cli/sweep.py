@@ -15,7 +15,7 @@ from surrofe2.cli.run import change_cache, run_study
 from surrofe2.errors import InputError
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
     from surrofe2.report.tolerance_sweep import Sweep
 
 FILES = ("sweep.json", "sweep.png")
@@ -84,7 +84,7 @@ def sweep(
 
     Example: [bold]surrofe2 sweep data/bending-bar.toml --out out/sweep[/bold]
     """
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = change_cache(load_recipe(recipe), None, audit)
     numbers = parse_tolerances(tolerances)

@@ -17,8 +17,8 @@ from surrofe2.cli.run_records import keeping_run, new_record
 from surrofe2.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
     from surrofe2.io.runs import RunRecord
+    from surrofe2.recipe import Recipe
     from surrofe2.tissue import Tissue, TissueRun
 
 CHECKPOINT_INTERVAL = 5.0  # s
@@ -187,7 +187,7 @@ def tissue(
     """
     # Its threads meet every 0.1 ms; they must not fall asleep in between, as others should.
     os.environ.setdefault("GOMP_SPINCOUNT", "20000")
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = load_recipe(recipe)
     if cells is not None:

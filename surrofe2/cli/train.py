@@ -19,7 +19,7 @@ from surrofe2.cli.options import RecipeFile, Threads
 from surrofe2.errors import FileError, MismatchError
 
 if TYPE_CHECKING:
-    from surrofe2.config import Recipe
+    from surrofe2.recipe import Recipe
     from surrofe2.sampling import StressSamples
     from surrofe2.surrogate import SurrogateLaw
 
@@ -194,7 +194,7 @@ def train(
     Next: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
     """
     from surrofe2.cli.laws import use_threads
-    from surrofe2.config import load_recipe
+    from surrofe2.recipe import load_recipe
 
     study = load_recipe(recipe)
     use_threads(threads)

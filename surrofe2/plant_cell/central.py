@@ -14,8 +14,8 @@ from surrofe2.plant_cell.contact import (
     contact_force,
     contact_slopes,
 )
-from surrofe2.plant_cell.simd import spread
 from surrofe2.plant_cell.wall import wall_energy, wall_force
+from surrofe2.simd import spread
 
 
 @pair_law

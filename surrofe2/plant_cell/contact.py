@@ -12,7 +12,7 @@ for n·w.
 from __future__ import annotations
 
 from surrofe2.compilation import pair_law
-from surrofe2.plant_cell.simd import inverse_root, where_less
+from surrofe2.simd import inverse_root, where_less
 
 
 @pair_law

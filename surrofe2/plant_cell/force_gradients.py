@@ -18,8 +18,8 @@ from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.jacobian import add_to, central_gradient
 from surrofe2.plant_cell.pair_geometry import difference, pair_at
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.plant_cell.sph_kernel import spline_bend
+from surrofe2.simd import TILE, load, store
 
 FIELDS = 4
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 from surrofe2.compilation import kernel
 from surrofe2.plant_cell.central import central_elastic
 from surrofe2.plant_cell.pair_geometry import add_pair, pair_at
-from surrofe2.plant_cell.simd import load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline, spline_bend, spline_slope
+from surrofe2.simd import load, spread, store
 
 
 @kernel

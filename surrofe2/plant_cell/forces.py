@@ -12,8 +12,8 @@ from surrofe2.compilation import kernel
 from surrofe2.plant_cell.central import central_energy, central_tension
 from surrofe2.plant_cell.fluid import fluid_coefficients
 from surrofe2.plant_cell.pair_geometry import add_pair, difference, norm, pair_at
-from surrofe2.plant_cell.simd import TILE, load, spread, store
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
+from surrofe2.simd import TILE, load, spread, store
 
 
 @kernel

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.geometry import Patch
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.plant_cell.sparsity import Pattern
+from surrofe2.simd import TILE
 
 
 class Constants(NamedTuple):

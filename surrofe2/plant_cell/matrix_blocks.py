@@ -13,7 +13,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from surrofe2.compilation import OPTIONS, kernel
-from surrofe2.plant_cell.simd import load, store
+from surrofe2.simd import load, store
 
 
 class Blocks(NamedTuple):

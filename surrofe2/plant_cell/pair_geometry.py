@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from surrofe2.compilation import pair_law
-from surrofe2.plant_cell.simd import inverse_root, load, store
+from surrofe2.simd import inverse_root, load, store
 
 
 class Pair(NamedTuple):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import pair_law
-from surrofe2.plant_cell.simd import where_less
+from surrofe2.simd import where_less
 
 SIGMA = 10.0 / (7.0 * np.pi)
 

@@ -23,8 +23,8 @@ from surrofe2.plant_cell.force_gradients import FIELDS, add_field_pair, field_di
 from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.jacobian import add_to
 from surrofe2.plant_cell.pair_geometry import pair_at
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.plant_cell.sph_kernel import spline_bend, spline_third
+from surrofe2.simd import TILE, load, store
 
 
 @kernel

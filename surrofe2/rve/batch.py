@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.lanes import pack, put_points, unpack
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.contact_lists import covers
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
@@ -21,6 +20,7 @@ from surrofe2.rve.slow_newton import newton_slow
 from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.simd import TILE
 from surrofe2.stress_law import Array, Status, Tangents
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.lanes import Constants, Topology, pack, tiles_for, unpack
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.energy import curvatures, energies
 from surrofe2.rve.systems import AnyTopology
+from surrofe2.simd import TILE
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -11,13 +11,13 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.micro_state import (
     copy_particles,
     keep_lane,
     make_workspace,
     measure,
 )
+from surrofe2.simd import TILE, load, store
 
 
 @parallel_kernel

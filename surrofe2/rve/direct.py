@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.lanes import Constants
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.factors import Factors
 from surrofe2.rve.micro_state import (
     copy_particles,
@@ -42,6 +41,7 @@ from surrofe2.rve.systems import (
     kept_factors,
     make_matrices,
 )
+from surrofe2.simd import TILE, load, store
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -14,7 +14,6 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.plant_cell.stiffness_rates import add_stiffness_rates
 from surrofe2.rve.linear_columns import COLUMNS
 from surrofe2.rve.micro_state import map_affine
@@ -22,6 +21,7 @@ from surrofe2.rve.newton_steps import move, set_jacobian
 from surrofe2.rve.slow_manifold import set_velocities
 from surrofe2.rve.system_solves import solve_columns
 from surrofe2.rve.systems import factorise_elastic
+from surrofe2.simd import TILE, load, store
 
 
 @kernel

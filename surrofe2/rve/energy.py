@@ -15,11 +15,11 @@ import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import elastic_energy, fold_images
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.linear import copy_from
 from surrofe2.rve.micro_state import local_forces, make_workspace, place
 from surrofe2.rve.newton_steps import set_jacobian
 from surrofe2.rve.systems import make_matrices
+from surrofe2.simd import TILE, load, store
 
 
 @parallel_kernel

@@ -24,7 +24,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.simd import TILE
+from surrofe2.simd import TILE
 
 SLOPES = 8
 _BYTES = 4

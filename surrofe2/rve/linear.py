@@ -10,7 +10,7 @@ often.
 from __future__ import annotations
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.simd import TILE, load, spread, store
+from surrofe2.simd import TILE, load, spread, store
 
 PANEL = 8
 

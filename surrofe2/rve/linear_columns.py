@@ -6,7 +6,7 @@ The factors are far larger than the columns and are read once for all of them.
 from __future__ import annotations
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.simd import load, store
+from surrofe2.simd import load, store
 
 COLUMNS = 4
 

@@ -17,7 +17,6 @@ from surrofe2.compilation import kernel
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.lanes import pack
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.batch import covered_by
 from surrofe2.rve.micro_state import (
     cauchy_stress,
@@ -26,6 +25,7 @@ from surrofe2.rve.micro_state import (
     map_affine,
 )
 from surrofe2.rve.rve_law import RveLaw
+from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]

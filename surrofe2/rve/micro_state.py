@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.plant_cell.forces import add_forces, fold_images
-from surrofe2.plant_cell.simd import TILE, load, root, spread, store
+from surrofe2.simd import TILE, load, root, spread, store
 
 
 class Workspace(NamedTuple):

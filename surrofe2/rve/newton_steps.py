@@ -10,10 +10,10 @@ import numpy as np
 
 from surrofe2.compilation import kernel
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.micro_state import keep_lane, map_affine, measure, place_images
 from surrofe2.rve.system_solves import solve
 from surrofe2.rve.systems import factorise_free
+from surrofe2.simd import TILE, load, store
 
 NEWTON_LIMIT = 40
 LONGEST_STEP = 0.4

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.lanes import pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.batch import Batch, covered_by, felt_rate
 from surrofe2.rve.direct import renew
 from surrofe2.rve.rve_state import RveState, rest_state
@@ -19,6 +18,7 @@ from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_factors import renew_slow
 from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.unit_cell import make_unit_cell
+from surrofe2.simd import TILE
 from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
 
 _RENEW_AFTER = {"slow-manifold": 9}

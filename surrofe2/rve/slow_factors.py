@@ -11,7 +11,6 @@ import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.direct import check_stable
 from surrofe2.rve.micro_state import local_forces, make_workspace, place
 from surrofe2.rve.newton_steps import move, set_jacobian, set_residual
@@ -24,6 +23,7 @@ from surrofe2.rve.systems import (
     kept_factors,
     make_matrices,
 )
+from surrofe2.simd import TILE, load, store
 
 
 @parallel_kernel

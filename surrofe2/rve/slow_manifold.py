@@ -21,7 +21,6 @@ import numpy as np
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.micro_state import (
     copy_particles,
     keep_lane,
@@ -33,6 +32,7 @@ from surrofe2.rve.micro_state import (
 )
 from surrofe2.rve.newton_steps import correct, predict, settle
 from surrofe2.rve.systems import kept_factors
+from surrofe2.simd import TILE, load, store
 
 LIMIT = 40
 CONTRACTION = 0.9

@@ -12,12 +12,12 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.elastic_modes import equilibrium_modes, material_rate
 from surrofe2.rve.micro_state import keep_lane, make_workspace, place
 from surrofe2.rve.newton_steps import newton_loop
 from surrofe2.rve.slow_manifold import set_fluctuation, set_velocities
 from surrofe2.rve.systems import make_matrices
+from surrofe2.simd import TILE
 
 
 @parallel_kernel

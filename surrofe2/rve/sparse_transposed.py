@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.simd import TILE, load, store
+from surrofe2.simd import TILE, load, store
 
 
 @kernel

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from surrofe2.compilation import OPTIONS, kernel
 from surrofe2.plant_cell.lanes import SparseTopology, Topology
 from surrofe2.plant_cell.matrix_blocks import Blocks
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.plant_cell.sparsity import Pattern, factorisation_work
 from surrofe2.rve.factors import Factors, kept, kept_sparse
 from surrofe2.rve.linear import (
@@ -26,6 +25,7 @@ from surrofe2.rve.linear import (
     is_negative_definite,
 )
 from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots
+from surrofe2.simd import TILE, load, store
 
 AnyTopology = Topology | SparseTopology
 SPARSE_PAYS_BELOW = 0.8

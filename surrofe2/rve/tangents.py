@@ -21,7 +21,6 @@ import numpy as np
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.force_gradients import add_force_gradients
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.simd import TILE, load, store
 from surrofe2.rve.elastic_modes import (
     equilibrium_modes,
     fold_columns,
@@ -34,6 +33,7 @@ from surrofe2.rve.micro_state import local_forces, make_workspace, map_affine, p
 from surrofe2.rve.newton_steps import set_jacobian
 from surrofe2.rve.system_solves import solve_transposed
 from surrofe2.rve.systems import factorise_free, make_matrices
+from surrofe2.simd import TILE, load, store
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2

@@ -18,12 +18,12 @@ from surrofe2.plant_cell.arranged_patch import Unlisted
 from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
 from surrofe2.plant_cell.lanes import Constants, make_constants, make_topology, pack
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.arranged_cells import find_reference
 from surrofe2.rve.constrained_runs import iterate_tile
 from surrofe2.rve.direct import SOLVE, newton
 from surrofe2.rve.factors import Factors
 from surrofe2.rve.systems import AnyTopology
+from surrofe2.simd import TILE
 
 REACHES = (1.2, 1.4, 2.0, 3.0)
 """Lists of contacts, in cut-offs; the shortest that provably covers a deformation serves."""

@@ -22,8 +22,8 @@ from scipy.optimize import brentq
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve import RveLaw
+from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
 

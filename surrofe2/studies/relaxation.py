@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from surrofe2.errors import SimulationError
 from surrofe2.plant_cell.lanes import pack
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.rve import RveLaw
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.direct import SOLVE, newton, stress_at
 from surrofe2.rve.systems import empty_factors
 from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.simd import TILE
 from surrofe2.stress_law import Status
 from surrofe2.studies.drives import shear_rate_tensor, sheared
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import add_central_forces, add_fluid_forces
-from surrofe2.plant_cell.simd import TILE, load, spread, store, where_less
+from surrofe2.simd import TILE, load, spread, store, where_less
 
 Array = NDArray[np.float64]
 

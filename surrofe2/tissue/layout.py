@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.lanes import Constants, make_constants, tiles_for
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.simd import TILE
+from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.simd import TILE
+from surrofe2.simd import TILE
 from surrofe2.tissue.layout import Tissue
 from surrofe2.tissue.pair_kinds import PairKinds
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.errors import SimulationError
-from surrofe2.plant_cell.simd import TILE
+from surrofe2.simd import TILE
 from surrofe2.tissue.layout import Tissue
 from surrofe2.tissue.list_assembly import Grid, Lists, assemble
 from surrofe2.tissue.pair_kinds import RINGS, PairKinds, make_pair_kinds

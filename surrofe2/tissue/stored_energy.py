@@ -7,7 +7,7 @@ import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import add_central_energy, fluid_specific_volume
-from surrofe2.plant_cell.simd import TILE, store
+from surrofe2.simd import TILE, store
 
 
 @parallel_kernel

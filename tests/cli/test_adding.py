@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from surrofe2.cli.adding import with_harvests
-from surrofe2.config import Recipe, load_recipe
 from surrofe2.io.harvest import HarvestHeader, HarvestWriter
+from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.sampling import StressSamples, sample
 from tests.cache.square_law import SquareLaw, square_stress
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from surrofe2.cli.generate import generate_data_set
-from surrofe2.config import load_recipe
 from surrofe2.errors import InputError
 from surrofe2.io.data_sets import read_data_set
+from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from tests.fakes import SoftLaw, StoppingLaw
 
@@ -72,7 +72,7 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, tmp
 _KILLED = """
 import sys, time
 from surrofe2.cli.generate import generate_data_set
-from surrofe2.config import load_recipe
+from surrofe2.recipe import load_recipe
 from tests.fakes import SoftLaw
 
 class SlowLaw(SoftLaw):

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.config import load_recipe
 from surrofe2.io.runs import read_curve, read_record
+from surrofe2.recipe import load_recipe
 from tests.cli.finished_run import FILES
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from surrofe2.plant_cell import force_rates, forces, jacobian
 from surrofe2.plant_cell.force_gradients import add_force_gradients
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.plant_cell.stiffness_rates import add_stiffness_rates
+from surrofe2.simd import TILE
 from tests.plant_cell.test_forces import Patch
 
 

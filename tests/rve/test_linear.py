@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve.linear import (
     factorise,
     factorise_symmetric,
@@ -9,6 +8,7 @@ from surrofe2.rve.linear import (
     solve_factorised,
 )
 from surrofe2.rve.linear_columns import solve_four, solve_four_transposed
+from surrofe2.simd import TILE
 
 
 def systems(n, seed=0):

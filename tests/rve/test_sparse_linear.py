@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.plant_cell.sparsity import factorisation_work, make_pattern
 from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots, solve_sparse
 from surrofe2.rve.sparse_transposed import solve_sparse_transposed
+from surrofe2.simd import TILE
 
 PAIRS = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 0), (0, 3)]
 

@@ -11,9 +11,9 @@ import pytest
 
 from surrofe2 import RveLaw, sample, simulate
 from surrofe2.cli.calibrate import calibrate_surrogate
-from surrofe2.config import load_recipe
 from surrofe2.errors import SimulationError
 from surrofe2.paths import WatchedLaw, random_states, random_walks, true_stress
+from surrofe2.recipe import load_recipe
 from surrofe2.sampling import SamplingRange, StressSamples, contains
 from surrofe2.stress_error import stress_error
 from surrofe2.surrogate import train

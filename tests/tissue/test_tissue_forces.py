@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell.simd import TILE
 from surrofe2.rve import RveLaw
+from surrofe2.simd import TILE
 from surrofe2.tissue.motion import Motion
 from tests.plant_cell.twin import Twin
 from tests.tissue.twin import TissueTwin

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from surrofe2.config import load_recipe, make_recipe
 from surrofe2.errors import FileError, InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe import load_recipe, make_recipe
 
 RECIPES = sorted((Path(__file__).parents[1] / "data").glob("*.toml"))
 
