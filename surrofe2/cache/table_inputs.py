@@ -1,9 +1,9 @@
 """Where a table keeps its records: seven inputs with rotation and the group of the cell taken out.
 
 S of `polar_inputs` has the same four components as A, and |S| = √(s·s/2) is its Frobenius norm.
-The group D4 of the square cell acts by signs (model.md): a turn by 90° flips difference and shear,
-a reflection flips shear and spin. So each state has four images; the one with difference and shear
-of U ≥ 0 is its canonical one.
+The group D4 of the square cell acts by signs (docs/theory.md, symmetries): a turn by 90° flips
+difference and shear, a reflection flips shear and spin. So each state has four images; the one with
+difference and shear of U ≥ 0 is its canonical one.
 """
 
 from __future__ import annotations

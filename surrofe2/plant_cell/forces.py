@@ -20,9 +20,9 @@ from surrofe2.simd import TILE, load, spread, store
 def add_central_forces(x, v, f, pairs, share, is_bond, c):
     """Add wall tensions (eq. 1) or contact repulsion (eq. 2) to f.
 
-    share (pairs, TILE) scales the whole force of a pair, lane by lane (model.md, Forces): ½ where
-    one of the two walls is missing, on the boundary of a tissue, 0 in lanes without that pair; c(r)
-    keeps the parameter m_wall. None: 1 everywhere.
+    share (pairs, TILE) scales the whole force of a pair, lane by lane: ½ where one of the two walls
+    is missing, on the boundary of a tissue (docs/theory.md, walls at a free boundary), 0 in lanes
+    without that pair; c(r) keeps the parameter m_wall. None: 1 everywhere.
     """
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]

@@ -1,4 +1,4 @@
-"""Wall spring and dashpot between bonded wall neighbours (eq. 1, as settled in model.md).
+"""Wall spring and dashpot between bonded wall neighbours (eq. 1; docs/theory.md, walls).
 
 Force on i with r = x_j − x_i, n = r/|r|, w = v_j − v_i::
 

@@ -1,5 +1,6 @@
-"""Damped modes in a displacement curve: period and logarithmic decrement (model.md).
+"""Damped modes in a displacement curve: period and logarithmic decrement.
 
+See docs/theory.md, period and decrement.
 Least squares of a constant and exponentially damped cosines, two unless told otherwise::
 
     u(t) ≈ c + Σₖ e^(−δₖ t) (aₖ cos ωₖ t + bₖ sin ωₖ t),    k = 1, 2

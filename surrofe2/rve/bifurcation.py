@@ -1,5 +1,6 @@
-"""Leaving an unstable equilibrium: down the energy along its unstable directions (model.md).
+"""Leaving an unstable equilibrium: down the energy along its unstable directions.
 
+See docs/theory.md, stability.
 Where an equilibrium loses stability, particles move on until the elastic energy E is at a
 minimum. The way down is Newton's, with the modulus of every eigenvalue of the Hessian
 H = Σ λ q qᵀ::

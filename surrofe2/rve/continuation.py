@@ -1,5 +1,6 @@
-"""Far loads: the equilibrium followed in steps from a known one, over bifurcations (model.md).
+"""Far loads: the equilibrium followed in steps from a known one, over bifurcations.
 
+See docs/theory.md, stability.
 The way is straight in F, dashpots off, from where z is known to where it is asked for. A step
 from one stable equilibrium to the next is halved where Newton's method fails, where the state it
 finds is unstable, or where particles jump. The shortest step that still fails in this way has met

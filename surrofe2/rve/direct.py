@@ -1,4 +1,4 @@
-"""The fixed point of constrained runs solved directly (not in the paper; model.md).
+"""The fixed point of constrained runs solved directly (docs/theory.md; not in the paper).
 
 At the fixed point of (69) to (72) v_i = L x_i and f_i(x, L x) = 0 for every particle. `chord`
 corrects with a kept factorisation after a linear prediction; `newton` refactorises. With the

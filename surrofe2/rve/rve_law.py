@@ -34,8 +34,8 @@ class RveLaw:
     Args:
         cell: parameters of the plant cell.
         initialisation: "cauchy-born" (eq. 64), "elastic" (65 to 67), "constrained-runs"
-            (69 to 72) or "slow-manifold" (model.md).
-        solver: "direct" (Newton on the fixed point, model.md) or "iterated" (the paper's).
+            (69 to 72) or "slow-manifold" (docs/theory.md, slow manifold).
+        solver: "direct" (Newton on the fixed point) or "iterated" (the paper's).
         settings: tolerances, see `RveSettings`; any of its fields also as a keyword.
 
     Attributes:

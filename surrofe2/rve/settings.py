@@ -17,7 +17,7 @@ class RveSettings:
 
     Attributes:
         initialisation: "cauchy-born" (eq. 64), "elastic" (eqs. 65 to 67), "constrained-runs"
-            (eqs. 69 to 72) or "slow-manifold" (model.md, not in the paper).
+            (eqs. 69 to 72) or "slow-manifold" (docs/theory.md, not in the paper).
         solver: "direct" (Newton on the fixed point) or "iterated" (the paper's Euler step and
             rescaling; for "elastic" with the velocities of the macro scale at zero).
         tolerance: mean particle force at which `direct` stops, µN.

@@ -1,5 +1,6 @@
-"""Slow-manifold initialisation (not in the paper; model.md): fluctuating velocities, then x.
+"""Slow-manifold initialisation (not in the paper): fluctuating velocities, then x.
 
+See docs/theory.md, slow manifold.
 The microscopic run does not have affine velocities: the relaxed fluctuation moves as F moves. With
 x_el(F) the elastic equilibrium (65), take as velocities v = ∂x_el/∂F : Ḟ, and then the positions
 at which the forces vanish with them, f(x, v) = 0. What is left is of second order in time.

@@ -1,5 +1,6 @@
-"""Exact tangents ∂P/∂F and ∂P/∂Ḟ by the implicit function theorem (not in the paper; model.md).
+"""Exact tangents ∂P/∂F and ∂P/∂Ḟ by the implicit function theorem (not in the paper).
 
+See docs/theory.md, tangents.
 With P = −1/V₀ Σ_k f_k ⊗ z_k over local particles (eq. 54, material positions z) and J the Jacobian
 of the forces that vanish at z, every change δf of forces at fixed z moves z by J F δz = −δf. What
 that does to P is the same for all directions of (F, Ḟ), and is solved for once for each of the four

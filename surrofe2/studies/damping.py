@@ -51,7 +51,7 @@ WAYS = (
     Way("two modes, last three fifths", 2, 0.4),
     Way("two modes, first four fifths", 2, 0.0, 0.8),
 )
-"""The first is the one of the figures (model.md)."""
+"""The first is the one of the figures (docs/theory.md, period and decrement)."""
 
 
 def pieces(

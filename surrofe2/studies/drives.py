@@ -30,7 +30,7 @@ def steady_shear(rate: float = SHEAR_RATE) -> Path:
 
 
 def oscillation(slowness: float = 1.0) -> Path:
-    """model.md's second drive, slowed: F₁₁ = 1 + 0.04 sin ωt, F₁₂ = 0.05 sin ωt, ω = 2π/40 µs."""
+    """F₁₁ = 1 + 0.04 sin ωt, F₁₂ = 0.05 sin ωt, ω = 2π/40 µs, slowed (docs/theory.md)."""
     omega = 2.0 * np.pi / (40.0 * slowness)
     way = np.array([[0.04, 0.05], [0.0, 0.0]])
     return lambda t: (np.eye(2) + np.sin(omega * t) * way, omega * np.cos(omega * t) * way)

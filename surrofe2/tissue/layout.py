@@ -12,8 +12,9 @@ belong to further columns and rows of `walls only` places, which have no fluid::
 Places are lanes of tiles: plant cells first, then those with walls only, each group filled up to
 whole tiles with empty places. A particle that does not exist lies far away, where it meets no one.
 
-What two cells share is halved where one of them is missing (model.md): the mass of a wall
-particle is its share, (cells present)/(cells that share it), so a quarter at the tissue's corners.
+What two cells share is halved where one of them is missing (docs/theory.md, walls at a free
+boundary): the mass of a wall particle is its share, (cells present)/(cells that share it), so a
+quarter at the tissue's corners.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ Leapfrog with lagged velocities in the dashpots, one force evaluation a step::
 begun and ended with half a kick where positions and velocities are wanted at one time: at every
 sample of the energies. Because v_{k−1/2} stands for v_k in velocity-dependent forces, the method
 is first order in Δt; without damping it is second order. Stable to about 2.4e-3 µs with critical
-damping (model.md), which limits the step before accuracy does: on the paper's bar the default of
-2e-3 µs moves the watched point by less than 1e-4 µm in the first 30 µs, 3e-6 of its way, by
+damping (docs/theory.md), which limits the step before accuracy does: on the paper's bar the default
+of 2e-3 µs moves the watched point by less than 1e-4 µm in the first 30 µs, 3e-6 of its way, by
 comparison with steps of 1e-3 and 5e-4.
 """
 

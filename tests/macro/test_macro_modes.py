@@ -79,7 +79,7 @@ def test_overdamped_motions_creep():
 
 
 def test_bar_of_rves_has_the_period_and_damping_of_its_motion():
-    """model.md, `water` on 4 × 4: fits of 250 µs in time gave period 49.5 and these decrements."""
+    """docs/theory.md, `water` on 4 × 4: fits over 250 µs gave period 49.5 and these decrements."""
     for name, decrement in (
         ("elastic", 0.0678),
         ("constrained-runs", 0.0495),

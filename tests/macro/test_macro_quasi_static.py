@@ -89,9 +89,9 @@ def test_load_that_cannot_be_borne_ends_with_the_last_rest():
 
 
 def test_bar_of_rves_rests_where_it_swings_about():
-    """First minimum of a lightly damped bar is about twice the displacement at rest: model.md has
-    −31.9 µm and the decrement 0.0411, so half of it times 1 + exp(−0.0411/2) and the second mode's
-    share apart, −16.1 µm; ways to initialise agree where nothing moves."""
+    """First minimum of a lightly damped bar is about twice the displacement at rest: docs/theory.md
+    has −31.9 µm and the decrement 0.0411, so half of it times 1 + exp(−0.0411/2) and the second
+    mode's share apart, −16.1 µm; ways to initialise agree where nothing moves."""
     rests = [
         find_rest(LoadCase(), RveLaw(CellParameters.preset("water"), name))
         for name in ("elastic", "constrained-runs", "slow-manifold")

@@ -1,7 +1,8 @@
 """Elastic forces, stress and Hessian of one square cell in plain numpy, many points at once.
 
-Written from the formulas of model.md, second derivatives of the energies of `tests.plant_cell.twin`
-by hand: no pair lists, no kernels. A pair with stored energy φ(r) has the stiffness
+Written from the formulas of docs/theory.md, second derivatives of the energies of
+`tests.plant_cell.twin` by hand: no pair lists, no kernels. A pair with stored energy φ(r) has the
+stiffness
 
     K = φ″ n⊗n + φ′/r (1 − n⊗n)
 """

@@ -17,7 +17,7 @@ from tests.rve.curvature_twin import Curvatures
 
 PRESETS = ("printed", "water")
 NEAR = {"printed": 0.1, "water": 0.04}
-"""Within so much of I, entry by entry, no solve may fail (model.md)."""
+"""Within so much of I, entry by entry, no solve may fail (docs/theory.md)."""
 BEYOND = {
     "printed": np.array([np.diag([1.35, 1.0]), np.diag([1.25, 1.25]), np.diag([1.4, 1.1])]),
     "water": np.array([np.diag([0.92, 1.0]), np.diag([0.94, 0.94]), [[0.93, -0.02], [0.0, 1.0]]]),

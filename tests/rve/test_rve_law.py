@@ -263,7 +263,7 @@ def test_cold_answers_are_checked_and_warm_ones_at_accept():
     cold = law("water").respond(*at)
     assert cold.state.is_checked
     assert law("water").accept(*at, cold).state is cold.state
-    squeezed = np.tile(0.93 * np.eye(2), (4, 1, 1))  # walls buckle from 4.5 % on (model.md)
+    squeezed = np.tile(0.93 * np.eye(2), (4, 1, 1))  # buckles: docs/theory.md, stability
     beyond = law("water").respond(squeezed, np.zeros_like(squeezed))
     assert (beyond.left_bifurcation | (beyond.status != 0)).all()
     warm = law("water").respond(*at, cold.state)

@@ -92,7 +92,7 @@ def test_viscous_tangent_at_rest_is_symmetric_and_dissipates(preset, initialisat
 
 
 def test_viscous_tangent_of_constrained_runs_is_not_symmetric():
-    """model.md: a limit on what a dissipation potential can represent."""
+    """docs/theory.md: a limit on what a dissipation potential can represent."""
     F, F_dot = deformations("water")
     B = law("water").respond(F, 0.0 * F_dot, tangents=True).tangents.P_by_F_dot.reshape(-1, 4, 4)
     assert np.abs(B - B.swapaxes(1, 2)).max() > 1e-3 * np.abs(B).max()

@@ -14,14 +14,14 @@ from tests.plant_cell.twin import Twin
 def test_rest_length_frees_the_cell_of_stress(preset, rest_length):
     cell = CellParameters.preset(preset)
     unit = make_unit_cell(cell)
-    assert unit.rest_length == pytest.approx(rest_length, abs=0.005)  # model.md
+    assert unit.rest_length == pytest.approx(rest_length, abs=0.005)  # docs/theory.md
     f, _, stress = Twin(cell, unit.rest_length).evaluate(unit.position, np.eye(2), np.zeros((2, 2)))
     assert abs(f).max() < 1e-9
     assert abs(stress).max() < 1e-10
 
 
 def test_fourth_wall_neighbours_sit_at_the_cut_off():
-    """model.md: at F = I between 9.93 and 10.10 µm (`water`)."""
+    """docs/theory.md: at F = I between 9.93 and 10.10 µm (`water`)."""
     wall = make_unit_cell(CellParameters.preset("water")).position[:10, 0]
     fourth = np.diff(np.concatenate([wall, wall + 25.0])[np.arange(10)[:, None] + [0, 4]])
     assert fourth.min() == pytest.approx(9.93, abs=0.01)

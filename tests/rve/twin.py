@@ -1,7 +1,7 @@
 """Constrained runs and slow manifold in plain numpy: Newton on the particles of one RVE.
 
 Forces are those of the plain twin over all images; Jacobians are dense central differences;
-nothing is kept from one solve to the next. Formulas from model.md.
+nothing is kept from one solve to the next. Formulas from docs/theory.md.
 """
 
 import numpy as np

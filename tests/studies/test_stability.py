@@ -1,4 +1,4 @@
-"""The stability map, by what model.md reports and by the symmetry of the square cell."""
+"""The stability map, by what docs/theory.md reports and by the symmetry of the square cell."""
 
 import numpy as np
 import pytest

@@ -84,7 +84,7 @@ def test_fading_time():
 
 
 def test_bar_with_water_has_the_model_s_decrements():
-    """model.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
+    """docs/theory.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
     for name, decrement in (("elastic", 0.0678), ("slow-manifold", 0.0411)):
         run = bar_comparison.run_bar(WATER, name, (4, 4), LoadCase())
         assert run.fit.first.period == pytest.approx(49.5, abs=0.05)

@@ -1,6 +1,7 @@
 """A finite tissue of square cells in plain numpy: every pair of particles, no lists, no lanes.
 
-Written from model.md. Wall particles are the points of a grid of springs, fluid belongs to a cell.
+Written from docs/theory.md. Wall particles are the points of a grid of springs, fluid belongs to a
+cell.
 """
 
 from __future__ import annotations
