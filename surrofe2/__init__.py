@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from surrofe2.macro import MacroRun, MacroSettings, simulate
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.rve import RveLaw
-    from surrofe2.sampling import SamplingRange, StressSamples, sample
+    from surrofe2.sampling import SamplingRange, sample
     from surrofe2.stress_law import Status, StressLaw, StressResponse
+    from surrofe2.stress_samples import StressSamples
     from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
 
 _HOME = {

@@ -1,4 +1,4 @@
-"""Which deformations the stress is sampled at, and the samples themselves.
+"""At which deformations the stress is sampled: ranges and sequences of points in them.
 
 A constant rotation leaves σ(F, Ḟ) unchanged but for the rotation, so with the polar decomposition
 F = R U seven inputs are left: the stretch U (symmetric) and the rate A = RᵀḞ (any 2 × 2).
@@ -6,23 +6,25 @@ F = R U seven inputs are left: the stretch U (symmetric) and the rate A = Rᵀ�
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.tensors import rotation, transpose
+from surrofe2.tensors import INPUTS, transpose, unrotated
 
 Array = NDArray[np.float64]
 
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
-TANGENTS = ("P_by_F", "P_by_F_dot")
-_INPUTS = 7
-_MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
+_BITS = 30
+_MOST_SAMPLES = 2**_BITS  # points of the scrambled Sobol sequence
+# primitive polynomial and first direction numbers of each input but the first (Joe and Kuo)
+_PRIMITIVE = (
+    (3, (1,)), (7, (1, 3)), (11, (1, 3, 1)), (13, (1, 1, 1)), (19, (1, 1, 3, 3)),
+    (25, (1, 3, 5, 13)),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,8 +90,7 @@ def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:
     """(n,) whether U and RᵀḞ of each point are within the range; False where anything is NaN."""
     F, F_dot = np.asarray(F, dtype=np.float64), np.asarray(F_dot, dtype=np.float64)
     with np.errstate(all="ignore"):
-        R_transposed = transpose(rotation(F))
-        U, A = R_transposed @ F, R_transposed @ F_dot
+        U, A, _ = unrotated(F, F_dot)
         low, high = range.stretch
         inside = np.abs(A).max(axis=(1, 2), initial=0.0) <= range.rate + SLACK * range.rate
         inside &= np.abs(U[:, 0, 1]) <= range.shear + SLACK
@@ -102,8 +103,7 @@ def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange
     """The least range that holds another one and these points, (n, 2, 2) each."""
     if contains(range, F, F_dot).all():
         return range
-    R_transposed = transpose(rotation(F))
-    U, A = R_transposed @ F, R_transposed @ F_dot
+    U, A, _ = unrotated(F, F_dot)
     stretches = np.concatenate([U[:, 0, 0], U[:, 1, 1]])
     low, high = range.stretch
     return SamplingRange(
@@ -123,110 +123,56 @@ def neighbours(
     """
     random = np.random.default_rng(seed)
     at = random.permutation(len(F))[np.arange(count) % len(F)]
-    R_transposed = transpose(rotation(F[at]))
+    U, A, _ = unrotated(F[at], F_dot[at])
     low, high = range.stretch
     half = distance * np.array([0.5 * (high - low)] * 2 + [range.shear] + [range.rate] * 4)
-    moved = half * random.uniform(-1.0, 1.0, (count, _INPUTS))
-    U = R_transposed @ F[at] + moved[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-    return 0.5 * (U + transpose(U)), R_transposed @ F_dot[at] + moved[:, 3:].reshape(-1, 2, 2)
+    moved = half * random.uniform(-1.0, 1.0, (count, INPUTS))
+    U = U + moved[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    return 0.5 * (U + transpose(U)), A + moved[:, 3:].reshape(-1, 2, 2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StressSamples:
-    """Stress of one RVE at sampled deformations, and whose stress it is.
-
-    Attributes:
-        F: (n, 2, 2) deformation gradient.
-        F_dot: (n, 2, 2) its material rate, 1/µs.
-        stress: (n, 2, 2) Cauchy stress in µN/µm, finite where `status` is 0.
-        status: (n,) int8 codes of `surrofe2.stress_law.Status`.
-        cell: parameters of the plant cell.
-        initialisation: how the RVE was initialised.
-        range: bounds the points were drawn from.
-        seed: seed of their sequence.
-        rest_length: wall rest length in µm, if known.
-        P_by_F: (n, 2, 2, 2, 2) ∂P/∂F in µN/µm as in `Tangents`, finite where `status` is 0; None
-            where the samples have no tangents.
-        P_by_F_dot: the same by Ḟ, µN µs/µm; given if and only if `P_by_F` is.
-        left_bifurcation: (n,) whether the RVE left its branch at a bifurcation: its stress is
-            that of one of several stable equilibria. None: nowhere.
-    """
-
-    F: Array
-    F_dot: Array
-    stress: Array
-    status: NDArray[np.int8]
-    cell: CellParameters
-    initialisation: str
-    range: SamplingRange
-    seed: int
-    rest_length: float | None = None
-    P_by_F: Array | None = None
-    P_by_F_dot: Array | None = None
-    left_bifurcation: NDArray[np.bool_] | None = None
-
-    def __post_init__(self) -> None:
-        count = len(self.F)
-        if (self.P_by_F is None) != (self.P_by_F_dot is None):
-            raise InputError("samples.P_by_F, samples.P_by_F_dot: give both or neither")
-        arrays = self._float_arrays
-        for name, array in arrays.items():
-            shape = (count, 2, 2, 2, 2) if name in TANGENTS else (count, 2, 2)
-            if np.shape(array) != shape:
-                raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {shape}")
-        if np.shape(self.status) != (count,):
-            raise InputError(
-                f"samples.status: shape {np.shape(self.status)}; it must be ({count},)"
-            )
-        left = self.left_bifurcation
-        if left is not None and np.shape(left) != (count,):
-            raise InputError(
-                f"samples.left_bifurcation: shape {np.shape(left)}; it must be ({count},)"
-            )
-        for name, array in arrays.items():
-            if not np.isfinite(array[self.status == 0]).all():
-                raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
-
-    @property
-    def _float_arrays(self) -> dict[str, Array]:
-        """The arrays of numbers that the samples have, by name."""
-        arrays = {name: getattr(self, name) for name in ("F", "F_dot", "stress", *TANGENTS)}
-        return {name: array for name, array in arrays.items() if array is not None}
-
-    @property
-    def fingerprint(self) -> str:
-        """16 hexadecimal digits that two equal sets of samples share and no others."""
-        digest = hashlib.sha256()
-        identity = (self.cell.fingerprint, self.initialisation, self.range.to_dict(), self.seed)
-        digest.update(repr((*identity, self.rest_length)).encode())
-        for array in self._float_arrays.values():
-            digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
-        digest.update(np.ascontiguousarray(self.status, dtype=np.int8).tobytes())
-        if self.left_bifurcation is not None and self.left_bifurcation.any():
-            digest.update(np.packbits(self.left_bifurcation).tobytes())
-        return digest.hexdigest()[:16]
-
-    @property
-    def valid(self) -> StressSamples:
-        """The samples that have a stress, status 0, and only one: no bifurcation was left."""
-        kept = self.status == 0
-        if self.left_bifurcation is not None:
-            kept &= ~self.left_bifurcation
-        arrays = {name: array[kept] for name, array in self._float_arrays.items()}
-        return replace(self, status=self.status[kept], left_bifurcation=None, **arrays)
+def half_widths(range: SamplingRange) -> Array:
+    """(7,) half the width of the range in each input of `tensors`; 1 where the range has none."""
+    low, high = range.stretch
+    widest = max(abs(low - 1.0), abs(high - 1.0))
+    widths = 2.0 * np.array([widest, widest, range.shear, *[range.rate] * 4])
+    return np.where(widths > 0.0, widths, 1.0)
 
 
 def _sobol(count: int, seed: int, start: int) -> Array:
-    from scipy.stats import qmc  # here, because it takes longer to import than a recipe to check
+    """(count, 7) points in [0, 1), bit for bit those of `scipy.stats.qmc.Sobol(7)`.
 
-    sequence = qmc.Sobol(_INPUTS, scramble=True, rng=np.random.default_rng(seed))
-    if count == 0:
-        return np.empty((0, _INPUTS))
-    if start:
-        sequence.fast_forward(start)
-        return np.asarray(sequence.random(count))
-    # one point first: scipy warns when a sequence begins with a count that is no power of two
-    return np.concatenate([sequence.random(1), sequence.random(count - 1)])
+    Written out, since importing scipy.stats takes longer than a cached run: point n is the
+    exclusive or of the direction numbers at the bits of n's Gray code. They are scrambled by a
+    random linear map of their bits and by a random shift (Matoušek, 1998).
+    """
+    random = np.random.default_rng(seed).spawn(1)[0]  # as scipy does
+    weights = 1 << np.arange(_BITS)[::-1]
+    shift = random.integers(2, size=(INPUTS, _BITS), dtype=np.uint32).astype(int) @ weights[::-1]
+    maps = random.integers(2, size=(INPUTS, _BITS, _BITS), dtype=np.uint32).astype(int)
+    maps = np.tril(maps, -1) + np.eye(_BITS, dtype=int)
+    bits = _direction_numbers()[:, :, None] // weights & 1
+    scrambled = (np.einsum("dpk,djk->djp", maps, bits) & 1) @ weights
+    n = np.arange(start, start + count)
+    points = np.tile(shift, (count, 1))
+    for k in np.arange(_BITS):
+        points ^= ((n ^ n >> 1) >> k & 1)[:, None] * scrambled[:, k]
+    return points / 2.0**_BITS
+
+
+def _direction_numbers() -> NDArray[np.int64]:
+    """(7, 30) of each input, by Joe and Kuo's recurrence (2008)."""
+    rows = [[1] * _BITS]
+    for polynomial, first in _PRIMITIVE:
+        row, degree = list(first), len(first)
+        for k in np.arange(degree, _BITS):
+            number = row[k - degree]
+            for i in np.arange(degree).tolist():
+                if polynomial >> (degree - 1 - i) & 1:
+                    number ^= row[k - i - 1] << (i + 1)
+            row.append(number)
+        rows.append(row)
+    return np.array(rows) << np.arange(_BITS)[::-1]
 
 
 def _pair(value: Any) -> tuple[float, float]:

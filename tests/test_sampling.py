@@ -1,13 +1,16 @@
 """The range of deformations, its sequence of points, and the samples."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange, StressSamples, contains, sample
+from surrofe2.sampling import SamplingRange, contains, sample
+from surrofe2.stress_samples import StressSamples
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
 
@@ -37,6 +40,20 @@ def test_a_range_that_makes_no_sense_is_refused(changes, message):
     with pytest.raises(InputError, match=message) as error:
         SamplingRange(**{"stretch": (0.9, 1.1), "shear": 0.1, "rate": 0.01, **changes})
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("seed", "start", "count"), [(0, 0, 1), (3, 0, 700), (7, 1000, 50)])
+def test_points_are_those_of_scipy(seed, start, count):
+    """Bit for bit, so that data sets of before are those of today."""
+    unit = SamplingRange(stretch=(1.0, 2.0), shear=0.5, rate=0.5)
+    sequence = qmc.Sobol(7, scramble=True, rng=np.random.default_rng(seed))
+    if start:
+        sequence.fast_forward(start)
+    with warnings.catch_warnings(action="ignore"):  # of a count that is no power of two
+        expected = sequence.random(count)
+    F, F_dot = sample(unit, count, seed, start)
+    np.testing.assert_array_equal(F[:, [0, 1, 0], [0, 1, 1]] - [1.0, 1.0, -0.5], expected[:, :3])
+    np.testing.assert_array_equal(F_dot.reshape(-1, 4) + 0.5, expected[:, 3:])
 
 
 def test_points_fill_the_range_and_no_more():

@@ -22,11 +22,9 @@ from surrofe2.cache.table_records import Records, joined, no_records
 from surrofe2.cache.table_tree import make_tree
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.polar_inputs import to_components, to_inputs
 from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_error import stress_spread
 from surrofe2.stress_law import Acceptance, StressResponse, check_deformation
-from surrofe2.tensors import transpose
+from surrofe2.tensors import stress_spread, to_components, to_inputs, transpose
 
 Array = NDArray[np.float64]
 

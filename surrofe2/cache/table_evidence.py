@@ -20,7 +20,7 @@ from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, OUTPUTS
 from surrofe2.cache.table_records import Records
 from surrofe2.cache.table_tree import quadratic
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
+from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

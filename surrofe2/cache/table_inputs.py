@@ -1,6 +1,6 @@
 """Where a table keeps its records: seven inputs with rotation and the group of the cell taken out.
 
-S of `polar_inputs` has the same four components as A, and |S| = √(s·s/2) is its Frobenius norm.
+S of `tensors` has the same four components as A, and |S| = √(s·s/2) is its Frobenius norm.
 The group D4 of the square cell acts by signs (docs/theory.md, symmetries): a turn by 90° flips
 difference and shear, a reflection flips shear and spin. So each state has four images; the one with
 difference and shear of U ≥ 0 is its canonical one.
@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.polar_inputs import INPUTS, from_components, to_components
 from surrofe2.sampling import SamplingRange
-from surrofe2.tensors import transpose
+from surrofe2.tensors import INPUTS, from_components, to_components, transpose
 
 Array = NDArray[np.float64]
 

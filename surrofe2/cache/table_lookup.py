@@ -21,8 +21,8 @@ from surrofe2.cache.table_inputs import (
 )
 from surrofe2.cache.table_tree import find_all
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
+from surrofe2.tensors import INPUTS
 
 MANY = 1000  # points from which on more than one core pays
 

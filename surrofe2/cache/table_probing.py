@@ -16,8 +16,7 @@ from surrofe2.cache.table_records import (
     limited,
     make_records,
 )
-from surrofe2.polar_inputs import INPUTS, from_inputs, to_components
-from surrofe2.tensors import transpose
+from surrofe2.tensors import INPUTS, from_inputs, to_components, transpose
 
 Array = NDArray[np.float64]
 

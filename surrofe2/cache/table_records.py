@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.table_inputs import OUTPUTS
-from surrofe2.polar_inputs import INPUTS
+from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

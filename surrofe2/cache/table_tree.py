@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
+from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from surrofe2.cli.options import RecipeFile, ReplaceFiles, Threads, integers
 if TYPE_CHECKING:
     from surrofe2.recipe import Recipe
     from surrofe2.rve import RveLaw
-    from surrofe2.sampling import StressSamples
+    from surrofe2.stress_samples import StressSamples
     from surrofe2.studies.ablation import Row
 
 _TEST_SEED = 987_654
@@ -85,7 +85,8 @@ def ablation(
 
 def _ask(law: RveLaw, study: Recipe, most: int) -> tuple[StressSamples, StressSamples]:
     """Samples with tangents to learn from, and others to measure on."""
-    from surrofe2.sampling import StressSamples, sample
+    from surrofe2.sampling import sample
+    from surrofe2.stress_samples import StressSamples
     from surrofe2.studies.ablation import TEST_POINTS, ask_rve
 
     F, F_dot = sample(study.range, 0, 0)

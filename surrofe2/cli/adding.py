@@ -11,8 +11,8 @@ from surrofe2.cli.console import say
 if TYPE_CHECKING:
     from surrofe2.io.harvest import Harvest
     from surrofe2.recipe import Recipe
-    from surrofe2.sampling import StressSamples
     from surrofe2.stress_law import StressLaw
+    from surrofe2.stress_samples import StressSamples
 
 _CHUNK = 512
 _SAME = 1e-6
@@ -67,7 +67,7 @@ def with_harvests(
 
 
 def _spread(samples: StressSamples) -> float:
-    from surrofe2.stress_error import stress_spread
+    from surrofe2.tensors import stress_spread
 
     return stress_spread(samples.stress[samples.status == 0])
 
@@ -78,7 +78,7 @@ def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str,
     """
     import numpy as np
 
-    from surrofe2.stress_error import stress_error
+    from surrofe2.tensors import stress_error
 
     by_F, by_F_dot = np.full((2, len(harvest.status), 2, 2, 2, 2), np.nan)
     kept = harvest.status != 0

@@ -12,12 +12,12 @@ from surrofe2.errors import SimulationError
 if TYPE_CHECKING:
     from surrofe2.load_case import LoadCase
     from surrofe2.macro import MacroSettings
-    from surrofe2.paths import Paths, State
     from surrofe2.recipe import Recipe
-    from surrofe2.sampling import StressSamples
     from surrofe2.stress_law import StressLaw
+    from surrofe2.stress_samples import StressSamples
     from surrofe2.surrogate import SurrogateLaw
     from surrofe2.surrogate.calibration import Truth
+    from surrofe2.surrogate.deformation_paths import DeformationPaths, State
 
 _MOST_ELEMENTS = 4  # of the bar's elements in each direction, in runs that make paths
 _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
@@ -45,7 +45,7 @@ def calibrate_surrogate(
     total = sum(len(paths.states[0]) for paths in (*shaping, *testing))
     done = 0
 
-    def asked(paths: Paths) -> Truth:
+    def asked(paths: DeformationPaths) -> Truth:
         nonlocal done
         truth = _ask(paths, law, lambda k: report((done + k) / max(total, 1), "true stresses"))
         done += len(truth.status)
@@ -58,11 +58,16 @@ def calibrate_surrogate(
 
 def _make_paths(
     recipe: Recipe, surrogate: SurrogateLaw, stream: int, share: float, report: Report
-) -> Iterator[Paths]:
+) -> Iterator[DeformationPaths]:
     """Paths of every kind that the recipe asks for; one `stream` knows nothing of another."""
     import numpy as np
 
-    from surrofe2.paths import random_loads, random_states, random_walks, run_paths
+    from surrofe2.surrogate.deformation_paths import (
+        random_loads,
+        random_states,
+        random_walks,
+        run_paths,
+    )
 
     settings = recipe.calibration
     walks, states, runs = (
@@ -92,7 +97,7 @@ def _make_paths(
 def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> list[State]:
     """(F, F_dot) of all points at the steps of a run on the surrogate, while it is in range."""
     from surrofe2.macro import simulate
-    from surrofe2.paths import WatchedLaw
+    from surrofe2.surrogate.deformation_paths import WatchedLaw
 
     watched = WatchedLaw(surrogate)
     with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
@@ -100,9 +105,9 @@ def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> l
     return watched.met
 
 
-def _ask(paths: Paths, law: StressLaw, progress: Callable[[int], None]) -> Truth:
-    from surrofe2.paths import true_stress
+def _ask(paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None]) -> Truth:
     from surrofe2.surrogate.calibration import Truth
+    from surrofe2.surrogate.deformation_paths import true_stress
 
     return Truth(paths, *true_stress(paths, law, progress))
 

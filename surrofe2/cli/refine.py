@@ -17,7 +17,8 @@ from surrofe2.errors import FileError, MismatchError, SimulationError
 if TYPE_CHECKING:
     from surrofe2.cli.refining import Round
     from surrofe2.recipe import Recipe
-    from surrofe2.sampling import SamplingRange, StressSamples
+    from surrofe2.sampling import SamplingRange
+    from surrofe2.stress_samples import StressSamples
     from surrofe2.surrogate import SurrogateLaw
 
 ROUNDS = "refine.json"
@@ -214,7 +215,7 @@ def _range_after(out: Path, k: int) -> SamplingRange:
 
 
 def _spread(surrogate: SurrogateLaw, samples: StressSamples) -> float:
-    from surrofe2.stress_error import stress_spread
+    from surrofe2.tensors import stress_spread
 
     known = getattr(surrogate, "stress_spread", None)
     return stress_spread(samples.valid.stress) if known is None else float(known)

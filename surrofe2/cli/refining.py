@@ -79,7 +79,7 @@ def unknown_states(
     Args:
         allowed: error of a stress, µN/µm.
     """
-    from surrofe2.stress_error import stress_error
+    from surrofe2.tensors import stress_error
 
     if harvest is None:
         return np.empty(0, dtype=np.intp), None

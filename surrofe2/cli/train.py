@@ -20,7 +20,7 @@ from surrofe2.errors import FileError, MismatchError
 
 if TYPE_CHECKING:
     from surrofe2.recipe import Recipe
-    from surrofe2.sampling import StressSamples
+    from surrofe2.stress_samples import StressSamples
     from surrofe2.surrogate import SurrogateLaw
 
 STRESSES = ("xx", "xy", "yx", "yy")

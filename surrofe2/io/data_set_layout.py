@@ -15,8 +15,9 @@ import numpy as np
 from surrofe2.errors import FileError, MismatchError
 from surrofe2.io.files import plain, replacing
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import TANGENTS, SamplingRange, StressSamples
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, describe
+from surrofe2.stress_samples import TANGENTS, StressSamples
 from surrofe2.units import NONE, RATE, STRESS, VISCOSITY
 
 SCHEMA = "surrofe2-data-set"

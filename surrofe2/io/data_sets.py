@@ -27,8 +27,8 @@ from surrofe2.io.data_set_layout import (
     samples_of,
 )
 from surrofe2.io.files import opened_hdf5, replacing, reported
-from surrofe2.sampling import StressSamples
 from surrofe2.stress_law import Tangents, describe
+from surrofe2.stress_samples import StressSamples
 
 
 class DataSetWriter:

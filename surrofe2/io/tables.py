@@ -21,8 +21,8 @@ from surrofe2.io.checks import check_same_rve, check_schema
 from surrofe2.io.data_set_layout import tuples_of
 from surrofe2.io.files import opened_hdf5, plain, replacing
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.sampling import SamplingRange
+from surrofe2.tensors import INPUTS
 from surrofe2.units import STRESS
 
 SCHEMA = "surrofe2-table"

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.parts import Surrogate
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import StressSamples, sample
-from surrofe2.stress_error import stress_error, stress_spread
+from surrofe2.sampling import sample
+from surrofe2.stress_samples import StressSamples
 from surrofe2.studies.ablation_rivals import (
     Folded,
     GaussianProcess,
@@ -28,6 +28,7 @@ from surrofe2.studies.ablation_rivals import (
     learn_table,
 )
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tensors import stress_error, stress_spread
 
 Array = NDArray[np.float64]
 Stress = Callable[[Array, Array], Array]

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache import StressTable
-from surrofe2.polar_inputs import to_inputs
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import StressSamples
-from surrofe2.stress_error import stress_spread
-from surrofe2.surrogate.components import input_scale
+from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.piola import to_cauchy, to_piola, to_slopes
+from surrofe2.tensors import stress_spread, to_inputs
 
 Array = NDArray[np.float64]
 

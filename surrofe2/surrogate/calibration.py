@@ -32,11 +32,12 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.paths import Paths
-from surrofe2.sampling import SamplingRange, StressSamples
-from surrofe2.stress_error import stress_error, stress_spread
+from surrofe2.sampling import SamplingRange
+from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate.deformation_paths import DeformationPaths
 from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.trust_features import even_rows, products, scale_table, scaled_inputs
+from surrofe2.tensors import stress_error, stress_spread
 
 if TYPE_CHECKING:
     from torch.nn import Module
@@ -56,7 +57,7 @@ _SLACK = 1e-6  # of the largest error
 class Truth:
     """What a true law answered along paths: stress (n, 2, 2) and status (n,) of their states."""
 
-    paths: Paths
+    paths: DeformationPaths
     stress: Array
     status: NDArray[np.int8]
 

@@ -22,7 +22,6 @@ from numba import prange
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.compiled_frame import (
     FRAME_ROWS,
@@ -38,6 +37,7 @@ from surrofe2.surrogate.features import STRETCH, Features
 from surrofe2.surrogate.lanes import BLOCK, LANES
 from surrofe2.surrogate.packing import BIOT, Weights
 from surrofe2.surrogate.polynomials import ROWS, add_polynomials
+from surrofe2.tensors import INPUTS
 
 MANY = 2000  # points from which on more than one core pays
 _PART = 16 * BLOCK  # points that a core takes at a time

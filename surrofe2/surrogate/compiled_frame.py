@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.lanes import BLOCK
+from surrofe2.tensors import INPUTS
 
 FRAME_ROWS = 17
 _ONE = INPUTS  # row of x that holds ones
@@ -50,7 +50,7 @@ def take_rotation_out(frame):  # type: ignore[no-untyped-def]
 
 @kernel
 def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
-    """The inputs of `components`, scaled, and a row of ones."""
+    """The inputs of `tensors`, scaled, and a row of ones."""
     for p in range(BLOCK):
         x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
         x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.compiled_frame import (
     FRAME_ROWS,
     read_points,
@@ -24,6 +23,7 @@ from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.lanes import BLOCK
 from surrofe2.surrogate.packing import Weights
 from surrofe2.surrogate.vector_tanh import fill_tanh
+from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 _ONE = INPUTS

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.polar_inputs import INPUTS
-from surrofe2.sampling import SLACK, StressSamples
+from surrofe2.sampling import SLACK
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.trust_features import (
     Table,
     cliff_table,
@@ -34,6 +34,7 @@ from surrofe2.surrogate.trust_features import (
     sum_of_products,
     with_one,
 )
+from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.compiled_frame import scale_inputs
 from surrofe2.surrogate.domain import FEATURES, Domain
 from surrofe2.surrogate.lanes import LANES, filled, larger, load, store
 from surrofe2.surrogate.trust_features import COMPRESSION, FACTORS, NORM, cliff_table, scale_table
+from surrofe2.tensors import INPUTS
 
 if TYPE_CHECKING:
     from surrofe2.surrogate.calibration import Calibration

@@ -1,9 +1,9 @@
 """Which products of inputs a network reads and what it multiplies, so that symmetry is exact.
 
 A network gives factors from invariants; a term is factor × product of inputs and belongs to one
-component. Under D4 an invariant has no sign and a term has the sign of its component
-(`components.parity`), so whatever the weights, the symmetry holds. Without symmetry every input
-is an invariant and every component has every term.
+component. Under D4 an invariant has no sign and a term has the sign of its component, see
+`square_symmetry`, so whatever the weights, the symmetry holds. Without symmetry every input is an
+invariant and every component has every term.
 
 Forms of the stress, P̂ = RᵀP (see `network`):
 
@@ -17,9 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surrofe2.errors import InputError
-from surrofe2.polar_inputs import INPUTS
-from surrofe2.surrogate.components import DIFFERENCE, SHEAR, SPIN, SUM, monomials, parity
+from surrofe2.sampling import SamplingRange, half_widths
+from surrofe2.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
+from surrofe2.tensors import INPUTS
 
 FORMS = ("energy", "stress", "potentials")
 SYMMETRIES = ("D4", "none")
@@ -85,6 +89,20 @@ class Features:
     def factors(self) -> int:
         """Number of factors the terms ask for."""
         return 1 + max(term.factor for term in self.terms)
+
+
+def input_scale(range: SamplingRange) -> NDArray[np.float64]:
+    """(7,) what the inputs of a network are divided by; a bound of 0 gives ½."""
+    return 0.5 * half_widths(range)
+
+
+def monomials(degree: int) -> tuple[Product, ...]:
+    """All products of 1 to `degree` inputs, as sorted input numbers, by rising degree."""
+    return tuple(
+        product
+        for factors in range(1, degree + 1)
+        for product in combinations_with_replacement(range(INPUTS), factors)
+    )
 
 
 def make_features(form: str, symmetry: str, degree: int) -> Features:

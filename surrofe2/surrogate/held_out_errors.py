@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.polar_inputs import to_components, to_inputs
-from surrofe2.sampling import StressSamples
-from surrofe2.surrogate.components import COMPONENTS
+from surrofe2.square_symmetry import COMPONENTS
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-from surrofe2.tensors import transpose
+from surrofe2.tensors import to_components, to_inputs, transpose
 
 Array = NDArray[np.float64]
 _ROUNDING = 1e-12  # of the largest spread: less is no spread

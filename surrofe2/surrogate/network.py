@@ -2,7 +2,7 @@
 
     P̂ = ∂W/∂U-like part + Σ_t f_t(i(x)) m_t(x) + baseline
 
-x: scaled inputs of `components`. The first part has the symmetric (Biot) components
+x: scaled inputs of `tensors`. The first part has the symmetric (Biot) components
 ∂W/∂(s, d, g) of an energy W(U), a function of C = U² as well, and the spin that makes the Cauchy
 stress symmetric, so that P = ∂W/∂F. The second is what depends on rate: one tanh network gives
 the factors f of all terms m from invariants i (see `features`). In forms with an energy every m
@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import torch
 
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.features import STRETCH, Features, Product, make_features
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tensors import INPUTS
 
 
 class TanhNetwork(torch.nn.Module):
@@ -88,7 +88,7 @@ class Shapes(NamedTuple):
 
 
 class StressNetwork(torch.nn.Module):
-    """P̂(x) for inputs (n, 7) of `components.to_inputs`; output (n, 4) in µN/µm.
+    """P̂(x) for inputs (n, 7) of `tensors.to_inputs`; output (n, 4) in µN/µm.
 
     Args:
         settings: form, degree of the baseline, sizes and number of networks, seed.

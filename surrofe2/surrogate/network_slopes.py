@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.network import StressNetwork
+from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.sampling import SLACK, SamplingRange
 from surrofe2.surrogate.features import STRETCH, Product
 from surrofe2.surrogate.network import StressNetwork, TanhNetwork, slope_table
 from surrofe2.surrogate.polynomials import make_polynomials
+from surrofe2.tensors import INPUTS
 
 BIOT = 4
 """Components of P̂; behind them stand the symmetric ones of its elastic part."""

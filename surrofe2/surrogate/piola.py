@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.polar_inputs import from_components, to_components, to_inputs
 from surrofe2.stress_law import Tangents
-from surrofe2.tensors import det, rotation, transpose
+from surrofe2.tensors import det, from_components, rotation, to_components, to_inputs, transpose
 
 Array = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.polar_inputs import INPUTS
 from surrofe2.surrogate.features import Product
 from surrofe2.surrogate.lanes import BLOCK, LANES, filled, load, store
+from surrofe2.tensors import INPUTS
 
 _ONE = INPUTS  # row of x that holds ones
 ROWS = INPUTS + 1

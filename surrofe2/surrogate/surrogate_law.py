@@ -13,7 +13,6 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.polar_inputs import to_inputs
 from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_law import (
     Acceptance,
@@ -31,6 +30,7 @@ from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.packing import Weights, pack
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tensors import to_inputs
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ class SurrogateLaw:
 
     @property
     def stress_spread(self) -> float:
-        """Spread of the data's stress in µN/µm, see `stress_error.stress_spread`.
+        """Spread of the data's stress in µN/µm, see `tensors.stress_spread`.
 
         Of all valid samples where calibrated, else of those held out from training.
         """

@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.sampling import TANGENTS, StressSamples
-from surrofe2.surrogate.components import input_scale
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.domain import fit_domain
+from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.settings import TrainingSettings
@@ -91,7 +90,7 @@ def train(
         rest_length=samples.rest_length,
         domain=fit_domain(samples),
     )
-    return replace(law, errors=measure_errors(law, _subset(valid, held_out)))
+    return replace(law, errors=measure_errors(law, valid.at(held_out)))
 
 
 def _check_form(settings: TrainingSettings, initialisation: str) -> None:
@@ -227,9 +226,3 @@ def _restore(
     optimiser = _make_optimiser(network, number, settings)
     optimiser.load_state_dict(state["optimiser"])
     return number, int(state["iterations"]), optimiser
-
-
-def _subset(samples: StressSamples, chosen: NDArray[np.int64]) -> StressSamples:
-    names = ["F", "F_dot", "stress", "status"]
-    names += [name for name in TANGENTS if getattr(samples, name) is not None]
-    return replace(samples, **{name: getattr(samples, name)[chosen] for name in names})

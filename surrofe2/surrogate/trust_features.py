@@ -1,7 +1,7 @@
 """What domain and bound are functions of: (U, A) in scaled components, and products of them.
 
 With F = R U and A = RᵀḞ the seven inputs are sum s, difference d and shear g of U − I and sum S,
-difference D, shear G and spin W of A, see `components`; here each is scaled to within ±1 over the
+difference D, shear G and spin W of A, see `tensors`; here each is scaled to within ±1 over the
 sampling range. They do not change under a superposed constant rotation; what the square cell's
 group D4 does to them is flip the signs of (d, g, D, G) or of (g, G, W), so moduli and products of
 even parity are exact invariants.
@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.polar_inputs import INPUTS, to_inputs
 from surrofe2.sampling import SamplingRange
-from surrofe2.surrogate.components import SUM, input_scale, parity
+from surrofe2.square_symmetry import SUM, parity
+from surrofe2.surrogate.features import input_scale
+from surrofe2.tensors import INPUTS, to_inputs
 
 Array = NDArray[np.float64]
 Table = NDArray[np.int64]

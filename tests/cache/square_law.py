@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.polar_inputs import from_components, to_inputs
 from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents, check_deformation
-from surrofe2.tensors import det, transpose
+from surrofe2.tensors import det, from_components, to_inputs, transpose
 
 STEP = 1e-5
 

@@ -10,8 +10,8 @@ from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.audit import BATCH, Audit, Question
 from surrofe2.cache.error_record import ErrorRecord
 from surrofe2.errors import InputError
-from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Status, StressResponse
+from surrofe2.tensors import stress_error
 from tests.cache.fakes import Learnt, Surrogate, Truth, Warmth, stretched
 
 SIZE = 0.05

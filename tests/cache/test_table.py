@@ -7,8 +7,8 @@ from surrofe2.cache import StressTable, sampled_spread
 from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS
 from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Status
+from surrofe2.tensors import stress_error
 from tests.cache.square_law import Points, SquareLaw, square_stress
 from tests.cache.test_table_inputs import RANGE, states, to_components, to_inputs, transpose
 

@@ -10,9 +10,8 @@ from surrofe2.cache.table_inputs import (
     input_scale,
     input_slopes,
 )
-from surrofe2.polar_inputs import from_inputs, to_components, to_inputs
 from surrofe2.sampling import SamplingRange, sample
-from surrofe2.tensors import transpose
+from surrofe2.tensors import from_inputs, to_components, to_inputs, transpose
 from tests.cache.square_law import SquareLaw, square_stress
 
 RANGE = SamplingRange(stretch=(0.93, 1.07), shear=0.06, rate=0.016)

@@ -8,8 +8,8 @@ from surrofe2.cache.table_merge import merged
 from surrofe2.errors import MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
-from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Status
+from surrofe2.tensors import stress_error
 from tests.cache.square_law import SquareLaw, square_stress
 from tests.cache.test_table import make, taught
 from tests.cache.test_table_inputs import RANGE, states

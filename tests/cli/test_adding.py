@@ -10,7 +10,8 @@ import pytest
 from surrofe2.cli.adding import with_harvests
 from surrofe2.io.harvest import HarvestHeader, HarvestWriter
 from surrofe2.recipe import Recipe, load_recipe
-from surrofe2.sampling import StressSamples, sample
+from surrofe2.sampling import sample
+from surrofe2.stress_samples import StressSamples
 from tests.cache.square_law import SquareLaw, square_stress
 
 KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2

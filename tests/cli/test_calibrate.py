@@ -85,7 +85,7 @@ def test_a_true_law_that_fails_everywhere_leaves_no_bound(
         shape = (len(paths.states[0]), 2, 2)
         return np.full(shape, np.nan), np.ones(shape[0], dtype=np.int8)
 
-    monkeypatch.setattr("surrofe2.paths.true_stress", failing)
+    monkeypatch.setattr("surrofe2.surrogate.deformation_paths.true_stress", failing)
     monkeypatch.setattr("surrofe2.surrogate.calibration._failures", lambda shaping: None)
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output

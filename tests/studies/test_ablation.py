@@ -8,7 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.sampling import SamplingRange, StressSamples, sample
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.stress_samples import StressSamples
 from surrofe2.studies import ablation
 from surrofe2.studies.ablation import Row, contenders, is_of
 from surrofe2.studies.ablation_rivals import Folded, LinearFromNearest, NearestNeighbours

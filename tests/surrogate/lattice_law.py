@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange, StressSamples, sample
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.stress_samples import StressSamples
 
 SPACING = 4.0
 CELL = CellParameters.preset("printed")

@@ -12,13 +12,19 @@ import pytest
 from surrofe2 import RveLaw, sample, simulate
 from surrofe2.cli.calibrate import calibrate_surrogate
 from surrofe2.errors import SimulationError
-from surrofe2.paths import WatchedLaw, random_states, random_walks, true_stress
 from surrofe2.recipe import load_recipe
-from surrofe2.sampling import SamplingRange, StressSamples, contains
-from surrofe2.stress_error import stress_error
+from surrofe2.sampling import SamplingRange, contains
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
+from surrofe2.surrogate.deformation_paths import (
+    WatchedLaw,
+    random_states,
+    random_walks,
+    true_stress,
+)
+from surrofe2.tensors import stress_error
 
 DATA = Path(__file__).parents[2] / "data"
 TOLERANCE = 1e-3

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.paths import random_states, random_walks
 from surrofe2.sampling import SamplingRange
-from surrofe2.stress_error import stress_error, stress_spread
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration import Truth, calibrate, conformal_quantile, errors_along
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
+from surrofe2.surrogate.deformation_paths import random_states, random_walks
+from surrofe2.tensors import stress_error, stress_spread
 from tests.surrogate.lattice_law import RANGE, lattice_stress
 
 SHARE = 0.01

@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 import torch
 
-from surrofe2.polar_inputs import to_inputs
 from surrofe2.sampling import contains, sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings
 from surrofe2.surrogate.compiled import BLOCK, MANY, evaluate, without_rest
 from surrofe2.surrogate.compiled_slopes import evaluate_slopes
-from surrofe2.surrogate.components import input_scale
-from surrofe2.surrogate.features import FORMS, SYMMETRIES
+from surrofe2.surrogate.features import FORMS, SYMMETRIES, input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.network_slopes import differentiate
 from surrofe2.surrogate.packing import pack
 from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.surrogate.vector_tanh import fill_tanh
+from surrofe2.tensors import to_inputs
 from tests.surrogate.lattice_law import RANGE
 
 

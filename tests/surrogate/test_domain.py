@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.paths import random_states
-from surrofe2.polar_inputs import to_inputs
-from surrofe2.sampling import SamplingRange, StressSamples, contains, sample
+from surrofe2.sampling import SamplingRange, contains, sample
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import domain as domains
+from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import Domain, fit_domain
+from surrofe2.tensors import to_inputs
 from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples
 
 G = [

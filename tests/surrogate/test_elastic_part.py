@@ -10,7 +10,7 @@ from surrofe2.errors import InputError
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
-from surrofe2.surrogate.components import input_scale
+from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.piola import to_piola, to_slopes, to_tangents
 from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples, lattice_stress

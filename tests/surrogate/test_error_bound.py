@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.paths import random_states
 from surrofe2.sampling import contains
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.calibration import Calibration, local_scale, subject
 from surrofe2.surrogate.compiled import MANY
+from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.trust_features import scale_table, scaled_inputs
 from tests.surrogate.lattice_law import RANGE

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from surrofe2.compilation import kernel
-from surrofe2.surrogate.components import INPUTS, monomials, parity
+from surrofe2.square_symmetry import parity
+from surrofe2.surrogate.features import monomials
 from surrofe2.surrogate.lanes import BLOCK, LANES, filled, larger, load, store
 from surrofe2.surrogate.polynomials import ROWS, add_polynomials, make_polynomials
+from surrofe2.tensors import INPUTS
 
 
 def all_products(degree, symmetric):

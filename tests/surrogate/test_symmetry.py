@@ -3,11 +3,17 @@
 import numpy as np
 import pytest
 
-from surrofe2.polar_inputs import from_components, to_components, to_inputs
 from surrofe2.sampling import sample
-from surrofe2.surrogate.components import monomials, parity
-from surrofe2.surrogate.features import COVARIANTS, INVARIANTS, STRETCH, VISCOUS_COVARIANTS
+from surrofe2.square_symmetry import parity
+from surrofe2.surrogate.features import (
+    COVARIANTS,
+    INVARIANTS,
+    STRETCH,
+    VISCOUS_COVARIANTS,
+    monomials,
+)
 from surrofe2.surrogate.piola import to_cauchy, to_piola
+from surrofe2.tensors import from_components, to_components, to_inputs
 from tests.surrogate.lattice_law import WELL_INSIDE, lattice_stress
 
 ROTATIONS = [

@@ -1,4 +1,4 @@
-"""Paths in (F, Ḟ): what calibration exchanges, and the true stress along them.
+"""DeformationPaths in (F, Ḟ): what calibration exchanges, and the true stress along them.
 
 A bound is believed on histories like those of a run, where neighbouring states share their error;
 so a whole path counts once. Three kinds: random walks within a sampling range, single states of
@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
-from surrofe2.stress_error import stress_error
 from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
+from surrofe2.tensors import stress_error
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]
@@ -33,7 +34,7 @@ _SAME = 1e-6  # relative, and µN/µm: stresses of one equilibrium differ by les
 
 
 @dataclass(frozen=True, slots=True)
-class Paths:
+class DeformationPaths:
     """Histories of (F, Ḟ), and which of them belong to one path.
 
     Attributes:
@@ -76,16 +77,16 @@ class Paths:
         return worst
 
 
-def random_states(range: SamplingRange, count: int, seed: int) -> Paths:
-    """Paths of a single state each, independent and uniform over the range."""
+def random_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
+    """DeformationPaths of a single state each, independent and uniform over the range."""
     middle, half = _box(range)
     rng = np.random.default_rng(seed)
     U = _symmetric(middle + half * rng.uniform(-1.0, 1.0, (count, 3)))
     A = range.rate * rng.uniform(-1.0, 1.0, (count, 2, 2))
-    return Paths("states", U[None], A[None], np.arange(count))
+    return DeformationPaths("states", U[None], A[None], np.arange(count))
 
 
-def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> Paths:
+def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:
     """Smooth walks of F = R U with their own rates Ḟ = dF/dt, within the range throughout.
 
     U₁₁, U₂₂, U₁₂ and the angle of R run through random knots by monotone cubics, which stay
@@ -93,8 +94,6 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> Pa
     has its own centre, its own extent in each component and its own largest rate, uniform up to
     the range's. `length` states are taken at even times.
     """
-    from scipy.interpolate import PchipInterpolator  # here, because it takes long to import
-
     middle, half = _box(range)
     rng = np.random.default_rng(seed)
     extent = rng.uniform(0.0, 1.0, (count, 3))
@@ -113,7 +112,7 @@ def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> Pa
     )
     met = np.abs(A).max(axis=(0, 2, 3), initial=0.0)
     speed = np.divide(fastest, met, out=np.zeros(count), where=met > 0.0)  # knots a µs
-    return Paths("walks", R @ U, R @ (speed[:, None, None] * A), np.arange(count))
+    return DeformationPaths("walks", R @ U, R @ (speed[:, None, None] * A), np.arange(count))
 
 
 def random_loads(load: LoadCase, count: int, seed: int) -> list[LoadCase]:
@@ -163,7 +162,7 @@ class WatchedLaw:
         return self.law.accept(F, F_dot, response)
 
 
-def run_paths(runs: Sequence[Sequence[State]], length: int) -> Paths:
+def run_paths(runs: Sequence[Sequence[State]], length: int) -> DeformationPaths:
     """Each run's states, (F, F_dot) of all its points at rising times, as one path.
 
     `length` states of each run are taken, evenly among its steps; a shorter run repeats some,
@@ -178,13 +177,13 @@ def run_paths(runs: Sequence[Sequence[State]], length: int) -> Paths:
     owner = np.repeat(np.arange(len(runs)), [history[0].shape[1] for history in histories])
     if not histories:
         empty = np.empty((length, 0, 2, 2))
-        return Paths("runs", empty, empty, owner)
+        return DeformationPaths("runs", empty, empty, owner)
     F, F_dot = (np.concatenate([h[part] for h in histories], axis=1) for part in (0, 1))
-    return Paths("runs", F, F_dot, owner)
+    return DeformationPaths("runs", F, F_dot, owner)
 
 
 def true_stress(
-    paths: Paths, law: StressLaw, progress: Callable[[int], None] | None = None
+    paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None] | None = None
 ) -> tuple[Array, NDArray[np.int8]]:
     """Stress (length n, 2, 2) and status (length n,) of a law along paths, as `states` has them.
 

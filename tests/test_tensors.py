@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.stress_error import stress_error, stress_spread
-from surrofe2.tensors import transpose
+from surrofe2.tensors import stress_error, stress_spread, transpose
 
 
 def test_error_is_that_of_one_entry_and_does_not_turn_with_the_frame():

@@ -5,9 +5,11 @@ import pytest
 
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
-from surrofe2.paths import (
+from surrofe2.sampling import SamplingRange, contains
+from surrofe2.stress_law import Acceptance, Status, StressResponse
+from surrofe2.surrogate.deformation_paths import (
     CHUNK,
-    Paths,
+    DeformationPaths,
     WatchedLaw,
     random_loads,
     random_states,
@@ -15,8 +17,6 @@ from surrofe2.paths import (
     run_paths,
     true_stress,
 )
-from surrofe2.sampling import SamplingRange, contains
-from surrofe2.stress_law import Acceptance, Status, StressResponse
 from surrofe2.tensors import rotation, transpose
 from tests.fakes import SoftLaw
 
@@ -91,16 +91,16 @@ def test_a_run_with_all_its_points_is_one_path():
 
 def test_the_largest_on_each_path():
     rest = np.zeros((2, 3, 2, 2))
-    paths = Paths("walks", rest, rest, np.array([0, 1, 1]))
+    paths = DeformationPaths("walks", rest, rest, np.array([0, 1, 1]))
     assert paths.largest(np.array([1.0, 2.0, 3.0, 7.0, 5.0, 6.0])).tolist() == [7.0, 6.0]
 
 
 def test_shapes_are_checked():
     rest = np.zeros((2, 3, 2, 2))
     with pytest.raises(InputError, match=r"paths.F: shapes \(2, 3, 2, 2\) and \(3, 2, 2\)"):
-        Paths("walks", rest, rest[0], np.zeros(3, dtype=int))
+        DeformationPaths("walks", rest, rest[0], np.zeros(3, dtype=int))
     with pytest.raises(InputError, match=r"paths.owner: shape \(2,\); it must be \(3,\)"):
-        Paths("walks", rest, rest, np.zeros(2, dtype=int))
+        DeformationPaths("walks", rest, rest, np.zeros(2, dtype=int))
 
 
 class ForgetfulLaw(SoftLaw):

@@ -1,0 +1,39 @@
+"""The symmetry group D4 of a square cell: sign flips of tensor components.
+
+Tensors are taken as sum, difference, shear and spin, and states as the seven inputs of `tensors`.
+Rotating the cell by 90° flips difference and shear, reflecting it across an axis flips shear and
+spin; together the two generate D4 (a turn by 180° does nothing). So each state has four images,
+and a product of inputs has the sign of one component, its parity.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SUM, DIFFERENCE, SHEAR, SPIN = 0, 1, 2, 3
+COMPONENTS = ("sum", "difference", "shear", "spin")
+INPUT_COMPONENTS = (SUM, DIFFERENCE, SHEAR, SUM, DIFFERENCE, SHEAR, SPIN)
+"""Which component each of the seven inputs is, of U − I and then of A."""
+
+_TURN = np.array([1.0, -1.0, -1.0, 1.0])  # of sum, difference, shear, spin
+_REFLECTION = np.array([1.0, 1.0, -1.0, -1.0])
+COMPONENT_SIGNS = np.array([np.ones(4), _TURN, _REFLECTION, _TURN * _REFLECTION])
+"""(4, 4) by which each image flips the components of a tensor; bit 0: turned, bit 1: reflected."""
+INPUT_SIGNS = COMPONENT_SIGNS[:, INPUT_COMPONENTS]
+"""(4, 7) by which each image flips the inputs."""
+
+
+def parity(product: tuple[int, ...]) -> int:
+    """The component whose sign a product of inputs, by their numbers, shares under D4."""
+    signs = INPUT_SIGNS[:, list(product)].prod(axis=1)
+    return int(np.flatnonzero((signs == COMPONENT_SIGNS.T).all(axis=1))[0])
+
+
+def canonical_image(x: Array) -> NDArray[np.intp]:
+    """(n,) the image of each state (n, 7) whose difference and shear of U are at least 0."""
+    turned = x[:, DIFFERENCE] < 0.0
+    shear = np.where(turned, -x[:, SHEAR], x[:, SHEAR])
+    return turned + 2 * (shear < 0.0)
