@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import copy
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import torch
 
 from benchmarks.row import Row
 from benchmarks.setting import POINTS, Array, Setting, cached
@@ -22,23 +19,13 @@ AGREEMENT = 1e-12
 
 
 def run(setting: Setting) -> list[Row]:
-    """Double and single precision at both numbers of points."""
-    double = setting.surrogate(PRESET)
-    rows = []
+    """At both numbers of points."""
+    surrogate = setting.surrogate(PRESET)
     with threads(1):
-        for precision, surrogate in (("float64", double), ("float32", _single(double))):
-            for points in LIMITS:
-                rows += _lookup(setting, precision, surrogate, points)
-    return rows
+        return [row for points in LIMITS for row in _lookup(setting, surrogate, points)]
 
 
-def _single(surrogate: SurrogateLaw) -> SurrogateLaw:
-    settings = replace(surrogate.settings, precision="float32")
-    network = copy.deepcopy(surrogate.network).to(torch.float32)
-    return replace(surrogate, network=network, settings=settings)
-
-
-def _lookup(setting: Setting, precision: str, surrogate: SurrogateLaw, points: int) -> list[Row]:
+def _lookup(setting: Setting, surrogate: SurrogateLaw, points: int) -> list[Row]:
     F, F_dot = turned_samples(surrogate, points)
     law = cached(
         surrogate, PRESET, tolerance=np.inf
@@ -52,15 +39,14 @@ def _lookup(setting: Setting, precision: str, surrogate: SurrogateLaw, points: i
         raise RuntimeError(f"{points - answer.effort['hits']} of {points} points were no hits")
     difference = float(abs(answer.stress - reference).max() / abs(reference).max())
     per_point = 1e6 / points
-    is_double = precision == "float64"
-    name = f"{precision}, {points:,} points"
+    name = f"{points:,} points"
     return [
         Row(
             name=f"{name}: a point",
             value=ours.median * per_point,
             spread=ours.spread * per_point,
             unit="µs",
-            limit=LIMITS[points] if is_double else None,
+            limit=LIMITS[points],
             baseline="torch eager, without range test",
             baseline_value=eager.median * per_point,
             ratio=ratio(eager, ours),
@@ -69,7 +55,7 @@ def _lookup(setting: Setting, precision: str, surrogate: SurrogateLaw, points: i
             name=f"{name}: largest difference from torch / largest stress",
             value=difference,
             unit="",
-            limit=AGREEMENT if is_double else None,
+            limit=AGREEMENT,
         ),
     ]
 

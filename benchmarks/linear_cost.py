@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from benchmarks.cost_plot import write_cost_plot
 from benchmarks.row import Row
 from benchmarks.setting import Array, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
 from surrofe2.macro.mesh import Bar, make_bar
 from surrofe2.macro.right_hand_side import RightHandSide, Tally
+from surrofe2.report.pictures import BLUE, GREEN, VERMILION, new_figure, write_png
 
 TITLE = "Cost over the number of points"
 PRESET = "printed"
@@ -21,6 +23,7 @@ SWING, PERIOD = 20.0, 100.0
 """Of the motion of the bar's free side, µm and µs; about those of the bending bar."""
 STAGE, STAGES = 0.1, 6
 """Time between two right-hand sides, µs; how many of them make a step."""
+STYLES = ((VERMILION, "o"), (BLUE, "s"), (GREEN, "^"))
 START = 0.25 * PERIOD
 """Where the motion is fastest; the cold solve there is not counted."""
 
@@ -116,3 +119,32 @@ def _rows(setting: Setting, cost: Costs) -> list[Row]:
             for points, micro, row in zip(cost.points, per_point, cost.seconds, strict=True)
         ),
     ]
+
+
+def write_cost_plot(path: Path, costs: Sequence[Costs], threads: int) -> None:
+    """Milliseconds of a right-hand side over points, both logarithmic, with lines of slope 1."""
+    figure = new_figure(6.4, 4.4)
+    axes = figure.subplots()
+    for cost, (colour, marker) in zip(costs, STYLES, strict=False):
+        milli = 1e3 * cost.median
+        axes.plot(
+            cost.points, milli[-1] * cost.points / cost.points[-1], color=colour, linestyle=":",
+            linewidth=1.0,
+        )  # fmt: skip
+        axes.plot(
+            cost.points, milli, color=colour, marker=marker, markersize=6, linewidth=1.6,
+            label=f"{cost.label}: time ~ points$^{{{cost.exponent:.2f}}}$",
+        )  # fmt: skip
+        axes.annotate(
+            f"{1e3 * milli[-1] / cost.points[-1]:.2g} µs a point",
+            (cost.points[-1], milli[-1]), xytext=(-10, 0), textcoords="offset points",
+            ha="right", va="bottom", color=colour,
+        )  # fmt: skip
+    axes.plot([], [], color="0.4", linestyle=":", linewidth=1.0, label="proportional to points")
+    axes.set(xscale="log", yscale="log", xlabel="stress points (five an element)")
+    axes.set_ylabel("a right-hand side (ms)")
+    axes.set_title(f"Cost of the macro scale and its stress law, {threads} threads", fontsize=11)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, loc="upper left")
+    axes.set_xlim(0.8 * np.min(costs[0].points), 1.25 * np.max(costs[0].points))
+    write_png(path, figure)

@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.ablation import ablation
 from surrofe2.cli.compare import compare
 from surrofe2.cli.console import CarefulGroup
 from surrofe2.cli.demo import demo
@@ -105,7 +104,7 @@ def options(
 
 _COMMANDS = (
     generate, train, run, refine, tissue, compare, sweep, rest, modes, demo, reproduce, moduli,
-    memory, ablation,
+    memory,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command(help=_flowing(_command.__doc__))(_command)

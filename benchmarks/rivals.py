@@ -13,6 +13,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF
+from sklearn.neighbors import KNeighborsRegressor
 
 from surrofe2.cache import StressTable
 from surrofe2.rve import RveLaw
@@ -77,8 +82,6 @@ class NearestNeighbours:
 
     def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
         """See `Regressor`."""
-        from sklearn.neighbors import KNeighborsRegressor
-
         self.model = KNeighborsRegressor(min(NEIGHBOURS, len(x)), weights="distance").fit(x, P)
 
     def predict(self, x: Array) -> Array:
@@ -91,10 +94,6 @@ class GaussianProcess:
 
     def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
         """See `Regressor`."""
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.gaussian_process import GaussianProcessRegressor
-        from sklearn.gaussian_process.kernels import RBF
-
         self.spread = P.std(axis=0)
         kernel = RBF(np.full(x.shape[1], 4.0), (0.5, 1e3))
         first = GaussianProcessRegressor(kernel, alpha=1e-10)
@@ -114,8 +113,6 @@ class LinearFromNearest:
 
     def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
         """See `Regressor`; slopes are needed."""
-        from scipy.spatial import cKDTree
-
         assert slopes is not None
         self.tree, self.x, self.P, self.slopes = cKDTree(x), x, P, slopes
 
