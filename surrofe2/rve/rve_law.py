@@ -13,6 +13,7 @@ from surrofe2.plant_cell.lanes import pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.batch import Batch, covered_by, felt_rate
 from surrofe2.rve.direct import renew
+from surrofe2.rve.reference_state import ReferenceState
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_factors import renew_slow
@@ -37,12 +38,15 @@ class RveLaw:
             (69 to 72) or "slow-manifold" (docs/theory.md, slow manifold).
         solver: "direct" (Newton on the fixed point) or "iterated" (the paper's).
         settings: tolerances, see `RveSettings`; any of its fields also as a keyword.
+        reference: the cell's settled reference state, as another law's `reference`; None: it is
+            settled here, which takes some seconds for irregular cells.
 
     Attributes:
         rest_length: wall rest length l₀ that frees the undeformed cell of stress, µm.
 
     Raises:
         InputError: unknown names, or parameters without a stress-free stable reference.
+        MismatchError: `reference` is of another cell.
     """
 
     def __init__(
@@ -50,6 +54,8 @@ class RveLaw:
         cell: CellParameters,
         initialisation: str = "constrained-runs",
         solver: str = "direct",
+        *,
+        reference: ReferenceState | None = None,
         **settings: Any,
     ) -> None:
         try:
@@ -60,7 +66,7 @@ class RveLaw:
                 f"rve: unknown setting among {', '.join(sorted(settings))}; known are {known}"
             ) from None
         self.cell = cell
-        self.unit_cell = make_unit_cell(cell)
+        self.unit_cell = make_unit_cell(cell, reference)
 
     @classmethod
     def from_settings(cls, cell: CellParameters, settings: RveSettings) -> RveLaw:
@@ -68,6 +74,11 @@ class RveLaw:
         law = cls(cell)
         law.settings = settings
         return law
+
+    @property
+    def reference(self) -> ReferenceState:
+        """The settled reference state, to be kept and handed to another law of this cell."""
+        return self.unit_cell.reference
 
     @property
     def rest_length(self) -> float:

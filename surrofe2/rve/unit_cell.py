@@ -18,11 +18,12 @@ from surrofe2.plant_cell.arranged_patch import Unlisted
 from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
 from surrofe2.plant_cell.lanes import Constants, make_constants, make_topology, pack
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve.arranged_cells import find_reference
+from surrofe2.rve.arranged_cells import find_reference, make_lists
 from surrofe2.rve.constrained_runs import iterate_tile
-from surrofe2.rve.direct import SOLVE, newton
+from surrofe2.rve.direct import SOLVE, newton, renew
 from surrofe2.rve.factors import Factors
-from surrofe2.rve.systems import AnyTopology
+from surrofe2.rve.reference_state import ReferenceState
+from surrofe2.rve.systems import AnyTopology, empty_factors
 from surrofe2.simd import TILE
 
 REACHES = (1.2, 1.4, 2.0, 3.0)
@@ -34,24 +35,32 @@ _SETTLING_STEP, _SETTLED, _SETTLING_LIMIT = 1e-3, 1.0, 200_000
 
 @dataclass(frozen=True, slots=True)
 class UnitCell:
-    """Reference state of an RVE.
+    """An RVE ready to be solved: its reference state, and what kernels need of it.
 
     Attributes:
-        position: (n, 2) relaxed reference positions, µm; particle 0 is a wall corner at 0.
-        rest_length: wall rest length l₀, µm, at which the reference is free of stress.
+        reference: relaxed positions, lattice and rest length.
         patches, topologies: pair lists of rising reach.
         unlisted: what each list leaves out; None where its reach alone has to tell.
         factors: factorisation at the reference, one tile.
     """
 
     cell: CellParameters
-    position: NDArray[np.float64]
-    rest_length: float
+    reference: ReferenceState
     constants: Constants
     patches: tuple[Patch, ...]
     topologies: tuple[AnyTopology, ...]
     factors: Factors
     unlisted: tuple[Unlisted | None, ...]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(n, 2) relaxed reference positions, µm; particle 0 is a wall corner at 0."""
+        return self.reference.position
+
+    @property
+    def rest_length(self) -> float:
+        """Wall rest length l₀, µm, at which the reference is free of stress."""
+        return self.reference.rest_length
 
     @property
     def area(self) -> float:
@@ -60,14 +69,45 @@ class UnitCell:
 
 
 @lru_cache(maxsize=32)
-def make_unit_cell(cell: CellParameters) -> UnitCell:
+def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None) -> UnitCell:
+    """The RVE of `cell` around its reference state, which is settled unless it is given.
+
+    Raises:
+        InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
+        MismatchError: the reference is of another cell.
+    """
+    if reference is None:
+        return make_unit_cell(cell, settle_reference(cell))
+    reference.check_belongs_to(cell)
+    position, lattice = reference.position, reference.lattice
+    patches: tuple[Patch, ...]
+    topologies: tuple[AnyTopology, ...]
+    unlisted: tuple[Unlisted | None, ...]
+    if cell.is_one_square:
+        patches = tuple(
+            square_patch(cell, position, reach=factor * cell.repulsion_cutoff) for factor in REACHES
+        )
+        topologies = tuple(make_topology(p) for p in patches)
+        unlisted = (None,) * len(patches)
+    else:
+        lists = make_lists(cell, position, lattice)
+        patches, topologies, unlisted = lists.patches, lists.topologies, lists.unlisted
+    constants = make_constants(cell, reference.rest_length)
+    factors = _reference_factors(position, topologies[0], constants)
+    return UnitCell(cell, reference, constants, patches, topologies, factors, unlisted)
+
+
+@lru_cache(maxsize=32)
+def settle_reference(cell: CellParameters) -> ReferenceState:
     """Relax plant cells at F = I and find the rest length (and box) that frees them of stress.
 
     Raises:
         InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
     """
     if not cell.is_one_square:
-        return _arranged_unit_cell(cell)
+        one = settle_reference(replace(cell, arrangement="square", cells=1, arrangement_seed=1))
+        found = find_reference(cell, one.rest_length)
+        return ReferenceState(cell.fingerprint, found.position, found.lattice, found.rest_length)
     spring = cell.cell_side / cell.wall_springs_per_side
     start = even_positions(cell)
     patch = square_patch(cell, start, reach=REACHES[-1] * cell.repulsion_cutoff)
@@ -75,7 +115,7 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
 
     def pressure(relative_length: float) -> float:
         constants = make_constants(cell, relative_length * spring)
-        guess[0], stress, _, _ = _relax(patch, constants, guess[0])
+        guess[0], stress, _ = _relax(patch, constants, guess[0])
         return float(np.trace(stress))
 
     found = root_scalar(
@@ -88,34 +128,29 @@ def make_unit_cell(cell: CellParameters) -> UnitCell:
         )
     rest_length = float(found.root * spring)
     constants = make_constants(cell, rest_length)
-    position, _, factors, stable = _relax(patch, constants, guess[0])
+    position, _, stable = _relax(patch, constants, guess[0])
     if not stable:
         raise InputError(
             "cell: the equilibrium of the undeformed cell is unstable; "
             "check fluid_particle_mass, wall_stiffness and repulsion_strength"
         )
-    patches = tuple(
-        square_patch(cell, position, reach=factor * cell.repulsion_cutoff) for factor in REACHES
-    )
-    topologies = tuple(make_topology(p) for p in patches)
-    unlisted = (None,) * len(patches)
-    return UnitCell(cell, position, rest_length, constants, patches, topologies, factors, unlisted)
+    return ReferenceState(cell.fingerprint, position, patch.lattice, rest_length)
 
 
-def _arranged_unit_cell(cell: CellParameters) -> UnitCell:
-    one_square = make_unit_cell(replace(cell, arrangement="square", cells=1, arrangement_seed=1))
-    reference = find_reference(cell, one_square.rest_length)
-    lists, found = reference.lists, reference.equilibrium
-    return UnitCell(
-        cell,
-        reference.position,
-        reference.rest_length,
-        make_constants(cell, reference.rest_length),
-        lists.patches,
-        lists.topologies,
-        found.factors,
-        lists.unlisted,
+def _reference_factors(
+    position: NDArray[np.float64], topology: AnyTopology, constants: Constants
+) -> Factors:
+    """Factorisation at F = I, one tile."""
+    z = np.ascontiguousarray(
+        np.broadcast_to(position.T[None, ..., None], (1, 2, len(position), TILE))
     )
+    unit = pack(np.eye(2)[None])
+    factors = empty_factors(topology, 1)
+    stable = np.empty((1, TILE), dtype=np.bool_)
+    renew(unit, np.zeros_like(unit), z, factors, np.array([True]), topology, constants, stable)
+    if not stable.all():
+        raise InputError("reference: not a stable equilibrium of this cell; have it settled anew")
+    return factors
 
 
 def _descend(patch: Patch, constants: Constants, start: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -139,8 +174,8 @@ def _descend(patch: Patch, constants: Constants, start: NDArray[np.float64]) -> 
 
 def _relax(
     patch: Patch, constants: Constants, start: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Factors, bool]:
-    """Elastic equilibrium at F = I: positions (n, 2), stress (2, 2), factors, whether stable."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Elastic equilibrium at F = I: positions (n, 2), stress (2, 2), whether stable."""
     z = pack(start[None])
     z = np.ascontiguousarray(np.swapaxes(z, 1, 2))
     unit = np.ascontiguousarray(pack(np.eye(2)[None]))
@@ -158,4 +193,4 @@ def _relax(
             "cell: no equilibrium of the undeformed cell was found; "
             "check fluid_particle_mass, wall_stiffness and repulsion_strength"
         )
-    return z[0, :, :, 0].T.copy(), stress[0, :, :, 0].copy(), factors, bool(stable[0, 0])
+    return z[0, :, :, 0].T.copy(), stress[0, :, :, 0].copy(), bool(stable[0, 0])
