@@ -28,7 +28,7 @@ from benchmarks.rivals import (
 from benchmarks.row import Row
 from benchmarks.setting import POINTS, Array, Setting
 from benchmarks.timing import threads
-from surrofe2.cache.parts import Surrogate
+from surrofe2.cache.protocols import Surrogate
 from surrofe2.recipe import Recipe
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.report.study_files import write_study

@@ -24,13 +24,15 @@ DENSITY = 0.08
 class ReadyLaw:
     """The same answer to every question, made beforehand."""
 
-    density = DENSITY
+    density, has_tangents = DENSITY, False
 
     def __init__(self, points: int) -> None:
         stress = np.random.default_rng(0).uniform(-1.0, 1.0, (points, 2, 2))
         self._answer = StressResponse(stress, np.zeros(points, dtype=np.int8))
 
-    def respond(self, F: Array, F_dot: Array, state: None = None) -> StressResponse:
+    def respond(
+        self, F: Array, F_dot: Array, state: None = None, *, tangents: bool = False
+    ) -> StressResponse:
         """The ready answer."""
         return self._answer
 

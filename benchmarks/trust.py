@@ -18,7 +18,7 @@ from benchmarks.setting import ROOT, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings, StressTable
-from surrofe2.cache.parts import Surrogate
+from surrofe2.cache.protocols import Surrogate
 from surrofe2.displacement_curve import difference
 from surrofe2.errors import SimulationError
 from surrofe2.io.files import write_json, write_text

@@ -38,10 +38,17 @@ class TimedLaw:
         """Of the law."""
         return self.law.density
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+    @property
+    def has_tangents(self) -> bool:
+        """Those of the law."""
+        return self.law.has_tangents
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
         """The law's answer, timed."""
         begin = perf_counter()
-        answer = self.law.respond(F, F_dot, state)
+        answer = self.law.respond(F, F_dot, state, tangents=tangents)
         self.respond_seconds += perf_counter() - begin
         self.solved += len(F)
         for name, value in answer.effort.items():
@@ -87,10 +94,17 @@ class RecordingLaw:
         """The questions in their order."""
         return [Asked(F, F_dot, k in self._accepted) for k, (F, F_dot) in enumerate(self._asked)]
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+    @property
+    def has_tangents(self) -> bool:
+        """Those of the law."""
+        return self.law.has_tangents
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
         """The law's answer; the question is kept."""
         self._asked.append((np.array(F), np.array(F_dot)))
-        return self.law.respond(F, F_dot, state)
+        return self.law.respond(F, F_dot, state, tangents=tangents)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """The law's acceptance; the latest question is marked."""

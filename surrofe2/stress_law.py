@@ -92,9 +92,9 @@ class StressResponse:
         state: warm start (or history) for the next call; opaque to everyone but its law.
         effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
         tangents: derivatives of the stress, where they were asked for.
-        moved: (n,) int8, None from most laws: not 0 where the law answers by another branch than
-            it would have at the start of this step. The step then mixes both and must be begun
-            anew, see `Switching`.
+        switched: (n,) int8, None from most laws: not 0 where the law answers by another branch
+            than it would have at the start of this step. The step then mixes both and must be
+            restarted, see `SwitchingLaw`.
         left_bifurcation: (n,) whether the point left its branch at a bifurcation on its way: the
             stress is that of a stable equilibrium, but other ways may lead to another one. None:
             nowhere.
@@ -105,7 +105,7 @@ class StressResponse:
     state: Any = None
     effort: Mapping[str, int] = field(default_factory=dict)
     tangents: Tangents | None = None
-    moved: NDArray[np.int8] | None = None
+    switched: NDArray[np.int8] | None = None
     left_bifurcation: NDArray[np.bool_] | None = None
 
 
@@ -139,40 +139,56 @@ class StressLaw(Protocol):
     def density(self) -> float:
         """Mass per reference area, ng/µm²."""
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+    @property
+    def has_tangents(self) -> bool:
+        """Whether `respond` gives tangents when asked."""
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
         """Stress at n points.
 
         Args:
             F: (n, 2, 2) deformation gradient, det F > 0.
             F_dot: (n, 2, 2) its material rate, 1/µs.
             state: what an earlier answer or acceptance for the same n points carried, or None.
+            tangents: whether the answer shall carry the derivatives of the stress.
 
         Raises:
-            InputError: wrong shape, not finite, or det F ≤ 0.
+            InputError: wrong shape, not finite, det F ≤ 0, or tangents of a law without.
         """
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Commit the answer `response` that was given at (F, F_dot), the end of a kept step."""
 
 
-class Switching(StressLaw, Protocol):
-    """A law of several branches that gives `StressResponse.moved`; other laws need none of this.
+class SwitchingLaw(StressLaw, Protocol):
+    """A law of several branches, which gives `StressResponse.switched`.
 
     Within a step a point may leave a branch but not come back. The first answer of a step that
-    finds a point to leave marks it `moved`; whoever steps then asks `begin_anew` at the start of
-    the step, takes its state and stress, and repeats the step at the same length.
+    finds a point to leave marks it `switched`; whoever steps then asks `restart_step` at the start
+    of the step, takes its state and stress, and repeats the step at the same length.
     """
 
-    def begin_anew(
-        self, F: Array, F_dot: Array, response: StressResponse, moved: NDArray[np.int8]
+    def restart_step(
+        self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
-        """The start of a step once more, with the points `moved` on their new branch.
+        """The start of a step once more, with the points `switched` on their new branch.
 
         Args:
             F, F_dot: (n, 2, 2) at the start of the step.
             response: stress and status there, and the committed state.
-            moved: (n,) of the answer that found the points.
+            switched: (n,) of the answer that found the points.
         """
+
+
+def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
+    """An `InputError` that begins with the purpose unless the law gives tangents."""
+    if not law.has_tangents:
+        raise InputError(
+            f"{purpose}: {type(law).__name__} has no tangents; use true RVEs (--law rve, solver "
+            "direct) or integrator explicit"
+        )
 
 
 def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:

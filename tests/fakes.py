@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    check_deformation,
+    require_tangents,
+)
 from surrofe2.tensors import rotation, transpose
 
 
@@ -14,7 +20,7 @@ class SoftLaw:
     Not converged where F₁₁ is above `fails_above`.
     """
 
-    density = 0.084
+    density, has_tangents = 0.084, False
     rest_length = 1.5
 
     def __init__(self, a=50.0, b=100.0, fails_above=np.inf):
@@ -26,7 +32,9 @@ class SoftLaw:
         self.cell, self.initialisation = cell, settings.initialisation
         return self
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        if tangents:
+            require_tangents(self)
         F, F_dot = check_deformation(F, F_dot)
         self.calls += 1
         R = rotation(F)
@@ -48,7 +56,7 @@ class StoppingLaw(SoftLaw):
         super().__init__(**settings)
         self.left, self.error = calls, error
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         if self.left == 0:
             raise self.error
         self.left -= 1

@@ -1,6 +1,6 @@
 """Stress from a surrogate or a table where it may be trusted, from the true law elsewhere.
 
-In reading order: `parts` is what a cache asks of others, `cached_law` which part answers which
+In reading order: `protocols` is what a cache asks of others, `cached_law` which part answers which
 point and when that may change, `bookkeeping` what changes besides, `audit` and `error_record` how
 wrong it was, `trust` and `collapse` what follows from that, `cost` whether it pays; `table`
 answers from what was asked before, `table_behind` puts it behind another surrogate.

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.error_record import ErrorRecord
-from surrofe2.cache.parts import Fallback
 from surrofe2.cache.point_set import Indices, beyond_bifurcation
+from surrofe2.cache.protocols import Fallback
 from surrofe2.stress_law import StressResponse
 from surrofe2.tensors import stress_error
 

@@ -13,8 +13,8 @@ from surrofe2.cache.cached_state import CachedState
 from surrofe2.cache.collapse import CollapseWatch
 from surrofe2.cache.cost import Meter, cost_of, time_true_law
 from surrofe2.cache.counting import NO_EFFORT, effort_of
-from surrofe2.cache.parts import Fallback, Keep, Surrogate
 from surrofe2.cache.point_set import PointSet, beyond_bifurcation
+from surrofe2.cache.protocols import Fallback, Keep, Surrogate
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.trust import Trust
 
@@ -43,15 +43,15 @@ class Bookkeeping:
         self._fallback = fallback
         self._settings = settings
         self._keep = keep
-        self._learn = getattr(surrogate, "learn", None)
-        self._spread = getattr(surrogate, "stress_spread", None)
+        self._surrogate = surrogate
+        self._spread = surrogate.stress_spread if surrogate.has_bound else None
         self.counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
         allowed = np.inf if self._spread is None else settings.tolerance * float(self._spread)
         self.trust = Trust(allowed)
         self.meter = Meter()
         self.latest: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
         self._audit = Audit(fallback, settings.audit, settings.seed, allowed)
-        self._watch = CollapseWatch(learns=self._learn is not None)
+        self._watch = CollapseWatch(learns=surrogate.learns)
         if self._spread is None and np.isfinite(settings.tolerance):
             self.trust.warn(
                 0,
@@ -97,8 +97,7 @@ class Bookkeeping:
         if self._keep is not None:
             none = np.zeros(len(held), dtype=np.int8)
             self._keep(*at, true, none, np.full(len(held), FALLBACK, dtype=np.int8))
-        if self._learn is not None:
-            self._learn(*at, true, held.state)
+        self._surrogate.learn(*at, true, held.state)
 
     def hold_audit(self) -> None:
         """Audit what waits; keep the truth, learn what was wrong, and judge."""
@@ -113,18 +112,19 @@ class Bookkeeping:
             self._keep(
                 asked.F[kept], asked.F_dot[kept], found.stress[kept], found.status[kept], why
             )
-        if self._learn is not None:
-            self._learn_from(found)
+        self._learn_from(found)
         if not self.trust.is_off:
             self.trust.judge(self.counts["steps"], found.broken, found.error, asked.bound)
 
     def _learn_from(self, found: Finding) -> None:
         left = beyond_bifurcation(found.state, len(found.status))
         wrong = (found.broken & (found.status == 0) & ~left).nonzero()[0]
-        if self._learn is None or not len(wrong):
+        if not len(wrong):
             return
         state = None if found.state is None else found.state.take(wrong)
-        self._learn(found.asked.F[wrong], found.asked.F_dot[wrong], found.stress[wrong], state)
+        self._surrogate.learn(
+            found.asked.F[wrong], found.asked.F_dot[wrong], found.stress[wrong], state
+        )
 
     def history(self) -> dict[str, Any]:
         """How the cache has done so far, as plain values: what `restore` takes."""

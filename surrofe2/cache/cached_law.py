@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from inspect import signature
 from time import perf_counter
 from typing import Any
 
@@ -18,11 +17,8 @@ from surrofe2.cache.cached_state import (
     leaving_and_returning,
     look_up,
     put_together,
-    surrogate_has_tangents,
-    surrogate_tangents,
 )
 from surrofe2.cache.counting import NO_EFFORT, effort_of
-from surrofe2.cache.parts import Fallback, Keep, Surrogate
 from surrofe2.cache.point_set import (
     NOBODY,
     Indices,
@@ -30,9 +26,17 @@ from surrofe2.cache.point_set import (
     added,
     answer_both,
 )
+from surrofe2.cache.protocols import Fallback, Keep, Surrogate
 from surrofe2.cache.settings import CacheSettings
-from surrofe2.errors import InputError, MismatchError
-from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents, check_deformation
+from surrofe2.errors import MismatchError
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    Tangents,
+    check_deformation,
+    require_tangents,
+)
 
 Array = NDArray[np.float64]
 
@@ -41,15 +45,15 @@ class CachedLaw:
     """σ(F, Ḟ) from `surrogate` where its bound is within the tolerance, else from `fallback`.
 
     Within a step a point may move from the surrogate to the fallback, not back; the answer that
-    finds one says so (`StressResponse.moved`) and the step is begun anew, see
-    `stress_law.Switching`. `respond` is pure but for a stopwatch: counts, audits, trust, harvest
+    finds one says so (`StressResponse.switched`) and the step is begun anew, see
+    `stress_law.SwitchingLaw`. `respond` is pure but for a stopwatch: counts, audits, trust, harvest
     and learning change in `accept` alone, and only when no point objects.
 
     Args:
-        surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `parts.Surrogate`.
+        surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `protocols.Surrogate`.
         fallback: the law the surrogate was trained on, e.g. `surrofe2.rve.RveLaw`.
         settings: tolerance and audit.
-        keep: is given every true answer at accepted steps, see `parts.Keep`.
+        keep: is given every true answer at accepted steps, see `protocols.Keep`.
 
     Raises:
         MismatchError: they are not of the same plant cell and initialisation.
@@ -82,9 +86,7 @@ class CachedLaw:
     @property
     def has_tangents(self) -> bool:
         """Whether both parts give tangents."""
-        return surrogate_has_tangents(self.surrogate) and (
-            "tangents" in signature(self.fallback.respond).parameters
-        )
+        return self.surrogate.has_tangents and self.fallback.has_tangents
 
     @property
     def counts(self) -> dict[str, int]:
@@ -124,8 +126,8 @@ class CachedLaw:
         """
         if not (_is_ready(F) and _is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
-        if tangents and not self.has_tangents:
-            raise InputError("tangents: the surrogate or its fallback has none; use true RVEs")
+        if tangents:
+            require_tangents(self)
         began = perf_counter()
         answer = self._respond(F, F_dot, state, tangents)
         self._book.meter.answered(len(F), perf_counter() - began)
@@ -142,23 +144,22 @@ class CachedLaw:
         stress, status, bound = look_up(self.surrogate, F, F_dot, state)
         missed = status.nonzero()[0]
         if not len(missed) and not len(state.held):
-            slopes = surrogate_tangents(self.surrogate, F, F_dot) if tangents else None
+            slopes = self.surrogate.tangents(F, F_dot) if tangents else None
             after = CachedState(count, state.held, state.tolerance, bound, state.before)
             return StressResponse(stress, status, after, {**NO_EFFORT, "hits": count}, slopes)
         check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
         why = status[missed]
-        wish = {"tangents": True} if tangents else {}
         with self._book.meter.part("fallback"):
-            answer = answer_both(self.fallback, F, F_dot, state.held, missed, **wish)
+            answer = answer_both(self.fallback, F, F_dot, state.held, missed, tangents=tangents)
         held = PointSet(
             np.concatenate([state.held.points, missed]),
             np.concatenate([state.held.why, why]),
             answer.state,
         )
-        moved = None
+        switched = None
         if given is not None and len(missed):
-            moved = np.zeros(count, dtype=np.int8)
-            moved[missed] = why
+            switched = np.zeros(count, dtype=np.int8)
+            switched[missed] = why
         stress[held.points], status[held.points] = answer.stress, answer.status
         bound[missed] = np.inf
         after = replace(state, held=held, bound=bound)
@@ -168,7 +169,7 @@ class CachedLaw:
             after,
             added(effort_of(count, held.why), answer.effort),
             self._tangents(F, F_dot, after, answer.tangents) if tangents else None,
-            moved,
+            switched,
         )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
@@ -190,17 +191,17 @@ class CachedLaw:
                 left_bifurcation=accepted.left_bifurcation,
             )  # fmt: skip
 
-    def begin_anew(
-        self, F: Array, F_dot: Array, response: StressResponse, moved: NDArray[np.int8]
+    def restart_step(
+        self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
-        """The start of a step with the points `moved` on the fallback; see `Switching`."""
+        """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
         with self._book.meter.part("total"):
             state: CachedState = response.state
-            new = (state.free() & (moved != 0)).nonzero()[0]
+            new = (state.free() & (switched != 0)).nonzero()[0]
             answer = self._solve_cold(F, F_dot, new)
             stress, status = response.stress.copy(), response.status.copy()
             stress[new], status[new] = answer.stress, answer.status
-            held = state.held.and_also(new, moved[new], answer.state)
+            held = state.held.and_also(new, switched[new], answer.state)
             return Acceptance(status, replace(state, held=held), stress)
 
     def _accept_held(
@@ -272,7 +273,7 @@ class CachedLaw:
         self, F: Array, F_dot: Array, state: CachedState, of_held: Tangents | None
     ) -> Tangents:
         free = state.free().nonzero()[0]
-        of_free = surrogate_tangents(self.surrogate, F[free], F_dot[free])
+        of_free = self.surrogate.tangents(F[free], F_dot[free])
         return put_together(state.count, free, of_free, state.held.points, of_held)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.foresight import look_ahead
-from surrofe2.cache.parts import Surrogate
 from surrofe2.cache.point_set import NOBODY, Indices, PointSet
+from surrofe2.cache.protocols import Surrogate
 from surrofe2.errors import InputError
-from surrofe2.stress_law import Status, StressResponse, Tangents
+from surrofe2.stress_law import Status, Tangents
 
 Array = NDArray[np.float64]
 
@@ -64,16 +64,6 @@ def look_up(
     return stress, status, bound
 
 
-def _look_whether(
-    surrogate: Any, F: Array, F_dot: Array, tolerance: float
-) -> tuple[NDArray[np.int8], Array]:
-    if hasattr(surrogate, "look_whether"):
-        status, bound = surrogate.look_whether(F, F_dot, tolerance)
-        return status, bound
-    _, status, bound = surrogate.lookup(F, F_dot, tolerance)
-    return status, bound
-
-
 def leaving_and_returning(
     surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState, tolerance: float
 ) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], NDArray[np.bool_]]:
@@ -85,7 +75,8 @@ def leaving_and_returning(
         (k,): whether each of them may return.
     """
     points = state.held.points
-    ahead, bound_ahead = _look_whether(surrogate, *look_ahead(F, F_dot, state.before), tolerance)
+    there = look_ahead(F, F_dot, state.before)
+    ahead, bound_ahead = surrogate.status_and_bound(*there, tolerance)
     if state.bound is not None and np.isfinite(tolerance):
         rising = (bound_ahead > STAY * tolerance) & (bound_ahead > state.bound)
         ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
@@ -112,29 +103,6 @@ def check_state(state: Any, count: int) -> CachedState:
             "for the same points carried, or None"
         )
     return state
-
-
-def surrogate_has_tangents(surrogate: Any) -> bool:
-    """Whether `surrogate_tangents` will find any."""
-    from inspect import signature
-
-    if hasattr(surrogate, "tangents"):
-        return True
-    return hasattr(surrogate, "respond") and "tangents" in signature(surrogate.respond).parameters
-
-
-def surrogate_tangents(surrogate: Any, F: Array, F_dot: Array) -> Tangents:
-    """Tangents of the answers of `lookup` at (F, Ḟ), (n, 2, 2), by whichever way the surrogate has.
-
-    Raises:
-        InputError: it gave none.
-    """
-    if hasattr(surrogate, "tangents"):
-        return surrogate.tangents(F, F_dot)
-    response: StressResponse = surrogate.respond(F, F_dot, tangents=True)
-    if response.tangents is None:
-        raise InputError("tangents: the surrogate gave none; ask for none or use true RVEs")
-    return response.tangents
 
 
 def put_together(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.parts import Fallback
+from surrofe2.cache.protocols import Fallback
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.parts import Fallback
+from surrofe2.cache.protocols import Fallback
 from surrofe2.stress_law import StressResponse
 
 Array = NDArray[np.float64]
@@ -64,20 +64,27 @@ def state_of_both(first: Any, count: int, second: Any, more: int) -> Any:
 
 def beyond_bifurcation(state: Any, count: int) -> NDArray[np.bool_]:
     """(count,) whether the fallback's state says that the stress there is one of several."""
-    left: NDArray[np.bool_] | None = getattr(state, "left_points", None)
-    return np.zeros(count, dtype=np.bool_) if left is None else left
+    left: NDArray[np.bool_]
+    left = np.zeros(count, dtype=np.bool_) if state is None else state.left_points
+    return left
 
 
 def answer_both(
-    law: Fallback, F: Array, F_dot: Array, known: PointSet, new: Indices, **wish: Any
+    law: Fallback,
+    F: Array,
+    F_dot: Array,
+    known: PointSet,
+    new: Indices,
+    *,
+    tangents: bool = False,
 ) -> StressResponse:
     """The law at the known points, warm, and then at new ones, cold."""
     if not len(new):
-        return law.respond(F[known.points], F_dot[known.points], known.state, **wish)
-    cold = law.respond(F[new], F_dot[new], None, **wish)
+        return law.respond(F[known.points], F_dot[known.points], known.state, tangents=tangents)
+    cold = law.respond(F[new], F_dot[new], None, tangents=tangents)
     if not len(known):
         return cold
-    warm = law.respond(F[known.points], F_dot[known.points], known.state, **wish)
+    warm = law.respond(F[known.points], F_dot[known.points], known.state, tangents=tangents)
     return StressResponse(
         np.concatenate([warm.stress, cold.stress]),
         np.concatenate([warm.status, cold.status]),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.parts import Fallback
+from surrofe2.cache.protocols import Fallback
 from surrofe2.cache.table_evidence import weigh
 from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, canonical_image, input_scale
 from surrofe2.cache.table_lookup import MANY, look_up
@@ -23,7 +23,13 @@ from surrofe2.cache.table_tree import make_tree
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_law import Acceptance, StressResponse, check_deformation
+from surrofe2.stress_law import (
+    Acceptance,
+    StressResponse,
+    Tangents,
+    check_deformation,
+    require_tangents,
+)
 from surrofe2.tensors import stress_spread, to_components, to_inputs, transpose
 
 Array = NDArray[np.float64]
@@ -64,7 +70,7 @@ class StressTable:
     ) -> None:
         if not 0.0 < tolerance < np.inf:
             raise InputError(f"table.tolerance: {tolerance} µN/µm; it must be positive and finite")
-        if getattr(law, "solver", "direct") != "direct":
+        if not law.has_tangents:
             raise InputError(
                 "table: a record needs exact tangents, which solver iterated does not give; use "
                 "solver direct"
@@ -74,7 +80,7 @@ class StressTable:
         self.range = range
         self.stress_spread = float(spread)
         self.most_records = most_records
-        self.symmetry: str = getattr(law.cell, "symmetry", "D4")
+        self.symmetry: str = law.cell.symmetry
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = input_scale(range)
         self.restore(records if records is not None else no_records())
@@ -93,6 +99,21 @@ class StressTable:
     def density(self) -> float:
         """Mass per reference area, ng/µm²."""
         return self.law.density
+
+    @property
+    def has_tangents(self) -> bool:
+        """Never: the slope jumps from one record to the next."""
+        return False
+
+    @property
+    def has_bound(self) -> bool:
+        """Always, see `lookup`."""
+        return True
+
+    @property
+    def learns(self) -> bool:
+        """Always."""
+        return True
 
     @property
     def records(self) -> Records:
@@ -121,11 +142,26 @@ class StressTable:
             F, F_dot, float(tolerance), self.tolerance, self.images, self._records, self._tree
         )
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
         """Stress at n points; NaN and status OUT_OF_RANGE where the table knows none."""
+        if tangents:
+            require_tangents(self)
         F, F_dot = check_deformation(F, F_dot)
         stress, status, _ = self.lookup(F, F_dot)
         return StressResponse(stress, status, state, {"table_points": len(F)})
+
+    def status_and_bound(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[NDArray[np.int8], Array]:
+        """Those of `lookup`."""
+        return self.lookup(F, F_dot, tolerance)[1:]
+
+    def tangents(self, F: Array, F_dot: Array) -> Tangents:
+        """An InputError: each record has its own slope, which jumps from one to the next."""
+        require_tangents(self)
+        raise NotImplementedError
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Nothing is left to check or to commit."""

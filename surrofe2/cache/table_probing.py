@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.parts import Fallback
+from surrofe2.cache.protocols import Fallback
 from surrofe2.cache.table_inputs import input_slopes
 from surrofe2.cache.table_records import (
     Records,
@@ -52,7 +52,7 @@ def probed_records(
     frame = np.repeat(R, _GROUP, axis=0)
     F, F_dot = from_inputs(nearby, frame)
     warm = None if state is None else state.take(np.repeat(points, _GROUP))
-    answer = law.respond(F, F_dot, warm, tangents=True)  # type: ignore[call-arg]
+    answer = law.respond(F, F_dot, warm, tangents=True)
     stress = np.where(answer.status[:, None, None] == 0, answer.stress, 0.0)
     by_F, by_F_dot = answer.tangents.cauchy(F, stress)  # type: ignore[union-attr]
     slopes = input_slopes(frame, by_F, by_F_dot).reshape(m, _GROUP, 4, INPUTS)

@@ -85,7 +85,7 @@ def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str,
     valid = np.flatnonzero(~kept)
     for first in range(0, len(valid), _CHUNK):
         rows = valid[first : first + _CHUNK]
-        answer: Any = law.respond(harvest.F[rows], harvest.F_dot[rows], tangents=True)  # type: ignore[call-arg]
+        answer: Any = law.respond(harvest.F[rows], harvest.F_dot[rows], tangents=True)
         wrong = stress_error(answer.stress, harvest.stress[rows])
         kept[rows] = (answer.status == 0) & (wrong <= _SAME * spread)
         by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot

@@ -14,7 +14,7 @@ from surrofe2.errors import InputError, MismatchError
 
 if TYPE_CHECKING:
     from surrofe2.cache import StressTable
-    from surrofe2.cache.parts import Fallback, Keep
+    from surrofe2.cache.protocols import Fallback, Keep
     from surrofe2.macro import MacroSettings
     from surrofe2.recipe import Recipe
     from surrofe2.stress_law import StressLaw
@@ -81,7 +81,7 @@ def choose_law(
     if not (recipe.table.enabled or tables):
         law = CachedLaw(surrogate, rve, recipe.cache, keep)
         return ChosenLaw(law, (surrogate, rve), record)
-    table = make_table(recipe, rve, tables, getattr(surrogate, "stress_spread", None))
+    table = make_table(recipe, rve, tables, surrogate.stress_spread)
     record |= {"tables": _record_of(tables)}
     law = CachedLaw(TableBehind(surrogate, table), rve, recipe.cache, keep)
     return ChosenLaw(law, (surrogate, rve), record, table)

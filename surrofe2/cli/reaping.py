@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from surrofe2.cache import StressTable
-    from surrofe2.cache.parts import Keep
+    from surrofe2.cache.protocols import Keep
     from surrofe2.io.harvest import HarvestWriter
     from surrofe2.recipe import Recipe
 

@@ -127,7 +127,7 @@ def _round(recipe: Recipe, out: Path, k: int) -> Round:
             resume=True,
             report=report,
         )
-    spread = _spread(surrogate, samples)
+    spread = surrogate.stress_spread
     tolerance = _tolerance(recipe)
     harvest = harvest_of(folder / "run")
     unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
@@ -212,13 +212,6 @@ def _range_after(out: Path, k: int) -> SamplingRange:
 
     stored = read_json(out / f"round-{k}" / _STARTED)["range"]
     return SamplingRange(**{name: tuples_of(value) for name, value in stored.items()})
-
-
-def _spread(surrogate: SurrogateLaw, samples: StressSamples) -> float:
-    from surrofe2.tensors import stress_spread
-
-    known = getattr(surrogate, "stress_spread", None)
-    return stress_spread(samples.valid.stress) if known is None else float(known)
 
 
 def _tolerance(recipe: Recipe) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from surrofe2.cache.parts import Surrogate
+    from surrofe2.cache.protocols import Surrogate
     from surrofe2.io.harvest import Harvest
     from surrofe2.recipe import Recipe
     from surrofe2.sampling import SamplingRange

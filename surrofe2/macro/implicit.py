@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Solved
-from surrofe2.macro.right_hand_side import Evaluation, MovedError, RightHandSide, TrialError
+from surrofe2.macro.right_hand_side import Evaluation, RightHandSide, SwitchedError, TrialError
 from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.tangent_assembly import require_tangents
 from surrofe2.macro.time_integration import MAX_HALVINGS, NO_MEMORY
+from surrofe2.stress_law import require_tangents
 
 Array = NDArray[np.float64]
 
@@ -206,8 +206,8 @@ class ImplicitStepper:
                 guess = self._guess(a, h)
             try:
                 return self._method.solve(at.now, a, guess, h)
-            except MovedError as found:
-                now = self._right_hand_side.begin_anew(found.moved)
+            except SwitchedError as found:
+                now = self._right_hand_side.restart_step(found.switched)
                 rate = _rate(now, self._method.acceleration(now))
                 self._standing = at.on_another_branch(now, rate)
                 guess = self._method.acceleration_to(found.u, now, self._acceleration(h), h)

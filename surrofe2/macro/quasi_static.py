@@ -15,8 +15,8 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro.mesh import Bar, make_bar
 from surrofe2.macro.right_hand_side import (
     Evaluation,
-    MovedError,
     RightHandSide,
+    SwitchedError,
     Tally,
     TrialError,
 )
@@ -26,9 +26,8 @@ from surrofe2.macro.tangent_assembly import (
     assembled_tangents,
     factorised,
     make_pattern,
-    require_tangents,
 )
-from surrofe2.stress_law import StressLaw
+from surrofe2.stress_law import StressLaw, require_tangents
 
 Array = NDArray[np.float64]
 
@@ -155,8 +154,8 @@ def _rest_of(
     while True:
         try:
             now, residuals = _balanced(rhs, pattern, factor, u, settings.newton_tolerance)
-        except MovedError as found:
-            rhs.begin_anew(found.moved)
+        except SwitchedError as found:
+            rhs.restart_step(found.switched)
         else:
             break
     K, C = assembled_tangents(rhs.bar, pattern, now.F, now.response)

@@ -19,7 +19,7 @@ from surrofe2.stress_law import (
     Status,
     StressLaw,
     StressResponse,
-    Switching,
+    SwitchingLaw,
     describe,
 )
 
@@ -42,15 +42,15 @@ class TrialError(Exception):
         self.t = t
 
 
-class MovedError(Exception):
+class SwitchedError(Exception):
     """Points left their branch of the law within a step; it must be begun anew.
 
     t, u: where they were found.
     """
 
-    def __init__(self, t: float, u: Array, moved: NDArray[np.int8]) -> None:
-        super().__init__(f"{np.count_nonzero(moved)} points changed their branch of the law")
-        self.t, self.u, self.moved = t, u, moved
+    def __init__(self, t: float, u: Array, switched: NDArray[np.int8]) -> None:
+        super().__init__(f"{np.count_nonzero(switched)} points changed their branch of the law")
+        self.t, self.u, self.switched = t, u, switched
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class RightHandSide:
 
         Raises:
             TrialError: there is no stress somewhere.
-            MovedError: the law left a branch; the step must be begun anew.
+            SwitchedError: the law left a branch; the step must be begun anew.
         """
         self.tally.counts["right_hand_sides"] += 1
         F, F_dot, J = deformation_gradient(self.bar, u, v)
@@ -147,8 +147,8 @@ class RightHandSide:
             point = int(np.argmin(J > 0.0))
             self.fail(t, point, F, f"det F = {J[point]:.6g}; the element is inverted there")
         response = self._respond(t, F, F_dot, tangents)
-        if response.moved is not None:
-            raise MovedError(t, u, response.moved)
+        if response.switched is not None:
+            raise SwitchedError(t, u, response.switched)
         internal = internal_force(self.bar, F, response.stress)
         load = self.amplitude_at(t) * self.bar.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
@@ -169,12 +169,12 @@ class RightHandSide:
         self.tally.law_seconds += perf_counter() - started
         return self._begin(last, acceptance)
 
-    def begin_anew(self, moved: NDArray[np.int8]) -> Evaluation:
+    def restart_step(self, switched: NDArray[np.int8]) -> Evaluation:
         """The start of the step under way with these points on another branch of the law."""
-        start, law = self.start, cast(Switching, self.law)
+        start, law = self.start, cast(SwitchingLaw, self.law)
         response = replace(start.response, state=self._committed)
         started = perf_counter()
-        acceptance = law.begin_anew(start.F, start.F_dot, response, moved)
+        acceptance = law.restart_step(start.F, start.F_dot, response, switched)
         self.tally.law_seconds += perf_counter() - started
         self.tally.counts["repeated_steps"] += 1
         return self._begin(start, acceptance)
@@ -193,7 +193,7 @@ class RightHandSide:
                 response=replace(
                     at.response,
                     stress=acceptance.stress,
-                    moved=None,
+                    switched=None,
                     tangents=None,
                     left_bifurcation=left,
                 ),

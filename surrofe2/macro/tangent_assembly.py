@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,24 +13,11 @@ from scipy.sparse.linalg import splu
 from surrofe2.errors import InputError
 from surrofe2.macro.mesh import Bar
 from surrofe2.macro.selective_quadrature import N_GAUSS, N_POINTS
-from surrofe2.stress_law import StressLaw, StressResponse, Tangents
+from surrofe2.stress_law import StressResponse, Tangents
 from surrofe2.tensors import det
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-
-def require_tangents(law: StressLaw, purpose: str) -> None:
-    """An `InputError` unless `law.respond` takes `tangents`.
-
-    A law whose parts decide says so by an attribute `has_tangents`.
-    """
-    knows = "tangents" in inspect.signature(law.respond).parameters
-    if not (knows and getattr(law, "has_tangents", True)):
-        raise InputError(
-            f"{purpose}: {type(law).__name__} has no tangents; use true RVEs (--law rve) or "
-            "integrator explicit"
-        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 scipy's RK45 chooses and tries the steps; it is wrapped, never altered. A trial that has no stress
 leaves it through `TrialError`, before it has moved, and one that finds the law on another branch
-through `MovedError`: that step is tried again at the same length, its first stage anew.
+through `SwitchedError`: that step is tried again at the same length, its first stage anew.
 
 The length of the next step is ours. Where stability and not accuracy limits the step, the usual
 control h ε^(−1/5) swings between rejected and needless short steps; a weaker response to the
@@ -24,8 +24,8 @@ from surrofe2.errors import SimulationError
 from surrofe2.macro.right_hand_side import (
     N_STAGES,
     Evaluation,
-    MovedError,
     RightHandSide,
+    SwitchedError,
     TrialError,
 )
 from surrofe2.macro.settings import MacroSettings
@@ -150,7 +150,7 @@ class Stepper:
         while True:
             try:
                 return self._try_step(may_grow=halvings == 0 and not rejected)
-            except MovedError:
+            except SwitchedError:
                 rejected = rejected or self._right_hand_side.calls > N_STAGES
             except TrialError:
                 self._right_hand_side.tally.counts["failed_trials"] += 1
@@ -164,13 +164,13 @@ class Stepper:
         right_hand_side.calls = 0
         try:
             message = solver.step()
-        except (TrialError, MovedError) as failure:
+        except (TrialError, SwitchedError) as failure:
             self._count_rejected()
             stage = (right_hand_side.calls - 1) % N_STAGES
             length = (failure.t - t_old) / _TIME_FRACTIONS[stage]
             solver.h_abs = 0.5 * length
-            if isinstance(failure, MovedError):
-                self._begin_at(right_hand_side.begin_anew(failure.moved))
+            if isinstance(failure, SwitchedError):
+                self._begin_at(right_hand_side.restart_step(failure.switched))
                 solver.h_abs = length
             raise
         self._count_rejected()
@@ -219,8 +219,8 @@ class Stepper:
                     atol=self._settings.absolute_tolerance,
                     rtol=self._settings.relative_tolerance,
                 )
-            except MovedError as found:
-                self._right_hand_side.begin_anew(found.moved)
+            except SwitchedError as found:
+                self._right_hand_side.restart_step(found.switched)
 
     def _count_rejected(self) -> None:
         """All trials of one step but the last were complete and too inaccurate."""

@@ -96,6 +96,11 @@ class RveLaw:
         return self.settings.initialisation
 
     @property
+    def has_tangents(self) -> bool:
+        """Whether the solver is direct; tangents would hide how loosely the iteration stops."""
+        return self.solver == "direct"
+
+    @property
     def solver(self) -> str:
         """How the micro problem is solved."""
         return self.settings.solver

@@ -152,9 +152,16 @@ class WatchedLaw:
         """Mass per reference area, ng/µm²."""
         return self.law.density
 
-    def respond(self, F: Array, F_dot: Array, state: Any = None) -> StressResponse:
+    @property
+    def has_tangents(self) -> bool:
+        """Those of the law."""
+        return self.law.has_tangents
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
         """The law's answer."""
-        return self.law.respond(F, F_dot, state)
+        return self.law.respond(F, F_dot, state, tangents=tangents)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """The law's acceptance, and a note of where it was."""

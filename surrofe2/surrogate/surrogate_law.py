@@ -106,6 +106,24 @@ class SurrogateLaw:
         """Mass per reference area, ng/µm²."""
         return self.cell.density
 
+    @property
+    def has_tangents(self) -> bool:
+        """Always: they are those of the network."""
+        return True
+
+    @property
+    def has_bound(self) -> bool:
+        """Always: without a calibration it is infinite, and no finite tolerance trusts it."""
+        return True
+
+    @property
+    def learns(self) -> bool:
+        """Never: it is trained beforehand."""
+        return False
+
+    def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
+        """Nothing: see `learns`."""
+
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
@@ -174,7 +192,7 @@ class SurrogateLaw:
         """
         return evaluate_trusted(F, F_dot, self._weights, self._trust, tolerance)
 
-    def look_whether(
+    def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
         """(status (n,), bound (n,)) of `lookup`, which is several times dearer.

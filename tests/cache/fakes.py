@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
+from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents, require_tangents
 from surrofe2.tensors import det
 from tests.macro.analytic_laws import KelvinVoigt
 
@@ -33,15 +34,23 @@ class Warmth:
         F[indices] = state.F
         return Warmth(F)
 
+    @property
+    def left_points(self):
+        return np.zeros(len(self.F), dtype=bool)
+
 
 class TrueLaw:
     """Exact, remembers F, fails where F₁₁ > 2, notes what it was asked."""
+
+    has_tangents = False
 
     def __init__(self, cell=CELL, initialisation="elastic"):
         self.cell, self.initialisation, self.density = cell, initialisation, cell.density
         self.asked, self.accepted = [], []
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        if tangents:
+            require_tangents(self)
         self.asked.append((F.copy(), state))
         stress, status = exact(F, F_dot), np.zeros(len(F), dtype=np.int8)
         status[F[:, 0, 0] > 2.0] = Status.UNSTABLE
@@ -55,8 +64,25 @@ class TrueLaw:
         return Acceptance(status, Warmth(response.state.F + 100.0))
 
 
-class Surrogate:
-    """Off by one, so that it can be told apart; out of range from F₁₁ = 1.5, NaN below 0.5."""
+class Untaught:
+    """What a surrogate has that neither learns nor gives tangents."""
+
+    has_bound, has_tangents, learns, stress_spread = True, False, False, 1.0
+
+    def status_and_bound(self, F, F_dot, tolerance=np.inf):
+        return self.lookup(F, F_dot, tolerance)[1:]
+
+    def tangents(self, F, F_dot):
+        raise InputError("tangents: none")
+
+    def learn(self, F, F_dot, stress, state=None):
+        pass
+
+
+class Surrogate(Untaught):
+    """Knows no bound. Off by one, to be told apart; out of range from F₁₁ = 1.5, NaN below 0.5."""
+
+    has_bound = False
 
     def __init__(self, cell=CELL, initialisation="elastic"):
         self.cell, self.initialisation, self.density = cell, initialisation, cell.density
@@ -84,14 +110,14 @@ class Truth(KelvinVoigt):
     cell, initialisation = CELL, "elastic"
 
 
-class Learnt:
+class Learnt(Untaught):
     """`Truth` with an error of 1 in direction and size `error(F, F_dot)` (n,), and a bound.
 
     Trusted where `bound(F, F_dot)` (n,) is at most the tolerance; out of range where `outside`.
     """
 
     cell, initialisation, density = CELL, "elastic", Truth().density
-    stress_spread = 10.0
+    stress_spread, has_tangents = 10.0, True
 
     def __init__(self, error, bound, outside=lambda F: np.zeros(len(F), dtype=bool)):
         self.truth, self.error, self.bound, self.outside = Truth(), error, bound, outside

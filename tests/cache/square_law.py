@@ -62,12 +62,16 @@ class Points:
         F[index] = part.F
         return Points(F)
 
+    @property
+    def left_points(self):
+        return np.zeros(len(self.F), dtype=bool)
+
 
 class SquareLaw:
     """Not converged where F₁₁ is above `fails_above`; notes the states it was asked with."""
 
     rest_length = 1.5
-    solver = "direct"
+    has_tangents = True
 
     def __init__(self, cell=None, initialisation="constrained-runs", fails_above=np.inf):
         self.cell = cell or CellParameters()

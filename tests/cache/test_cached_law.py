@@ -123,7 +123,7 @@ def test_a_point_that_leaves_the_range_later_is_solved_cold_and_called_moved(cac
     assert np.array_equal(warm.F, F[[1, 3]] + 100.0)
     assert np.array_equal(cold_F, later[[0]])
     assert cold is None
-    assert answer.moved.tolist() == [Status.OUT_OF_RANGE, 0, 0, 0]
+    assert answer.switched.tolist() == [Status.OUT_OF_RANGE, 0, 0, 0]
     assert answer.state.held.points.tolist() == [1, 3, 0]
     assert np.array_equal(answer.state.held.state.F, later[[1, 3, 0]])
     assert answer.effort["rve_solves"] == 3
@@ -139,7 +139,7 @@ def test_a_point_held_does_not_come_back_within_the_step(cached, fallback):
     assert np.array_equal(fallback.asked[-1][0], back[[0]])
     off = np.array([0.0, 1.0])[:, None, None]
     np.testing.assert_allclose(answer.stress, exact(back, F_dot) + off, rtol=1e-14)
-    assert answer.moved is None
+    assert answer.switched is None
     assert answer.effort["fallbacks_out_of_range"] == 1  # why it left
 
 
@@ -165,7 +165,7 @@ def test_a_point_on_its_way_out_begins_the_next_step_on_the_fallback(cached, fal
     np.testing.assert_allclose(accepted.stress[0], exact(further, F_dot)[0], rtol=1e-14)
     np.testing.assert_allclose(accepted.stress[1], exact(further, F_dot)[1] + 1.0, rtol=1e-14)
     out, _ = stretched(1.55, 1.0)
-    assert cached.respond(out, F_dot, accepted.state).moved is None
+    assert cached.respond(out, F_dot, accepted.state).switched is None
     assert cached.counts["switched"] == 1
 
 
@@ -173,14 +173,14 @@ def test_the_start_of_a_step_once_more_with_points_moved(cached):
     F, F_dot = stretched(1.6, 1.3, 1.0)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
     out, _ = stretched(1.6, 1.55, 1.0)
-    moved = cached.respond(out, F_dot, state).moved
+    switched = cached.respond(out, F_dot, state).switched
     start = StressResponse(exact(F, F_dot), np.zeros(3, dtype=np.int8), state)
-    begun = cached.begin_anew(F, F_dot, start, moved)
+    begun = cached.restart_step(F, F_dot, start, switched)
     assert not begun.status.any()
     np.testing.assert_allclose(begun.stress[1], exact(F, F_dot)[1], rtol=1e-14)
     assert begun.state.held.points.tolist() == [0, 1]
     again = cached.respond(out, F_dot, begun.state)
-    assert again.moved is None
+    assert again.switched is None
     np.testing.assert_allclose(again.stress[1], exact(out, F_dot)[1], rtol=1e-14)
 
 
@@ -209,7 +209,7 @@ def test_the_fallback_may_refuse_a_step(cached):
 
 def test_a_fallback_without_state_is_enough():
     class Stateless(TrueLaw):
-        def respond(self, F, F_dot, state=None):
+        def respond(self, F, F_dot, state=None, *, tangents=False):
             assert state is None
             return StressResponse(exact(F, F_dot), np.zeros(len(F), dtype=np.int8))
 
@@ -280,7 +280,7 @@ def test_a_corrupted_surrogate_falls_back_at_every_point():
         cell=samples.cell,
         initialisation=samples.initialisation,
         density=samples.cell.density,
-        respond=lambda F, F_dot, state: StressResponse(
+        respond=lambda F, F_dot, state, tangents: StressResponse(
             lattice_stress(F, F_dot), np.zeros(len(F), dtype=np.int8)
         ),
     )

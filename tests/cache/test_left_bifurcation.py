@@ -27,7 +27,7 @@ class Branch(Warmth):
 class Leaving(TrueLaw):
     """Leaves at accepted steps where F₁₁ > 1.6, and has a stress of 7 everywhere from there."""
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot, state)
         return replace(answer, state=Branch(F.copy()))
 

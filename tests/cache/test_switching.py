@@ -69,7 +69,7 @@ class Watched(CachedLaw):
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot, state, tangents=tangents)
-        self.stages.append((frozenset(answer.state.held.points.tolist()), answer.moved))
+        self.stages.append((frozenset(answer.state.held.points.tolist()), answer.switched))
         return answer
 
     def accept(self, F, F_dot, response):
@@ -79,8 +79,8 @@ class Watched(CachedLaw):
         self.begun.append(frozenset(accepted.state.held.points.tolist()))
         return accepted
 
-    def begin_anew(self, F, F_dot, response, moved):
-        accepted = super().begin_anew(F, F_dot, response, moved)
+    def restart_step(self, F, F_dot, response, switched):
+        accepted = super().restart_step(F, F_dot, response, switched)
         self.stages = []
         self.begun[-1] = frozenset(accepted.state.held.points.tolist())
         return accepted
@@ -97,8 +97,8 @@ def test_no_kept_step_mixes_branches(monkeypatch):
     changes = 0
     for begun, stages in zip(watched.begun[:-1], watched.steps[1:], strict=True):
         assert len(stages) % 6 == 0 or begun is watched.begun[0]
-        for held, moved in stages:
-            assert moved is None
+        for held, switched in stages:
+            assert switched is None
             assert held == begun
         changes += bool(begun)
     assert 0 < changes < run.counts["steps"]
@@ -193,8 +193,8 @@ def test_tangents_come_from_the_part_that_answers():
 
 def test_a_surrogate_without_tangents_is_named():
     cached = cached_law()
-    cached.surrogate = type("Plain", (), {"lookup": cached.surrogate.lookup})()
+    cached.surrogate.has_tangents = False
     with pytest.raises(InputError, match="CachedLaw has no tangents"):
         simulate(LOAD_CASE, cached, replace(SETTINGS, integrator="implicit"))
-    with pytest.raises(InputError, match="the surrogate or its fallback has none"):
+    with pytest.raises(InputError, match="tangents: CachedLaw has no tangents"):
         cached.respond(np.eye(2)[None], np.zeros((1, 2, 2)), tangents=True)

@@ -250,7 +250,7 @@ def test_what_cannot_be_a_table():
     with pytest.raises(InputError, match="positive"):
         make(tolerance=0.0)
     law = SquareLaw()
-    law.solver = "iterated"
+    law.has_tangents = False
     with pytest.raises(InputError, match="use solver direct"):
         make(law)
     with pytest.raises(InputError, match="no sample"):

@@ -10,8 +10,9 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
 from surrofe2.tensors import stress_error
+from tests.cache.fakes import Untaught
 from tests.cache.square_law import SquareLaw, square_stress
-from tests.cache.test_table import make, taught
+from tests.cache.test_table import SPREAD, make, taught
 from tests.cache.test_table_inputs import RANGE, states
 
 
@@ -39,8 +40,10 @@ def test_a_merged_table_is_cut_where_the_other_knows_better():
     assert volume.sum() > 2.0 * before.sum()
 
 
-class Half:
+class Half(Untaught):
     """Knows F₁₁ ≤ 1, off by 0.01."""
+
+    stress_spread = SPREAD
 
     def __init__(self, law):
         self.cell, self.initialisation, self.density = law.cell, law.initialisation, law.density

@@ -1,7 +1,6 @@
 """Each safeguard sees its planted fault, and only that."""
 
 import logging
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -142,7 +141,7 @@ def test_a_surrogate_of_nan_is_silent_and_switched_off():
 
 def test_a_learner_that_begins_empty_is_given_time():
     surrogate = Learnt(shear_error(0.0), sound_bound, outside=lambda F: np.ones(len(F), dtype=bool))
-    surrogate.learn = lambda *answers: None
+    surrogate.learns = True
     cached = CachedLaw(surrogate, Truth(), CacheSettings(tolerance=0.01))
     simulate(LOAD_CASE, cached, SETTINGS)
     assert cached.counts["hits"] == 0
@@ -201,11 +200,9 @@ def test_a_surrogate_of_other_parameters_with_a_forged_label_is_caught():
 
 def test_a_surrogate_without_a_bound_says_so(caplog):
     surrogate = Learnt(shear_error(0.0), lambda F, F_dot: np.full(len(F), np.inf))
-    plain = SimpleNamespace(
-        cell=surrogate.cell, initialisation="elastic", density=0.08, lookup=surrogate.lookup
-    )
+    surrogate.has_bound = False
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        cached = CachedLaw(plain, Truth())
+        cached = CachedLaw(surrogate, Truth())
     assert cached.tolerance == np.inf
     assert "knows no bound" in caplog.text
 

@@ -58,11 +58,11 @@ def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):
 def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monkeypatch):
     respond, calls = SoftLaw.respond, []
 
-    def interrupt(self, *arguments):
+    def interrupt(self, *arguments, **keywords):
         calls.append(1)
         if len(calls) == 5:
             raise KeyboardInterrupt
-        return respond(self, *arguments)
+        return respond(self, *arguments, **keywords)
 
     monkeypatch.setattr(SoftLaw, "respond", interrupt)
     stopped = invoke("train", recipe_path)

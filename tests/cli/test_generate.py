@@ -76,7 +76,7 @@ from surrofe2.recipe import load_recipe
 from tests.fakes import SoftLaw
 
 class SlowLaw(SoftLaw):
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         time.sleep(0.05)
         return super().respond(F, F_dot, state)
 

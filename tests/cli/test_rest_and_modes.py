@@ -83,7 +83,7 @@ class _Troubled:
     answers with tangents."""
 
     def __init__(self, law, fails_above=np.inf, stops_after=-1):
-        self.law, self.density = law, law.density
+        self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
         self.fails_above, self.left = fails_above, stops_after
 
     def respond(self, F, F_dot, state=None, *, tangents=False):

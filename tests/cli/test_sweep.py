@@ -29,7 +29,7 @@ def _bounded(invoke, recipe_path, monkeypatch):
         return stress, status, bound
 
     monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "look_whether", lambda *asked: lookup(*asked)[1:])
+    monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
     monkeypatch.setattr(SurrogateLaw, "stress_spread", 2.0, raising=False)
 
 

@@ -97,7 +97,9 @@ def test_data_set_of_another_recipe(invoke, recipe_path, changed_recipe, old, ne
 
 
 def test_unfinished_data_set(invoke, recipe_path, recipe, monkeypatch):
-    monkeypatch.setattr(SoftLaw, "respond", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        SoftLaw, "respond", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     assert invoke("generate", recipe_path).exit_code == 130
     refused = invoke("train", recipe_path)
     assert refused.exit_code == 1

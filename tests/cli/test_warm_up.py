@@ -16,7 +16,7 @@ class Watched(SoftLaw):
         super().__init__(**settings)
         self.asked = []
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         self.asked.append(len(F))
         return super().respond(F, F_dot, state)
 

@@ -31,7 +31,7 @@ class Memoryless:
     """A law whose stress depends on (F, Ḟ) alone; subclasses say how in `stress` and, by
     ∂P/∂F and ∂P/∂Ḟ, in `slopes`."""
 
-    density = 0.08
+    density, has_tangents = 0.08, True
 
     def stress(self, F, F_dot):
         raise NotImplementedError
@@ -152,8 +152,9 @@ class DryFriction:
     limit: float = 0.1
     density: float = 0.08
     committed: list = field(default_factory=list)
+    has_tangents = False
 
-    def respond(self, F, F_dot, state=None) -> StressResponse:
+    def respond(self, F, F_dot, state=None, *, tangents=False) -> StressResponse:
         F, F_dot = check_deformation(F, F_dot)
         stretch, friction = state if state is not None else (np.ones(len(F)), np.zeros(len(F)))
         friction = np.clip(friction + self.spring * (F[:, 0, 0] - stretch), -self.limit, self.limit)
@@ -175,12 +176,13 @@ class Failing:
     fails: Any = None
     refuses: Any = None
     code: Status = Status.NOT_CONVERGED
+    has_tangents = False
 
     @property
     def density(self):
         return self.inner.density
 
-    def respond(self, F, F_dot, state=None) -> StressResponse:
+    def respond(self, F, F_dot, state=None, *, tangents=False) -> StressResponse:
         answer = self.inner.respond(F, F_dot, state)
         if self.fails is None:
             return answer

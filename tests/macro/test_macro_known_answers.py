@@ -111,7 +111,7 @@ def test_state_given_to_the_law_is_that_of_the_last_accepted_step():
     seen = []
     respond = law.respond
 
-    def listening(F, F_dot, state=None):
+    def listening(F, F_dot, state=None, *, tangents=False):
         seen.append((state, len(law.committed)))
         return respond(F, F_dot, state)
 

@@ -55,7 +55,7 @@ def test_interrupt_within_the_law_leaves_the_last_whole_step():
     class Interrupting(KelvinVoigt):
         asked = 0
 
-        def respond(self, F, F_dot, state=None):
+        def respond(self, F, F_dot, state=None, *, tangents=False):
             self.asked += 1
             if self.asked == 60:
                 raise Stop

@@ -19,11 +19,13 @@ from .test_macro_simulation import LOAD_CASE, SETTINGS
 class FailsAtQuestions:
     """Answers NaN with a status at the questions whose number (from 0) is listed."""
 
+    has_tangents = False
+
     def __init__(self, numbers):
         self.inner, self.numbers, self.asked = KelvinVoigt(), set(numbers), -1
         self.density = self.inner.density
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         self.asked += 1
         answer = self.inner.respond(F, F_dot, state)
         if self.asked in self.numbers:

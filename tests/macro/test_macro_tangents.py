@@ -11,10 +11,10 @@ from surrofe2.macro.tangent_assembly import (
     assembled_tangents,
     make_pattern,
     mass_matrix,
-    require_tangents,
 )
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
+from surrofe2.stress_law import require_tangents
 
 from .analytic_laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
 from .test_macro_internal_force import distorted_bar, random_state

@@ -106,7 +106,7 @@ def test_shapes_are_checked():
 class ForgetfulLaw(SoftLaw):
     """Has no stress after a warm start at odd points; counts its states."""
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot)
         status = answer.status.copy()
         if state is not None:
@@ -143,7 +143,7 @@ def test_where_no_stress_is_found_the_status_says_so():
 class LawOfTwoBranches(SoftLaw):
     """Leaves its branch where F₁₂ > 0.03 and stays on the other, which differs where F₁₁ > 1."""
 
-    def respond(self, F, F_dot, state=None):
+    def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot)
         left = F[:, 0, 1] > 0.03
         if state is not None:

@@ -82,7 +82,7 @@ def test_status_and_bound_need_no_stress(trusted, count):
     some = trusted.error_bound(*turned(200))
     some = np.median(some[np.isfinite(some)])
     _, status, bound = trusted.lookup(F, F_dot, some)
-    found = trusted.look_whether(F, F_dot, some)
+    found = trusted.status_and_bound(F, F_dot, some)
     assert count < MANY or len(set(status.tolist())) == 3
     assert np.array_equal(found[0], status)
     assert np.array_equal(found[1], bound)

@@ -11,6 +11,7 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
+from tests.cache.fakes import Untaught
 from tests.surrogate.lattice_law import CELL, lattice_stress
 
 LOAD_CASE = LoadCase(
@@ -28,6 +29,7 @@ class TrueLattice:
     """The lattice's stress as the law a surrogate learnt; tangents by central differences."""
 
     cell, initialisation, density = CELL, "constrained-runs", CELL.density
+    has_tangents = True
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         slopes = differences(lattice_stress, F, F_dot) if tangents else None
@@ -56,8 +58,10 @@ def differences(stress, F, F_dot):
     return Tangents(by_F / (2 * H), by_F_dot / (2 * H))
 
 
-class Unbounded:
+class Unbounded(Untaught):
     """A surrogate that knows no bound of its error: its range alone decides, narrower than met."""
+
+    has_bound, has_tangents = False, True
 
     def __init__(self, law):
         self.cell, self.initialisation, self.density = CELL, law.initialisation, law.density

@@ -8,26 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.stress_law import StressLaw
+from surrofe2.stress_law import StressLaw, Tangents
 
 Array = NDArray[np.float64]
 
 
 class Surrogate(Protocol):
-    """A stress that is quick to look up, and says where it may not be asked.
-
-    It may have more, each of which the cache uses where it is there:
-
-    - ``stress_spread: float``, µN/µm, the unit of the user's tolerance. Without it the surrogate
-      is taken to know no bound of its error, and its range alone decides, with a warning.
-    - ``tangents(F, F_dot) -> Tangents`` of the answers of `lookup`, or
-      ``respond(F, F_dot, tangents=True)``: for implicit macro steps.
-    - ``look_whether(F, F_dot, tolerance) -> (status, bound)`` of `lookup`, where that is cheaper
-      without the stress: asked for a step ahead.
-    - ``learn(F, F_dot, stress, state)``: true answers of the fallback at ends of kept steps, all
-      of status 0, with its state for these points (or None). Called from `CachedLaw.accept` only,
-      with what was not answered by the surrogate and what an audit found wrong.
-    """
+    """A stress that is quick to look up, and says where it may not be asked."""
 
     @property
     def cell(self) -> CellParameters:
@@ -41,6 +28,22 @@ class Surrogate(Protocol):
     def density(self) -> float:
         """Mass per reference area, ng/µm²."""
 
+    @property
+    def stress_spread(self) -> float:
+        """Spread of the stress, µN/µm: the unit of the user's tolerance."""
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether `lookup` bounds its error; else its range alone decides, with a warning."""
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether `tangents` answers."""
+
+    @property
+    def learns(self) -> bool:
+        """Whether true answers change it; one that learns may begin empty."""
+
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
@@ -48,6 +51,21 @@ class Surrogate(Protocol):
 
         Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
         det F > 0, the point is in range and the bound is at most `tolerance`. Pure.
+        """
+
+    def status_and_bound(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[NDArray[np.int8], Array]:
+        """Those of `lookup`, for less where no stress is needed: asked for a step ahead."""
+
+    def tangents(self, F: Array, F_dot: Array) -> Tangents:
+        """Of the stress of `lookup`, for implicit macro steps; InputError where it has none."""
+
+    def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
+        """Take in true answers (m, 2, 2), all of status 0; nothing where it does not learn.
+
+        Called from `CachedLaw.accept` only, with what was not answered by the surrogate and what
+        an audit found wrong. state: the fallback's at these points, or None.
         """
 
 
@@ -64,11 +82,11 @@ class Fallback(StressLaw, Protocol):
 
 
 class PointStates(Protocol):
-    """A warm start of n points that can be taken apart; values, never changed in place.
+    """A warm start of n points that can be taken apart; values, never changed in place."""
 
-    It may have `left_points` (n,), bool: where the stress is one of several, beyond a bifurcation,
-    and not to be learnt.
-    """
+    @property
+    def left_points(self) -> NDArray[np.bool_]:
+        """(n,) where the stress is one of several, beyond a bifurcation, and not to be learnt."""
 
     def take(self, indices: NDArray[np.intp]) -> Any:
         """The state of these points, in this order; a point may be taken twice."""
