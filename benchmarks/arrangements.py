@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.timing import side_by_side, threads
 from surrofe2.plant_cell.arrangements import make_arrangement, start_positions
+from surrofe2.plant_cell.block_pattern import Pattern, factorisation_work
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.sparsity import Pattern, factorisation_work
 from surrofe2.rve import RveLaw
 from surrofe2.rve.arranged_cells import equilibria_in, make_lists, start_set
 from surrofe2.rve.equilibria import distinct
@@ -38,9 +38,8 @@ POINTS, SIZE, RATE = 16, 0.02, 0.005
 @cache
 def law(preset: str, arrangement: str, cells: int, initialisation: str) -> RveLaw:
     """An RVE, its reference found once."""
-    return RveLaw(
-        CellParameters.preset(preset, arrangement=arrangement, cells=cells), initialisation
-    )
+    cell = CellParameters.preset(preset, arrangement=arrangement, cells=cells)
+    return RveLaw(cell, initialisation=initialisation)
 
 
 def deformations() -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from benchmarks.loops import repeat_evaluation, repeat_forces, repeat_plain_eval
 from benchmarks.row import Row
 from benchmarks.setting import POINTS, Array, Setting, deformations, micro_states, rve, unit_cell
 from benchmarks.timing import ratio, side_by_side, threads, time_calls
-from surrofe2.plant_cell.lanes import pack, unpack
+from surrofe2.plant_cell.tiles import pack, unpack
 from tests.plant_cell.twin import Twin
 
 TITLE = "Force evaluation, 80 RVEs"

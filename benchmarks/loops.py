@@ -1,6 +1,6 @@
 """Kernels repeated inside one compiled call, so that no call from Python is in the clock.
 
-Arrays are in tiles, (tiles, …, TILE), as in `surrofe2.plant_cell.lanes`.
+Arrays are in tiles, (tiles, …, TILE), as in `surrofe2.plant_cell.tiles`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from benchmarks.plain_forces import evaluate_plainly, make_plain_workspace
 from surrofe2.compilation import compiled
 from surrofe2.plant_cell.forces import fold_images
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.rve.micro_state import (
+from surrofe2.rve.particle_state import (
     evaluate,
     local_forces,
     make_workspace,

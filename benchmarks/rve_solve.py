@@ -12,7 +12,7 @@ from benchmarks.setting import POINTS, PRESETS, Setting, deformations, micro_sta
 from benchmarks.timing import ratio, side_by_side, threads, time_calls
 from benchmarks.watched_law import TimedLaw
 from surrofe2 import LoadCase, simulate
-from surrofe2.plant_cell.lanes import pack
+from surrofe2.plant_cell.tiles import pack
 
 TITLE = "RVE solves to a mean force of 1e-8 µN"
 STEP = 1e-5

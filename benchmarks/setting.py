@@ -15,6 +15,7 @@ from surrofe2.cache import CacheSettings
 from surrofe2.cli.generate import generate_data_set
 from surrofe2.cli.train import train_surrogate
 from surrofe2.recipe import load_recipe
+from surrofe2.rve import RveSettings
 from surrofe2.rve.unit_cell import UnitCell, make_unit_cell
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def cached(surrogate: SurrogateLaw, preset: str, tolerance: float) -> CachedLaw:
 @cache
 def rve(preset: str, **settings: Any) -> RveLaw:
     """The RVE law of a preset."""
-    return RveLaw(CellParameters.preset(preset), **settings)
+    return RveLaw(CellParameters.preset(preset), RveSettings(**settings))
 
 
 def unit_cell(preset: str) -> UnitCell:

@@ -27,8 +27,8 @@ class SoftLaw:
         self.a, self.b, self.fails_above = a, b, fails_above
         self.calls = 0
 
-    def of(self, cell, settings):
-        """Stand in for `RveLaw.from_settings`."""
+    def of(self, cell, settings=None):
+        """Stand in for `RveLaw`."""
         self.cell, self.initialisation = cell, settings.initialisation
         return self
 

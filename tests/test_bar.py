@@ -24,7 +24,7 @@ def minima(curve):
 
 @pytest.mark.parametrize(("preset", "initialisation"), REPORTED)
 def test_bar_moves_as_the_model_reports(preset, initialisation):
-    law = RveLaw(CellParameters.preset(preset), initialisation)
+    law = RveLaw(CellParameters.preset(preset), initialisation=initialisation)
     run = simulate(LoadCase(), law, MacroSettings())
     assert run.finished
     first, period = REPORTED[preset, initialisation]

@@ -50,7 +50,7 @@ def with_harvests(
     parts = [{name: getattr(harvest, name) for name in names} for harvest in harvests]
     if samples.P_by_F is not None:
         names += ["P_by_F", "P_by_F_dot"]
-        law = law or RveLaw.from_settings(recipe.cell, recipe.rve)
+        law = law or RveLaw(recipe.cell, recipe.rve)
         parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
         known = sum(len(part["status"]) for part in parts)
         left_out = sum(len(harvest.status) for harvest in harvests) - known

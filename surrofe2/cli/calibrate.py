@@ -37,7 +37,7 @@ def calibrate_surrogate(
     from surrofe2.rve import RveLaw
     from surrofe2.surrogate.calibration import calibrate
 
-    law = RveLaw.from_settings(recipe.cell, recipe.rve)
+    law = RveLaw(recipe.cell, recipe.rve)
     shaping, testing = (
         list(_make_paths(recipe, surrogate, seed, share, report))
         for seed, share in ((1, _SHAPING), (0, 1.0))

@@ -70,7 +70,7 @@ def generate_data_set(
     if settings.tangents and recipe.rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
     wish: dict[str, Any] = {"tangents": True} if settings.tangents else {}
-    law = law or RveLaw.from_settings(recipe.cell, recipe.rve)
+    law = law or RveLaw(recipe.cell, recipe.rve)
     header = DataSetHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),

@@ -55,12 +55,12 @@ def choose_law(
     if tables and kind not in ("cached", "table"):
         raise InputError(f"--table: not with --law {kind}; it must be cached or table")
     if kind == "rve":
-        rve = RveLaw.from_settings(recipe.cell, recipe.rve)
+        rve = RveLaw(recipe.cell, recipe.rve)
         return ChosenLaw(rve, (rve,))
     from surrofe2.cache import CachedLaw, TableBehind
 
     if kind == "table":
-        rve = RveLaw.from_settings(recipe.cell, recipe.rve)
+        rve = RveLaw(recipe.cell, recipe.rve)
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, keep)
         return ChosenLaw(law, (rve,), _record_of(tables), table)
@@ -77,7 +77,7 @@ def choose_law(
     _check_surrogate(recipe, surrogate, path)
     if kind == "surrogate":
         return ChosenLaw(surrogate, (surrogate,), record)
-    rve = RveLaw.from_settings(recipe.cell, recipe.rve)
+    rve = RveLaw(recipe.cell, recipe.rve)
     if not (recipe.table.enabled or tables):
         law = CachedLaw(surrogate, rve, recipe.cache, keep)
         return ChosenLaw(law, (surrogate, rve), record)

@@ -133,7 +133,7 @@ def _round(recipe: Recipe, out: Path, k: int) -> Round:
     unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
-        law = RveLaw.from_settings(recipe.cell, recipe.rve)
+        law = RveLaw(recipe.cell, recipe.rve)
         seed = recipe.samples.seed + k + 1
         with progress(f"round {k}: sample", 1.0, "of the samples") as report:
             wider, arrays = new_samples(

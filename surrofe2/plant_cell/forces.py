@@ -9,9 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.central import central_energy, central_tension
 from surrofe2.plant_cell.fluid import fluid_coefficients
-from surrofe2.plant_cell.pair_geometry import add_pair, difference, norm, pair_at
+from surrofe2.plant_cell.pairs import (
+    add_pair,
+    central_energy,
+    central_tension,
+    difference,
+    norm,
+    pair_at,
+)
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
 from surrofe2.simd import TILE, load, spread, store
 

@@ -19,11 +19,10 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.central import central_slopes
+from surrofe2.plant_cell.block_pattern import add_block, add_fluid_product, add_product, clear
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import fluid_specific_volume
-from surrofe2.plant_cell.matrix_blocks import add_block, add_fluid_product, add_product, clear
-from surrofe2.plant_cell.pair_geometry import difference, pair_at
+from surrofe2.plant_cell.pairs import central_slopes, difference, pair_at
 from surrofe2.plant_cell.sph_kernel import spline_bend
 from surrofe2.simd import TILE, load, spread, store
 

@@ -28,10 +28,10 @@ from surrofe2.plant_cell.arrangements import (
     random_positions,
     start_positions,
 )
+from surrofe2.plant_cell.block_pattern import Pattern, make_pattern
 from surrofe2.plant_cell.geometry import Patch
-from surrofe2.plant_cell.lanes import make_constants, make_sparse, make_topology
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.sparsity import Pattern, make_pattern
+from surrofe2.plant_cell.tiles import make_constants, make_sparse, make_topology
 from surrofe2.rve.equilibria import Equilibria, lowest, relax, settle
 from surrofe2.rve.systems import AnyTopology, sparse_pays
 from surrofe2.simd import TILE

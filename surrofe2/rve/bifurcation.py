@@ -1,9 +1,8 @@
-"""Leaving an unstable equilibrium: down the energy along its unstable directions.
+"""Leaving an unstable equilibrium: down the elastic energy along its unstable directions.
 
-See docs/theory.md, stability.
 Where an equilibrium loses stability, particles move on until the elastic energy E is at a
-minimum. The way down is Newton's, with the modulus of every eigenvalue of the Hessian
-H = Σ λ q qᵀ::
+minimum (docs/theory.md). The way down is Newton's, with the modulus of every eigenvalue of the
+Hessian H = Σ λ q qᵀ::
 
     δx = Σ q (q·f)/|λ|,  halved until E falls,        f = −∂E/∂x
 
@@ -12,19 +11,65 @@ unstable directions, δx ∝ Σ_{λ<0} |λ| q (q·w): it depends neither on the 
 eigenvectors that numpy returns. w is fixed in material coordinates, so a rotated RVE leaves
 along the rotated direction. Which of two mirrored branches is reached is w's choice, and a
 reflected RVE may choose the other.
+
+Positions are material, x = F z, particle 0 held; forces and Hessian are by x of the others,
+ordered x₁, y₁, x₂, … as everywhere.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import Constants, Topology, pack, tiles_for, unpack
-from surrofe2.rve.energy import curvatures, energies
-from surrofe2.rve.systems import AnyTopology
-from surrofe2.simd import TILE
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.forces import elastic_energy, fold_images
+from surrofe2.plant_cell.tiles import Constants, Topology, pack, tiles_for, unpack
+from surrofe2.rve.linear import copy_from
+from surrofe2.rve.newton import set_jacobian
+from surrofe2.rve.particle_state import local_forces, make_workspace, place
+from surrofe2.rve.systems import AnyTopology, make_matrices
+from surrofe2.simd import TILE, load, store
+
+
+@parallel_kernel
+def energies(F, z, topology, c, energy):
+    """Elastic energy of every cell at z (tiles, 2, n, TILE)."""
+    for t in numba.prange(z.shape[0]):
+        _energy_tile(F[t], z[t], topology, c, energy[t])
+
+
+@kernel
+def _energy_tile(F, z, topology, c, energy):
+    work, total = make_workspace(topology), np.empty((1, TILE))
+    place(work, z, F, topology)
+    elastic_energy(work.x, topology, c, total)
+    energy[:] = total[0]
+
+
+@parallel_kernel
+def curvatures(F, z, topology, c, forces, slope):
+    """Elastic forces and their slope of every cell at z (tiles, 2, n, TILE)."""
+    for t in numba.prange(z.shape[0]):
+        _curvature_tile(F[t], z[t], topology, c, forces[t], slope[t])
+
+
+@kernel
+def _curvature_tile(F, z, topology, c, forces, slope):
+    work, matrices = make_workspace(topology), make_matrices(topology)
+    place(work, z, F, topology)
+    work.v[:] = 0.0
+    local_forces(work, topology, c)
+    fold_images(work.f, topology)
+    for i in range(1, topology.particles):
+        store(load(work.f, 0, i), forces, 2 * i - 2)
+        store(load(work.f, 1, i), forces, 2 * i - 1)
+    still = np.zeros((2, 2, TILE))
+    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
+    copy_from(matrices.jacobian, 2, slope)
+
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]

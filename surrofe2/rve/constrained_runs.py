@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.rve.micro_state import (
+from surrofe2.rve.particle_state import (
     copy_particles,
     keep_lane,
     make_workspace,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.plant_cell.arranged_patch import Unlisted
-from surrofe2.rve.micro_state import list_covers
+from surrofe2.rve.particle_state import list_covers
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import pack, tiles_for, unpack
+from surrofe2.plant_cell.tiles import pack, tiles_for, unpack
 from surrofe2.rve.bifurcation import Landscape, Reals, descend, paired
-from surrofe2.rve.direct import SOLVE, newton, solve_tiles
 from surrofe2.rve.factors import Factors
-from surrofe2.rve.micro_state import list_covers
+from surrofe2.rve.newton import SOLVE, newton, solve_tiles
+from surrofe2.rve.particle_state import list_covers
 from surrofe2.rve.systems import AnyTopology, empty_factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE

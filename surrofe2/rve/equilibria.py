@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.forces import elastic_energy
-from surrofe2.plant_cell.lanes import Constants, pack, unpack
+from surrofe2.plant_cell.tiles import Constants, pack, unpack
 from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.direct import SOLVE, newton
 from surrofe2.rve.factors import Factors
-from surrofe2.rve.micro_state import map_affine, set_images
+from surrofe2.rve.newton import SOLVE, newton
+from surrofe2.rve.particle_state import map_affine, set_images
 from surrofe2.rve.systems import AnyTopology, empty_factors
 from surrofe2.simd import TILE
 

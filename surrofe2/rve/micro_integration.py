@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.lanes import pack
-from surrofe2.rve.batch import covered_by
-from surrofe2.rve.micro_state import (
+from surrofe2.plant_cell.tiles import pack
+from surrofe2.rve.particle_state import (
     cauchy_stress,
     local_forces,
     make_workspace,
     map_affine,
 )
 from surrofe2.rve.rve_law import RveLaw
+from surrofe2.rve.solve import covered_by
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
@@ -53,7 +53,9 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not micro_step > 0.0:
         raise InputError("micro-integration: times must increase and micro_step be positive")
     unit = law.unit_cell
-    start = RveLaw(law.cell, "elastic").respond(path(times[0])[0][None], np.zeros((1, 2, 2)))
+    start = RveLaw(law.cell, initialisation="elastic").respond(
+        path(times[0])[0][None], np.zeros((1, 2, 2))
+    )
     F, F_dot = path(times[0])
     z = start.state.z[0]
     u = np.einsum("ab,bpl->apl", F, z - unit.position.T[..., None])

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.lanes import pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve.batch import Batch, covered_by, felt_rate
-from surrofe2.rve.direct import renew
+from surrofe2.plant_cell.tiles import pack, unpack
+from surrofe2.rve.newton import renew
 from surrofe2.rve.reference_state import ReferenceState
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
-from surrofe2.rve.slow_factors import renew_slow
+from surrofe2.rve.slow_manifold import renew_slow
+from surrofe2.rve.solve import Batch, covered_by, felt_rate
 from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.simd import TILE
@@ -34,10 +34,8 @@ class RveLaw:
 
     Args:
         cell: parameters of the plant cell.
-        initialisation: "cauchy-born" (eq. 64), "elastic" (65 to 67), "constrained-runs"
-            (69 to 72) or "slow-manifold" (docs/theory.md, slow manifold).
-        solver: "direct" (Newton on the fixed point) or "iterated" (the paper's).
-        settings: tolerances, see `RveSettings`; any of its fields also as a keyword.
+        settings: initialisation, solver and tolerances.
+        initialisation, solver: instead of those of the settings; see `RveSettings`.
         reference: the cell's settled reference state, as another law's `reference`; None: it is
             settled here, which takes some seconds for irregular cells.
 
@@ -52,28 +50,25 @@ class RveLaw:
     def __init__(
         self,
         cell: CellParameters,
-        initialisation: str = "constrained-runs",
-        solver: str = "direct",
+        settings: RveSettings | None = None,
         *,
+        initialisation: str | None = None,
+        solver: str | None = None,
         reference: ReferenceState | None = None,
-        **settings: Any,
     ) -> None:
-        try:
-            self.settings = RveSettings(initialisation=initialisation, solver=solver, **settings)
-        except TypeError:
-            known = ", ".join(sorted(RveSettings.__dataclass_fields__))
+        if not isinstance(settings, RveSettings | None):
             raise InputError(
-                f"rve: unknown setting among {', '.join(sorted(settings))}; known are {known}"
-            ) from None
+                f"rve: {settings!r}; settings must be an RveSettings, "
+                "an initialisation or a solver are keywords"
+            )
+        settings = settings or RveSettings()
+        self.settings = replace(
+            settings,
+            initialisation=initialisation or settings.initialisation,
+            solver=solver or settings.solver,
+        )
         self.cell = cell
         self.unit_cell = make_unit_cell(cell, reference)
-
-    @classmethod
-    def from_settings(cls, cell: CellParameters, settings: RveSettings) -> RveLaw:
-        """The law with settings made elsewhere."""
-        law = cls(cell)
-        law.settings = settings
-        return law
 
     @property
     def reference(self) -> ReferenceState:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import pack, put_points, tiles_for, unpack
+from surrofe2.plant_cell.tiles import pack, put_points, tiles_for, unpack
 from surrofe2.rve.factors import Factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE

@@ -1,6 +1,5 @@
-"""Slow-manifold initialisation (not in the paper): fluctuating velocities, then x.
+"""Slow-manifold initialisation (not in the paper; docs/theory.md, slow manifold).
 
-See docs/theory.md, slow manifold.
 The microscopic run does not have affine velocities: the relaxed fluctuation moves as F moves. With
 x_el(F) the elastic equilibrium (65), take as velocities v = ∂x_el/∂F : Ḟ, and then the positions
 at which the forces vanish with them, f(x, v) = 0. What is left is of second order in time.
@@ -11,7 +10,12 @@ solve with the elastic Jacobian, and v is exact when the elastic forces stay zer
 
     z_el ← z_el − F⁻¹ J⁻¹ f_el,    y ← y − F⁻¹ J⁻¹ ḟ_el,    then    z ← z − F⁻¹ J⁻¹ f(F z, v)
 
-What is kept per point for this: `slow_factors`.
+Kept per point: `lu` of the elastic Jacobian at z_el, and in `slopes` first ∂z_el/∂F, then
+∂(z − z_el)/∂Ḟ, four columns each.
+
+Near a bifurcation one mode of the cell is soft: the viscous forces move the particles far along
+it, and the kept Jacobian misleads. There `newton_slow` finds y by one exact solve, and z with the
+Jacobian of the moment.
 """
 
 from __future__ import annotations
@@ -20,19 +24,37 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.force_rates import add_elastic_forces_and_rates
+from surrofe2.plant_cell.force_derivatives import add_elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.rve.micro_state import (
+from surrofe2.rve.equilibrium_modes import equilibrium_modes, material_rate, set_velocities
+from surrofe2.rve.newton import (
+    check_stable,
+    correct,
+    move,
+    newton_loop,
+    predict,
+    set_jacobian,
+    set_residual,
+    settle,
+)
+from surrofe2.rve.particle_state import (
     copy_particles,
     keep_lane,
+    local_forces,
     make_workspace,
-    map_affine,
     mean_force,
     measure,
+    place,
     place_images,
 )
-from surrofe2.rve.newton_steps import correct, predict, settle
-from surrofe2.rve.systems import kept_factors
+from surrofe2.rve.system_solves import solve
+from surrofe2.rve.systems import (
+    check_pivots,
+    factorise_free,
+    keep_factors,
+    kept_factors,
+    make_matrices,
+)
 from surrofe2.simd import TILE, load, store
 
 LIMIT = 40
@@ -111,19 +133,6 @@ def _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, there):
 
 
 @kernel
-def set_velocities(z, y, F, rate, topology, v):
-    """v = Ḟ z + F y for local particles; an image has the y of its owner."""
-    own = topology.particles
-    map_affine(rate, z, v)
-    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
-    for i in range(v.shape[1]):
-        k = i if i < own else topology.owner[i - own]
-        yi, yj = load(y, 0, k), load(y, 1, k)
-        store(load(v, 0, i) + xx * yi + xy * yj, v, 0, i)
-        store(load(v, 1, i) + yx * yi + yy * yj, v, 1, i)
-
-
-@kernel
 def set_fluctuation(v, z, rate, fluctuation):
     """fluctuation = v − Ḟ z of own particles, v − L x."""
     for axis in range(2):
@@ -183,3 +192,91 @@ def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
         correct(lu, work.f, step, found, F, work.z, topology)
     for k in range(TILE):
         count[k] = count[k] + found[k] if found[k] > 0 else -1
+
+
+@parallel_kernel
+def newton_slow(
+    F, rate, z, elastic, fluctuation, topology, c, area, tolerance, stress, iterations
+):  # fmt: skip
+    """z, v − L x and stress from z_el in lanes with iterations ≤ 0, in place; (tiles, …, TILE).
+
+    iterations becomes the number of force evaluations there, or −1.
+    """
+    for t in numba.prange(z.shape[0]):
+        _newton_tile(
+            F[t], rate[t], z[t], elastic[t], fluctuation[t], topology, c, area, tolerance,
+            stress[t], iterations[t],
+        )  # fmt: skip
+
+
+@kernel
+def _newton_tile(
+    F, rate, z, elastic, fluctuation, topology, c, area, tolerance, stress, iterations
+):  # fmt: skip
+    work, matrices = make_workspace(topology), make_matrices(topology)
+    still, beyond = np.zeros((2, 2, TILE)), np.empty_like(fluctuation)
+    wanted = iterations <= 0
+    place(work, elastic, F, topology)
+    y = material_rate(equilibrium_modes(work, F, topology, c, matrices), rate)
+    set_velocities(work.z, y, F, rate, topology, work.v)
+    newton_loop(work, matrices, F, still, False, topology, c, area, tolerance, stress, iterations)
+    set_fluctuation(work.v, work.z, rate, beyond)
+    for k in range(TILE):
+        if wanted[k] and iterations[k] > 0:
+            keep_lane(work.z, k, z)
+            keep_lane(beyond, k, fluctuation)
+
+
+@parallel_kernel
+def renew_slow(F, elastic, factors, wanted, topology, c, stable):
+    """Check stability of every tile at z_el; write the factors of the `wanted` ones.
+
+    factors (tiles,): addresses of their blocks.
+    """
+    for t in numba.prange(elastic.shape[0]):
+        _renew_tile(F[t], elastic[t], factors[t], wanted[t], topology, c, stable[t])
+
+
+@kernel
+def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
+    own = topology.particles
+    work, matrices = make_workspace(topology), make_matrices(topology)
+    place(work, elastic, F, topology)
+    if not wanted:
+        check_stable(work, matrices, F, topology, c, stable)
+        return
+    work.v[:] = 0.0
+    still = np.zeros((2, 2, TILE))
+    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
+    factorise_free(matrices, topology)
+    lu, slopes = kept_factors(factors, topology)
+    keep_factors(matrices.free, lu, topology)
+    check_pivots(matrices.free, topology, stable)
+    local_forces(work, topology, c)
+    at_rest = work.f.copy()
+    y, unit = np.empty((2, own, TILE)), np.zeros((2, 2, TILE))
+    for m in range(4):
+        for i in range(2 * own - 2):
+            store(-load(matrices.columns, i + 2, m), matrices.step, i)
+        solve(matrices.free, matrices.step, topology)
+        y[:] = 0.0
+        move(matrices.step, F, y)
+        _keep(y, slopes, m)
+        unit[:] = 0.0
+        unit[m // 2, m % 2] = 1.0
+        set_velocities(work.z, y, F, unit, topology, work.v)
+        local_forces(work, topology, c)
+        work.f[:] = work.f - at_rest
+        fold_images(work.f, topology)
+        set_residual(work.f, matrices.step)
+        solve(matrices.free, matrices.step, topology)
+        y[:] = 0.0
+        move(matrices.step, F, y)
+        _keep(y, slopes, 4 + m)
+
+
+@kernel
+def _keep(y, slopes, column):
+    for i in range(1, y.shape[1]):
+        store(load(y, 0, i), slopes, 2 * i - 2, column)
+        store(load(y, 1, i), slopes, 2 * i - 1, column)

@@ -14,9 +14,8 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from surrofe2.compilation import OPTIONS, kernel
-from surrofe2.plant_cell.lanes import SparseTopology, Topology
-from surrofe2.plant_cell.matrix_blocks import Blocks
-from surrofe2.plant_cell.sparsity import Pattern, factorisation_work
+from surrofe2.plant_cell.block_pattern import Blocks, Pattern, factorisation_work
+from surrofe2.plant_cell.tiles import SparseTopology, Topology
 from surrofe2.rve.factors import Factors, kept, kept_sparse
 from surrofe2.rve.linear import (
     copy_from,

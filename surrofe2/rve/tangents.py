@@ -20,9 +20,9 @@ import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.force_gradients import add_force_gradients
+from surrofe2.plant_cell.force_derivatives import add_force_gradients
 from surrofe2.plant_cell.forces import fold_images
-from surrofe2.rve.elastic_modes import (
+from surrofe2.rve.equilibrium_modes import (
     equilibrium_modes,
     fold_columns,
     subtract_columns,
@@ -30,8 +30,8 @@ from surrofe2.rve.elastic_modes import (
     velocity_slopes,
 )
 from surrofe2.rve.linear_columns import COLUMNS
-from surrofe2.rve.micro_state import local_forces, make_workspace, map_affine, place
-from surrofe2.rve.newton_steps import set_jacobian
+from surrofe2.rve.newton import set_jacobian
+from surrofe2.rve.particle_state import local_forces, make_workspace, map_affine, place
 from surrofe2.rve.system_solves import solve_transposed
 from surrofe2.rve.systems import factorise_free, make_matrices
 from surrofe2.simd import TILE, load, store

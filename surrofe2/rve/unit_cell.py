@@ -16,12 +16,12 @@ from scipy.optimize import root_scalar
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.arranged_patch import Unlisted
 from surrofe2.plant_cell.geometry import Patch, even_positions, square_patch
-from surrofe2.plant_cell.lanes import Constants, make_constants, make_topology, pack
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import Constants, make_constants, make_topology, pack
 from surrofe2.rve.arranged_cells import find_reference, make_lists
 from surrofe2.rve.constrained_runs import iterate_tile
-from surrofe2.rve.direct import SOLVE, newton, renew
 from surrofe2.rve.factors import Factors
+from surrofe2.rve.newton import SOLVE, newton, renew
 from surrofe2.rve.reference_state import ReferenceState
 from surrofe2.rve.systems import AnyTopology, empty_factors
 from surrofe2.simd import TILE

@@ -72,7 +72,9 @@ def run_bar(
         record_dissipation=False,
         frames=2,
     )
-    run = simulate(load_case, RveLaw(cell, initialisation), settings, progress=progress)
+    run = simulate(
+        load_case, RveLaw(cell, initialisation=initialisation), settings, progress=progress
+    )
     return make_bar_run(initialisation, elements, run.curve, run.wall_time["total"])
 
 

@@ -51,7 +51,7 @@ def initialisation_errors(
             motion having died away.
         progress: called with the fraction that is done.
     """
-    laws = {name: RveLaw(cell, name) for name in INITIALISATIONS}
+    laws = {name: RveLaw(cell, initialisation=name) for name in INITIALISATIONS}
     rows: dict[str, list[float]] = {name: [] for name in laws}
     rates, scales = [], []
     for done, slow in enumerate(slowness):

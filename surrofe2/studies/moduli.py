@@ -89,7 +89,9 @@ def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
         InputError: the plant cell has no equilibrium at rest.
     """
     F = np.eye(2)[None]
-    tangents = RveLaw(cell, initialisation).respond(F, 0.0 * F, tangents=True).tangents
+    tangents = (
+        RveLaw(cell, initialisation=initialisation).respond(F, 0.0 * F, tangents=True).tangents
+    )
     if tangents is None or not np.isfinite(tangents.P_by_F).all():
         raise InputError(f"moduli: no equilibrium at rest by initialisation {initialisation}")
     return CellModuli(Moduli(voigt(tangents.P_by_F[0])), Moduli(voigt(tangents.P_by_F_dot[0])))

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
-from surrofe2.plant_cell.lanes import pack
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import pack
 from surrofe2.report.study import Curve, Panel, Study
-from surrofe2.rve import RveLaw
+from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.direct import SOLVE, newton, stress_at
+from surrofe2.rve.newton import SOLVE, newton, stress_at
 from surrofe2.rve.systems import empty_factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
@@ -85,7 +85,7 @@ def _counts(limit: int, samples: int) -> NDArray[np.int64]:
 
 def _fixed_point(cell: CellParameters, F: Array, F_dot: Array) -> Array:
     """State matrix (4, particles) of the direct solve."""
-    law = RveLaw(cell, RUNS, tolerance=_REFERENCE_TOLERANCE)
+    law = RveLaw(cell, RveSettings(initialisation=RUNS, tolerance=_REFERENCE_TOLERANCE))
     answer = law.respond(F[None], F_dot[None])
     if answer.status[0] != Status.OK:
         raise SimulationError("relaxation: the direct solve finds no fixed point of this cell")

@@ -57,7 +57,7 @@ def shear_steps(
     shear: Array = increment * np.arange(steps + 1, dtype=np.float64)
     stress, trouble = {}, {}
     for name in INITIALISATIONS:
-        stress[name], trouble[name] = _walk(RveLaw(cell, name), shear, rate)
+        stress[name], trouble[name] = _walk(RveLaw(cell, initialisation=name), shear, rate)
     if rate != 0.0:
         stress[INTEGRATED] = integrate_rve(
             RveLaw(cell), steady_shear(rate), shear / rate, micro_step

@@ -78,7 +78,7 @@ def stability_map(
 
 def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:
     """Index into `CATEGORIES` (m,) of the elastic equilibrium at each F (m, 2, 2)."""
-    answer = RveLaw(cell, "elastic").respond(F, np.zeros_like(F))
+    answer = RveLaw(cell, initialisation="elastic").respond(F, np.zeros_like(F))
     category = np.full(len(F), FAILED)
     category[answer.status == Status.OK] = STABLE
     if answer.left_bifurcation is not None:
@@ -94,7 +94,7 @@ def find_onset(
 
     Followed in steps of 0.0025 and then bisected to 1e-5; None where it is stable up to `length`.
     """
-    law = RveLaw(cell, "elastic")
+    law = RveLaw(cell, initialisation="elastic")
     unit = law.unit_cell
     walker = Walker(unit, unit.topologies[-1], law.settings.tolerance)
     xx, yy, xy = direction

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.lanes import Constants, make_constants, tiles_for
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import Constants, make_constants, tiles_for
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]

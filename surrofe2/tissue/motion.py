@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
-from surrofe2.plant_cell.lanes import Constants, Topology
+from surrofe2.plant_cell.tiles import Constants, Topology
 from surrofe2.simd import TILE
 from surrofe2.tissue.kernels import Body, Periods, Watch, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue

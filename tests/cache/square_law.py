@@ -79,8 +79,8 @@ class SquareLaw:
         self.density = self.cell.density
         self.states, self.solves = [], 0
 
-    def of(self, cell, settings):
-        """Stand in for `RveLaw.from_settings`."""
+    def of(self, cell, settings=None):
+        """Stand in for `RveLaw`."""
         self.cell, self.initialisation = cell, settings.initialisation
         return self
 

@@ -15,11 +15,7 @@ def invoke(monkeypatch):
 
     def run(*arguments, law=None, **settings):
         soft = law or SoftLaw()
-
-        class Fake:
-            from_settings = staticmethod(soft.of)
-
-        monkeypatch.setattr("surrofe2.rve.RveLaw", Fake)
+        monkeypatch.setattr("surrofe2.rve.RveLaw", soft.of)
         return CliRunner().invoke(app, [str(entry) for entry in arguments], **settings)
 
     return run

@@ -190,7 +190,7 @@ def test_tangents_are_those_of_the_rve(changed_recipe):
     study = load_recipe(path)
     generate_data_set(study)
     samples = read_data_set(study.data_path())
-    law = RveLaw.from_settings(study.cell, study.rve)
+    law = RveLaw(study.cell, study.rve)
     asked = law.respond(samples.F, samples.F_dot, tangents=True).tangents
     # the two were computed in tiles of other neighbours
     np.testing.assert_allclose(samples.P_by_F, asked.P_by_F, rtol=0, atol=1e-9)

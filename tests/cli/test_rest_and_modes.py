@@ -24,7 +24,7 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     out = tmp_path / "rest"
     done = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert done.exit_code == 0, done.output
-    law = RveLaw.from_settings(recipe.cell, recipe.rve)
+    law = RveLaw(recipe.cell, recipe.rve)
     expected = find_rest(recipe.load, law, recipe.macro, load_steps=4)
     lines = (out / "path.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "factor,u_x_um,u_y_um"
@@ -72,10 +72,7 @@ def test_rest_interrupted_keeps_the_way_there(recipe_path, tmp_path, monkeypatch
 
 
 def _law_that(**trouble):
-    class Fake:
-        from_settings = staticmethod(lambda cell, settings: _Troubled(RveLaw(cell), **trouble))
-
-    return Fake
+    return lambda cell, settings: _Troubled(RveLaw(cell), **trouble)
 
 
 class _Troubled:
@@ -112,7 +109,7 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     assert "Unloaded, 2 x 2 elements, preset printed" in done.stdout
     record = json.loads(out.read_text(encoding="utf-8"))
     assert record["fingerprint"] == recipe.cell.fingerprint
-    law = RveLaw(recipe.cell, "elastic")
+    law = RveLaw(recipe.cell, initialisation="elastic")
     for state, factor in (("unloaded", 0.0), ("loaded", 1.0)):
         numbers = record["states"][state]["elastic"]
         modes = find_modes(find_rest(recipe.load, law, recipe.macro, factor=factor), 2)

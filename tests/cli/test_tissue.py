@@ -111,8 +111,7 @@ def test_compared_with_a_run_by_a_law(short, folder, tmp_path, monkeypatch):
     from tests.fakes import SoftLaw
 
     assert invoke(short, "--out", folder).exit_code == 0
-    fake = type("Fake", (), {"from_settings": staticmethod(SoftLaw().of)})
-    monkeypatch.setattr("surrofe2.rve.RveLaw", fake)
+    monkeypatch.setattr("surrofe2.rve.RveLaw", SoftLaw().of)
     rve, comparison = tmp_path / "rve", tmp_path / "comparison"
     runner = CliRunner()
     ran = runner.invoke(app, ["run", str(short), "--law", "rve", "--out", str(rve)])

@@ -239,7 +239,7 @@ def test_law_without_tangents_is_named():
 
 
 def test_bar_of_rves_moves_as_the_explicit_run_says():
-    law = RveLaw(CellParameters.preset("water"), "slow-manifold")
+    law = RveLaw(CellParameters.preset("water"), initialisation="slow-manifold")
     load_case = LoadCase(duration=15.0)
     explicit = simulate(load_case, law, MacroSettings(elements=(2, 2)))
     implicit = simulate(load_case, law, MacroSettings(elements=(2, 2), integrator="implicit"))

@@ -85,7 +85,7 @@ def test_bar_of_rves_has_the_period_and_damping_of_its_motion():
         ("constrained-runs", 0.0495),
         ("slow-manifold", 0.0411),
     ):
-        law = RveLaw(CellParameters.preset("water"), name)
+        law = RveLaw(CellParameters.preset("water"), initialisation=name)
         found = find_modes(find_rest(LoadCase(), law), 1)
         assert found.periods[0] == pytest.approx(49.5, rel=2e-3)
         assert found.decrements[0] == pytest.approx(decrement, rel=1e-2)

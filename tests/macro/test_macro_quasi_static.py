@@ -93,7 +93,7 @@ def test_bar_of_rves_rests_where_it_swings_about():
     has −31.9 µm and the decrement 0.0411, so half of it times 1 + exp(−0.0411/2) and the second
     mode's share apart, −16.1 µm; ways to initialise agree where nothing moves."""
     rests = [
-        find_rest(LoadCase(), RveLaw(CellParameters.preset("water"), name))
+        find_rest(LoadCase(), RveLaw(CellParameters.preset("water"), initialisation=name))
         for name in ("elastic", "constrained-runs", "slow-manifold")
     ]
     assert rests[0].watched[1] == pytest.approx(-31.9 / (1.0 + np.exp(-0.0411 / 2)), rel=0.02)
@@ -104,7 +104,7 @@ def test_bar_of_rves_rests_where_it_swings_about():
 def test_stiffness_is_symmetric_without_load_and_nearly_so_with_it():
     """Deviator and pressure of the Cauchy stress at different points have no common potential
     but where F is uniform."""
-    law = RveLaw(CellParameters.preset("printed"), "elastic")
+    law = RveLaw(CellParameters.preset("printed"), initialisation="elastic")
     for factor, allowed in ((0.0, 1e-7), (1.0, 3e-3)):
         K = find_rest(LoadCase(), law, factor=factor).stiffness.toarray()
         assert abs(K - K.T).max() < allowed * abs(K).max()

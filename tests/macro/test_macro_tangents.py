@@ -13,7 +13,7 @@ from surrofe2.macro.tangent_assembly import (
     mass_matrix,
 )
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import RveLaw
+from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.stress_law import require_tangents
 
 from .analytic_laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
@@ -58,7 +58,10 @@ def test_tangents_are_the_slopes_of_the_internal_force(rng, law):
 
 @pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
 def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisation):
-    law = RveLaw(CellParameters.preset("printed"), initialisation, tolerance=1e-10)
+    law = RveLaw(
+        CellParameters.preset("printed"),
+        RveSettings(initialisation=initialisation, tolerance=1e-10),
+    )
     load_case = LoadCase(width=50.0, height=50.0, watched=(50.0, 25.0))
     bar = make_bar(load_case, (2, 1), law.density)
     u, v = random_state(bar, rng, 0.4)

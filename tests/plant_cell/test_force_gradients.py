@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.plant_cell import force_rates, forces, jacobian
-from surrofe2.plant_cell.force_gradients import add_force_gradients
-from surrofe2.plant_cell.stiffness_rates import add_stiffness_rates
+from surrofe2.plant_cell.force_derivatives import add_force_gradients, add_stiffness_rates
 from surrofe2.simd import TILE
 from tests.plant_cell.test_forces import Patch
 

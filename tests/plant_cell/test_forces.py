@@ -9,9 +9,9 @@ from scipy.integrate import quad
 
 from surrofe2.plant_cell import force_rates, forces, jacobian
 from surrofe2.plant_cell.geometry import even_positions, square_patch
-from surrofe2.plant_cell.lanes import make_constants, make_topology, pack, unpack
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope, spline_third
+from surrofe2.plant_cell.tiles import make_constants, make_topology, pack, unpack
 from surrofe2.simd import TILE, load, store
 from tests.plant_cell.twin import Twin
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.lanes import SparseTopology, Topology
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.plant_cell.tiles import SparseTopology, Topology
+from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.arranged_cells import make_lists
 from surrofe2.rve.equilibria import relax
 from surrofe2.stress_law import Status
@@ -19,7 +19,7 @@ from surrofe2.tissue.layout import make_tissue
 @cache
 def law(arrangement, cells, initialisation="constrained-runs", solver="direct", **settings):
     cell = CellParameters(arrangement=arrangement, cells=cells)
-    return RveLaw(cell, initialisation, solver, **settings)
+    return RveLaw(cell, RveSettings(initialisation=initialisation, solver=solver, **settings))
 
 
 def deformations(n=8, size=0.04, seed=0):

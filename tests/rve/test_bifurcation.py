@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell.lanes import unpack
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import RveLaw
 from surrofe2.rve.bifurcation import Landscape, descend
 from surrofe2.stress_law import Status, describe
@@ -29,7 +29,7 @@ LOST = {"printed": [[0.905, 0.486], [0.0, 0.7585]], "water": [[0.905, 0.486], [0
 
 @cache
 def law(preset, initialisation="elastic", solver="direct"):
-    return RveLaw(CellParameters.preset(preset), initialisation, solver)
+    return RveLaw(CellParameters.preset(preset), initialisation=initialisation, solver=solver)
 
 
 @cache

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import RveLaw
+from surrofe2.rve import RveLaw, RveSettings
 from tests.plant_cell.twin import Twin
 
 CORNERS = np.array([[0.0, 25.0, 0.0], [0.0, 0.0, 25.0]])  # X₁, X₂, X₃ as columns
@@ -29,7 +29,7 @@ def step_of_the_paper(twin, masses, F, F_dot, x, v, dt):
 def test_a_few_steps_are_those_of_the_paper(preset):
     cell = CellParameters.preset(preset)
     steps, dt = 20, 1e-4
-    law = RveLaw(cell, solver="iterated", stop=1e-12, max_iterations=steps)
+    law = RveLaw(cell, RveSettings(solver="iterated", stop=1e-12, max_iterations=steps))
     F = np.eye(2) + np.array([[0.03, 0.05], [-0.02, -0.04]])
     F_dot = np.array([[0.004, 0.01], [-0.006, 0.003]])
     state = law.respond(F[None], F_dot[None]).state

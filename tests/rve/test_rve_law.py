@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
 
@@ -17,7 +17,8 @@ PRESETS = tuple(SPREAD)
 
 @cache
 def law(preset, initialisation="constrained-runs", solver="direct", **settings):
-    return RveLaw(CellParameters.preset(preset), initialisation, solver, **settings)
+    wanted = RveSettings(initialisation=initialisation, solver=solver, **settings)
+    return RveLaw(CellParameters.preset(preset), wanted)
 
 
 def deformations(preset, n=48, seed=0, corners=True):
@@ -244,8 +245,7 @@ def test_foreign_state_is_refused():
     [
         ({"initialisation": "magic"}, "rve.initialisation: 'magic'; it must be one of"),
         ({"solver": "guess"}, "rve.solver: 'guess'; it must be one of direct, iterated"),
-        ({"stop": -1.0}, "rve.stop: -1.0; it must be positive"),
-        ({"tolerence": 1e-8}, "rve: unknown setting among tolerence; known are"),
+        ({"settings": "elastic"}, "rve: 'elastic'; settings must be an RveSettings"),
     ],
 )
 def test_bad_settings_are_named(settings, message):

@@ -142,7 +142,7 @@ def test_at_rest_it_is_the_elastic_equilibrium():
 
 def test_it_has_no_iterated_solver():
     with pytest.raises(InputError, match="with initialisation slow-manifold it must be direct"):
-        RveLaw(CellParameters.preset("printed"), "slow-manifold", "iterated")
+        RveLaw(CellParameters.preset("printed"), initialisation="slow-manifold", solver="iterated")
 
 
 def test_micro_integration_is_of_fourth_order_where_no_pair_crosses_the_cut_off():

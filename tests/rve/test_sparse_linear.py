@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell.sparsity import factorisation_work, make_pattern
+from surrofe2.plant_cell.block_pattern import factorisation_work, make_pattern
 from surrofe2.rve.sparse_linear import factorise_sparse, has_negative_pivots, solve_sparse
 from surrofe2.rve.sparse_transposed import solve_sparse_transposed
 from surrofe2.simd import TILE

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.matrix_blocks import add_product
+from surrofe2.plant_cell.block_pattern import add_product
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell

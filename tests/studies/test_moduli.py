@@ -33,7 +33,7 @@ def test_affine_motion_is_the_stiffest(preset):
 
 
 def test_elastic_moduli_are_slopes_of_the_stress():
-    law, step = RveLaw(CELLS["water"], "elastic"), 1e-5
+    law, step = RveLaw(CELLS["water"], initialisation="elastic"), 1e-5
     F = np.eye(2) + step * np.array([np.diag([1.0, 0.0]), np.diag([-1.0, 0.0])])
     up, down = law.respond(F, 0.0 * F).stress
     slope = (up - down) / (2.0 * step)

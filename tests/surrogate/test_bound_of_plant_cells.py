@@ -53,7 +53,7 @@ class Study:
             training=replace(recipe.training, iterations=iterations),
             calibration=calibration,
         )
-        self.rve = RveLaw.from_settings(recipe.cell, recipe.rve)
+        self.rve = RveLaw(recipe.cell, recipe.rve)
         F, F_dot = sample(recipe.range, samples, seed=1)
         answer = self.rve.respond(F, F_dot, tangents=True)
         self.samples = StressSamples(

@@ -95,7 +95,7 @@ def test_periodic_patch_under_affine_deformation_is_one_rve(cells, preset, tissu
     motion = Motion(tissue, F=F, F_dot=F_dot)
     X = tissue.to_particles(tissue.start)
     motion.place(X @ F.T, X @ F_dot.T)
-    expected = RveLaw(cell, "cauchy-born").respond(F[None], F_dot[None]).stress[0]
+    expected = RveLaw(cell, initialisation="cauchy-born").respond(F[None], F_dot[None]).stress[0]
     np.testing.assert_allclose(motion.mean_stress(), expected, rtol=0, atol=1e-9)
     assert tissue.particles == len(position) * cells[0] * cells[1]
     own = tissue.where // TILE % tissue.own

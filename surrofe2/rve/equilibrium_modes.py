@@ -14,11 +14,10 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.stiffness_rates import add_stiffness_rates
+from surrofe2.plant_cell.force_derivatives import add_stiffness_rates
 from surrofe2.rve.linear_columns import COLUMNS
-from surrofe2.rve.micro_state import map_affine
-from surrofe2.rve.newton_steps import move, set_jacobian
-from surrofe2.rve.slow_manifold import set_velocities
+from surrofe2.rve.newton import move, set_jacobian
+from surrofe2.rve.particle_state import map_affine
 from surrofe2.rve.system_solves import solve_columns
 from surrofe2.rve.systems import factorise_elastic
 from surrofe2.simd import TILE, load, store
@@ -54,6 +53,19 @@ def material_rate(modes, F_dot):
                 part = load(modes, m, axis, i) * load(F_dot, m // 2, m % 2)
                 store(load(y, axis, i) + part, y, axis, i)
     return y
+
+
+@kernel
+def set_velocities(z, y, F, rate, topology, v):
+    """v = Ḟ z + F y for local particles; an image has the y of its owner."""
+    own = topology.particles
+    map_affine(rate, z, v)
+    xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
+    for i in range(v.shape[1]):
+        k = i if i < own else topology.owner[i - own]
+        yi, yj = load(y, 0, k), load(y, 1, k)
+        store(load(v, 0, i) + xx * yi + xy * yj, v, 0, i)
+        store(load(v, 1, i) + yx * yi + yy * yj, v, 1, i)
 
 
 @kernel

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.lanes import pack, put_points, unpack
+from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.contact_lists import covers
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
-from surrofe2.rve.direct import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
+from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
 from surrofe2.rve.rve_state import RveState, flags, with_copies
-from surrofe2.rve.slow_factors import renew_slow
-from surrofe2.rve.slow_manifold import follow
-from surrofe2.rve.slow_newton import newton_slow
+from surrofe2.rve.slow_manifold import follow, newton_slow, renew_slow
 from surrofe2.rve.systems import AnyTopology
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell

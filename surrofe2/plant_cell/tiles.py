@@ -1,4 +1,4 @@
-"""How the arrays of kernels lie: plant cells as SIMD lanes, and what kernels need to know.
+"""Layout of the arrays of kernels: plant cells as SIMD lanes, and the constants kernels need.
 
 Structure of arrays, cells last, in tiles of `TILE` cells. Cells of one topology share the pair
 lists, so a pair is computed for a whole tile at once with neither gather nor branch::
@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.plant_cell.block_pattern import Pattern
 from surrofe2.plant_cell.geometry import Patch
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.sparsity import Pattern
 from surrofe2.simd import TILE
 
 

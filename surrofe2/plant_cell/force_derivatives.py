@@ -1,0 +1,299 @@
+"""Derivatives of particle forces along given directions, without a matrix.
+
+- `add_force_gradients`: how a weighted sum of forces Σ_k φ_k·f_k changes with x and with v.
+- `add_elastic_forces_and_rates`: elastic forces f and ḟ = ∂f/∂x · v.
+- `add_stiffness_rates`: K̇ u, the change of the elastic stiffness K = ∂f/∂x along v, times u.
+
+By pairs Σ_k φ_k·f_k is −Σ ρ·f(r, w) with ρ = φ_j − φ_i, so each pair gives (∂f/∂r)ᵀ ρ and
+(∂f/∂w)ᵀ ρ to i, and their negatives to j. Through the fluid's specific volume V = 1/ρ_f there
+is, besides, ∂/∂r += −V² ∂(Σ φ·f)/∂V ∂ρ_f/∂r.
+
+For a central pair with tension t(|r|), n = r/|r|, w = v_j − v_i, s = n·w, a = t/|r|, b = t′ − a,
+p = u_j − u_i and ṅ = (w − s n)/|r|::
+
+    ḟ = b s n + a w
+    K̇ p = b s/|r| p + (t″ − b/|r|) s (n·p) n + b [(n·p) ṅ + (ṅ·p) n]
+
+and for the fluid, with f = α r, α = m² c_s² (W′/|r|) (1/ρ_i + 1/ρ_j) of eq. (8), a dot for the
+change along v and δ for that along u::
+
+    ḟ = α̇ r + α w
+    K̇ p = δα̇ r + α̇ p + δα w
+
+Gradients and stiffness rates take four fields at once, (4, 2, local, TILE), which share all but
+their own products.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surrofe2.compilation import kernel, pair_law
+from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
+from surrofe2.plant_cell.forces import fluid_specific_volume
+from surrofe2.plant_cell.jacobian import add_to, central_gradient
+from surrofe2.plant_cell.pairs import add_pair, central_elastic, central_slopes, difference, pair_at
+from surrofe2.plant_cell.sph_kernel import spline, spline_bend, spline_slope, spline_third
+from surrofe2.simd import TILE, load, spread, store
+
+FIELDS = 4
+
+
+@pair_law
+def field_difference(fields, m, i, j):
+    """Field m at j less that at i, both components."""
+    dx = load(fields, m, 0, j) - load(fields, m, 0, i)
+    return dx, load(fields, m, 1, j) - load(fields, m, 1, i)
+
+
+@pair_law
+def add_field_pair(fields, m, i, j, fx, fy):
+    """(fx, fy) to field m at i, its negative at j."""
+    store(load(fields, m, 0, i) + fx, fields, m, 0, i)
+    store(load(fields, m, 1, i) + fy, fields, m, 1, i)
+    store(load(fields, m, 0, j) - fx, fields, m, 0, j)
+    store(load(fields, m, 1, j) - fy, fields, m, 1, j)
+
+
+@kernel
+def _add_central_gradients(x, v, weights, by_x, by_v, pairs, is_bond, c):
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(x, v, i, j)
+        tension, by_length, by_rate = central_slopes(pair, is_bond, c)
+        xx, xy, yx, yy = central_gradient(pair, tension, by_length, by_rate)
+        nx, ny = pair.nx, pair.ny
+        for m in range(FIELDS):
+            px, py = field_difference(weights, m, i, j)
+            along = by_rate * (nx * px + ny * py)
+            add_field_pair(by_x, m, i, j, xx * px + yx * py, xy * px + yy * py)
+            add_field_pair(by_v, m, i, j, along * nx, along * ny)
+
+
+@kernel
+def _add_fluid_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume):
+    pairs, first = topology.fluid_pairs, topology.walls
+    h = c.smoothing_length
+    fluid_specific_volume(x, topology, c, slope, volume)
+    by_volume = np.zeros((FIELDS, volume.shape[0], TILE))
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
+        steep, volume_i, volume_j = load(slope, k), load(volume, p), load(volume, q)
+        a, b = fluid_coefficients(steep, volume_i, volume_j, c)
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
+        da, db = fluid_coefficients(bend, volume_i, volume_j, c)
+        ai, bi = fluid_volume_slopes(steep, volume_j, c)
+        aj, bj = fluid_volume_slopes(steep, volume_i, c)
+        for m in range(FIELDS):
+            px, py = field_difference(weights, m, i, j)
+            with_r, with_w = px * rx + py * ry, px * wx + py * wy
+            bent = da * with_r + db * with_w
+            add_field_pair(by_x, m, i, j, a * px + bent * nx, a * py + bent * ny)
+            add_field_pair(by_v, m, i, j, b * px, b * py)
+            add_to(by_volume, m, p, -(ai * with_r + bi * with_w))
+            add_to(by_volume, m, q, -(aj * with_r + bj * with_w))
+    _add_through_density(x, by_x, by_volume, topology, c, slope, volume)
+
+
+@kernel
+def _add_through_density(x, by_x, by_volume, topology, c, slope, volume):
+    pairs, first = topology.fluid_pairs, topology.walls
+    for m in range(FIELDS):
+        for p in range(volume.shape[0]):
+            here = load(volume, p)
+            store(-here * here * load(by_volume, m, p), by_volume, m, p)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        rx, ry = difference(x, i, j)
+        weight = c.fluid_mass * load(slope, k)
+        for m in range(FIELDS):
+            both = weight * (load(by_volume, m, i - first) + load(by_volume, m, j - first))
+            add_field_pair(by_x, m, i, j, -both * rx, -both * ry)
+
+
+@kernel
+def add_force_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume):
+    """Add the slopes of Σ_k φ_k·f_k with x to by_x and with v to by_v, for four φ in `weights`.
+
+    x, v: (2, local, TILE) µm, µm/µs; weights, by_x, by_v: (4, 2, local, TILE).
+    Scratch: slope (pairs, TILE), volume (fluid, TILE).
+    """
+    _add_central_gradients(x, v, weights, by_x, by_v, topology.bonds, True, c)
+    _add_central_gradients(x, v, weights, by_x, by_v, topology.contacts, False, c)
+    _add_fluid_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume)
+
+
+@kernel
+def _add_central_rates(x, v, f, f_rate, pairs, is_bond, c):
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(x, v, i, j)
+        tension, by_length, _ = central_elastic(pair, is_bond, c)
+        over = tension * pair.inverse
+        along = (by_length - over) * pair.rate * pair.inverse
+        add_pair(f, i, j, over * pair.rx, over * pair.ry)
+        gx, gy = along * pair.rx + over * pair.wx, along * pair.ry + over * pair.wy
+        add_pair(f_rate, i, j, gx, gy)
+
+
+@kernel
+def _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
+    pairs, first = topology.fluid_pairs, topology.walls
+    h = c.smoothing_length
+    own = c.fluid_mass * spline(spread(0.0), h)
+    for p in range(volume.shape[0]):
+        store(own, volume, p)
+        store(0.0, volume_rate, p)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(x, v, i, j)
+        s = pair.length * (1.0 / h)
+        fall = spline_slope(s, h)
+        store(fall * pair.inverse, slope, k)
+        density = c.fluid_mass * spline(s, h)
+        density_rate = c.fluid_mass * fall * pair.rate
+        store(load(volume, p) + density, volume, p)
+        store(load(volume, q) + density, volume, q)
+        store(load(volume_rate, p) + density_rate, volume_rate, p)
+        store(load(volume_rate, q) + density_rate, volume_rate, q)
+    for p in range(volume.shape[0]):
+        inverse = 1.0 / load(volume, p)
+        store(inverse, volume, p)
+        store(-inverse * inverse * load(volume_rate, p), volume_rate, p)
+    strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(x, v, i, j)
+        steep = load(slope, k)
+        volumes = strength * (load(volume, p) + load(volume, q))
+        a = steep * volumes
+        add_pair(f, i, j, a * pair.rx, a * pair.ry)
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
+        a_rate = bend * pair.rate * volumes + steep * strength * (
+            load(volume_rate, p) + load(volume_rate, q)
+        )
+        gx, gy = a_rate * pair.rx + a * pair.wx, a_rate * pair.ry + a * pair.wy
+        add_pair(f_rate, i, j, gx, gy)
+
+
+@kernel
+def add_elastic_forces_and_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
+    """Add the elastic forces at x to f (µN) and their rate along v to f_rate (µN/µs).
+
+    x, v, f, f_rate: (2, local, TILE). Scratch: slope (pairs, TILE), volume and volume_rate
+    (fluid, TILE).
+    """
+    _add_central_rates(x, v, f, f_rate, topology.bonds, True, c)
+    _add_central_rates(x, v, f, f_rate, topology.contacts, False, c)
+    _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate)
+
+
+@kernel
+def _add_central_stiffness_rates(x, v, u, f, pairs, is_bond, c):
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        pair = pair_at(x, v, i, j)
+        tension, by_length, bend = central_elastic(pair, is_bond, c)
+        nx, ny, inverse, rate = pair.nx, pair.ny, pair.inverse, pair.rate
+        b = by_length - tension * inverse
+        across = b * rate * inverse
+        along = bend * rate - across
+        turn_x, turn_y = b * (pair.wx - rate * nx) * inverse, b * (pair.wy - rate * ny) * inverse
+        for m in range(FIELDS):
+            px, py = field_difference(u, m, i, j)
+            stretch = nx * px + ny * py
+            by_n = along * stretch + turn_x * px + turn_y * py
+            fx = across * px + by_n * nx + stretch * turn_x
+            fy = across * py + by_n * ny + stretch * turn_y
+            add_field_pair(f, m, i, j, fx, fy)
+
+
+@kernel
+def _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both):
+    """V̇ in `rate` (fluid, TILE), δV and δV̇ in `change` and `both` (4, fluid, TILE); V = 1/ρ."""
+    pairs, first = topology.fluid_pairs, topology.walls
+    h, mass = c.smoothing_length, c.fluid_mass
+    fluid_specific_volume(x, topology, c, slope, volume)
+    rate[:], change[:], both[:] = 0.0, 0.0, 0.0
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy = pair.rx, pair.ry, pair.wx, pair.wy
+        steep = load(slope, k)
+        bend = spline_bend(steep, pair.length, pair.inverse, h)
+        along = rx * wx + ry * wy
+        density = mass * steep * along
+        store(load(rate, p) + density, rate, p)
+        store(load(rate, q) + density, rate, q)
+        for m in range(FIELDS):
+            px, py = field_difference(u, m, i, j)
+            stretch = rx * px + ry * py
+            density = mass * steep * stretch
+            add_to(change, m, p, density)
+            add_to(change, m, q, density)
+            density = mass * (bend * pair.inverse * stretch * along + steep * (px * wx + py * wy))
+            add_to(both, m, p, density)
+            add_to(both, m, q, density)
+    for p in range(volume.shape[0]):
+        here = load(volume, p)
+        falls = -here * here
+        store(falls * load(rate, p), rate, p)
+        for m in range(FIELDS):
+            density = load(change, m, p)
+            twice = 2.0 * here * load(rate, p) * density
+            store(falls * load(both, m, p) - twice, both, m, p)
+            store(falls * density, change, m, p)
+
+
+@kernel
+def _add_fluid_stiffness_rates(x, v, u, f, topology, c, slope, volume):
+    pairs, first = topology.fluid_pairs, topology.walls
+    h, strength = c.smoothing_length, c.fluid_mass * c.fluid_mass * c.sound_speed_squared
+    rate = np.empty_like(volume)
+    change = np.empty((FIELDS, volume.shape[0], TILE))
+    both = np.empty_like(change)
+    _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        p, q = i - first, j - first
+        pair = pair_at(x, v, i, j)
+        rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
+        inverse, speed = pair.inverse, pair.rate
+        steep = strength * load(slope, k)
+        bend = strength * spline_bend(load(slope, k), pair.length, inverse, h)
+        third = strength * spline_third(pair.length * (1.0 / h), h)
+        bend_slope = (third - 2.0 * bend) * inverse
+        volumes, volumes_rate = load(volume, p) + load(volume, q), load(rate, p) + load(rate, q)
+        steep_rate = bend * speed
+        a_rate = steep_rate * volumes + steep * volumes_rate
+        for m in range(FIELDS):
+            px, py = field_difference(u, m, i, j)
+            stretch = nx * px + ny * py
+            turn = (px * wx + py * wy - stretch * speed) * inverse
+            volumes_change = load(change, m, p) + load(change, m, q)
+            steep_change = bend * stretch
+            a_change = steep_change * volumes + steep * volumes_change
+            a_both = (bend_slope * stretch * speed + bend * turn) * volumes
+            a_both += steep_rate * volumes_change + steep_change * volumes_rate
+            a_both += steep * (load(both, m, p) + load(both, m, q))
+            fx = a_both * rx + a_rate * px + a_change * wx
+            fy = a_both * ry + a_rate * py + a_change * wy
+            add_field_pair(f, m, i, j, fx, fy)
+
+
+@kernel
+def add_stiffness_rates(x, v, u, f, topology, c, slope, volume):
+    """Add K̇ u to f for four fields u, with K̇ the rate of the elastic stiffness along v.
+
+    x, v: (2, local, TILE) µm, µm/µs; u, f: (4, 2, local, TILE). Scratch: slope (pairs, TILE),
+    volume (fluid, TILE).
+    """
+    _add_central_stiffness_rates(x, v, u, f, topology.bonds, True, c)
+    _add_central_stiffness_rates(x, v, u, f, topology.contacts, False, c)
+    _add_fluid_stiffness_rates(x, v, u, f, topology, c, slope, volume)
