@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell import force_rates, forces, jacobian
+from surrofe2.plant_cell import force_derivatives, forces, jacobian
 from surrofe2.plant_cell.force_derivatives import add_force_gradients, add_stiffness_rates
 from surrofe2.simd import TILE
 from tests.plant_cell.test_forces import Patch
@@ -40,7 +40,7 @@ class Local(Patch):
 
     def elastic_rates(self, x, v):
         f, rate, (slope, volume) = np.zeros_like(x), np.zeros_like(x), self.scratch
-        force_rates.add_elastic_forces_and_rates(
+        force_derivatives.add_elastic_forces_and_rates(
             x, v, f, rate, self.topology, self.constants, slope, volume, np.empty_like(volume)
         )
         return rate

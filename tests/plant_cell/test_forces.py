@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from scipy.integrate import quad
 
-from surrofe2.plant_cell import force_rates, forces, jacobian
+from surrofe2.plant_cell import force_derivatives, forces, jacobian
 from surrofe2.plant_cell.geometry import even_positions, square_patch
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope, spline_third
@@ -200,7 +200,7 @@ def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
     v += np.einsum("lab,lpb->apl", patch.F, y[:, owners])
     f, rate = np.zeros_like(x), np.zeros_like(x)
     pairs, fluid = len(patch.patch.fluid_pairs), n - patch.patch.walls
-    force_rates.add_elastic_forces_and_rates(
+    force_derivatives.add_elastic_forces_and_rates(
         x, v, f, rate, patch.topology, patch.constants, np.empty((pairs, TILE)),
         np.empty((fluid, TILE)), np.empty((fluid, TILE)),
     )  # fmt: skip
