@@ -13,8 +13,8 @@ from benchmarks.row import Row
 from benchmarks.setting import Array, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
-from surrofe2.macro.mesh import Bar, make_bar
-from surrofe2.macro.right_hand_side import RightHandSide, Tally
+from surrofe2.macro.discretisation import Discretisation, make_discretisation
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.report.pictures import BLUE, GREEN, VERMILION, new_figure, write_png
 
 TITLE = "Cost over the number of points"
@@ -55,7 +55,7 @@ def run(setting: Setting) -> list[Row]:
         "true FE²": rve(PRESET),
         "cached FE²": setting.cached(PRESET, tolerance=np.inf),
     }
-    bars = [make_bar(LoadCase(), (n, n), rve(PRESET).density) for n in sizes]
+    bars = [make_discretisation(LoadCase(), (n, n), rve(PRESET).density) for n in sizes]
     points = np.array([float(bar.n_points) for bar in bars])
     steps = setting.pick(8, 3)
     costs = [
@@ -66,24 +66,26 @@ def run(setting: Setting) -> list[Row]:
     return [row for cost in costs for row in _rows(setting, cost)]
 
 
-def _seconds(bar: Bar, law: StressLaw, steps: int) -> Array:
+def _seconds(bar: Discretisation, law: StressLaw, steps: int) -> Array:
     """(steps,) seconds of a right-hand side, acceptance of the steps included."""
-    right_hand_side = RightHandSide(bar, law, LoadCase().amplitude_at, Tally())
+    equations = EquationsOfMotion(bar, law, LoadCase().amplitude_at)
     shape = _shape(bar)
     taken: list[float] = []
     for step in range(steps + 1):
         states = [_motion(shape, START + (step * STAGES + k) * STAGE) for k in range(STAGES)]
         begin = perf_counter()
         for y in states:
-            right_hand_side(0.0, y)
-        right_hand_side.accept()
+            now = equations.evaluate(0.0, y)
+            if not isinstance(now, Evaluation):
+                raise RuntimeError(f"the motion cannot be followed: {now.message}")
+        equations.accept(now)
         taken.append((perf_counter() - begin) / STAGES)
-    if right_hand_side.tally.effort.get("fallbacks"):
+    if equations.tally.effort.get("fallbacks"):
         raise RuntimeError("the motion leaves the surrogate's range; the cost is that of RVEs")
     return np.array(taken[1:])
 
 
-def _shape(bar: Bar) -> Array:
+def _shape(bar: Discretisation) -> Array:
     """(n_free, 2) bent bar whose free side moves by 1 µm: −(x/W)² down, fibres turned along."""
     x, y = bar.nodes[bar.free].T / LoadCase().width
     return np.stack([2.0 * x * (y - 0.5), -(x**2)], axis=1)

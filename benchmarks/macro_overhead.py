@@ -11,10 +11,14 @@ from benchmarks.row import Row
 from benchmarks.setting import Array, Setting
 from benchmarks.timing import ratio, side_by_side, threads
 from surrofe2 import LoadCase
+from surrofe2.macro.discretisation import (
+    N_GAUSS,
+    N_POINTS,
+    Discretisation,
+    make_discretisation,
+)
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
-from surrofe2.macro.mesh import Bar, make_bar
-from surrofe2.macro.right_hand_side import RightHandSide, Tally
-from surrofe2.macro.selective_quadrature import N_GAUSS, N_POINTS
 from surrofe2.stress_law import Acceptance, StressResponse
 
 TITLE = "A right-hand side but for its stress law"
@@ -52,12 +56,12 @@ def run(setting: Setting) -> list[Row]:
 
 def _overhead(setting: Setting, n: int, name: str, limit: float, *, per_point: bool) -> Row:
     load = LoadCase()
-    bar = make_bar(load, (n, n), DENSITY)
+    bar = make_discretisation(load, (n, n), DENSITY)
     law = ReadyLaw(bar.n_points)
-    right_hand_side = RightHandSide(bar, law, load.amplitude_at, Tally())
+    equations = EquationsOfMotion(bar, law, load.amplitude_at)
     y = 1e-3 * np.random.default_rng(1).uniform(-1.0, 1.0, 4 * len(bar.free))
     ours, plain = side_by_side(
-        [partial(right_hand_side, 0.0, y), partial(_plainly, bar, law, y)], setting.pick(25, 7)
+        [partial(equations.evaluate, 0.0, y), partial(_plainly, bar, law, y)], setting.pick(25, 7)
     )
     scale = 1e6 / (bar.n_points if per_point else 1)
     return Row(
@@ -74,7 +78,7 @@ def _overhead(setting: Setting, n: int, name: str, limit: float, *, per_point: b
     )
 
 
-def _distance(bar: Bar, law: ReadyLaw, y: Array) -> float:
+def _distance(bar: Discretisation, law: ReadyLaw, y: Array) -> float:
     u, v = y.reshape(2, -1, 2)
     F, F_dot, _ = deformation_gradient(bar, u, v)
     stress = law.respond(F, F_dot).stress
@@ -82,11 +86,11 @@ def _distance(bar: Bar, law: ReadyLaw, y: Array) -> float:
     return float(abs(internal_force(bar, F, stress) - expected).max() / abs(expected).max())
 
 
-def _plainly(bar: Bar, law: ReadyLaw, y: Array) -> Array:
+def _plainly(bar: Discretisation, law: ReadyLaw, y: Array) -> Array:
     u, v = y.reshape(2, -1, 2)
     identity = np.eye(2)
     F, F_dot = (
-        np.einsum("eai,eqaj->eqij", bar.on_all_nodes(field)[bar.quads], bar.quadrature.gradients)
+        np.einsum("eai,eqaj->eqij", bar.on_all_nodes(field)[bar.quads], bar.gradients)
         for field in (u, v)
     )
     F = (F + identity).reshape(-1, 2, 2)
@@ -95,18 +99,15 @@ def _plainly(bar: Bar, law: ReadyLaw, y: Array) -> Array:
     return np.concatenate([v.ravel(), acceleration.ravel()])
 
 
-def _force_plainly(bar: Bar, F: Array, stress: Array) -> Array:
+def _force_plainly(bar: Discretisation, F: Array, stress: Array) -> Array:
     """Σ J w σ F⁻ᵀ ∇N with the deviator at the Gauss points and the pressure at the centre."""
-    quadrature = bar.quadrature
     J = np.linalg.det(F)
     slopes = np.linalg.inv(F).swapaxes(1, 2)
     pressure = 0.5 * np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(2)
     gauss: NDArray[np.bool_] = np.arange(len(F)) % N_POINTS < N_GAUSS
     part = np.where(gauss[:, None, None], stress - pressure, pressure)
     nominal = (part @ slopes * J[:, None, None]).reshape(-1, N_POINTS, 2, 2)
-    by_node = np.einsum(
-        "eq,eqij,eqaj->eai", quadrature.weights, nominal, quadrature.gradients, optimize=True
-    )
+    by_node = np.einsum("eq,eqij,eqaj->eai", bar.weights, nominal, bar.gradients, optimize=True)
     force = np.zeros_like(bar.nodes)
     np.add.at(force, bar.quads, by_node)
     return force[bar.free]

@@ -153,7 +153,7 @@ def warm_up(
     from surrofe2.errors import SimulationError
     from surrofe2.load_case import LoadCase
     from surrofe2.macro import simulate
-    from surrofe2.macro.selective_quadrature import N_POINTS
+    from surrofe2.macro.discretisation import N_POINTS
 
     begin = time.perf_counter()
     nx, ny = settings.elements

@@ -89,7 +89,7 @@ def _store(folder: Path, record: RunRecord, path: list[Rest]) -> RunRecord:
     from surrofe2.macro import rest_frames
 
     if path:
-        bar = path[0].bar
+        bar = path[0].discretisation
         write_load_path(folder, path[-1].path)
         write_fields(folder, bar.nodes, bar.quads, rest_frames(path))
         record = replace(record, counts=path[-1].counts)

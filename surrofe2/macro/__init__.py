@@ -1,16 +1,15 @@
-"""The bar on finite elements: any `StressLaw` below, Dormand–Prince 5(4) in time.
+"""The bar on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: mesh, selective_quadrature, internal_force (space); right_hand_side,
-time_integration (time); recording, results, simulation (a run). With a law's tangents:
-tangent_assembly; generalised_alpha, implicit (time); quasi_static, modes (no time).
+Reading order: settings, discretisation, internal_force (space); equations_of_motion,
+time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); history,
+simulation (a run). Without time: quasi_static, modes.
 """
 
+from surrofe2.macro.history import Frames, MacroState
 from surrofe2.macro.modes import Modes, find_modes
-from surrofe2.macro.quasi_static import Rest, find_rest
-from surrofe2.macro.results import Frames, MacroRun, MetRange, rest_frames
+from surrofe2.macro.quasi_static import Rest, find_rest, rest_frames
 from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.simulation import simulate
-from surrofe2.macro.state import MacroState
+from surrofe2.macro.simulation import MacroRun, MetRange, simulate
 
 __all__ = [
     "Frames",

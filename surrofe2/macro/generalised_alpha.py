@@ -1,4 +1,4 @@
-"""Generalised-α: one implicit step by full Newton, as formulas.
+"""Generalised-α: one implicit step by full Newton, with its error.
 
 Chung and Hulbert, A time integration algorithm for structural dynamics with improved numerical
 dissipation, J. Appl. Mech. 60 (1993) 371–375, the forces averaged between the ends of the step:
@@ -8,25 +8,32 @@ dissipation, J. Appl. Mech. 60 (1993) 371–375, the forces averaged between the
 
 with f the internal force and l the load. The algorithmic acceleration a is not ü, which would be
 M⁻¹(l − f); it lags by (α_m − α_f) h, to second order.
+
+A step of h leaves the error of [u, v] that a third-order method finds: the integral of the
+parabola through the rates [v, ü] at the last three ends of steps (Adams–Moulton), minus the step.
+Stiff modes would drown it, so it passes through S⁻¹ (1 − α_m) M, S the Newton matrix, which
+leaves slow modes as they are and damps fast ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from surrofe2.macro.right_hand_side import Evaluation, RightHandSide
-from surrofe2.macro.tangent_assembly import (
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.tangents import (
     assembled_tangents,
     factorised,
     make_pattern,
     mass_matrix,
 )
+from surrofe2.macro.time_stepping import Standing, StepControl, StepResult
+from surrofe2.stress_law import require_tangents
 
 Array = NDArray[np.float64]
 
@@ -69,21 +76,82 @@ class Solved:
     solve: Callable[[Array], Array]
 
 
+@dataclass(frozen=True, slots=True)
+class _Past:
+    """What y does not tell of the step before.
+
+    Attributes:
+        h: its length, µs.
+        a: (n_free, 2) algorithmic acceleration at its end.
+        rate: (4 n_free,) [v, ü] at its start, None if there is no step before.
+    """
+
+    h: float
+    a: Array
+    rate: Array | None
+
+    @classmethod
+    def of(cls, start: Standing) -> _Past:
+        """From h, a, and the rates at both ends, which are the memory of a step.
+
+        Where the law has come to answer by another branch, what was known moves by the jump, so
+        that neither the error nor the first guess of the next step takes it for a motion.
+        """
+        rate, size = start.now.rate, start.now.y.size
+        if start.memory.size == 0:
+            return cls(1.0, start.now.acceleration, None)
+        h, a, before, then = np.split(start.memory, [1, 1 + size // 2, 1 + size // 2 + size])
+        jump = rate - then
+        return cls(float(h[0]), (a + jump[size // 2 :]).reshape(-1, 2), before + jump)
+
+
 class GeneralisedAlpha:
-    """Solves single steps for one bar and law; keeps nothing but the matrices' pattern."""
+    """The implicit `Method`; it keeps nothing but the pattern of its matrices."""
 
-    def __init__(
-        self, right_hand_side: RightHandSide, spectral_radius: float, tolerance: float
-    ) -> None:
-        self.weights = Weights.of(spectral_radius)
-        self.mass = mass_matrix(right_hand_side.bar)
-        self._tolerance = tolerance
-        self._right_hand_side = right_hand_side
-        self._pattern = make_pattern(right_hand_side.bar)
+    control = StepControl(order=3, gain=1.0, largest_growth=2.0, splits_rest=True)
 
-    def acceleration(self, now: Evaluation) -> Array:
-        """(n_free, 2) ü = M⁻¹ (l − f)."""
-        return self._right_hand_side.bar.solve_mass(now.load - now.internal)
+    def __init__(self, equations: EquationsOfMotion, settings: MacroSettings) -> None:
+        require_tangents(equations.law, "integrator implicit")
+        self.weights = Weights.of(settings.spectral_radius)
+        self._settings = settings
+        self._equations = equations
+        self._mass = mass_matrix(equations.discretisation)
+        self._pattern = make_pattern(equations.discretisation)
+
+    def first_length(self, start: Standing, t_end: float) -> float:
+        """So short that the displacement gained is what the tolerance allows."""
+        limit, strongest = 1e-2 * t_end, float(abs(start.now.acceleration).max())
+        if strongest == 0.0:
+            return limit
+        return min(limit, float(np.sqrt(10.0 * self._settings.absolute_tolerance / strongest)))
+
+    def step(
+        self, start: Standing, t: float, found: Switched | None = None
+    ) -> StepResult | NoStress | Switched:
+        """The step from `start` to time t; its work is second order, by powers linear in time."""
+        now, past = start.now, _Past.of(start)
+        h = t - now.t
+        # The algorithmic acceleration, its lag brought from the last step's to this one's.
+        a = now.acceleration + h / past.h * (past.a - now.acceleration)
+        guess = a
+        if found is not None:
+            guess = self.acceleration_to(found.y[: found.y.size // 2].reshape(-1, 2), now, a, h)
+        elif past.rate is not None:
+            before = past.rate[past.rate.size // 2 :].reshape(-1, 2)
+            guess = a + h / past.h * (now.acceleration - before)
+        solved = self.solve(now, a, guess, t)
+        if not isinstance(solved, Solved):
+            return solved
+        end = solved.now
+        return StepResult(
+            start=now,
+            end=end,
+            error=self._error(now, past, solved, h),
+            mean_power=0.5 * (now.powers + end.powers),
+            bulge=0.0,
+            power_bulge=0.0,
+            memory=np.concatenate([[h], solved.a.ravel(), now.rate, end.rate]),
+        )
 
     def acceleration_to(self, u: Array, start: Evaluation, a: Array, h: float) -> Array:
         """(n_free, 2) algorithmic acceleration at the end of a step that leads to u."""
@@ -91,52 +159,69 @@ class GeneralisedAlpha:
         known = start.u + h * start.v + h**2 * (0.5 - w.beta) * a
         return np.asarray((u - known) / (h**2 * w.beta))
 
-    def solve(self, start: Evaluation, a: Array, guess: Array, h: float) -> Solved:
-        """The step of length h from `start` with algorithmic acceleration a.
+    def solve(
+        self, start: Evaluation, a: Array, guess: Array, t: float
+    ) -> Solved | NoStress | Switched:
+        """The step to time t from `start` with algorithmic acceleration a.
 
         Args:
             guess: (n_free, 2) acceleration at the end that Newton begins with.
-
-        Raises:
-            TrialError: no stress on the way, or no convergence.
         """
-        w, rhs = self.weights, self._right_hand_side
-        t = start.t + h
+        w, equations, h = self.weights, self._equations, t - start.t
         u_known = start.u + h * start.v + h**2 * (0.5 - w.beta) * a
         v_known = start.v + h * (1.0 - w.gamma) * a
-        before = w.alpha_m * (self.mass @ a.ravel()).reshape(a.shape)
+        before = w.alpha_m * (self._mass @ a.ravel()).reshape(a.shape)
         before += w.alpha_f * (start.internal - start.load)
         a_end, residuals, solve = guess, [], None
         while True:
-            now = rhs.evaluate(
-                t, u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end, tangents=True
-            )
-            inertia = (1.0 - w.alpha_m) * (self.mass @ a_end.ravel()).reshape(a.shape)
+            y = np.stack([u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end])
+            now = equations.evaluate(t, y.ravel(), tangents=True)
+            if not isinstance(now, Evaluation):
+                return now
+            inertia = (1.0 - w.alpha_m) * (self._mass @ a_end.ravel()).reshape(a.shape)
             residual = before + inertia + (1.0 - w.alpha_f) * (now.internal - now.load)
             scale = max(abs(force).max() for force in (now.internal, now.load, inertia, before))
             residuals.append(abs(residual).max() / max(scale, np.finfo(float).tiny))
-            converged = residuals[-1] <= self._tolerance
+            converged = residuals[-1] <= self._settings.newton_tolerance
             if solve is None or not converged:
                 if len(residuals) > MAX_ITERATIONS:
-                    self._give_up(now, residual, f"no convergence in {MAX_ITERATIONS} iterations")
+                    reason = (
+                        f"Newton near this point: no convergence in {MAX_ITERATIONS} iterations"
+                    )
+                    return equations.out_of_balance(now, residual, reason)
                 solve = factorised(self._matrix(now, h))
                 if solve is None:
-                    self._give_up(now, residual, "the matrix is singular")
-                rhs.tally.counts["factorisations"] += 1
+                    reason = "Newton near this point: the matrix is singular"
+                    return equations.out_of_balance(now, residual, reason)
+                equations.tally.counts["factorisations"] += 1
             if converged:
                 return Solved(now, a_end, tuple(residuals), solve)
             a_end = a_end - solve(residual.ravel()).reshape(a.shape)
 
     def _matrix(self, now: Evaluation, h: float) -> csc_matrix:
         """S = (1 − α_m) M + (1 − α_f) (h γ C + h² β K), the derivative of the residual by a₁."""
-        w, bar = self.weights, self._right_hand_side.bar
-        K, C = assembled_tangents(bar, self._pattern, now.F, now.response)
+        w, discretisation = self.weights, self._equations.discretisation
+        K, C = assembled_tangents(discretisation, self._pattern, now.F, now.response)
         return csc_matrix(
-            (1.0 - w.alpha_m) * self.mass
+            (1.0 - w.alpha_m) * self._mass
             + (1.0 - w.alpha_f) * (h * w.gamma * C + h**2 * w.beta * K)
         )
 
-    def _give_up(self, now: Evaluation, residual: Array, reason: str) -> NoReturn:
-        """Say why, at a point near the node that is least in balance."""
-        point = self._right_hand_side.bar.point_near(int(abs(residual).max(axis=1).argmax()))
-        self._right_hand_side.fail(now.t, point, now.F, f"Newton near this point: {reason}")
+    def _error(self, start: Evaluation, past: _Past, solved: Solved, h: float) -> float:
+        """Root mean square of the error of y relative to what is allowed."""
+        end = solved.now
+        # Mean rate over the step, (start + end)/2 − h²/6 [before, start, end] with the second
+        # divided difference; without a step before, the straight line has to do.
+        mean = 0.5 * (start.rate + end.rate)
+        if past.rate is not None:
+            curvature = (end.rate - start.rate) / h - (start.rate - past.rate) / past.h
+            mean = mean - h**2 / 6.0 * curvature / (h + past.h)
+        error = end.y - start.y - h * mean
+        settings = self._settings
+        size = np.maximum(abs(end.y), abs(start.y))
+        scale = settings.absolute_tolerance + settings.relative_tolerance * size
+        filtered = [
+            (1.0 - self.weights.alpha_m) * solved.solve(self._mass @ part)
+            for part in error.reshape(2, -1)
+        ]
+        return float(np.sqrt(np.mean((np.concatenate(filtered) / scale) ** 2)))

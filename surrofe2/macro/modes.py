@@ -12,7 +12,7 @@ from scipy.sparse.linalg import eigs
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.macro.quasi_static import Rest
-from surrofe2.macro.tangent_assembly import mass_matrix
+from surrofe2.macro.tangents import mass_matrix
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -77,7 +77,7 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     size = rest.stiffness.shape[0]
     unit = identity(size, format="csc")
     A = csc_matrix(bmat([[None, unit], [-rest.stiffness, -rest.damping]]))
-    B = csc_matrix(block_diag([unit, mass_matrix(rest.bar)]))
+    B = csc_matrix(block_diag([unit, mass_matrix(rest.discretisation)]))
     if size <= DENSE_LIMIT:
         values, vectors = eig(A.toarray(), B.toarray())
     else:

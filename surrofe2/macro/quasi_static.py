@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +11,12 @@ from scipy.sparse import csc_matrix
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.mesh import Bar, make_bar
-from surrofe2.macro.right_hand_side import (
-    Evaluation,
-    RightHandSide,
-    SwitchedError,
-    Tally,
-    TrialError,
-)
+from surrofe2.macro.discretisation import CENTRE, N_POINTS, Discretisation, make_discretisation
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.history import Frames
+from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.tangent_assembly import (
+from surrofe2.macro.tangents import (
     Pattern,
     assembled_tangents,
     factorised,
@@ -42,7 +37,7 @@ class Rest:
     """The bar at rest under a constant load.
 
     Attributes:
-        bar: mesh, mass and load.
+        discretisation: mesh, mass and load.
         factor: factor of the body force.
         u: (n_free, 2) displacement of the free nodes, µm.
         F, stress: (n_points, 2, 2) deformation gradient; Cauchy stress, µN/µm.
@@ -53,7 +48,7 @@ class Rest:
         counts: load steps, halvings, Newton iterations.
     """
 
-    bar: Bar
+    discretisation: Discretisation
     factor: float
     u: Array
     F: Array
@@ -67,7 +62,7 @@ class Rest:
     @property
     def watched(self) -> Array:
         """(2,) displacement of the watched point, µm."""
-        return self.bar.at_watched_point(self.u)
+        return self.discretisation.at_watched_point(self.u)
 
 
 def find_rest(
@@ -100,134 +95,152 @@ def find_rest(
         raise InputError(f"factor: {factor}; it must be finite")
     if load_steps < 1:
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
-    bar = make_bar(load_case, settings.elements, law.density)
-    tally = Tally()
-    rhs = RightHandSide(bar, law, lambda x: x, tally, clock="load factor {:.6g}")
-    pattern = make_pattern(bar)
-    path = np.zeros((1, 3))
-    try:
-        rest = _rest_of(rhs, pattern, 0.0, np.zeros((len(bar.free), 2)), settings, path)
-    except TrialError as failure:
-        raise SimulationError(f"the load cannot start: {failure}") from None
+    discretisation = make_discretisation(load_case, settings.elements, law.density)
+    equations = EquationsOfMotion(discretisation, law, lambda x: x, clock="load factor {:.6g}")
+    newton = _Newton(equations, make_pattern(discretisation), settings.newton_tolerance)
+    found = newton.rest_at(0.0, np.zeros((len(discretisation.free), 2)), np.zeros((1, 3)))
+    if isinstance(found, NoStress):
+        raise SimulationError(f"the load cannot start: {found.message}")
+    rest, step, failed = found, factor / load_steps, False
     if reached is not None:
         reached(rest)
-    step, failed = factor / load_steps, False
     while rest.factor != factor:
         left = factor - rest.factor
         target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
-        try:
-            rest = _rest_of(rhs, pattern, target, rest.u, settings, rest.path)
-        except TrialError as failure:
-            tally.counts["halvings"] += 1
+        found = newton.rest_at(target, rest.u, rest.path)
+        if isinstance(found, NoStress):
+            equations.tally.counts["halvings"] += 1
             step, failed = 0.5 * (target - rest.factor), True
             # Counted from the first length: near a limit load every second step would succeed.
             if abs(step) < abs(factor) / load_steps * 0.5**MAX_HALVINGS:
                 raise SimulationError(
-                    f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}", partial=rest
-                ) from None
-        else:
-            if reached is not None:
-                reached(rest)
-            step, failed = (step if failed else 2.0 * step), False
-            if abs(step) > abs(factor) / load_steps:
-                step = factor / load_steps
-    return replace(rest, counts=_counts(tally))
+                    f"no load step succeeds after {MAX_HALVINGS} halvings: {found.message}",
+                    partial=rest,
+                )
+            continue
+        rest = found
+        if reached is not None:
+            reached(rest)
+        step, failed = min(step if failed else 2.0 * step, factor / load_steps, key=abs), False
+    return replace(rest, counts=newton.counts())
 
 
-def _counts(tally: Tally) -> dict[str, int]:
-    return {name: tally.counts[name] for name in ("load_steps", "halvings", "factorisations")}
-
-
-def _rest_of(
-    rhs: RightHandSide,
-    pattern: Pattern,
-    factor: float,
-    u: Array,
-    settings: MacroSettings,
-    path: Array,
-) -> Rest:
-    """The equilibrium at `factor` by Newton from u; the law commits it.
-
-    Newton begins anew as long as points leave their branch of the law, and goes on where the
-    equilibrium of the bar has lost that of a point.
-    """
-    while True:
-        try:
-            now, residuals = _balanced(rhs, pattern, factor, u, settings.newton_tolerance)
-        except SwitchedError as found:
-            rhs.restart_step(found.switched)
-        else:
-            break
-    K, C = assembled_tangents(rhs.bar, pattern, now.F, now.response)
-    rhs.tally.counts["load_steps"] += factor != 0.0
-    here = np.append(factor, rhs.bar.at_watched_point(now.u))
-    path = np.vstack([path, here]) if factor != path[-1, 0] else path
-    return Rest(
-        bar=rhs.bar,
-        factor=factor,
-        u=now.u,
-        F=now.F,
-        stress=now.response.stress,
-        stiffness=K,
-        damping=C,
-        path=path,
-        residuals=tuple(residuals),
-        counts=_counts(rhs.tally),
+def rest_frames(path: Sequence[Rest]) -> Frames:
+    """Whole fields of states of rest, the factor of the load in the place of time."""
+    discretisation = path[0].discretisation
+    displacement = np.stack([discretisation.on_all_nodes(rest.u) for rest in path])
+    stress = [
+        element_mean_stress(discretisation, np.linalg.det(rest.F), rest.stress) for rest in path
+    ]
+    return Frames(
+        t=np.array([rest.factor for rest in path]),
+        displacement=displacement,
+        velocity=np.zeros_like(displacement),
+        stress=np.stack(stress),
+        F=np.stack([rest.F[CENTRE::N_POINTS] for rest in path]),
     )
 
 
-def _balanced(
-    rhs: RightHandSide, pattern: Pattern, factor: float, u: Array, tolerance: float
-) -> tuple[Evaluation, list[float]]:
-    """The equilibrium on one branch of the law, and the residuals on the way to it."""
-    now = rhs.evaluate(factor, u, np.zeros_like(u), tangents=True)
-    residuals = [_relative_residual(rhs.bar, now)]
-    while True:
-        while residuals[-1] > tolerance:
-            if len(residuals) > MAX_ITERATIONS:
-                _give_up(rhs, now, f"Newton did not converge in {MAX_ITERATIONS} iterations")
-            now = _corrected(rhs, pattern, now)
-            residuals.append(_relative_residual(rhs.bar, now))
-        start = rhs.accept()
-        if start is now or start.response.left_bifurcation is None:
-            return now, residuals
-        now = rhs.evaluate(factor, now.u, now.v, tangents=True)
-        residuals.append(_relative_residual(rhs.bar, now))
+@dataclass(frozen=True, slots=True)
+class _Newton:
+    equations: EquationsOfMotion
+    pattern: Pattern
+    tolerance: float
 
+    def rest_at(self, factor: float, u: Array, path: Array) -> Rest | NoStress:
+        """The equilibrium at `factor` by Newton from u; the law commits it.
 
-def _corrected(rhs: RightHandSide, pattern: Pattern, now: Evaluation) -> Evaluation:
-    """Newton's correction, halved until the residual is smaller and every point has a stress."""
-    residual = now.internal - now.load
-    K, _ = assembled_tangents(rhs.bar, pattern, now.F, now.response)
-    rhs.tally.counts["factorisations"] += 1
-    solve = factorised(K)
-    if solve is None:
-        _give_up(rhs, now, "the stiffness of the bar is singular")
-    correction = solve(residual.ravel()).reshape(residual.shape)
-    size = np.linalg.norm(residual)
-    fraction, reason = 1.0, "the line search found no smaller residual"
-    while fraction >= _LEAST_FRACTION:
-        try:
-            trial = rhs.evaluate(now.t, now.u - fraction * correction, now.v, tangents=True)
-        except TrialError as failure:
-            reason = str(failure)
-        else:
-            if np.linalg.norm(trial.internal - trial.load) <= (1.0 - _DECREASE * fraction) * size:
+        Newton begins anew as long as points leave their branch of the law.
+        """
+        found = self.balanced(factor, u)
+        while isinstance(found, Switched):
+            restarted = self.equations.restart_step(found.points)
+            found = restarted if isinstance(restarted, NoStress) else self.balanced(factor, u)
+        if isinstance(found, NoStress):
+            return found
+        now, residuals = found
+        discretisation = self.equations.discretisation
+        K, C = assembled_tangents(discretisation, self.pattern, now.F, now.response)
+        self.equations.tally.counts["load_steps"] += factor != 0.0
+        here = np.append(factor, discretisation.at_watched_point(now.u))
+        return Rest(
+            discretisation=discretisation,
+            factor=factor,
+            u=now.u,
+            F=now.F,
+            stress=now.response.stress,
+            stiffness=K,
+            damping=C,
+            path=np.vstack([path, here]) if factor != path[-1, 0] else path,
+            residuals=tuple(residuals),
+            counts=self.counts(),
+        )
+
+    def counts(self) -> dict[str, int]:
+        """As of `Rest`."""
+        counts = self.equations.tally.counts
+        return {name: counts[name] for name in ("load_steps", "halvings", "factorisations")}
+
+    def balanced(
+        self, factor: float, u: Array
+    ) -> tuple[Evaluation, list[float]] | NoStress | Switched:
+        """The equilibrium on one branch of the law, and the residuals on the way to it.
+
+        Newton goes on where the equilibrium of the bar has lost that of a point.
+        """
+        y = np.concatenate([u.ravel(), np.zeros(u.size)])
+        residuals: list[float] = []
+        while True:
+            now = self.equations.evaluate(factor, y, tangents=True)
+            while isinstance(now, Evaluation):
+                residuals.append(_relative_residual(self.equations.discretisation, now))
+                if residuals[-1] <= self.tolerance:
+                    break
+                now = self.corrected(now, last=len(residuals) > MAX_ITERATIONS)
+            else:
+                return now
+            start = self.equations.accept(now)
+            if isinstance(start, NoStress):
+                return start
+            if start is now or start.response.left_bifurcation is None:
+                return now, residuals
+            y = now.y
+
+    def corrected(self, now: Evaluation, *, last: bool) -> Evaluation | NoStress | Switched:
+        """Newton's correction, halved until the residual is smaller and every point has a stress.
+
+        Args:
+            last: that there were corrections enough.
+        """
+        equations, residual = self.equations, now.internal - now.load
+        if last:
+            reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
+            return equations.out_of_balance(now, residual, reason)
+        K, _ = assembled_tangents(equations.discretisation, self.pattern, now.F, now.response)
+        equations.tally.counts["factorisations"] += 1
+        solve = factorised(K)
+        if solve is None:
+            return equations.out_of_balance(now, residual, "the stiffness of the bar is singular")
+        correction = np.append(solve(residual.ravel()), np.zeros(residual.size))
+        size = np.linalg.norm(residual)
+        fraction, reason = 1.0, "the line search found no smaller residual"
+        while fraction >= _LEAST_FRACTION:
+            trial = equations.evaluate(now.t, now.y - fraction * correction, tangents=True)
+            if isinstance(trial, Switched):
                 return trial
-        fraction *= 0.5
-    return _give_up(rhs, now, reason)
+            if isinstance(trial, NoStress):
+                reason = trial.message
+            elif np.linalg.norm(trial.internal - trial.load) <= (1.0 - _DECREASE * fraction) * size:
+                return trial
+            fraction *= 0.5
+        return equations.out_of_balance(now, residual, reason)
 
 
-def _relative_residual(bar: Bar, now: Evaluation) -> float:
+def _relative_residual(discretisation: Discretisation, now: Evaluation) -> float:
     """Largest residual relative to the largest of internal force, load, and load at factor 1.
 
     A bar without any body force takes 1 µm/µs² for its load.
     """
-    load = abs(bar.load).max() or bar.mass.sum(axis=1).max()
+    load = abs(discretisation.load).max() or discretisation.mass.sum(axis=1).max()
     scale = max(load, abs(now.internal).max(), abs(now.load).max())
     return float(abs(now.internal - now.load).max() / scale)
-
-
-def _give_up(rhs: RightHandSide, now: Evaluation, reason: str) -> NoReturn:
-    row = int(abs(now.internal - now.load).max(axis=1).argmax())
-    rhs.fail(now.t, rhs.bar.point_near(row), now.F, reason)

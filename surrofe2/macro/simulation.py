@@ -1,25 +1,100 @@
-"""A macro run from start to end: `simulate`."""
+"""A macro run from start to end: `simulate`, and what it hands back."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from time import monotonic
 
+import numba
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from threadpoolctl import threadpool_limits
 
+from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.implicit import ImplicitStepper
-from surrofe2.macro.mesh import Bar, make_bar
-from surrofe2.macro.recording import Recorder
-from surrofe2.macro.results import MacroRun, make_run
-from surrofe2.macro.right_hand_side import RightHandSide, Tally, TrialError
+from surrofe2.macro.discretisation import Discretisation, make_discretisation
+from surrofe2.macro.dormand_prince import DormandPrince
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.generalised_alpha import GeneralisedAlpha
+from surrofe2.macro.history import Frames, MacroState, Recorder
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.state import MacroState
-from surrofe2.macro.time_integration import MAX_HALVINGS, Stepper
+from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MetRange:
+    """Lowest and highest entry that any point met at the end of any step, each (2, 2).
+
+    With F = R U: a sampling range over (U, RᵀḞ) that holds these holds the run.
+    """
+
+    F: tuple[Array, Array]
+    F_dot: tuple[Array, Array]
+    U: tuple[Array, Array]
+    RT_F_dot: tuple[Array, Array]
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """Lowest and highest of U₁₁ and U₂₂."""
+        low, high = self.U
+        return float(low.diagonal().min()), float(high.diagonal().max())
+
+    @property
+    def shear(self) -> float:
+        """Largest |U₁₂|."""
+        low, high = self.U
+        return float(max(-low[0, 1], high[0, 1]))
+
+    @property
+    def rate(self) -> float:
+        """Largest entry of |RᵀḞ|, 1/µs."""
+        low, high = self.RT_F_dot
+        return float(max(-low.min(), high.max()))
+
+
+@dataclass(frozen=True, slots=True)
+class MacroRun:
+    """A run, or with `finished` False the part of it that was computed.
+
+    Attributes:
+        curve: displacement of the watched point at the output times.
+        energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal`
+            and `load`, the work of the internal and of the load forces since t = 0, integrated
+            along with the equations of motion by the same method; `balance`, load − kinetic −
+            internal, zero but for the error of the time integration; `dissipated`, the work of
+            the stress in excess of σ(F, 0), from samples at the ends of steps joined by a
+            monotone cubic (second order or better), NaN where not recorded.
+        nodes: (n_nodes, 2) reference positions, µm; quads: (n_el, 4) their nodes.
+        frames: whole fields at a few times.
+        met: extremes of deformation and rate.
+        wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest).
+        counts: `steps` accepted, `rejected_steps` as too inaccurate, `failed_trials` without
+            stress or turned back by the law, `right_hand_sides`, `stress_calls` and
+            `stress_points` of those, `dissipation_points` and `dissipation_failures` of the
+            questions for σ(F, 0), which come on top.
+        effort: sums of what the law's answers say they cost, those for dissipation included.
+        threads: that numba could use.
+        finished: whether the end of the load case was reached.
+    """
+
+    curve: DisplacementCurve
+    energies: dict[str, Array]
+    nodes: Array
+    quads: NDArray[np.int64]
+    frames: Frames
+    met: MetRange
+    wall_time: dict[str, float]
+    counts: dict[str, int]
+    effort: dict[str, int]
+    threads: int
+    finished: bool
 
 
 def simulate(
@@ -55,98 +130,117 @@ def simulate(
     Raises:
         InputError: `checkpoint_interval` is negative, or the integrator is "implicit" and the law
             has no tangents.
-        SimulationError: ten halvings in a row found no acceptable step; `partial` is the
-            `MacroRun` up to there (None if the law fails already where the run starts).
+        SimulationError: ten halvings in a row found no acceptable step, or the error asks for
+            steps below rounding; `partial` is the `MacroRun` up to there (None if the law fails
+            already where the run starts).
         MismatchError: `resume` is of another run.
     """
     if not checkpoint_interval >= 0.0:
         raise InputError(
             f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
         )
-    bar = make_bar(load_case, settings.elements, law.density)
-    tally = Tally()
-    right_hand_side = RightHandSide(bar, law, load_case.amplitude_at, tally)
-    recorder = Recorder(right_hand_side, load_case, settings, resume)
-    stepper = _start(right_hand_side, recorder, load_case, settings, resume)
-    t = stepper.start.t
+    discretisation = make_discretisation(load_case, settings.elements, law.density)
+    if resume is not None:
+        _check_same_run(resume, discretisation, load_case, settings)
+    equations = EquationsOfMotion(discretisation, law, load_case.amplitude_at)
+    recorder = Recorder(equations, load_case, settings, resume)
+    stepper = _make_stepper(equations, settings, load_case.duration, resume)
+    if resume is None:
+        recorder.begin(stepper)
     last_checkpoint = monotonic()
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
         with threadpool_limits(1, user_api="blas"):
-            while t < load_case.duration:
-                step = stepper.advance()
-                recorder.record(step)
-                t = step.t
+            while stepper.standing.now.t < load_case.duration:
+                recorder.record(stepper.advance(), stepper)
                 if progress is not None:
-                    progress(t, load_case.duration)
+                    progress(stepper.standing.now.t, load_case.duration)
                 if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
                     checkpoint(recorder.state())
                     last_checkpoint = monotonic()
-    except TrialError as failure:
-        raise SimulationError(
-            f"no time step succeeds after {MAX_HALVINGS} halvings: {failure}",
-            partial=make_run(bar, recorder.state(), finished=False),
-        ) from None
     except SimulationError as error:
-        partial = make_run(bar, recorder.state(), finished=False)
+        partial = _make_run(discretisation, recorder.state(), finished=False)
         raise SimulationError(str(error), partial=partial) from error
     except KeyboardInterrupt:
         if checkpoint is not None:
             checkpoint(recorder.state())
         raise
-    return make_run(bar, recorder.state(), finished=True)
+    return _make_run(discretisation, recorder.state(), finished=True)
 
 
-def _start(
-    right_hand_side: RightHandSide,
-    recorder: Recorder,
-    load_case: LoadCase,
-    settings: MacroSettings,
-    resume: MacroState | None,
-) -> Stepper | ImplicitStepper:
-    """A stepper at rest at t = 0, or where `resume` was taken, and the recorder to go with it."""
-    t, y, first_step = 0.0, np.zeros(4 * len(right_hand_side.bar.free)), None
-    if resume is not None:
-        _check_same_run(resume, right_hand_side.bar, load_case)
-        _check_same_integrator(resume, settings)
-        t, y, first_step = resume.t, resume.y, resume.next_step
-        tally = right_hand_side.tally
-        tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
-        tally.law_seconds = resume.wall_time["law"]
-    place = (right_hand_side, t, y, load_case.duration, settings, first_step)
-    stepper: Stepper | ImplicitStepper
-    try:
-        if settings.integrator == "implicit":
-            stepper = ImplicitStepper(*place, memory=resume.memory if resume else None)
-        else:
-            stepper = Stepper(*place)
-    except TrialError as failure:
-        raise SimulationError(f"the run cannot start: {failure}") from None
+def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method:
+    """The time integration that `settings` ask for."""
+    if settings.integrator == "implicit":
+        return GeneralisedAlpha(equations, settings)
+    tolerances = settings.absolute_tolerance, settings.relative_tolerance
+    return DormandPrince(equations.evaluate, *tolerances)
+
+
+def _make_stepper(
+    equations: EquationsOfMotion, settings: MacroSettings, end: float, resume: MacroState | None
+) -> Stepper:
+    """A stepper at rest at t = 0, or where `resume` was taken."""
+    method, tally = make_method(equations, settings), equations.tally
     if resume is None:
-        recorder.begin(stepper.start, stepper.next_step, stepper.memory)
-    else:
-        recorder.restore(resume)
-    return stepper
+        y = np.zeros(4 * len(equations.discretisation.free))
+        return Stepper(equations, method, settings, end, 0.0, y)
+    tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
+    tally.law_seconds = resume.wall_time["law"]
+    place = resume.t, resume.y, resume.next_step, resume.memory
+    return Stepper(equations, method, settings, end, *place)
 
 
-def _check_same_integrator(state: MacroState, settings: MacroSettings) -> None:
-    there = "implicit" if state.memory.size else "explicit"
-    if there != settings.integrator:
+def _make_run(discretisation: Discretisation, state: MacroState, finished: bool) -> MacroRun:
+    """The results that `state` holds."""
+    t, *displacement, kinetic, internal, load = state.rows.T
+    low, high = state.lowest, state.highest
+    return MacroRun(
+        curve=DisplacementCurve(t, np.stack(displacement, axis=1)),
+        energies={
+            "kinetic": kinetic,
+            "internal": internal,
+            "load": load,
+            "dissipated": _dissipated(t, state.samples),
+            "balance": load - kinetic - internal,
+        },
+        nodes=discretisation.nodes,
+        quads=discretisation.quads,
+        frames=state.frames,
+        met=MetRange(*((low[k], high[k]) for k in range(4))),
+        wall_time=state.wall_time,
+        counts=state.counts,
+        effort=state.effort,
+        threads=numba.get_num_threads(),
+        finished=finished,
+    )
+
+
+def _dissipated(t: Array, samples: Array) -> Array:
+    """(r,) ∫ rate dt at the output times.
+
+    A monotone cubic stays between its samples, so the work of a rate that is never negative
+    never falls.
+    """
+    if len(samples) < 2:
+        return np.where(t == 0.0, 0.0, np.nan)
+    dissipated: Array = PchipInterpolator(*samples.T, extrapolate=False).antiderivative()(t)
+    return dissipated
+
+
+def _check_same_run(
+    state: MacroState, discretisation: Discretisation, load_case: LoadCase, settings: MacroSettings
+) -> None:
+    begun = "implicit" if state.memory.size else "explicit"
+    if state.t > 0.0 and begun != settings.integrator:
         raise MismatchError(
-            f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {there} "
+            f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {begun} "
             "run: resume with that or run anew"
         )
-
-
-def _check_same_run(state: MacroState, bar: Bar, load_case: LoadCase) -> None:
-    times = load_case.output_times()
-    amplitude = np.array(load_case.amplitude).reshape(-1, 2)
     for name, there, here in (
-        ("mesh", state.nodes, bar.nodes),
-        ("load or density", state.load, bar.load),
-        ("amplitude of the load", state.amplitude, amplitude),
-        ("output times", state.output_t, times[: state.output_t.size]),
-        ("number of unknowns", np.array(state.y.size), np.array(4 * len(bar.free))),
+        ("mesh", state.nodes, discretisation.nodes),
+        ("load or density", state.load, discretisation.load),
+        ("amplitude of the load", state.amplitude, np.reshape(load_case.amplitude, (-1, 2))),
+        ("output times", state.rows[:, 0], load_case.output_times()[: len(state.rows)]),
     ):
         if there.shape != here.shape or not np.allclose(there, here, rtol=1e-12, atol=0.0):
             raise MismatchError(f"resume: the {name} is not that of the checkpoint; run anew")

@@ -10,9 +10,10 @@ from surrofe2.cache.foresight import look_ahead
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
-from surrofe2.macro.mesh import make_bar
-from surrofe2.macro.right_hand_side import RightHandSide, Tally
-from surrofe2.macro.time_integration import Stepper
+from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.simulation import make_method
+from surrofe2.macro.time_stepping import Stepper
 from tests.cache.fakes import Learnt, Truth, shear_error
 
 LOAD_CASE = LoadCase(
@@ -145,26 +146,25 @@ def test_a_repeated_step_has_the_length_of_the_first_trial():
         def lookup(self, F, F_dot, tolerance=np.inf):
             self.calls += 1
             stress, status, bound = super().lookup(F, F_dot, tolerance)
-            if self.calls == 6:  # 2 at the start, 1 ahead, then stages 2 and 3
+            if self.calls == 5:  # 1 at the start, 1 ahead, then stages 2 to 4
                 status[4], stress[4] = 6, np.nan
             return stress, status, bound
 
     surrogate = Sudden(shear_error(0.0), lambda F, F_dot: np.full(len(F), 1e-9))
     cached = CachedLaw(surrogate, Truth(), CacheSettings(audit=0.0))
-    steps = []
+    steps, lengths = [], []
     for law in (Truth(), cached):
-        bar = make_bar(LOAD_CASE, (2, 3), law.density)
-        tally = Tally()
-        right_hand_side = RightHandSide(bar, law, LOAD_CASE.amplitude_at, tally)
-        stepper = Stepper(
-            right_hand_side, 0.0, np.zeros(4 * len(bar.free)), 6.0,
-            replace(SETTINGS, absolute_tolerance=1e3), 0.4,
-        )  # fmt: skip
+        bar = make_discretisation(LOAD_CASE, (2, 3), law.density)
+        equations = EquationsOfMotion(bar, law, LOAD_CASE.amplitude_at)
+        loose, y = replace(SETTINGS, absolute_tolerance=1e3), np.zeros(4 * len(bar.free))
+        method = make_method(equations, loose)
+        stepper = Stepper(equations, method, loose, 6.0, 0.0, y, next_length=0.4)
         steps.append(stepper.advance())
-    assert tally.counts["repeated_steps"] == 1
-    assert [step.t for step in steps] == pytest.approx([0.4, 0.4], rel=1e-12)
-    np.testing.assert_allclose(steps[1].y, steps[0].y, rtol=1e-9, atol=1e-14)
-    assert steps[1].next_step == pytest.approx(steps[0].next_step, rel=1e-9)
+        lengths.append(stepper.next_length)
+    assert equations.tally.counts["repeated_steps"] == 1
+    assert [step.end.t for step in steps] == pytest.approx([0.4, 0.4], rel=1e-12)
+    np.testing.assert_allclose(steps[1].end.y, steps[0].end.y, rtol=1e-9, atol=1e-14)
+    assert lengths[1] == pytest.approx(lengths[0], rel=1e-9)
 
 
 def test_at_rest_the_switching_bar_is_the_true_one():

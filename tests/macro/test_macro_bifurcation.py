@@ -49,8 +49,10 @@ def test_rest_is_that_of_the_branches_reached():
     assert 2 < left.sum() < len(left)
     answer = law.respond(rest.F, np.zeros_like(rest.F), left)
     np.testing.assert_allclose(rest.stress, answer.stress, rtol=0, atol=1e-9)
-    force = internal_force(rest.bar, rest.F, rest.stress)
-    np.testing.assert_allclose(force, rest.bar.load, rtol=0, atol=1e-8 * abs(rest.bar.load).max())
+    force = internal_force(rest.discretisation, rest.F, rest.stress)
+    np.testing.assert_allclose(
+        force, rest.discretisation.load, rtol=0, atol=1e-8 * abs(rest.discretisation.load).max()
+    )
     assert abs(rest.watched[1]) > 1.003 * abs(plain.watched[1])
 
 

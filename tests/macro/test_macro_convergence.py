@@ -7,8 +7,8 @@ from skfem.helpers import ddot, dot
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro.discretisation import make_discretisation, make_mesh
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
-from surrofe2.macro.mesh import make_bar, make_mesh
 
 from .analytic_laws import Fibres, KelvinVoigt, LinearFirstPiola
 
@@ -33,7 +33,7 @@ def static_error(n, law):
     The loads ∫ P(u*) : ∇N dV contain its tractions; the stiffness is that of the internal force
     at small displacements, column by column.
     """
-    bar = make_bar(UNIT_SQUARE, (n, n), law.density)
+    bar = make_discretisation(UNIT_SQUARE, (n, n), law.density)
     n_unknowns = 2 * len(bar.free)
     small = 1e-6
     still = np.zeros((len(bar.free), 2))

@@ -7,14 +7,16 @@ import pytest
 import skfem
 
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.discretisation import make_discretisation, make_discretisation_on, make_mesh
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.history import widen_extremes
 from surrofe2.macro.internal_force import (
+    deformation,
     deformation_gradient,
     element_mean_stress,
     internal_force,
+    nodal_forces,
 )
-from surrofe2.macro.kernels import deformation, nodal_forces, widen_extremes
-from surrofe2.macro.mesh import make_bar, make_bar_on, make_mesh
-from surrofe2.macro.right_hand_side import RightHandSide, Tally
 
 from .analytic_laws import KelvinVoigt, determinant
 
@@ -27,7 +29,7 @@ def distorted_bar(rng, elements=(5, 4), density=0.08):
     nodes = mesh.p.copy()
     inner = mesh.interior_nodes()
     nodes[:, inner] += rng.uniform(-0.8, 0.8, (2, inner.size))
-    return make_bar_on(skfem.MeshQuad(nodes, mesh.t), LOAD_CASE, density)
+    return make_discretisation_on(skfem.MeshQuad(nodes, mesh.t), LOAD_CASE, density)
 
 
 def unheld(bar):
@@ -42,7 +44,7 @@ def random_state(bar, rng, size=0.5):
 
 def deformation_twin(bar, u, v):
     nodal_u, nodal_v = (bar.on_all_nodes(field)[bar.quads] for field in (u, v))
-    gradients = bar.quadrature.gradients
+    gradients = bar.gradients
     F = np.eye(2) + np.einsum("eai,eqaj->eqij", nodal_u, gradients)
     F_dot = np.einsum("eai,eqaj->eqij", nodal_v, gradients)
     return F.reshape(-1, 2, 2), F_dot.reshape(-1, 2, 2)
@@ -51,8 +53,8 @@ def deformation_twin(bar, u, v):
 def internal_force_twin(bar, F, stress):
     """As it is written: current gradients F⁻ᵀ∇N, current areas det F w, dev and tr/2 apart."""
     F, stress = F.reshape(-1, 5, 2, 2), stress.reshape(-1, 5, 2, 2)
-    current = np.einsum("eqaj,eqji->eqai", bar.quadrature.gradients, np.linalg.inv(F))
-    area = np.linalg.det(F) * bar.quadrature.weights
+    current = np.einsum("eqaj,eqji->eqai", bar.gradients, np.linalg.inv(F))
+    area = np.linalg.det(F) * bar.weights
     pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[:, :, None, None] * np.eye(2)
     nodal = np.einsum("eq,eqij,eqaj->eai", area[:, :4], (stress - pressure)[:, :4], current[:, :4])
     nodal += np.einsum("e,eij,eaj->eai", area[:, 4], pressure[:, 4], current[:, 4])
@@ -74,7 +76,7 @@ def extremes_twin(F, F_dot):
 def test_deformation_kernel_agrees_with_its_twin(rng):
     bar = distorted_bar(rng)
     u, v = random_state(bar, rng)
-    F, F_dot, J = deformation(bar.rows, bar.quadrature.gradients, u, v)
+    F, F_dot, J = deformation(bar.rows, bar.gradients, u, v)
     expected_F, expected_rate = deformation_twin(bar, u, v)
     np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-13)
     np.testing.assert_allclose(F_dot, expected_rate, rtol=0, atol=1e-13)
@@ -85,9 +87,7 @@ def test_force_kernel_agrees_with_its_twin(rng):
     bar = distorted_bar(rng)
     F, _, _ = deformation_gradient(bar, *random_state(bar, rng))
     stress = rng.normal(size=F.shape)
-    force = nodal_forces(
-        bar.rows, bar.quadrature.gradients, bar.quadrature.weights, F, stress, len(bar.free)
-    )
+    force = nodal_forces(bar.rows, bar.gradients, bar.weights, F, stress, len(bar.free))
     expected = internal_force_twin(bar, F, stress)
     np.testing.assert_allclose(force, expected, rtol=0, atol=1e-12 * abs(expected).max())
 
@@ -111,7 +111,7 @@ def test_kernels_may_not_assume_that_there_is_no_nan():
 
 def test_kernels_keep_nan(rng):
     """What comes in as NaN must not leave as a number that passes for a deformation."""
-    bar = make_bar(LOAD_CASE, (2, 2), 0.08)
+    bar = make_discretisation(LOAD_CASE, (2, 2), 0.08)
     u, v = random_state(bar, rng)
     u[0, 0] = np.nan
     F, _, J = deformation_gradient(bar, u, v)
@@ -170,7 +170,7 @@ def test_forces_of_unheld_body_balance_and_their_virial_is_the_stress(rng):
     stress = rng.normal(size=F.shape)
     force = internal_force(bar, F, stress)
     assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).sum()
-    area = (J.reshape(-1, 5) * bar.quadrature.weights)[..., None, None]
+    area = (J.reshape(-1, 5) * bar.weights)[..., None, None]
     stress = stress.reshape(-1, 5, 2, 2)
     pressure = 0.5 * np.trace(stress, axis1=2, axis2=3)[..., None, None] * np.eye(2)
     expected = (area * (stress - pressure))[:, :4].sum(axis=(0, 1)) + (area * pressure)[:, 4].sum(0)
@@ -183,8 +183,9 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     rng = np.random.default_rng(seed)
     bar, law = distorted_bar(rng), KelvinVoigt()
     u, v = random_state(bar, rng)
-    right_hand_side = RightHandSide(bar, law, lambda t: 0.7, Tally())
-    rate = right_hand_side(0.0, np.concatenate([u.ravel(), v.ravel()]))
+    equations = EquationsOfMotion(bar, law, lambda t: 0.7)
+    now = equations.evaluate(0.0, np.concatenate([u.ravel(), v.ravel()]))
+    rate = now.rate
     np.testing.assert_array_equal(rate[: v.size], v.ravel())
     acceleration = rate[v.size :].reshape(v.shape)
     kinetic_rate = np.vdot(v, bar.mass @ acceleration)
@@ -193,16 +194,14 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     F, F_dot = deformation_twin(bar, u, v)
     L = (F_dot @ np.linalg.inv(F)).reshape(-1, 5, 2, 2)
     stress = law.respond(F, F_dot).stress.reshape(-1, 5, 2, 2)
-    area = determinant(F).reshape(-1, 5) * bar.quadrature.weights
+    area = determinant(F).reshape(-1, 5) * bar.weights
     trace_L, pressure = (np.trace(A, axis1=2, axis2=3) for A in (L, 0.5 * stress))
     power = np.einsum("eqij,eqij->eq", stress, L) - pressure * trace_L
     internal_power = (area * power)[:, :4].sum() + (area * pressure * trace_L)[:, 4].sum()
 
     scale = abs(kinetic_rate) + abs(internal_power)
     assert abs(load_power - kinetic_rate - internal_power) < 1e-10 * scale
-    np.testing.assert_allclose(
-        right_hand_side.evaluation.powers, [internal_power, load_power], rtol=1e-10
-    )
+    np.testing.assert_allclose(now.powers, [internal_power, load_power], rtol=1e-10)
 
 
 def test_mass_and_load_are_consistent(rng):
@@ -218,7 +217,7 @@ def test_mass_and_load_are_consistent(rng):
 
 
 def test_watched_point_between_nodes_is_interpolated(rng):
-    bar = make_bar(replace(LOAD_CASE, watched=(13.0, 7.3)), (5, 3), 0.08)
+    bar = make_discretisation(replace(LOAD_CASE, watched=(13.0, 7.3)), (5, 3), 0.08)
     x, y = bar.nodes[bar.free].T
     field = np.stack([2.0 * x + 0.3 * x * y, -x * y], axis=1)
     expected = [2.0 * 13.0 + 0.3 * 13.0 * 7.3, -13.0 * 7.3]

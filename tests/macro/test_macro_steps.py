@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import RK45
 
 from surrofe2.errors import SimulationError
 from surrofe2.macro import simulate
-from surrofe2.macro.mesh import make_bar
-from surrofe2.macro.right_hand_side import RightHandSide, Tally
-from surrofe2.macro.time_integration import Stepper, damped
+from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.dormand_prince import DormandPrince
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.simulation import make_method
+from surrofe2.macro.time_stepping import NO_MEMORY, Standing, Stepper
 from surrofe2.stress_law import Status
 
 from .analytic_laws import Failing, KelvinVoigt
@@ -38,30 +41,31 @@ class FailsAtQuestions:
 
 
 def stepper_of(law, first_step=0.4):
-    bar = make_bar(LOAD_CASE, (2, 3), law.density)
-    right_hand_side = RightHandSide(bar, law, LOAD_CASE.amplitude_at, Tally())
+    bar = make_discretisation(LOAD_CASE, (2, 3), law.density)
+    equations = EquationsOfMotion(bar, law, LOAD_CASE.amplitude_at)
     y = np.zeros(4 * len(bar.free))
     loose = replace(SETTINGS, absolute_tolerance=1e3)
-    return Stepper(right_hand_side, 0.0, y, 6.0, loose, first_step), right_hand_side.tally
+    method = make_method(equations, loose)
+    return Stepper(equations, method, loose, 6.0, 0.0, y, first_step), equations.tally
 
 
 def test_step_whose_trial_fails_is_repeated_at_half_its_length():
-    # Questions 0 and 1 are at the start; 2 to 7 are the first step's.
-    for question in (2, 5, 7):
+    # Question 0 is at the start; 1 to 6 are the first step's.
+    for question in (1, 4, 6):
         stepper, tally = stepper_of(FailsAtQuestions([question]))
         step = stepper.advance()
-        assert step.t == pytest.approx(0.2, rel=1e-12), question
+        assert step.end.t == pytest.approx(0.2, rel=1e-12), question
         # Having failed, it does not grow at once.
-        assert step.next_step == pytest.approx(0.2, rel=1e-12)
+        assert stepper.next_length == pytest.approx(0.2, rel=1e-12)
         assert tally.counts["failed_trials"] == 1
-        assert stepper.advance().t == pytest.approx(0.4, rel=1e-12)
+        assert stepper.advance().end.t == pytest.approx(0.4, rel=1e-12)
 
 
 def test_unfailing_step_has_its_length_and_grows():
     stepper, tally = stepper_of(FailsAtQuestions([]))
     step = stepper.advance()
-    assert step.t == pytest.approx(0.4, rel=1e-12)
-    assert step.next_step > 0.5
+    assert step.end.t == pytest.approx(0.4, rel=1e-12)
+    assert stepper.next_length > 0.5
     assert tally.counts["failed_trials"] == 0
 
 
@@ -89,10 +93,10 @@ def test_step_whose_end_the_law_refuses_is_taken_back():
     plain, _ = stepper_of(KelvinVoigt(), first_step=0.2)
     step, expected = stepper.advance(), plain.advance()
     assert tally.counts["failed_trials"] == 1
-    assert step.t_old == 0.0
-    assert step.t == pytest.approx(0.2, rel=1e-12)
-    np.testing.assert_allclose(step.y, expected.y, rtol=1e-10, atol=1e-14)
-    np.testing.assert_allclose(step.work(step.t), expected.work(step.t), rtol=1e-10)
+    assert step.start.t == 0.0
+    assert step.end.t == pytest.approx(0.2, rel=1e-12)
+    np.testing.assert_allclose(step.end.y, expected.end.y, rtol=1e-10, atol=1e-14)
+    np.testing.assert_allclose(step.work(step.end.t), expected.work(expected.end.t), rtol=1e-10)
 
 
 def test_refused_steps_leave_the_motion_as_it_is():
@@ -175,6 +179,66 @@ def test_step_length_settles_where_stability_limits_it():
 def test_step_length_follows_the_error():
     """The next step keeps its length where the error is 0.27, 0.9^(1/0.08), of that allowed."""
     error = 0.9 ** (1.0 / 0.08)
-    assert damped(2.0, 2.0 * 0.9 * error**-0.2, np.inf) == pytest.approx(2.0)
-    assert damped(2.0, 2.0 * 0.9, np.inf) < 2.0 < damped(2.0, 20.0, np.inf)
-    assert damped(2.0, 20.0, 2.0) == 2.0
+    ratio = DormandPrince.control.ratio
+    assert ratio(error) == pytest.approx(1.0)
+    assert ratio(1.0) < 1.0 < ratio(0.0)
+    assert ratio(0.0, may_grow=False) < 1.0
+    assert ratio(2.0) == pytest.approx(0.9 * 2.0**-0.2)
+    assert ratio(1e9) == 0.2
+
+
+class Oscillator:
+    """Evaluations of ẏ = (y₂, −y₁), exact y = (sin t, cos t); the power is that of y₁²."""
+
+    def __call__(self, t, y):
+        rate = np.array([y[1], -y[0]])
+        powers = np.array([2.0 * y[0] * y[1], 0.0])
+        nothing = np.empty((0, 2, 2))
+        return Evaluation(t, y, *[nothing] * 6, powers, rate)
+
+    def steps(self, count, tolerance=1.0):
+        """As many over one unit of time, with their results."""
+        method = DormandPrince(self, tolerance, tolerance)
+        now, results = self(0.0, np.array([0.0, 1.0])), []
+        for k in range(count):
+            results.append(method.step(Standing(now, NO_MEMORY), (k + 1) / count))
+            now = results[-1].end
+        return results
+
+
+def exact(t):
+    return np.array([np.sin(t), np.cos(t)])
+
+
+def test_dormand_prince_is_of_fifth_order_and_of_fourth_within_a_step():
+    """Its error estimate goes with the fifth power of the length, as of a fourth-order step."""
+    ends, middles, estimates, works = [], [], [], []
+    for count in (5, 10, 20):
+        steps = Oscillator().steps(count)
+        ends.append(abs(steps[-1].end.y - exact(1.0)).max())
+        middle = steps[0].start.t + 0.4 * steps[0].length
+        middles.append(abs(steps[0].interpolate(middle) - exact(middle)).max())
+        works.append(abs(sum(step.work(step.end.t)[0] for step in steps) - np.sin(1.0) ** 2))
+        estimates.append(steps[0].error)
+    for errors, rate in ((ends, 5), (middles, 5), (works, 5), (estimates, 5)):
+        assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(rate, abs=0.5)
+
+
+def test_dormand_prince_takes_the_steps_of_scipy():
+    """The same pair, first step and error: scipy's RK45, whose lengths are given to both."""
+    tolerance = 1e-6
+    reference = RK45(lambda t, y: np.array([y[1], -y[0]]), 0.0, exact(0.0), 9.0, rtol=tolerance)
+    method = DormandPrince(Oscillator(), 1e-6, tolerance)
+    standing = Standing(Oscillator()(0.0, exact(0.0)), NO_MEMORY)
+    assert method.first_length(standing, 9.0) == pytest.approx(reference.h_abs, rel=1e-12)
+    for _ in range(5):
+        reference.step()
+        step = method.step(standing, reference.t)
+        np.testing.assert_allclose(step.end.y, reference.y, rtol=1e-14)
+        middle = 0.3 * step.start.t + 0.7 * step.end.t
+        np.testing.assert_allclose(
+            step.interpolate(middle), reference.dense_output()(middle), rtol=1e-14
+        )
+        growth = reference.h_abs / step.length
+        assert growth == pytest.approx(min(10.0, 0.9 * step.error**-0.2), rel=1e-9)
+        standing = Standing(step.end, step.memory)

@@ -5,9 +5,9 @@ import pytest
 
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
-from surrofe2.macro.mesh import make_bar
-from surrofe2.macro.tangent_assembly import (
+from surrofe2.macro.tangents import (
     assembled_tangents,
     make_pattern,
     mass_matrix,
@@ -63,7 +63,7 @@ def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisati
         RveSettings(initialisation=initialisation, tolerance=1e-10),
     )
     load_case = LoadCase(width=50.0, height=50.0, watched=(50.0, 25.0))
-    bar = make_bar(load_case, (2, 1), law.density)
+    bar = make_discretisation(load_case, (2, 1), law.density)
     u, v = random_state(bar, rng, 0.4)
     v *= 0.2
     tangents, answer = exact(bar, law, u, v)
@@ -74,7 +74,7 @@ def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisati
 
 
 def test_pattern_joins_all_nodes_of_an_element_and_no_others():
-    bar = make_bar(LoadCase(), (3, 2), 0.08)
+    bar = make_discretisation(LoadCase(), (3, 2), 0.08)
     pattern = make_pattern(bar)
     joined = pattern.assemble(np.ones((6, 8, 8))).toarray() > 0.0
     near = abs(bar.nodes[bar.free][:, None] - bar.nodes[bar.free]) <= [134.0, 201.0]
@@ -82,7 +82,7 @@ def test_pattern_joins_all_nodes_of_an_element_and_no_others():
 
 
 def test_mass_of_both_components(rng):
-    bar = make_bar(LoadCase(), (3, 2), 0.08)
+    bar = make_discretisation(LoadCase(), (3, 2), 0.08)
     a = rng.normal(size=(len(bar.free), 2))
     np.testing.assert_allclose(mass_matrix(bar) @ a.ravel(), (bar.mass @ a).ravel(), rtol=1e-13)
 

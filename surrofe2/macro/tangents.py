@@ -1,4 +1,4 @@
-"""Assembled tangents of the internal force: K = ∂f/∂u and C = ∂f/∂v, sparse."""
+"""Tangents of the internal force, assembled and sparse: K = ∂f/∂u and C = ∂f/∂v."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from scipy.sparse import csc_matrix, kron
 from scipy.sparse.linalg import splu
 
 from surrofe2.errors import InputError
-from surrofe2.macro.mesh import Bar
-from surrofe2.macro.selective_quadrature import N_GAUSS, N_POINTS
+from surrofe2.macro.discretisation import N_GAUSS, N_POINTS, Discretisation
 from surrofe2.stress_law import StressResponse, Tangents
 from surrofe2.tensors import det
 
@@ -47,11 +46,11 @@ class Pattern:
         return csc_matrix((values, self.indices, self.indptr), shape=(self.size, self.size))
 
 
-def make_pattern(bar: Bar) -> Pattern:
-    """The pattern of a bar."""
-    size = 2 * len(bar.free)
-    unknowns = (2 * bar.rows[:, :, None] + np.arange(2)).reshape(-1, 8)
-    held = np.repeat(bar.rows < 0, 2, axis=1)
+def make_pattern(discretisation: Discretisation) -> Pattern:
+    """The pattern of a discretisation."""
+    size = 2 * len(discretisation.free)
+    unknowns = (2 * discretisation.rows[:, :, None] + np.arange(2)).reshape(-1, 8)
+    held = np.repeat(discretisation.rows < 0, 2, axis=1)
     row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
     kept = np.flatnonzero(~(held[:, :, None] | held[:, None, :]))
     code, slot = np.unique((column * size + row).ravel()[kept], return_inverse=True)
@@ -59,9 +58,9 @@ def make_pattern(bar: Bar) -> Pattern:
     return Pattern(size, kept, slot, code % size, indptr)
 
 
-def mass_matrix(bar: Bar) -> csc_matrix:
+def mass_matrix(discretisation: Discretisation) -> csc_matrix:
     """(2 n_free, 2 n_free) consistent mass of both components, ng."""
-    return csc_matrix(kron(bar.mass, np.eye(2)))
+    return csc_matrix(kron(discretisation.mass, np.eye(2)))
 
 
 def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
@@ -74,7 +73,7 @@ def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
 
 
 def assembled_tangents(
-    bar: Bar, pattern: Pattern, F: Array, response: StressResponse
+    discretisation: Discretisation, pattern: Pattern, F: Array, response: StressResponse
 ) -> tuple[csc_matrix, csc_matrix]:
     """K = ∂f/∂u (µN/µm) and C = ∂f/∂v (µN µs/µm) of `internal_force`, (2 n_free, 2 n_free).
 
@@ -89,8 +88,8 @@ def assembled_tangents(
         raise InputError("tangents: the stress law gave none; ask it for them")
     by_F, by_F_dot = effective_tangents(F, response.stress, response.tangents)
     return (
-        pattern.assemble(_element_matrices(bar, by_F)),
-        pattern.assemble(_element_matrices(bar, by_F_dot)),
+        pattern.assemble(_element_matrices(discretisation, by_F)),
+        pattern.assemble(_element_matrices(discretisation, by_F_dot)),
     )
 
 
@@ -117,10 +116,10 @@ def effective_tangents(F: Array, stress: Array, tangents: Tangents) -> tuple[Arr
     return by_F, by_F_dot
 
 
-def _element_matrices(bar: Bar, tangent: Array) -> Array:
+def _element_matrices(discretisation: Discretisation, tangent: Array) -> Array:
     """(n_el, 8, 8) Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k)."""
-    gradients = bar.quadrature.gradients
-    weighted = bar.quadrature.weights[:, :, None, None] * gradients
+    gradients = discretisation.gradients
+    weighted = discretisation.weights[:, :, None, None] * gradients
     tangent = tangent.reshape(-1, N_POINTS, 2, 2, 2, 2)
     right = np.einsum("eqijkl,eqbl->eqijbk", tangent, gradients)
     matrices: Array = np.einsum("eqaj,eqijbk->eaibk", weighted, right)

@@ -1,0 +1,115 @@
+"""Dormand–Prince 5(4): one explicit step with error, dense output and work.
+
+Dormand and Prince, A family of embedded Runge–Kutta formulae, J. Comput. Appl. Math. 6 (1980)
+19–26; the interpolation is Shampine's, Math. Comp. 46 (1986) 135–150, with his optimal c₆. The
+last stage is the first of the next step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.macro.equations_of_motion import Evaluation, NoStress, Switched
+from surrofe2.macro.time_stepping import NO_MEMORY, Standing, StepControl, StepResult
+
+Array = NDArray[np.float64]
+
+STAGES = 7
+TIMES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
+WEIGHTS = tuple(
+    np.array(row)
+    for row in (
+        (),
+        (1 / 5,),
+        (3 / 40, 9 / 40),
+        (44 / 45, -56 / 15, 32 / 9),
+        (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+        (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+        (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+    )
+)
+"""Of the rates of the stages before, for each stage; the last row leads to the end."""
+ERROR = np.array([-71 / 57600, 0.0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40])
+"""Fourth-order minus fifth-order weights."""
+BULGE = np.array(
+    [
+        -12715105075 / 11282082432,
+        0.0,
+        87487479700 / 32700410799,
+        -10690763975 / 1880347072,
+        701980252875 / 199316789632,
+        -1453857185 / 822651844,
+        69997945 / 29380423,
+    ]
+)
+"""Of the rates, for `StepResult.bulge`: fourth order within the step, fifth at its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class DormandPrince:
+    """The explicit `Method`; it needs no memory, for each step starts anew from y.
+
+    Attributes:
+        rhs: ẏ and powers at (t, y), or why there are none.
+        absolute_tolerance, relative_tolerance: error of y allowed in a step.
+    """
+
+    rhs: Callable[[float, Array], Evaluation | NoStress | Switched]
+    absolute_tolerance: float
+    relative_tolerance: float
+
+    control = StepControl(order=5, gain=0.4, largest_growth=10.0, splits_rest=False)
+
+    def step(
+        self, start: Standing, t: float, found: Switched | None = None
+    ) -> StepResult | NoStress | Switched:
+        """The step from `start` to time t.
+
+        Its work is what the method itself would find were the work two more components of y
+        without a say in the error.
+        """
+        at = now = start.now
+        h = t - at.t
+        rates, powers = np.empty((STAGES, at.y.size)), np.empty((STAGES, 2))
+        rates[0], powers[0] = at.rate, at.powers
+        for stage in range(1, STAGES):
+            y = at.y + h * (WEIGHTS[stage] @ rates[:stage])
+            trial = self.rhs(at.t + TIMES[stage] * h if stage < STAGES - 2 else t, y)
+            if not isinstance(trial, Evaluation):
+                return trial
+            now, rates[stage], powers[stage] = trial, trial.rate, trial.powers
+        allowed = self._allowed(np.maximum(abs(at.y), abs(now.y)))
+        return StepResult(
+            start=at,
+            end=now,
+            error=_root_mean_square(h * (ERROR @ rates) / allowed),
+            mean_power=WEIGHTS[-1] @ powers[:-1],
+            bulge=BULGE @ rates,
+            power_bulge=BULGE @ powers,
+            memory=NO_MEMORY,
+        )
+
+    def first_length(self, start: Standing, t_end: float) -> float | NoStress | Switched:
+        """Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4."""
+        at = start.now
+        allowed = self._allowed(abs(at.y))
+        size, speed = _root_mean_square(at.y / allowed), _root_mean_square(at.rate / allowed)
+        short = 1e-6 if min(size, speed) < 1e-5 else 0.01 * size / speed
+        short = min(short, t_end - at.t)
+        ahead = self.rhs(at.t + short, at.y + short * at.rate)
+        if not isinstance(ahead, Evaluation):
+            return ahead
+        fastest = max(speed, _root_mean_square((ahead.rate - at.rate) / allowed) / short)
+        length = max(1e-6, 1e-3 * short) if fastest <= 1e-15 else (0.01 / fastest) ** 0.2
+        return min(100.0 * short, length, t_end - at.t)
+
+    def _allowed(self, size: Array) -> Array:
+        return self.absolute_tolerance + self.relative_tolerance * size
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.linalg.norm(values)) / float(np.sqrt(values.size))

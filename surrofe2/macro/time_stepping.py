@@ -1,0 +1,245 @@
+"""Time steps of either method: their length from their error, halved where the law fails.
+
+A method tries one step and hands back a `StepResult`, or why there is none. Here its error decides
+whether the step is kept, the law is asked to accept its end, and the next length is chosen. A trial
+in which points leave their branch of the law is repeated at its length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import SimulationError
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.settings import MacroSettings
+
+Array = NDArray[np.float64]
+
+MAX_HALVINGS = 10
+NO_MEMORY: Array = np.empty(0)
+_SAFETY, _SHRINK = 0.9, 0.2
+_SMALLEST, _ROUNDING = 1e-10, 10.0
+"""Smallest step that an error may ask for, by the duration, and any step, by the spacing of t."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where a step begins.
+
+    Attributes:
+        now: the evaluation there.
+        memory: what the method knows of earlier steps; empty if it needs nothing, or at the start.
+    """
+
+    now: Evaluation
+    memory: Array
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """A complete step; what is integrated from its start, y and the work, is within it
+
+        h [θ m + θ (1 − θ) (r₀ − m) + θ² (1 − θ) (2 m − r₀ − r₁) + θ² (1 − θ)² b],
+
+    θ from 0 to 1, h the length, r₀ and r₁ the rates at its ends, m the mean rate: the cubic
+    through both ends, and a bulge.
+
+    Attributes:
+        start, end: evaluations at both ends.
+        error: root mean square of the error of y relative to the tolerances; kept up to 1.
+        mean_power: (2,) of the internal force and the load, pJ/µs.
+        bulge, power_bulge: b of y, (4 n_free,), and of the work, (2,); 0 if there is none.
+        memory: for the step that begins at its end.
+    """
+
+    start: Evaluation
+    end: Evaluation
+    error: float
+    mean_power: Array
+    bulge: Array | float
+    power_bulge: Array | float
+    memory: Array
+
+    @property
+    def length(self) -> float:
+        """µs."""
+        return self.end.t - self.start.t
+
+    def interpolate(self, t: float) -> Array:
+        """(4 n_free,) y at a time within the step."""
+        start, end = self.start, self.end
+        mean = (end.y - start.y) / self.length
+        return start.y + self._integral(t, mean, start.rate, end.rate, self.bulge)
+
+    def work(self, t: float) -> Array:
+        """(2,) internal and load work from the start to t, pJ."""
+        powers = self.start.powers, self.end.powers
+        return self._integral(t, self.mean_power, *powers, self.power_bulge)
+
+    def _integral(self, t: float, mean: Array, first: Array, last: Array, b: Any) -> Array:
+        s = (t - self.start.t) / self.length
+        bent = (1.0 - s) * (first - mean + s * (2.0 * mean - first - last + (1.0 - s) * b))
+        integral: Array = self.length * s * (mean + bent)
+        return integral
+
+
+@dataclass(frozen=True, slots=True)
+class StepControl:
+    """How the length of the next step follows the error of the last.
+
+    Attributes:
+        order: the error goes with this power of the length.
+        gain: 1 answers the error in full. A weaker answer settles where stability and not
+            accuracy limits the step, while the full one swings between rejected and needlessly
+            short steps (Hairer and Wanner 1996, Solving Ordinary Differential Equations II, IV.2).
+        largest_growth: the next step is asked to be at most so many times as long.
+        splits_rest: a run ends by two equal steps rather than by a long and a short one.
+    """
+
+    order: int
+    gain: float
+    largest_growth: float
+    splits_rest: bool
+
+    def ratio(self, error: float, *, may_grow: bool = True) -> float:
+        """Length of the next step, or of the next trial where `error` is above 1, to this one."""
+        wanted = _SAFETY * max(error, 1e-9) ** (-1.0 / self.order)
+        if error > 1.0:
+            return max(_SHRINK, wanted)
+        wanted = min(wanted, self.largest_growth if may_grow else 1.0)
+        return float(max(_SAFETY * (wanted / _SAFETY) ** self.gain, 0.5 * wanted))
+
+
+class Method(Protocol):
+    """One step of a time integration; nothing of it changes from step to step."""
+
+    @property
+    def control(self) -> StepControl:
+        """How it chooses its steps."""
+
+    def first_length(self, start: Standing, t_end: float) -> float | NoStress | Switched:
+        """Length of the first step, µs."""
+
+    def step(
+        self, start: Standing, t: float, found: Switched | None
+    ) -> StepResult | NoStress | Switched:
+        """The step from `start` to time t.
+
+        Args:
+            found: where the same step was restarted before; a guess of its end.
+        """
+
+
+class Stepper:
+    """Accepted steps, one after another, from (t, y) to t_end.
+
+    Attributes:
+        standing: where the next step begins.
+        next_length: proposed for the next step, µs; by the method if it is not given.
+
+    Raises:
+        SimulationError: there is no stress where it starts.
+    """
+
+    def __init__(
+        self,
+        equations: EquationsOfMotion,
+        method: Method,
+        settings: MacroSettings,
+        t_end: float,
+        t: float,
+        y: Array,
+        next_length: float | None = None,
+        memory: Array = NO_MEMORY,
+    ) -> None:
+        self._equations, self._method = equations, method
+        self._largest, self._t_end = settings.largest_step, t_end
+        start = equations.evaluate(t, y)
+        if isinstance(start, Evaluation):
+            start = equations.accept(start)
+        if not isinstance(start, Evaluation):
+            raise SimulationError(f"the run cannot start: {start.message}")
+        self.standing = Standing(start, memory)
+        length: float | NoStress | Switched
+        length = next_length or method.first_length(self.standing, t_end)
+        while isinstance(length, Switched):
+            length = self._restart(length) or method.first_length(self.standing, t_end)
+        if isinstance(length, NoStress):
+            raise SimulationError(f"the run cannot start: {length.message}")
+        self.next_length = min(length, self._largest)
+
+    def advance(self) -> StepResult:
+        """The next accepted step.
+
+        Each trial without stress, or whose end the law does not accept, halves its length. A
+        trial in which points left their branch of the law is repeated as it was; each time there
+        are more of them, so that comes to an end.
+
+        Raises:
+            SimulationError: ten halvings in a row, or the error asks for a step below rounding.
+        """
+        counts, control = self._equations.tally.counts, self._method.control
+        halvings, rejected, found = 0, False, None
+        while True:
+            t = self._target()
+            length = t - self.standing.now.t
+            trial = self._method.step(self.standing, t, found)
+            found, failure = None, None
+            if isinstance(trial, Switched):
+                found, failure = trial, self._restart(trial)
+            elif isinstance(trial, NoStress):
+                failure = trial
+            elif trial.error > 1.0:
+                counts["rejected_steps"] += 1
+                rejected, self.next_length = True, length * control.ratio(trial.error)
+                if self.next_length < _SMALLEST * self._t_end:
+                    raise SimulationError(
+                        f"time integration stopped at t = {self.standing.now.t:.6g} µs: the error "
+                        "asks for steps below rounding; loosen the tolerances"
+                    )
+            else:
+                start = self._equations.accept(trial.end)
+                if isinstance(start, Evaluation):
+                    counts["steps"] += 1
+                    ratio = control.ratio(trial.error, may_grow=not rejected)
+                    # After a failure do not grow straight back into it.
+                    wanted = length * (min(ratio, 1.0) if halvings else ratio)
+                    # A step cut short to meet the end says nothing against the longer one.
+                    longest = max(wanted, self.next_length if t == self._t_end else 0.0)
+                    self.next_length = min(self._largest, longest)
+                    self.standing = Standing(start, trial.memory)
+                    return trial
+                failure = start
+            if failure is not None:
+                counts["failed_trials"] += 1
+                if halvings == MAX_HALVINGS:
+                    raise SimulationError(
+                        f"no time step succeeds after {MAX_HALVINGS} halvings: {failure.message}"
+                    )
+                halvings, rejected, found, self.next_length = (
+                    halvings + 1,
+                    False,
+                    None,
+                    0.5 * length,
+                )
+
+    def _target(self) -> float:
+        """Time to step to."""
+        t = self.standing.now.t
+        left, h = self._t_end - t, min(self.next_length, self._largest)
+        h = max(h, _ROUNDING * float(np.spacing(t)))
+        if h * (1.0 + 1e-9) >= left:
+            return self._t_end
+        return t + (0.5 * left if self._method.control.splits_rest and 2.0 * h > left else h)
+
+    def _restart(self, found: Switched) -> NoStress | None:
+        """Begin the step under way on the branches that points switched to."""
+        start = self._equations.restart_step(found.points)
+        if isinstance(start, NoStress):
+            return start
+        self.standing = Standing(start, self.standing.memory)
+        return None
