@@ -25,9 +25,9 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=0.5)
     given = parser.parse_args()
 
-    from surrofe2.cli.laws import choose_law, warm_up
     from surrofe2.macro import MacroSettings, simulate
     from surrofe2.recipe import load_recipe
+    from surrofe2.workflow.laws import choose_law, warm_up
 
     recipe = load_recipe(given.recipe)
     chosen = choose_law(recipe, given.law, given.surrogate)

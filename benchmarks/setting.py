@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from surrofe2 import CachedLaw, CellParameters, RveLaw, SurrogateLaw
 from surrofe2.cache import CacheSettings
-from surrofe2.cli.generate import generate_data_set
-from surrofe2.cli.train import train_surrogate
+from surrofe2.errors import MismatchError
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveSettings
 from surrofe2.rve.unit_cell import UnitCell, make_unit_cell
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.train import train_surrogate
 
 if TYPE_CHECKING:
     from surrofe2.recipe import Recipe
@@ -78,8 +79,13 @@ class Setting:
         recipe = self.recipe(preset)
         if not recipe.training_path().exists():
             print(f"    training {recipe.training_path().name}, once")
-        generate_data_set(recipe, resume=True)
-        return train_surrogate(recipe, resume=True, keep=True, force=True).surrogate
+        try:
+            generate_data_set(recipe)
+            return train_surrogate(recipe).surrogate
+        except MismatchError as error:
+            print(f"    {error}: made anew")
+            generate_data_set(recipe, fresh=True)
+            return train_surrogate(recipe, fresh=True).surrogate
 
     def cached(self, preset: str, tolerance: float = CacheSettings().tolerance) -> CachedLaw:
         """That surrogate with true RVEs to fall back to."""

@@ -1,4 +1,4 @@
-"""Make the data set of a recipe: `python data/generate.py data/bending-bar.toml [--resume]`.
+"""Make the data set of a recipe: `python data/generate.py data/bending-bar.toml`.
 
 The same as `surrofe2 generate`.
 """

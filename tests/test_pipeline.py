@@ -7,13 +7,13 @@ from shutil import copy
 
 import pytest
 
-from surrofe2.cli.compare import compare_runs
-from surrofe2.cli.generate import generate_data_set
-from surrofe2.cli.run import run_study
-from surrofe2.cli.train import train_surrogate
 from surrofe2.recipe import load_recipe
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
+from surrofe2.workflow.comparison import compare_runs
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.run import run_study
+from surrofe2.workflow.train import train_surrogate
 
 RECIPES = Path(__file__).parent.parent / "data"
 FEWER_PATHS = CalibrationSettings(walks=150, states=600, runs=0)

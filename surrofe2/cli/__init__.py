@@ -1,30 +1,40 @@
-"""The command line: parse, call, write. Only here are laws, macro scale and files wired together.
+"""The command line: parse, call a workflow, print what came of it.
 
-Modules of the numerics are imported inside the commands, so that `surrofe2 --help` is quick.
+`COMMANDS` names each command with its line of help; the module of a command is imported when the
+command is called, so `surrofe2 --help` imports nothing heavy.
 """
 
 from __future__ import annotations
 
+import logging
+import shlex
 import sys
-from typing import Annotated
+from importlib import import_module
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from surrofe2.cli.compare import compare
-from surrofe2.cli.console import CarefulGroup
-from surrofe2.cli.demo import demo
-from surrofe2.cli.generate import generate
-from surrofe2.cli.memory import memory
-from surrofe2.cli.modes import modes
-from surrofe2.cli.moduli import moduli
-from surrofe2.cli.refine import refine
-from surrofe2.cli.reproduce import reproduce
-from surrofe2.cli.rest import rest
-from surrofe2.cli.run import run
-from surrofe2.cli.sweep import sweep
-from surrofe2.cli.table import table
-from surrofe2.cli.tissue import tissue
-from surrofe2.cli.train import train
+from surrofe2.cli.console import INTERRUPTED, InterruptedWork, PrintHandler, print_error
+from surrofe2.errors import Surrofe2Error
+
+COMMANDS = {
+    "generate": "Compute plant-cell stresses over a range of (F, Ḟ) into a data set.",
+    "train": "Fit a surrogate of the plant-cell stress to the recipe's data set.",
+    "run": "Run the recipe's load case by true, learnt or cached stresses.",
+    "refine": "Teach the surrogate what the recipe's own run meets.",
+    "tissue": "Run the recipe's load case on all particles of the tissue.",
+    "compare": "Compare displacement curves and costs of runs of one load case.",
+    "sweep": "Run the load case at several stress tolerances: what a tolerance buys.",
+    "rest": "Find the tissue at rest under the recipe's body force.",
+    "modes": "Period and damping of the bar's small oscillations.",
+    "demo": "The bending bar by true and by cached FE²: all steps and their comparison.",
+    "reproduce": "A figure of the paper, its data as CSV and its numbers as JSON.",
+    "moduli": "Elastic and viscous moduli of a plant cell at rest.",
+    "memory": "Whether a cache on (F, Ḟ) is sound: does stress depend on the past?",
+    "table": "Show and merge the tables that runs by --law table leave behind.",
+}
 
 _HELP = """
 FE² for plant tissue, true or through a learnt stress cache.
@@ -50,13 +60,67 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
 [bold]surrofe2 sweep RECIPE --out out/sweep[/bold]
   what a stress tolerance buys: error, hits and speed over tolerances
 
-[bold]surrofe2 rest[/bold] finds the tissue at rest under its load, [bold]surrofe2 modes[/bold] its
-small oscillations. [bold]surrofe2 demo[/bold] does all steps above. [bold]surrofe2
-reproduce[/bold] draws the paper's figures; [bold]surrofe2 moduli[/bold] and [bold]surrofe2
-memory[/bold] characterise a plant cell.
+Called again, a command keeps what is finished and goes on with what was interrupted;
+[bold]--fresh[/bold] starts over. [bold]surrofe2 demo[/bold] does the main steps in one go.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """
+
+
+class Commands(TyperGroup):
+    """Commands from `COMMANDS`, each of which ends with one line instead of a traceback."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Their names in the order of help."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A command as help shows it, without its module."""
+        line = COMMANDS.get(cmd_name)
+        return None if line is None else TyperCommand(cmd_name, help=line)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is called, from its module."""
+        name, shown, rest = super().resolve_command(ctx, args)
+        if name is None or shown is None:
+            return name, shown, rest
+        found = getattr(import_module(f"surrofe2.cli.{name}"), name)
+        if isinstance(found, typer.Typer):
+            command: Any = typer.main.get_command(found)
+        else:
+            single = typer.Typer(rich_markup_mode="rich", add_completion=False)
+            single.command(name, help=_flowing(found.__doc__))(found)
+            command = typer.main.get_command(single)
+        command.name = name
+        return name, command, rest
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take --traceback wherever it stands, before or after the command."""
+        if "--traceback" in args:
+            args = ["--traceback", *(entry for entry in args if entry != "--traceback")]
+        ctx.meta["arguments"] = list(args)
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the chosen command and turn known failures into an exit code."""
+        try:
+            return super().invoke(ctx)
+        except Surrofe2Error as error:
+            if ctx.params.get("traceback"):
+                raise
+            print_error(f"error: {error}")
+            raise typer.Exit(1) from None
+        except InterruptedWork as work:
+            print_error(f"interrupted: {work}; go on with: {_again(ctx)}")
+            raise typer.Exit(INTERRUPTED) from None
+        except KeyboardInterrupt:
+            print_error("interrupted: nothing was changed")
+            raise typer.Exit(INTERRUPTED) from None
+
+
+def _again(ctx: Any) -> str:
+    """The command that goes on where this one was interrupted."""
+    return shlex.join(["surrofe2", *(a for a in ctx.meta["arguments"] if a != "--fresh")])
 
 
 def _flowing(docstring: str | None) -> str:
@@ -66,7 +130,7 @@ def _flowing(docstring: str | None) -> str:
 
 
 app = typer.Typer(
-    cls=CarefulGroup,
+    cls=Commands,
     help=_HELP,
     rich_markup_mode="rich",
     no_args_is_help=True,
@@ -78,8 +142,6 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
         typer.echo(f"surrofe2 {version('surrofe2')}")
         raise typer.Exit
 
@@ -100,15 +162,10 @@ def options(
     ] = False,
 ) -> None:
     """Options before the command."""
-
-
-_COMMANDS = (
-    generate, train, run, refine, tissue, compare, sweep, rest, modes, demo, reproduce, moduli,
-    memory,
-)  # fmt: skip
-for _command in _COMMANDS:
-    app.command(help=_flowing(_command.__doc__))(_command)
-app.add_typer(table, name="table")
+    package = logging.getLogger("surrofe2")
+    if not package.handlers:
+        package.addHandler(PrintHandler())
+        logging.getLogger("surrofe2.workflow").setLevel(logging.INFO)
 
 
 def main() -> None:

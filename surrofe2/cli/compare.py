@@ -1,41 +1,23 @@
-"""`surrofe2 compare`: run folders against each other."""
+"""`surrofe2 compare`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import say, show_table
-
-if TYPE_CHECKING:
-    from surrofe2.report.comparison import Comparison
-
-FILES = ("comparison.json", "comparison.png")
-
-
-def compare_runs(folders: list[Path], out: Path, *, force: bool = False) -> Comparison:
-    """Compare runs and write comparison.json and comparison.png into `out`."""
-    from surrofe2.io.files import refuse_existing, write_json
-    from surrofe2.io.runs import read_run
-    from surrofe2.report.comparison import compare
-    from surrofe2.report.comparison_plot import write_comparison_plot
-
-    for name in () if force else FILES:
-        refuse_existing(out / name)
-    runs = [read_run(folder) for folder in folders]
-    result = compare(runs)
-    write_json(out / FILES[0], result.to_dict())
-    write_comparison_plot(out / FILES[1], result, runs)
-    return result
+from surrofe2.cli.console import print_line, show_table
+from surrofe2.cli.options import Fresh
+from surrofe2.report.comparison import Comparison
+from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs
 
 
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Run folders, two or more.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace a comparison in DIR.")] = False,
+    fresh: Fresh = False,
 ) -> None:
     """Compare displacement curves and costs of runs of one load case.
 
@@ -45,12 +27,12 @@ def compare(
 
     Example: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
     """
-    result = compare_runs(runs, out, force=force)
+    result = compare_runs(runs, out, fresh=fresh)
     show_comparison(result)
-    say(f"{out}: {' and '.join(FILES)} written")
+    print_line(f"{out}: {' and '.join(COMPARISON_FILES)}")
 
 
-def show_comparison(result: Comparison) -> None:
+def show_comparison(result: Comparison, of: str = "") -> None:
     """The figures of a comparison as a table."""
     columns = ["run", "largest difference", "RMS", "wall time", "speed-up", "fewer RVE solves"]
     rows = [
@@ -64,10 +46,12 @@ def show_comparison(result: Comparison) -> None:
         ]
         for run in result.runs
     ]
-    show_table(f"Against {result.reference}", columns, rows)
+    show_table(
+        f"{of}, against {result.reference}" if of else f"Against {result.reference}", columns, rows
+    )
     for run in result.runs:
         if run.audit is not None and run.audit["audited"]:
-            say(f"{run.name}: {audit_line(run.audit)}")
+            print_line(f"{run.name}: {audit_line(run.audit)}")
 
 
 def audit_line(audit: Mapping[str, Any]) -> str:

@@ -2,70 +2,49 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import typer
-from typer.core import TyperGroup
-
-from surrofe2.errors import Surrofe2Error
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
 
 INTERRUPTED = 130
+
+
+class PrintHandler(logging.Handler):
+    """Prints what the package logs: remarks on stdout, warnings on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record."""
+        sentence = record.getMessage()
+        (print_error if record.levelno >= logging.WARNING else print_line)(sentence)
+
 
 Report = Callable[[float, str], None]
 
 
 class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
-    """Ctrl-C; the message says what was kept and how to go on."""
+    """Ctrl-C; the message says what was kept."""
 
 
-class CarefulGroup(TyperGroup):
-    """Ends every command with one line instead of a traceback, unless one is asked for."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take --traceback wherever it stands, before or after the command."""
-        if "--traceback" in args:
-            args = ["--traceback", *(entry for entry in args if entry != "--traceback")]
-        return super().parse_args(ctx, args)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the chosen command and turn known failures into an exit code."""
-        try:
-            return super().invoke(ctx)
-        except Surrofe2Error as error:
-            if ctx.params.get("traceback"):
-                raise
-            complain(f"error: {error}")
-            raise typer.Exit(1) from None
-        except InterruptedWork as work:
-            complain(f"interrupted: {work}")
-            raise typer.Exit(INTERRUPTED) from None
-        except KeyboardInterrupt:
-            complain("interrupted: nothing was changed")
-            raise typer.Exit(INTERRUPTED) from None
-
-
-def complain(sentence: str) -> None:
+def print_error(sentence: str) -> None:
     """One red line on stderr, never wrapped, its brackets taken as they are."""
-    from rich.console import Console
-    from rich.text import Text
-
     line = " ".join(sentence.split())
     Console(stderr=True).print(Text(line, style="red"), soft_wrap=True)
 
 
-def say(sentence: str) -> None:
+def print_line(sentence: str) -> None:
     """One line on stdout."""
     typer.echo(sentence)
 
 
 def show_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """A table on stdout; the first column names, the others are figures."""
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table(title=title, title_justify="left")
     for k, column in enumerate(columns):
         table.add_column(column, justify="right" if k else "left", overflow="fold")
@@ -75,8 +54,8 @@ def show_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
 
 
 @contextmanager
-def keeping(what: str) -> Iterator[None]:
-    """Say what was kept and how to go on where Ctrl-C ends the block.
+def on_interrupt(what: str) -> Iterator[None]:
+    """Say what was kept where Ctrl-C ends the block; how to go on is said after it.
 
     Raises:
         InterruptedWork: Ctrl-C.
@@ -93,8 +72,6 @@ def progress(what: str, total: float, unit: str) -> Iterator[Report]:
 
     In a terminal a bar on stderr; elsewhere a plain line each tenth of the way.
     """
-    from rich.console import Console
-
     console = Console(stderr=True)
     if console.is_terminal:
         with _bar(console, what, total, unit) as report:
@@ -104,9 +81,7 @@ def progress(what: str, total: float, unit: str) -> Iterator[Report]:
 
 
 @contextmanager
-def _bar(console: Any, what: str, total: float, unit: str) -> Iterator[Report]:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
+def _bar(console: Console, what: str, total: float, unit: str) -> Iterator[Report]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
@@ -142,11 +117,3 @@ def _lines(what: str, total: float) -> Report:
             typer.echo(f"{what}: {10 * tenth} % {note}".rstrip(), err=True)
 
     return report
-
-
-def duration(seconds: float) -> str:
-    """Seconds as people say them."""
-    if seconds < 60.0:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s"

@@ -1,14 +1,19 @@
-"""`surrofe2 memory`: does the stress of a plant cell depend on its past?"""
+"""`surrofe2 memory`."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import say
-from surrofe2.cli.options import Preset, ReplaceFiles
+from surrofe2.cli.console import print_line
+from surrofe2.cli.options import Fresh, Preset
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.study_files import study_is_there, write_study
+from surrofe2.studies.memory import MemorySettings, describe
+from surrofe2.studies.memory import memory as measure
 
 
 def memory(
@@ -20,7 +25,7 @@ def memory(
     tolerance: Annotated[
         float, typer.Option(help="Part of the stress that may depend on the past.")
     ] = 0.01,
-    force: ReplaceFiles = False,
+    fresh: Fresh = False,
 ) -> None:
     """Whether a cache on (F, Ḟ) is sound: two pasts that end in the same (F, Ḟ).
 
@@ -29,17 +34,13 @@ def memory(
 
     Example: [bold]surrofe2 memory --preset water --out out/memory[/bold]
     """
-    from surrofe2.plant_cell.parameters import CellParameters
-    from surrofe2.report.study_files import check_free, write_study
-    from surrofe2.studies.memory import MemorySettings, describe
-    from surrofe2.studies.memory import memory as measure
-
-    name = f"memory-{preset}"
-    if not force:
-        check_free(out, name)
-    cell = CellParameters.preset(preset)
+    name, cell = f"memory-{preset}", CellParameters.preset(preset)
     settings = MemorySettings(period=period, tolerance=tolerance)
+    asked = asdict(settings)
+    if not fresh and study_is_there(out, name, cell, preset, asked):
+        print_line(f"{out / name}.json: there already")
+        return
     found = measure(cell, settings)
-    for path in write_study(out, describe(found, settings, preset, name), cell, preset):
-        say(str(path))
-    say(found.verdict(settings))
+    for path in write_study(out, describe(found, settings, preset, name), cell, preset, asked):
+        print_line(str(path))
+    print_line(found.verdict(settings))

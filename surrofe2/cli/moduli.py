@@ -1,17 +1,21 @@
-"""`surrofe2 moduli`: elastic and viscous moduli of a plant cell."""
+"""`surrofe2 moduli`."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import complain, say, show_table
-from surrofe2.cli.options import AnyInitialisation, JsonFile, Preset, ReplaceFile
-
-if TYPE_CHECKING:
-    from surrofe2.plant_cell.parameters import CellParameters
-    from surrofe2.studies.moduli_tables import ModuliRow
+from surrofe2.cli.console import print_error, print_line, show_table
+from surrofe2.cli.options import AnyInitialisation, Fresh, JsonFile, Preset
+from surrofe2.io.files import is_there, write_json
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import INITIALISATIONS
+from surrofe2.studies.moduli import cell_moduli, to_numbers, with_turgor
+from surrofe2.studies.moduli import turgor as turgor_of
+from surrofe2.studies.moduli_tables import TABLES, ModuliRow
+from surrofe2.studies.moduli_tables import to_numbers as row_numbers
 
 NAMES = ("C11", "C12", "C66", "bulk", "shear", "shear_45", "young", "poisson")
 
@@ -29,7 +33,7 @@ def moduli(
         bool, typer.Option("--tables", help="Also how they change with turgor, walls, particles.")
     ] = False,
     out: JsonFile = None,
-    force: ReplaceFile = False,
+    fresh: Fresh = False,
 ) -> None:
     """Elastic and viscous moduli of a plant cell at rest, in N/m and MPa.
 
@@ -38,23 +42,19 @@ def moduli(
 
     Example: [bold]surrofe2 moduli --preset water --tables[/bold]
     """
-    from importlib.metadata import version
-
-    from surrofe2.io.files import refuse_existing, write_json
-    from surrofe2.plant_cell.parameters import CellParameters
-    from surrofe2.rve import INITIALISATIONS
-    from surrofe2.studies.moduli import cell_moduli, to_numbers, with_turgor
-    from surrofe2.studies.moduli import turgor as turgor_of
-    from surrofe2.studies.moduli_tables import TABLES
-    from surrofe2.studies.moduli_tables import to_numbers as row_numbers
-
-    if out is not None and not force:
-        refuse_existing(out)
     cell = CellParameters.preset(preset)
     if turgor is not None:
         cell = with_turgor(cell, turgor)
+    asked = {
+        "version": version("surrofe2"),
+        "cell": cell.to_dict(),
+        "asked": {"initialisation": initialisation, "tables": tables},
+    }
+    if out is not None and not fresh and is_there(out, asked):
+        print_line(f"{out}: there already")
+        return
     pressure = turgor_of(cell)
-    say(
+    print_line(
         f"preset {preset}, fluid particles of {cell.fluid_particle_mass:.5g} ng: turgor "
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the fluid)"
     )
@@ -62,9 +62,8 @@ def moduli(
     found = {name: cell_moduli(cell, name) for name in chosen}
     _show({name: to_numbers(cell, value) for name, value in found.items()})
     record: dict[str, object] = {
-        "version": version("surrofe2"),
+        **asked,
         "preset": preset,
-        "cell": cell.to_dict(),
         "fingerprint": cell.fingerprint,
         "turgor_mean_MPa": pressure.mean,
         "turgor_virial_MPa": pressure.virial,
@@ -80,7 +79,7 @@ def moduli(
         record["tables"] = {"initialisation": method, "units": "N/m, N/m µs", **changes}
     if out is not None:
         write_json(out, record)
-        say(str(out))
+        print_line(str(out))
 
 
 def _show(found: dict[str, dict[str, dict[str, dict[str, float]]]]) -> None:
@@ -110,4 +109,4 @@ def _show_changes(title: str, heading: str, rows: list[ModuliRow], cell: CellPar
     show_table(f"{title}: MPa, MPa µs", columns, shown)
     for row in rows:
         if row.trouble:
-            complain(f"{heading} {row.value:.4g}: {row.trouble}")
+            print_error(f"{heading} {row.value:.4g}: {row.trouble}")

@@ -26,11 +26,10 @@ Initialisation = Annotated[
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
 ]
-ResumeRun = Annotated[bool, typer.Option("--resume", help="Continue the interrupted run in DIR.")]
-ReplaceRun = Annotated[bool, typer.Option("--force", help="Replace the run in DIR.")]
-ReplaceFile = Annotated[bool, typer.Option("--force", help="Replace FILE.")]
-ReplaceFiles = Annotated[bool, typer.Option("--force", help="Replace files in DIR.")]
-Again = Annotated[bool, typer.Option("--force", help="Do again what is already finished.")]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Start over; default: keep what is there and go on.")
+]
+KEPT_RUN = "{} keeps the run up to its last checkpoint"
 
 
 def integers(option: str, text: str, least: int = 1) -> tuple[int, ...]:

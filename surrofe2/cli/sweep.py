@@ -1,65 +1,20 @@
-"""`surrofe2 sweep`: the load case at several stress tolerances, against true FE²."""
+"""`surrofe2 sweep`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from surrofe2.cli.compare import ratio
-from surrofe2.cli.console import keeping, progress, say, show_table
-from surrofe2.cli.options import Again, RecipeFile, SurrogateFile, Threads
-from surrofe2.cli.run import change_cache, run_study
-from surrofe2.errors import InputError
-
-if TYPE_CHECKING:
-    from surrofe2.recipe import Recipe
-    from surrofe2.report.tolerance_sweep import Sweep
-
-FILES = ("sweep.json", "sweep.png")
-
-
-def run_sweep(
-    recipe: Recipe,
-    out: Path,
-    tolerances: Sequence[float],
-    *,
-    law: str = "cached",
-    surrogate_file: Path | None = None,
-    threads: int | None = None,
-    force: bool = False,
-) -> Sweep:
-    """True FE² and a cached run at each tolerance, each in a folder of its own, and their sweep.
-
-    Runs that are already finished in `out` are kept, unless `force`.
-    """
-    from surrofe2.io.files import write_json
-    from surrofe2.io.runs import read_run
-    from surrofe2.report.tolerance_plot import write_sweep_plot
-    from surrofe2.report.tolerance_sweep import make_sweep
-
-    names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
-    studies = [recipe, *(change_cache(recipe, each, None) for each in tolerances)]
-    for k, (name, study) in enumerate(zip(names, studies, strict=True)):
-        kind = law if k else "rve"
-        with progress(f"{k + 1}/{len(names)} {name}", study.load.duration, "µs") as report:
-            run_study(
-                study,
-                kind,
-                out / name,
-                surrogate_file=surrogate_file,
-                threads=threads,
-                resume=not force,
-                force=force,
-                report=report,
-            )
-    reference, *runs = (read_run(out / name) for name in names)
-    sweep = make_sweep(reference, runs)
-    write_json(out / FILES[0], sweep.to_dict())
-    write_sweep_plot(out / FILES[1], sweep)
-    return sweep
+from surrofe2.cli.console import on_interrupt, print_line, progress, show_table
+from surrofe2.cli.options import Fresh, RecipeFile, SurrogateFile, Threads
+from surrofe2.recipe import load_recipe
+from surrofe2.report.tolerance_sweep import Sweep
+from surrofe2.workflow.comparison import SWEEP_FILES, parse_tolerances, run_sweep
+from surrofe2.workflow.laws import use_threads
+from surrofe2.workflow.run import change_cache
 
 
 def sweep(
@@ -74,54 +29,32 @@ def sweep(
     ] = None,
     surrogate: SurrogateFile = None,
     threads: Threads = None,
-    force: Again = False,
+    fresh: Fresh = False,
 ) -> None:
     """Run the load case at several stress tolerances: what a tolerance buys.
 
     DIR receives a run folder for true FE² and for each tolerance, sweep.json and sweep.png: error
-    of stress and displacement, hits and speed-up over tolerance. What an earlier call finished is
-    kept.
+    of stress and displacement, hits and speed-up over tolerance.
 
     Example: [bold]surrofe2 sweep data/bending-bar.toml --out out/sweep[/bold]
     """
-    from surrofe2.recipe import load_recipe
-
     study = change_cache(load_recipe(recipe), None, audit)
     numbers = parse_tolerances(tolerances)
-    for tolerance in numbers:
-        change_cache(study, tolerance, None)
-    if force:
-        _make_way(out)
-    with keeping(f"{out} keeps what is finished; the same command goes on from there"):
+    use_threads(threads)
+    with on_interrupt(f"{out} keeps what is finished"):
         result = run_sweep(
-            study, out, numbers, surrogate_file=surrogate, threads=threads, force=force
+            study,
+            out,
+            numbers,
+            surrogate_file=surrogate,
+            fresh=fresh,
+            stage=progress,
         )
-    show_sweep(result)
-    say(f"{out}: {' and '.join(FILES)} written")
+    _show(result)
+    print_line(f"{out}: {' and '.join(SWEEP_FILES)} written")
 
 
-def _make_way(out: Path) -> None:
-    from surrofe2.io.files import reported
-
-    for name in FILES:
-        with reported(out / name, "written"):
-            (out / name).unlink(missing_ok=True)
-
-
-def parse_tolerances(text: str) -> tuple[float, ...]:
-    """Numbers between commas, falling, each once.
-
-    Raises:
-        InputError: something between them is no number.
-    """
-    try:
-        numbers = {float(part) for part in text.split(",")}
-    except ValueError:
-        raise InputError(f"--tolerances: {text!r}; they must be numbers between commas") from None
-    return tuple(sorted(numbers, reverse=True))
-
-
-def show_sweep(sweep: Sweep) -> None:
+def _show(sweep: Sweep) -> None:
     """The figures of a sweep as a table."""
     columns = [
         "allowed",
@@ -145,7 +78,7 @@ def show_sweep(sweep: Sweep) -> None:
         for row in sweep.rows
     ]
     show_table(f"Against true FE² of {sweep.true_wall_time:.3g} s", columns, rows)
-    say(
+    print_line(
         "allowed: tolerance; stress: error of 99 % of the audited answers, and how many were above "
         "the tolerance; displaced: largest error of displacement; steps: right-hand sides"
     )

@@ -12,8 +12,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from surrofe2.errors import FileError, MismatchError
-from surrofe2.io.files import plain, replacing
+from surrofe2.errors import FileError
+from surrofe2.io.files import check_same, plain, replacing
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, describe
@@ -113,12 +113,7 @@ def check_header(path: Path, file: h5py.File, header: DataSetHeader) -> None:
         MismatchError: naming the first that differs.
     """
     there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
-    for name, value in header.compared().items():
-        if there.get(name) != value:
-            raise MismatchError(
-                f"{path}: {name}: the recipe has {value}, the data set {there.get(name)}; "
-                "resume with the recipe it was begun with or replace it with --force"
-            )
+    check_same(path, header.compared(), there)
 
 
 def samples_of(path: Path, file: h5py.File) -> StressSamples:

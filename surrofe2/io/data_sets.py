@@ -94,17 +94,15 @@ class DataSetWriter:
 
 @contextmanager
 def writing_data_set(
-    path: Path, header: DataSetHeader, *, resume: bool = False, force: bool = False
+    path: Path, header: DataSetHeader, *, fresh: bool = False
 ) -> Iterator[DataSetWriter]:
-    """Create a data set, or open an unfinished one to continue it.
+    """Create a data set, or open the one that is there to continue it.
 
     Raises:
-        FileError: the file exists and neither `resume` nor `force` is set, or is not a data set.
-        MismatchError: `resume`, and the file was begun with other settings.
+        FileError: the file is not a data set.
+        MismatchError: it was begun with other settings, and not `fresh`.
     """
-    if path.exists() and not (resume or force):
-        raise FileError(f"{path}: exists; continue it with --resume or replace it with --force")
-    if not path.exists() or force:
+    if not path.exists() or fresh:
         create_file(path, header)
     with opened_hdf5(path, "r") as file:
         check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 data set")
@@ -149,7 +147,7 @@ def read_data_set(path: str | Path) -> StressSamples:
         if file.attrs["status"] != "finished":
             raise InputError(
                 f"{path}: unfinished, {int(file['completed'][()])} of {file['F'].shape[0]} "
-                "samples; continue it with `surrofe2 generate RECIPE --resume`"
+                "samples; continue it with `surrofe2 generate RECIPE`"
             )
         samples = samples_of(path, file)
         if samples.fingerprint != file.attrs["fingerprint"]:

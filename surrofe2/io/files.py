@@ -14,7 +14,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from surrofe2.errors import FileError
+from surrofe2.errors import FileError, MismatchError
+
+START_OVER = "change it back, write elsewhere or start over with --fresh"
+"""The end of sentences that refuse output of other settings."""
 
 
 @contextmanager
@@ -41,14 +44,44 @@ def replacing(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def refuse_existing(path: Path) -> None:
-    """Refuse to write over a file.
+def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -> None:
+    """Refuse to keep or go on with what was made by other settings.
+
+    Args:
+        place: what was made.
+        here, there: settings now and then, nested by section; what only `there` has is ignored.
 
     Raises:
-        FileError: it is there.
+        MismatchError: naming the first that differs.
+    """
+    known = _flat(there)
+    for name, value in _flat(here).items():
+        if known.get(name) != value:
+            raise MismatchError(
+                f"{place}: {name}: this call has {value}, what is there {known.get(name)}; "
+                + START_OVER
+            )
+
+
+def is_there(path: Path, wanted: Mapping[str, Any]) -> bool:
+    """Whether a JSON file is there that was made by the wanted settings, its entries by name.
+
+    Raises:
+        MismatchError: it is there, by other settings.
+        FileError: it is damaged or foreign.
     """
     if path.exists():
-        raise FileError(f"{path}: exists; replace it with --force")
+        check_same(path, wanted, read_json(path))
+    return path.exists()
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Plain entries by their dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        nested = isinstance(value, Mapping)
+        flat |= _flat(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": plain(value)}
+    return flat
 
 
 def write_text(path: Path, text: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from surrofe2.io.runs import StoredRun
+from surrofe2.io.run_folder import StoredRun
 
 _BINS_A_DECADE = 10
 

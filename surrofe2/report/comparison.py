@@ -8,7 +8,7 @@ from typing import Any
 
 from surrofe2.displacement_curve import CurveDifference, difference
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.io.runs import RunRecord, StoredRun
+from surrofe2.io.run_folder import RunRecord, StoredRun
 
 
 @dataclass(frozen=True, slots=True)

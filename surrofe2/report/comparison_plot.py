@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surrofe2.io.runs import StoredRun
+from surrofe2.io.run_folder import StoredRun
 from surrofe2.report.audit_plot import draw_audits, has_audit
 from surrofe2.report.comparison import ComparedRun, Comparison, order_runs
 from surrofe2.report.pictures import (

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from surrofe2.io.files import refuse_existing, write_json, write_text
+from surrofe2.io.files import is_there, write_json, write_text
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.figures import write_figure
 from surrofe2.report.study import Study
@@ -18,24 +20,47 @@ from surrofe2.report.study import Study
 SUFFIXES = ("png", "csv", "json", "md")
 
 
-def check_free(out: Path, name: str) -> None:
-    """A FileError where a file of the study is there already."""
-    for suffix in SUFFIXES:
-        refuse_existing(out / f"{name}.{suffix}")
+def study_is_there(
+    out: Path, name: str, cell: CellParameters, preset: str, asked: Mapping[str, Any]
+) -> bool:
+    """Whether the study's numbers are there, computed of this cell as asked.
+
+    Raises:
+        MismatchError: they are there, by other settings.
+    """
+    return is_there(out / f"{name}.json", _identity(cell, preset, asked))
 
 
-def write_study(out: Path, study: Study, cell: CellParameters, preset: str) -> list[Path]:
+def study_paths(out: Path, name: str) -> list[Path]:
+    """The files of a study that are there."""
+    paths = [out / f"{name}.{suffix}" for suffix in SUFFIXES]
+    return [path for path in paths if path.exists()]
+
+
+def write_study(
+    out: Path,
+    study: Study,
+    cell: CellParameters,
+    preset: str,
+    asked: Mapping[str, Any] = MappingProxyType({}),
+) -> list[Path]:
     """Write figure, table and numbers of a study into `out`; their paths.
 
-    The table for people is written where the study has one.
+    The table for people is written where the study has one; the numbers come last.
     """
     paths = [out / f"{study.name}.{suffix}" for suffix in SUFFIXES]
     if study.shown:
         write_text(paths[3], to_markdown(study))
-    write_json(paths[2], to_record(study, cell, preset))
     write_text(paths[1], to_csv(study))
     write_figure(paths[0], study)
+    write_json(paths[2], to_record(study, cell, preset) | _identity(cell, preset, asked))
     return paths if study.shown else paths[:3]
+
+
+def _identity(cell: CellParameters, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """What the numbers of a study depend on."""
+    known = {"version": version("surrofe2"), "preset": preset, "cell": cell.to_dict()}
+    return {**known, "asked": asked}
 
 
 def to_record(study: Study, cell: CellParameters, preset: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from surrofe2.errors import InputError
-from surrofe2.io.runs import StoredRun
+from surrofe2.io.run_folder import StoredRun
 from surrofe2.report.comparison import compare
 
 

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
+from surrofe2.workflow import laws
 from tests.fakes import SoftLaw
 
 
@@ -15,7 +16,7 @@ def invoke(monkeypatch):
 
     def run(*arguments, law=None, **settings):
         soft = law or SoftLaw()
-        monkeypatch.setattr("surrofe2.rve.RveLaw", soft.of)
+        monkeypatch.setattr(laws, "true_law", lambda recipe: soft.of(recipe.cell, recipe.rve))
         return CliRunner().invoke(app, [str(entry) for entry in arguments], **settings)
 
     return run

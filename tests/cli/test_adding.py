@@ -7,11 +7,11 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from surrofe2.cli.adding import with_harvests
 from surrofe2.io.harvest import HarvestHeader, HarvestWriter
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.sampling import sample
 from surrofe2.stress_samples import StressSamples
+from surrofe2.workflow.training_data import with_harvests
 from tests.cache.square_law import SquareLaw, square_stress
 
 KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2
@@ -57,7 +57,7 @@ def harvest(recipe, tmp_path):
     return path
 
 
-def test_harvested_states_get_the_tangents_they_lack(samples, harvest, recipe, capsys):
+def test_harvested_states_get_the_tangents_they_lack(samples, harvest, recipe, caplog):
     joined = with_harvests(samples, [harvest], recipe, SquareLaw())
     new = slice(KNOWN, None)
     assert len(joined.F) == KNOWN + HARVESTED - OTHERWISE
@@ -69,7 +69,7 @@ def test_harvested_states_get_the_tangents_they_lack(samples, harvest, recipe, c
     np.testing.assert_allclose(joined.P_by_F_dot[valid], exact.tangents.P_by_F_dot, atol=1e-12)
     assert np.isnan(joined.P_by_F[new][:FAILED]).all()
     np.testing.assert_allclose(joined.stress[valid], exact.stress, atol=1e-12)
-    assert f"{OTHERWISE} harvested states left out" in capsys.readouterr().out
+    assert f"{OTHERWISE} harvested states left out" in caplog.text
 
 
 def test_without_tangents_every_harvested_state_is_taken(samples, harvest, recipe):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from surrofe2.io.runs import read_curve, read_record
+from surrofe2.io.run_folder import read_curve, read_record
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from tests.fakes import SoftLaw, StoppingLaw
@@ -180,21 +179,21 @@ def test_a_corrupted_surrogate_is_switched_off_loudly(invoke, recipe_path, tmp_p
 @pytest.mark.usefixtures("bias")
 def test_an_interrupted_run_keeps_its_audit(invoke, recipe_path, tmp_path, monkeypatch):
     out = tmp_path / "cached"
-    monkeypatch.setattr(sys.modules["surrofe2.cli.run"], "CHECKPOINT_INTERVAL", 0.0)
+    monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
     command = ("run", recipe_path, "--law", "cached", "--out", out, "--audit", "1.0")
     invoke(*command, law=StoppingLaw(30))
     before = read_record(out)
     assert before.status == "interrupted"
     assert before.cache["audit"]["audited"] > 50
-    done = invoke(*command, "--resume")
+    done = invoke(*command)
     assert done.exit_code == 0, done.output
     after = read_record(out).cache
     # The stopped law was at an audit, of one step of 20 points: that one is lost.
     assert after["audit"]["audited"] == after["accepted"]["hits"] - 20
     assert after["accepted"]["hits"] > before.cache["accepted"]["hits"]
-    refused = invoke(*command, "--resume", "--tolerance", "1e-2")
+    refused = invoke(*command, "--tolerance", "1e-2")
     assert refused.exit_code == 1
-    assert "cache.tolerance: this run has 0.01, the one in the folder 0.001" in refused.stderr
+    assert "cache.tolerance: this call has 0.01, what is there 0.001" in refused.stderr
 
 
 @pytest.mark.usefixtures("_trained")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from surrofe2 import simulate
-from surrofe2.cli import calibrate as calibrating
 from surrofe2.errors import SimulationError
 from surrofe2.surrogate import SurrogateLaw
+from surrofe2.workflow import calibrate as calibrating
 from tests.fakes import SoftLaw
 
 AT_REST = np.eye(2)[None], np.zeros((1, 2, 2))
@@ -49,7 +49,7 @@ def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):
         ("seed = 3", "seed = 3"),
         ("length = 6", "length = 7"),
     ):
-        assert invoke("train", changed_recipe(*change), "--force").exit_code == 0
+        assert invoke("train", changed_recipe(*change), "--fresh").exit_code == 0
         bounds.append(SurrogateLaw.load(surrogate_path).calibration.to_dict())
     assert bounds[0] == bounds[1]
     assert bounds[0] != bounds[2]
@@ -67,12 +67,12 @@ def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monk
     monkeypatch.setattr(SoftLaw, "respond", interrupt)
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
-    assert f"surrofe2 train {recipe_path} --resume" in stopped.stderr
+    assert f"go on with: surrofe2 train {recipe_path}\n" in stopped.stderr
     fresh = SurrogateLaw.load(surrogate_path)
     assert not fresh.is_calibrated
     trainings = []
-    monkeypatch.setattr("surrofe2.surrogate.training.train", lambda *_: trainings.append(1))
-    done = invoke("train", recipe_path, "--resume")
+    monkeypatch.setattr("surrofe2.workflow.train.train", lambda *_: trainings.append(1))
+    done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
     assert not trainings
     assert SurrogateLaw.load(surrogate_path).is_calibrated
@@ -85,7 +85,7 @@ def test_a_true_law_that_fails_everywhere_leaves_no_bound(
         shape = (len(paths.states[0]), 2, 2)
         return np.full(shape, np.nan), np.ones(shape[0], dtype=np.int8)
 
-    monkeypatch.setattr("surrofe2.surrogate.deformation_paths.true_stress", failing)
+    monkeypatch.setattr(calibrating, "true_stress", failing)
     monkeypatch.setattr("surrofe2.surrogate.calibration._failures", lambda shaping: None)
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from shutil import copytree
 
 import pytest
 
@@ -29,15 +30,18 @@ def test_comparison(invoke, runs, tmp_path):
     assert (out / "comparison.png").stat().st_size > 10_000
 
 
-def test_existing_comparison(invoke, runs, tmp_path):
+def test_a_comparison_is_kept_and_one_of_other_runs_refused(invoke, runs, tmp_path):
     out = tmp_path / "comparison"
     invoke("compare", *runs, "--out", out)
-    refused = invoke("compare", *runs, "--out", out)
+    before = (out / "comparison.png").stat().st_mtime_ns
+    assert invoke("compare", *runs, "--out", out).exit_code == 0
+    assert (out / "comparison.png").stat().st_mtime_ns == before
+    third = runs[0].with_name("third")
+    copytree(runs[1], third)
+    refused = invoke("compare", *runs, third, "--out", out)
     assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {out / 'comparison.json'}: exists; replace it with --force\n"
-    )
-    assert invoke("compare", *runs, "--out", out, "--force").exit_code == 0
+    assert refused.stderr.startswith(f"error: {out / 'comparison.json'}: of.third: this call has ")
+    assert invoke("compare", *runs, third, "--out", out, "--fresh").exit_code == 0
 
 
 def test_not_a_run(invoke, runs, tmp_path):

@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 import pytest
 
-from surrofe2.cli.generate import generate_data_set
 from surrofe2.errors import InputError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
+from surrofe2.workflow.generate import generate_data_set
 from tests.fakes import SoftLaw, StoppingLaw
 
 
@@ -54,14 +54,13 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, tmp
     stopped = invoke("generate", recipe_path, law=StoppingLaw(calls=1))
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
-        "interrupted: the samples so far are kept; continue with: "
-        f"surrofe2 generate {recipe_path} --resume"
+        f"interrupted: the samples so far are kept; go on with: surrofe2 generate {recipe_path}"
     )
     path = recipe_path.parent / "cells.h5"
     with h5py.File(path) as file:
         assert (file["completed"][()], file.attrs["status"]) == (16, "writing")
     law = SoftLaw()
-    assert invoke("generate", recipe_path, "--resume", law=law).exit_code == 0
+    assert invoke("generate", recipe_path, law=law).exit_code == 0
     assert law.calls == 2
     kept = tmp_path / "kept.h5"
     path.rename(kept)
@@ -71,7 +70,7 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, tmp
 
 _KILLED = """
 import sys, time
-from surrofe2.cli.generate import generate_data_set
+from surrofe2.workflow.generate import generate_data_set
 from surrofe2.recipe import load_recipe
 from tests.fakes import SoftLaw
 
@@ -101,42 +100,34 @@ def test_killed_and_continued_equals_uninterrupted(recipe, recipe_path, tmp_path
     path = recipe.data_path()
     with h5py.File(path) as file:
         assert 6 <= file["completed"][()] < 40
-    generate_data_set(recipe, SoftLaw(), resume=True, chunk=2)
+    generate_data_set(recipe, SoftLaw(), chunk=2)
     kept = tmp_path / "kept.h5"
     path.rename(kept)
     generate_data_set(recipe, SoftLaw(), chunk=2)
     assert same_numbers(path, kept)
 
 
-def test_resume_of_a_finished_one_does_nothing(invoke, recipe_path):
+def test_a_finished_one_is_kept(invoke, recipe_path):
     invoke("generate", recipe_path)
     before = (recipe_path.parent / "cells.h5").read_bytes()
     law = SoftLaw()
-    done = invoke("generate", recipe_path, "--resume", law=law)
+    done = invoke("generate", recipe_path, law=law)
     assert "40 samples (already finished), none failed" in done.stdout
     assert law.calls == 0
     assert (recipe_path.parent / "cells.h5").read_bytes() == before
 
 
-def test_existing_data_set(invoke, recipe_path):
-    invoke("generate", recipe_path)
-    again = invoke("generate", recipe_path)
-    path = recipe_path.parent / "cells.h5"
-    assert again.exit_code == 1
-    assert again.stderr == (
-        f"error: {path}: exists; continue it with --resume or replace it with --force\n"
-    )
-    assert invoke("generate", recipe_path, "--force").exit_code == 0
-
-
-def test_resume_with_another_recipe(invoke, recipe_path, changed_recipe):
+def test_a_data_set_of_another_recipe_is_refused_unless_fresh(invoke, recipe_path, changed_recipe):
     invoke("generate", recipe_path, law=StoppingLaw(calls=1))
-    refused = invoke("generate", changed_recipe("seed = 3", "seed = 4"), "--resume")
+    other = changed_recipe("seed = 3", "seed = 4")
+    refused = invoke("generate", other)
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {recipe_path.parent / 'cells.h5'}: samples.seed: the recipe has 4, the data set "
-        "3; resume with the recipe it was begun with or replace it with --force\n"
+        f"error: {recipe_path.parent / 'cells.h5'}: samples.seed: this call has 4, what is there "
+        "3; change it back, write elsewhere or start over with --fresh\n"
     )
+    assert invoke("generate", other, "--fresh").exit_code == 0
+    assert read_data_set(recipe_path.parent / "cells.h5").seed == 4
 
 
 def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
@@ -181,7 +172,7 @@ def test_chunks_do_not_change_the_numbers(recipe):
     law = SoftLaw()
     generate_data_set(recipe, law, chunk=7)
     first = read_data_set(recipe.data_path())
-    generate_data_set(recipe, law, chunk=40, force=True)
+    generate_data_set(recipe, law, chunk=40, fresh=True)
     np.testing.assert_array_equal(first.stress, read_data_set(recipe.data_path()).stress)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2.io.harvest import read_harvest
-from surrofe2.io.runs import read_record
+from surrofe2.io.run_folder import read_record
 from surrofe2.io.tables import read_table
 from surrofe2.surrogate import SurrogateLaw
 from tests.cache.square_law import SquareLaw, square_stress
@@ -61,7 +61,8 @@ def test_tables_merge(invoke, first, recipe_path, changed_recipe, tmp_path):
     assert done.exit_code == 0, done.output
     sizes = [len(read_table(path).records.centre) for path in (*files, merged)]
     assert max(sizes[:2]) < sizes[2] <= sum(sizes[:2])
-    assert invoke("table", "merge", *files, "--out", merged).exit_code == 1
+    assert invoke("table", "merge", *files, "--out", merged).exit_code == 0
+    assert invoke("table", "merge", *files[::-1], "--out", merged).exit_code == 1
     shown = invoke("table", "show", merged)
     assert f"{sizes[2]} records, constrained-runs" in shown.stdout
     both = [part for path in files for part in ("--table", path)]
@@ -123,7 +124,7 @@ def test_an_interrupted_run_keeps_table_and_harvest(invoke, changed_recipe, tmp_
     harvested = len(read_harvest(out / "harvest.h5").F)
     assert kept > 0
     assert harvested > 0
-    done = run(invoke, recipe, out, "--law", "table", "--resume")
+    done = run(invoke, recipe, out, "--law", "table")
     assert done.exit_code == 0, done.output
     counts = read_record(out).counts
     assert counts["table_added"] == counts["table_records"] - kept
@@ -156,14 +157,14 @@ def test_a_harvest_is_added_to_the_training_data(invoke, first, recipe_path, cha
     surrogate = recipe_path.parent / "cells.pt"
     before = SurrogateLaw.load(surrogate)
     harvest = first / "harvest.h5"
-    done = invoke("train", recipe_path, "--force", "--add", harvest)
+    done = invoke("train", recipe_path, "--fresh", "--add", harvest)
     assert done.exit_code == 0, done.output
     after = SurrogateLaw.load(surrogate)
     assert after.data_fingerprint != before.data_fingerprint
     assert after.errors["points"] > before.errors["points"]
     assert after.range == before.range
     changed_recipe('file = "cells.h5"', f'file = "cells.h5"\nadd = ["{harvest}"]')
-    assert invoke("train", recipe_path, "--force").exit_code == 0
+    assert invoke("train", recipe_path, "--fresh").exit_code == 0
     assert SurrogateLaw.load(surrogate).data_fingerprint == after.data_fingerprint
 
 
@@ -172,7 +173,7 @@ def test_a_harvest_of_another_initialisation_is_refused(invoke, recipe_path, tmp
     out = tmp_path / "elastic"
     made = run(invoke, recipe_path, out, "--law", "table", "--initialisation", "elastic")
     assert made.exit_code == 0, made.output
-    refused = invoke("train", recipe_path, "--force", "--add", out / "harvest.h5")
+    refused = invoke("train", recipe_path, "--fresh", "--add", out / "harvest.h5")
     assert refused.exit_code == 1
     assert refused.stderr == (
         f"error: {out / 'harvest.h5'}: harvested for initialisation elastic, not "
@@ -204,25 +205,26 @@ def test_refine_teaches_what_a_run_meets(invoke, leaving_recipe, tmp_path):
     )
     for word in ("round", "hits", "unknown", "held-out", "audit", "settled"):
         assert word in done.stdout
-    begun = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
-    assert begun.exit_code == 1
-    assert "continue them with --resume" in begun.stderr
+    law = SoftLaw()
+    kept = invoke("refine", leaving_recipe, "--out", out, law=law)
+    assert kept.exit_code == 0
+    assert law.calls == 0
 
 
 def test_refine_that_does_not_settle_says_so_and_goes_on(invoke, leaving_recipe, tmp_path):
     out = tmp_path / "refined"
     short = invoke("refine", leaving_recipe, "--out", out, "--rounds", 1, law=SoftLaw())
     assert short.exit_code == 1
-    assert "states still unknown after 1 rounds; go on with --resume --rounds 2" in short.stderr
-    done = invoke("refine", leaving_recipe, "--out", out, "--resume", law=SoftLaw())
+    assert "states still unknown after 1 rounds; go on with --rounds 2" in short.stderr
+    done = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
     assert done.exit_code == 0, done.output
     assert done.stdout.count("round 0:") == 1
 
 
-def test_refine_of_another_recipe_is_not_resumed(invoke, leaving_recipe, changed_recipe, tmp_path):
+def test_rounds_of_another_recipe_are_refused(invoke, leaving_recipe, changed_recipe, tmp_path):
     out = tmp_path / "refined"
     invoke("refine", leaving_recipe, "--out", out, "--rounds", 1, law=SoftLaw())
     changed_recipe("-1.0]", "-1.1]")
-    refused = invoke("refine", leaving_recipe, "--out", out, "--resume", law=SoftLaw())
+    refused = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
     assert refused.exit_code == 1
-    assert "its rounds are of another recipe" in refused.stderr
+    assert "load.body_force: this call has [0.0, -1.1], what is there [0.0, -1.0]" in refused.stderr

@@ -8,11 +8,12 @@ import numpy as np
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.cli.rest import rest_study
-from surrofe2.io.runs import read_record
+from surrofe2.io.run_folder import read_record
 from surrofe2.macro import find_modes, find_rest
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
+from surrofe2.workflow import laws
+from surrofe2.workflow.rest import rest_study
 from tests.fakes import SoftLaw
 
 
@@ -41,14 +42,17 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     assert shapes.count((9, 3)) == 1 + 2 * 5  # nodes; displacement and velocity of 5 states
     assert shapes.count((4, 3, 3)) == 2 * 5
     assert f"watched point at ({table[-1, 1]:.4g}, {table[-1, 2]:.4g}) µm" in done.stdout
-    refused = call("rest", recipe_path, "--out", out)
+    kept = call("rest", recipe_path, "--out", out, "--load-steps", 4)
+    assert f"{out}: finished before" in kept.stdout
+    assert kept.stdout.splitlines()[-1] == done.stdout.splitlines()[-1]
+    refused = call("rest", recipe_path, "--out", out, "--load-steps", 4, "--factor", 0.5)
     assert refused.exit_code == 1
-    assert "exists and is not empty" in refused.stderr
+    assert "rest.factor: this call has 0.5, what is there 1.0" in refused.stderr
 
 
 def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch):
     out = tmp_path / "rest"
-    monkeypatch.setattr("surrofe2.rve.RveLaw", _law_that(fails_above=3e-3))
+    monkeypatch.setattr(laws, "true_law", _law_that(fails_above=3e-3))
     failed = call("rest", recipe_path, "--out", out, "--load-steps", 2)
     assert failed.exit_code == 1
     assert "no load step succeeds after 10 halvings" in failed.stderr
@@ -58,12 +62,12 @@ def test_rest_that_fails_keeps_the_way_there(recipe_path, tmp_path, monkeypatch)
     factors = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)[:, 0]
     assert factors[0] == 0.0
     assert 0.1 < factors[-1] < 1.0
-    assert call("rest", recipe_path, "--out", out, "--factor", 0.1, "--force").exit_code == 0
+    assert call("rest", recipe_path, "--out", out, "--factor", 0.1, "--fresh").exit_code == 0
 
 
 def test_rest_interrupted_keeps_the_way_there(recipe_path, tmp_path, monkeypatch):
     out = tmp_path / "rest"
-    monkeypatch.setattr("surrofe2.rve.RveLaw", _law_that(stops_after=6))
+    monkeypatch.setattr(laws, "true_law", _law_that(stops_after=6))
     stopped = call("rest", recipe_path, "--out", out)
     assert stopped.exit_code == 130
     assert f"{out} keeps the load steps up to here" in stopped.stderr
@@ -72,7 +76,7 @@ def test_rest_interrupted_keeps_the_way_there(recipe_path, tmp_path, monkeypatch
 
 
 def _law_that(**trouble):
-    return lambda cell, settings: _Troubled(RveLaw(cell), **trouble)
+    return lambda recipe: _Troubled(RveLaw(recipe.cell), **trouble)
 
 
 class _Troubled:
@@ -118,8 +122,10 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
         assert f"{modes.periods[0]:.3f}" in done.stdout
     assert record["states"]["unloaded"]["elastic"]["watched"] == [0.0, 0.0]
     assert record["states"]["loaded"]["elastic"]["watched"][1] < -0.01
-    refused = call("modes", recipe_path, "--out", out)
-    assert refused.stderr == f"error: {out}: exists; replace it with --force\n"
+    kept = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
+    assert kept.stdout == done.stdout
+    refused = call("modes", recipe_path, "--initialisation", "elastic", "--out", out)
+    assert "asked.count: this call has 4, what is there 2" in refused.stderr
 
 
 def test_rest_study_reports_the_part_of_the_load(recipe, tmp_path):

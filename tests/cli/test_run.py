@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.io.runs import read_curve, read_record
+from surrofe2.io.run_folder import read_curve, read_record
 from tests.cli.finished_run import FILES
 from tests.fakes import SoftLaw, StoppingLaw
 
@@ -54,10 +54,9 @@ def test_existing_folder(invoke, recipe_path, folder):
     refused = invoke("run", recipe_path, "--law", "rve", "--out", folder)
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {folder}: exists and is not empty; continue its run with --resume or replace it "
-        "with --force\n"
+        f"error: {folder}: has files but no run; write elsewhere or say --fresh\n"
     )
-    assert invoke("run", recipe_path, "--law", "rve", "--out", folder, "--force").exit_code == 0
+    assert invoke("run", recipe_path, "--law", "rve", "--out", folder, "--fresh").exit_code == 0
     assert (folder / "notes.txt").read_text() == "mine"
 
 
@@ -72,13 +71,13 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, fol
     stopped = invoke(*command, folder, law=StoppingLaw(calls=60))
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
-        f"interrupted: {folder} keeps the run up to its last checkpoint; continue it by the same "
-        "command with --resume"
+        f"interrupted: {folder} keeps the run up to its last checkpoint; go on with: "
+        f"surrofe2 run {recipe_path} --law rve --out {folder}"
     )
     assert read_record(folder).status == "interrupted"
     assert (folder / "checkpoint.h5").exists()
     law = SoftLaw()
-    assert invoke(*command, folder, "--resume", law=law).exit_code == 0
+    assert invoke(*command, folder, law=law).exit_code == 0
     assert not (folder / "checkpoint.h5").exists()
     whole = SoftLaw()
     assert invoke(*command, tmp_path / "whole", law=whole).exit_code == 0
@@ -91,26 +90,31 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, fol
     )
 
 
-def test_resume_of_a_finished_run_does_nothing(invoke, recipe_path, folder):
+def test_a_finished_run_is_kept(invoke, recipe_path, folder):
     command = ("run", recipe_path, "--law", "rve", "--out", folder)
     invoke(*command)
     before = (folder / "run.json").read_bytes()
     law = SoftLaw()
-    assert invoke(*command, "--resume", law=law).exit_code == 0
+    kept = invoke(*command, law=law)
+    assert kept.exit_code == 0
+    lines = kept.stdout.splitlines()
+    assert lines[0] == f"{folder}: finished before; --fresh starts over"
+    assert lines[1].startswith(f"{folder}: 4 µs by rve in ")
     assert law.calls == 0
     assert (folder / "run.json").read_bytes() == before
 
 
-def test_resume_with_another_load(invoke, recipe_path, changed_recipe, folder):
+def test_a_run_with_another_load_is_refused(invoke, recipe_path, changed_recipe, folder):
     command = ("run", recipe_path, "--law", "rve", "--out", folder)
     invoke(*command, law=StoppingLaw(calls=60))
     changed_recipe("-0.1]", "-0.2]")
-    refused = invoke(*command, "--resume")
+    refused = invoke(*command)
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {folder}: load.body_force: this run has [0.0, -0.2], the one in the folder "
-        "[0.0, -0.1]; resume with the settings it was begun with or replace it with --force\n"
+        f"error: {folder}: load.body_force: this call has [0.0, -0.2], what is there "
+        "[0.0, -0.1]; change it back, write elsewhere or start over with --fresh\n"
     )
+    assert invoke(*command, "--fresh").exit_code == 0
 
 
 def test_failed_run_keeps_what_it_computed(invoke, recipe_path, folder):
@@ -143,12 +147,12 @@ def test_initialisation_replaces_the_recipe_s(invoke, recipe_path, folder):
     assert record.initialisation == record.recipe["rve"]["initialisation"] == "elastic"
 
 
-def test_resume_with_another_integrator(invoke, recipe_path, folder):
+def test_a_run_with_another_integrator_is_refused(invoke, recipe_path, folder):
     command = ("run", recipe_path, "--law", "rve", "--out", folder)
     assert invoke(*command, law=StoppingLaw(calls=60)).exit_code == 130
-    refused = invoke(*command, "--resume", "--integrator", "implicit")
+    refused = invoke(*command, "--integrator", "implicit")
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {folder}: macro.integrator: this run has implicit, the one in the folder "
-        "explicit; resume with the settings it was begun with or replace it with --force\n"
+        f"error: {folder}: macro.integrator: this call has implicit, what is there "
+        "explicit; change it back, write elsewhere or start over with --fresh\n"
     )

@@ -21,11 +21,14 @@ def test_reproduce_writes_figure_table_and_numbers(tmp_path):
     assert record["preset"] == "water"
     assert record["cell"]["fluid_particle_mass"] == 0.27
     assert record["units"]["largest_difference"] == "µN/µm"
+    kept = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
+    assert kept.exit_code == 0
+    assert f"{tmp_path / 'fig5-water.png'}: there already" in kept.stdout
+    changed = {**record, "cell": {**record["cell"], "viscosity": 9.0}}
+    (tmp_path / "fig5-water.json").write_text(json.dumps(changed), encoding="utf-8")
     refused = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
     assert refused.exit_code == 1
-    assert (
-        refused.stderr == f"error: {tmp_path / 'fig5-water.png'}: exists; replace it with --force\n"
-    )
+    assert "cell.viscosity: this call has 0.1, what is there 9.0" in refused.stderr
 
 
 @pytest.mark.slow
@@ -35,7 +38,7 @@ def test_reproduce_fig8_without_the_tissue_says_so(tmp_path):
         "--duration", "60",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert "the full tissue is left out" in done.stdout
+    assert "full tissue" not in done.stdout
     record = json.loads((tmp_path / "fig8-water.json").read_text(encoding="utf-8"))
     assert record["results"]["full_tissue"] == "not computed"
     assert len(record["results"]["runs"]) == 4

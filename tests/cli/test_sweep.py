@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.io.runs import read_record
+from surrofe2.io.run_folder import read_record
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from tests.fakes import SoftLaw
@@ -60,7 +60,7 @@ def test_a_tolerance_buys_hits_for_error(invoke, recipe_path, tmp_path):
     assert law.calls == 0
     other = invoke(*command, "--audit", "0.5")
     assert other.exit_code == 1
-    assert "cache.audit: this run has 0.5, the one in the folder 1.0" in other.stderr
+    assert "cache.audit: this call has 0.5, what is there 1.0" in other.stderr
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.io.runs import read_curve, read_record
+from surrofe2.io.run_folder import read_curve, read_record
 from surrofe2.recipe import load_recipe
 from tests.cli.finished_run import FILES
 
@@ -77,13 +77,13 @@ def test_interrupted_and_continued_equals_uninterrupted(short, folder, tmp_path,
     monkeypatch.setattr(simulation, "advance", stopping)
     stopped = invoke(short, "--out", folder)
     assert stopped.exit_code == 130
-    assert "--resume" in stopped.stderr
+    assert "go on with: surrofe2 tissue" in stopped.stderr
     assert read_record(folder).status == "interrupted"
     monkeypatch.setattr(simulation, "advance", advance)
-    other = invoke(short, "--out", folder, "--resume", "--micro-step", 1e-3)
+    other = invoke(short, "--out", folder, "--micro-step", 1e-3)
     assert other.exit_code == 1
-    assert "tissue.micro_step: this run has 0.001" in other.stderr
-    assert invoke(short, "--out", folder, "--resume").exit_code == 0
+    assert "tissue.micro_step: this call has 0.001" in other.stderr
+    assert invoke(short, "--out", folder).exit_code == 0
     assert not (folder / "checkpoint.h5").exists()
     assert invoke(short, "--out", tmp_path / "whole").exit_code == 0
     for name in ("curve.csv", "energies.csv"):

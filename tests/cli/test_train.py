@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from surrofe2.io.files import START_OVER
 from surrofe2.surrogate import SurrogateLaw, training
 from tests.fakes import SoftLaw
 
@@ -32,13 +33,34 @@ def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogat
 
 
 @pytest.mark.usefixtures("_data_set")
-def test_existing_surrogate(invoke, recipe_path, surrogate_path):
-    surrogate_path.write_bytes(b"mine")
-    refused = invoke("train", recipe_path)
+def test_a_trained_surrogate_is_kept(invoke, recipe_path, surrogate_path):
+    invoke("train", recipe_path)
+    before = surrogate_path.read_bytes()
+    again = invoke("train", recipe_path)
+    assert again.exit_code == 0
+    assert "(already trained)" in again.stdout
+    assert surrogate_path.read_bytes() == before
+
+
+@pytest.mark.usefixtures("_data_set")
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("hidden = [4]", "hidden = [5]"), "training.hidden: this call has [5], what is there [4]"),
+        (("length = 6", "length = 7"), "calibration.length: this call has 7, what is there 6"),
+    ],
+)
+def test_a_surrogate_of_other_settings_is_refused_unless_fresh(
+    invoke, recipe_path, surrogate_path, changed_recipe, change, told
+):
+    invoke("train", recipe_path)
+    before = surrogate_path.read_bytes()
+    refused = invoke("train", changed_recipe(*change))
     assert refused.exit_code == 1
-    assert refused.stderr == f"error: {surrogate_path}: exists; replace it with --force\n"
-    assert surrogate_path.read_bytes() == b"mine"
-    assert invoke("train", recipe_path, "--force").exit_code == 0
+    assert refused.stderr == (f"error: {surrogate_path}: {told}; {START_OVER}\n")
+    assert surrogate_path.read_bytes() == before
+    assert invoke("train", recipe_path, "--fresh").exit_code == 0
+    assert surrogate_path.read_bytes() != before
 
 
 @pytest.mark.usefixtures("_data_set")
@@ -55,12 +77,11 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
-        "interrupted: the iterations so far are kept; continue with: "
-        f"surrofe2 train {recipe_path} --resume"
+        f"interrupted: the iterations so far are kept; go on with: surrofe2 train {recipe_path}"
     )
     unfinished = surrogate_path.with_suffix(".unfinished.pt")
     assert unfinished.exists()
-    done = invoke("train", recipe_path, "--resume")
+    done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
     assert len(rounds) == 3
     assert not unfinished.exists()
@@ -70,11 +91,9 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
 def test_foreign_unfinished_training(invoke, recipe_path, surrogate_path):
     unfinished = surrogate_path.with_suffix(".unfinished.pt")
     unfinished.write_bytes(b"foreign")
-    refused = invoke("train", recipe_path, "--resume")
+    refused = invoke("train", recipe_path)
     assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {unfinished}: not an unfinished training; delete it and train anew\n"
-    )
+    assert refused.stderr == (f"error: {unfinished}: not an unfinished training; {START_OVER}\n")
 
 
 @pytest.mark.usefixtures("_data_set")
@@ -92,7 +111,7 @@ def test_data_set_of_another_recipe(invoke, recipe_path, changed_recipe, old, ne
     assert refused.exit_code == 1
     assert refused.stderr == (
         f"error: {recipe_path.parent / 'cells.h5'}: {name}: made by another recipe than "
-        "recipe.toml; generate it anew with --force\n"
+        "recipe.toml; generate it anew with `surrofe2 generate RECIPE --fresh`\n"
     )
 
 
@@ -105,7 +124,7 @@ def test_unfinished_data_set(invoke, recipe_path, recipe, monkeypatch):
     assert refused.exit_code == 1
     assert refused.stderr == (
         f"error: {recipe.data_path()}: unfinished, 0 of 40 samples; continue it with "
-        "`surrofe2 generate RECIPE --resume`\n"
+        "`surrofe2 generate RECIPE`\n"
     )
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from surrofe2.cli import laws
 from surrofe2.macro import MacroSettings
 from surrofe2.surrogate.compiled import MANY
+from surrofe2.workflow import laws
 from tests.fakes import SoftLaw
 
 

@@ -46,8 +46,8 @@ def test_a_data_set_without_tangents_has_none_and_is_not_continued_with_them(tmp
     write_all(path)
     assert read_data_set(path).P_by_F is read_data_set(path).P_by_F_dot is None
     with (
-        pytest.raises(MismatchError, match=r"samples\.tangents: the recipe has True, the data set"),
-        writing_data_set(path, replace(HEADER, tangents=True), resume=True),
+        pytest.raises(MismatchError, match=r"samples\.tangents: this call has True, what is there"),
+        writing_data_set(path, replace(HEADER, tangents=True)),
     ):
         pass
 
@@ -60,7 +60,7 @@ def test_a_data_set_from_before_tangents_is_continued(tmp_path):
         compared = json.loads(file.attrs["compared"])
         assert compared.pop("samples.tangents") is False
         file.attrs["compared"] = json.dumps(compared)
-    with writing_data_set(path, HEADER, resume=True) as data:
+    with writing_data_set(path, HEADER) as data:
         assert data.completed == 8
 
 

@@ -106,7 +106,7 @@ def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path, monkeypatch
     monkeypatch.undo()
     assert len(copies) == 4
     for copy in copies:
-        with writing_data_set(copy, HEADER, resume=True) as data:
+        with writing_data_set(copy, HEADER) as data:
             assert data.completed in (0, 8, 16)
             while data.completed < data.count:
                 append_chunk(data, SoftLaw(fails_above=1.03))
@@ -121,7 +121,7 @@ def test_unfinished_is_not_read(tmp_path):
     with pytest.raises(InputError) as caught:
         read_data_set(path)
     assert str(caught.value) == (
-        f"{path}: unfinished, 8 of 20 samples; continue it with `surrofe2 generate RECIPE --resume`"
+        f"{path}: unfinished, 8 of 20 samples; continue it with `surrofe2 generate RECIPE`"
     )
 
 
@@ -133,44 +133,43 @@ def test_unfinished_is_not_sealed(tmp_path):
         finish_data_set(path)
 
 
-def test_existing_file_is_kept(tmp_path):
+def test_a_finished_file_is_kept_unless_fresh(tmp_path):
     path = tmp_path / "cells.h5"
     write_all(path)
     before = path.read_bytes()
-    with pytest.raises(FileError) as caught, writing_data_set(path, HEADER):
-        pass
-    assert str(caught.value) == (
-        f"{path}: exists; continue it with --resume or replace it with --force"
-    )
+    with writing_data_set(path, HEADER) as data:
+        assert data.finished
     assert path.read_bytes() == before
+    with writing_data_set(path, HEADER, fresh=True) as data:
+        assert data.completed == 0
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"seed": 4}, "samples.seed: the recipe has 4, the data set 3"),
+        ({"seed": 4}, "samples.seed: this call has 4, what is there 3"),
         (
             {"cell": CellParameters(viscosity=0.2)},
-            "cell.viscosity: the recipe has 0.2, the data set 0.1",
+            "cell.viscosity: this call has 0.2, what is there 0.1",
         ),
         (
             {"range": SamplingRange(stretch=(0.95, 1.05), shear=0.04, rate=0.01)},
-            "range.shear: the recipe has 0.04, the data set 0.05",
+            "range.shear: this call has 0.04, what is there 0.05",
         ),
-        ({"version": "9"}, "surrofe2.version: the recipe has 9, the data set 0.1.0"),
+        ({"version": "9"}, "surrofe2.version: this call has 9, what is there 0.1.0"),
     ],
 )
-def test_resume_with_another_recipe(tmp_path, change, told):
+def test_a_data_set_of_another_recipe_is_refused(tmp_path, change, told):
     path = tmp_path / "cells.h5"
     with writing_data_set(path, HEADER):
         pass
     with (
         pytest.raises(MismatchError) as caught,
-        writing_data_set(path, replace(HEADER, **change), resume=True),
+        writing_data_set(path, replace(HEADER, **change)),
     ):
         pass
     assert str(caught.value) == (
-        f"{path}: {told}; resume with the recipe it was begun with or replace it with --force"
+        f"{path}: {told}; change it back, write elsewhere or start over with --fresh"
     )
 
 

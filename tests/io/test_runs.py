@@ -9,8 +9,7 @@ import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.runs import (
-    ended,
+from surrofe2.io.run_folder import (
     open_run_folder,
     read_curve,
     read_record,
@@ -52,41 +51,40 @@ def test_energies_name_their_units(tmp_path):
     assert (tmp_path / "energies.csv").read_text() == "t_us,kinetic_pJ\n0.0,0.0\n1.0,2.5\n"
 
 
-def test_existing_folder_is_refused(tmp_path, record):
+def test_a_folder_with_other_files_is_refused(tmp_path, record):
     notes = tmp_path / "run" / "notes.txt"
     notes.parent.mkdir()
     notes.write_text("mine")
     with pytest.raises(FileError) as caught:
         open_run_folder(notes.parent, record)
     assert str(caught.value) == (
-        f"{notes.parent}: exists and is not empty; continue its run with --resume or replace it "
-        "with --force"
+        f"{notes.parent}: has files but no run; write elsewhere or say --fresh"
     )
     assert list(notes.parent.iterdir()) == [notes]
 
 
-def test_force_replaces_the_run_and_nothing_else(tmp_path, record, curve):
+def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
     folder = tmp_path / "run"
     write_curve(folder, curve)
     (folder / "notes.txt").write_text("mine")
-    assert open_run_folder(folder, ended(record, "running"), force=True) is None
+    assert open_run_folder(folder, replace(record, status="running"), fresh=True) is None
     assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "run.json"]
 
 
-def test_resume_gives_the_earlier_record(tmp_path, record):
-    write_record(tmp_path, ended(record, "interrupted"))
-    earlier = open_run_folder(tmp_path, replace(record, threads=1), resume=True)
-    assert earlier == ended(record, "interrupted")
+def test_the_same_run_gives_its_earlier_record(tmp_path, record):
+    write_record(tmp_path, replace(record, status="interrupted"))
+    earlier = open_run_folder(tmp_path, replace(record, threads=1))
+    assert earlier == replace(record, status="interrupted")
 
 
-def test_resume_of_another_run(tmp_path, record):
-    write_record(tmp_path, ended(record, "interrupted"))
+def test_another_run_is_refused(tmp_path, record):
+    write_record(tmp_path, replace(record, status="interrupted"))
     other = replace(record, recipe={**record.recipe, "load": {**record.recipe["load"], "width": 9}})
     with pytest.raises(MismatchError) as caught:
-        open_run_folder(tmp_path, other, resume=True)
+        open_run_folder(tmp_path, other)
     assert str(caught.value) == (
-        f"{tmp_path}: load.width: this run has 9, the one in the folder 100.0; "
-        "resume with the settings it was begun with or replace it with --force"
+        f"{tmp_path}: load.width: this call has 9, what is there 100.0; "
+        "change it back, write elsewhere or start over with --fresh"
     )
 
 
@@ -97,11 +95,11 @@ def test_no_write_permission(unwritable, record):
 
 
 def test_unfinished_run_is_not_read(tmp_path, record, curve):
-    write_record(tmp_path, ended(record, "interrupted"))
+    write_record(tmp_path, replace(record, status="interrupted"))
     write_curve(tmp_path, curve)
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
-    assert str(caught.value) == f"{tmp_path}: the run is interrupted; finish it with --resume"
+    assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command goes on with it"
 
 
 def test_not_a_run_folder(tmp_path):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from surrofe2.cli import app, long_studies
-from surrofe2.cli.console import InterruptedWork
+from surrofe2.cli import app
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError
 from surrofe2.io.kept_curves import KeptCurves
@@ -15,6 +14,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import fit_damped_modes
 from surrofe2.studies import bar_pieces, damping, scale_separation
 from surrofe2.studies.bar_comparison import make_bar_run
+from surrofe2.workflow.reproduce import make_all
 
 WATER = CellParameters.preset("water")
 T = np.arange(0.0, 250.25, 0.5)
@@ -124,12 +124,12 @@ def test_a_stopped_study_goes_on_with_the_curves_it_has(tmp_path, monkeypatch):
         return make_bar_run(piece.method, piece.elements, curve(50.0, 0.04), 1.0)
 
     monkeypatch.setattr(bar_pieces.Piece, "compute", compute)
-    with pytest.raises(InterruptedWork, match="keeps the finished curves"):
-        long_studies.make_all(pieces, tmp_path)
     kept = KeptCurves(tmp_path / "curves")
+    with pytest.raises(KeyboardInterrupt):
+        make_all(pieces, kept)
     assert [kept.read(p.name, p.configuration()) is not None for p in pieces] == [True, True, False]
     computed.clear()
-    runs = long_studies.make_all(pieces, tmp_path)
+    runs = make_all(pieces, kept)
     assert computed == [pieces[2].name]
     assert len(runs) == 3
 
@@ -146,5 +146,7 @@ def test_the_command_writes_figure_and_table(tmp_path):
     lines = (tmp_path / "scales-water.md").read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("| plant cells | run | first minimum × 16/n (µm) |")
     assert len(lines) == 2 + 4
-    again = CliRunner().invoke(app, [*arguments, "--force"])
-    assert "4 of 4 curves are there already" in again.stdout
+    curves = {path: path.stat().st_mtime_ns for path in (tmp_path / "curves").iterdir()}
+    assert len(curves) == 4
+    assert CliRunner().invoke(app, [*arguments, "--fresh"]).exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "curves").iterdir()} == curves

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from surrofe2 import RveLaw, sample, simulate
-from surrofe2.cli.calibrate import calibrate_surrogate
 from surrofe2.errors import SimulationError
 from surrofe2.recipe import load_recipe
 from surrofe2.sampling import SamplingRange, contains
@@ -25,6 +24,7 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.tensors import stress_error
+from surrofe2.workflow.calibrate import calibrate_surrogate
 
 DATA = Path(__file__).parents[2] / "data"
 TOLERANCE = 1e-3

@@ -1,28 +1,36 @@
-"""The end of `surrofe2 train`: a bound of the surrogate's error, from paths it has not seen."""
+"""A bound of a surrogate's error, calibrated by true answers along paths it has not seen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from surrofe2.errors import SimulationError
-
-if TYPE_CHECKING:
-    from surrofe2.load_case import LoadCase
-    from surrofe2.macro import MacroSettings
-    from surrofe2.recipe import Recipe
-    from surrofe2.stress_law import StressLaw
-    from surrofe2.stress_samples import StressSamples
-    from surrofe2.surrogate import SurrogateLaw
-    from surrofe2.surrogate.calibration import Truth
-    from surrofe2.surrogate.deformation_paths import DeformationPaths, State
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.recipe import Recipe
+from surrofe2.stress_law import StressLaw
+from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate import SurrogateLaw
+from surrofe2.surrogate.calibration import Truth, calibrate
+from surrofe2.surrogate.deformation_paths import (
+    DeformationPaths,
+    State,
+    WatchedLaw,
+    random_loads,
+    random_states,
+    random_walks,
+    run_paths,
+    true_stress,
+)
+from surrofe2.workflow import laws
+from surrofe2.workflow.run_lifecycle import Report
 
 _MOST_ELEMENTS = 4  # of the bar's elements in each direction, in runs that make paths
 _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
-
-Report = Callable[[float, str], None]
 
 
 def calibrate_surrogate(
@@ -34,10 +42,7 @@ def calibrate_surrogate(
         samples: that it was trained on.
         report: called with the share that is done, up to 1, and a remark.
     """
-    from surrofe2.rve import RveLaw
-    from surrofe2.surrogate.calibration import calibrate
-
-    law = RveLaw(recipe.cell, recipe.rve)
+    law = laws.true_law(recipe)
     shaping, testing = (
         list(_make_paths(recipe, surrogate, seed, share, report))
         for seed, share in ((1, _SHAPING), (0, 1.0))
@@ -60,15 +65,6 @@ def _make_paths(
     recipe: Recipe, surrogate: SurrogateLaw, stream: int, share: float, report: Report
 ) -> Iterator[DeformationPaths]:
     """Paths of every kind that the recipe asks for; one `stream` knows nothing of another."""
-    import numpy as np
-
-    from surrofe2.surrogate.deformation_paths import (
-        random_loads,
-        random_states,
-        random_walks,
-        run_paths,
-    )
-
     settings = recipe.calibration
     walks, states, runs = (
         int(np.ceil(share * count)) for count in (settings.walks, settings.states, settings.runs)
@@ -96,9 +92,6 @@ def _make_paths(
 
 def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> list[State]:
     """(F, F_dot) of all points at the steps of a run on the surrogate, while it is in range."""
-    from surrofe2.macro import simulate
-    from surrofe2.surrogate.deformation_paths import WatchedLaw
-
     watched = WatchedLaw(surrogate)
     with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
         simulate(load, watched, macro)
@@ -106,16 +99,11 @@ def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> l
 
 
 def _ask(paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None]) -> Truth:
-    from surrofe2.surrogate.calibration import Truth
-    from surrofe2.surrogate.deformation_paths import true_stress
-
     return Truth(paths, *true_stress(paths, law, progress))
 
 
-def summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
+def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
     """What the calibration found, in a line."""
-    import numpy as np
-
     calibration = surrogate.calibration
     if calibration is None or not np.isfinite(calibration.quantile):
         return (

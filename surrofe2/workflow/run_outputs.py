@@ -1,21 +1,26 @@
-"""What a cached run leaves for the next one: its table and its harvest, in the run folder."""
+"""What a cached run leaves for the next one: its table and its true answers (the harvest)."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from surrofe2.cache import StressTable
-    from surrofe2.cache.protocols import Keep
-    from surrofe2.io.harvest import HarvestWriter
-    from surrofe2.recipe import Recipe
+from surrofe2.cache import StressTable
+from surrofe2.cache.protocols import Keep
+from surrofe2.cache.table_merge import merged
+from surrofe2.io.files import check_same
+from surrofe2.io.harvest import HarvestHeader, HarvestWriter
+from surrofe2.io.run_folder import file_fingerprint
+from surrofe2.io.tables import check_table, read_table, stored, write_table
+from surrofe2.recipe import Recipe
 
 TABLE, HARVEST = "table.h5", "harvest.h5"
 
 
-class Reaping:
+class RunOutputs:
     """Writes table and harvest of a run along with its checkpoints.
 
     Attributes:
@@ -29,8 +34,6 @@ class Reaping:
 
     def resume(self, table: StressTable | None) -> None:
         """Let the table know what it did at the last checkpoint."""
-        from surrofe2.io.tables import check_table, read_table
-
         path = self.folder / TABLE
         if table is not None and path.exists():
             stored = read_table(path)
@@ -39,8 +42,6 @@ class Reaping:
 
     def store(self, table: StressTable | None) -> None:
         """Write what there is now."""
-        from surrofe2.io.tables import stored, write_table
-
         if self._writer is not None:
             self._writer.flush()
         if table is not None:
@@ -52,10 +53,6 @@ class Reaping:
         self._writer(F, F_dot, stress, status, why)
 
     def _open(self) -> HarvestWriter:
-        from importlib.metadata import version
-
-        from surrofe2.io.harvest import HarvestHeader, HarvestWriter
-
         recipe = self.recipe
         header = HarvestHeader(
             cell=recipe.cell,
@@ -72,3 +69,30 @@ def counts_of(table: StressTable | None) -> dict[str, int]:
         return {}
     changed = {name.removeprefix("table_"): count for name, count in table.counts.items()}
     return {"table_records": table.size, **{f"table_{name}": n for name, n in changed.items()}}
+
+
+def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:
+    """Write the records of all files into one; how many there are.
+
+    Ellipsoids are tested for the smallest tolerance of the files.
+
+    Raises:
+        MismatchError: they are not of the same cell parameters and initialisation, or `out` is of
+            other files, and not `fresh`.
+    """
+    of = {"files": [file_fingerprint(path) for path in files]}
+    if out.exists() and not fresh:
+        kept = read_table(out)
+        check_same(out, of, kept.recipe)
+        return len(kept.records.centre)
+    tables = [read_table(path) for path in files]
+    first = tables[0]
+    tolerance = min(each.tolerance for each in tables)
+    images = 4 if getattr(first.cell, "symmetry", "D4") == "D4" else 1
+    records = first.records
+    for path, more in zip(files[1:], tables[1:], strict=True):
+        check_table(path, more, first.cell, first.initialisation)
+        records = merged(records, more.records, tolerance, images)
+    sources = {"merged": [each.recipe for each in tables], **of}
+    write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
+    return len(records.centre)

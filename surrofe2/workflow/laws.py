@@ -1,4 +1,4 @@
-"""Choosing and warming up the stress law of a run."""
+"""The stress law of a run: chosen by name, its parts read from files, and warmed up."""
 
 from __future__ import annotations
 
@@ -8,19 +8,33 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from surrofe2.errors import InputError, MismatchError
+import numba
+import numpy as np
+from threadpoolctl import threadpool_limits
 
-if TYPE_CHECKING:
-    from surrofe2.cache import StressTable
-    from surrofe2.cache.protocols import Fallback, Keep
-    from surrofe2.macro import MacroSettings
-    from surrofe2.recipe import Recipe
-    from surrofe2.stress_law import StressLaw
+from surrofe2.cache import CachedLaw, StressTable, TableBehind, sampled_spread
+from surrofe2.cache.protocols import Fallback, Keep
+from surrofe2.cache.table_merge import merged
+from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.io.run_folder import file_fingerprint
+from surrofe2.io.tables import check_table, read_table
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro.discretisation import N_POINTS
+from surrofe2.recipe import Recipe
+from surrofe2.rve import RveLaw
+from surrofe2.stress_law import StressLaw
+from surrofe2.surrogate import SurrogateLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
+
+
+def true_law(recipe: Recipe) -> RveLaw:
+    """The RVEs of a recipe."""
+    return RveLaw(recipe.cell, recipe.rve)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,23 +64,16 @@ def choose_law(
         InputError: tables for a law that takes none.
         MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
-    from surrofe2.rve import RveLaw
-
     if tables and kind not in ("cached", "table"):
         raise InputError(f"--table: not with --law {kind}; it must be cached or table")
     if kind == "rve":
-        rve = RveLaw(recipe.cell, recipe.rve)
+        rve = true_law(recipe)
         return ChosenLaw(rve, (rve,))
-    from surrofe2.cache import CachedLaw, TableBehind
-
     if kind == "table":
-        rve = RveLaw(recipe.cell, recipe.rve)
+        rve = true_law(recipe)
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, keep)
         return ChosenLaw(law, (rve,), _record_of(tables), table)
-    from surrofe2.io.runs import file_fingerprint
-    from surrofe2.surrogate import SurrogateLaw
-
     path = surrogate_file or recipe.training_path()
     surrogate = SurrogateLaw.load(path)
     record: dict[str, Any] = {
@@ -77,7 +84,7 @@ def choose_law(
     _check_surrogate(recipe, surrogate, path)
     if kind == "surrogate":
         return ChosenLaw(surrogate, (surrogate,), record)
-    rve = RveLaw(recipe.cell, recipe.rve)
+    rve = true_law(recipe)
     if not (recipe.table.enabled or tables):
         law = CachedLaw(surrogate, rve, recipe.cache, keep)
         return ChosenLaw(law, (surrogate, rve), record)
@@ -98,10 +105,6 @@ def make_table(
     Raises:
         MismatchError: a file is of other cell parameters or initialisation.
     """
-    from surrofe2.cache import StressTable, sampled_spread
-    from surrofe2.cache.table_merge import merged
-    from surrofe2.io.tables import check_table, read_table
-
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
@@ -117,8 +120,6 @@ def make_table(
 
 
 def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
-    from surrofe2.io.runs import file_fingerprint
-
     if not tables:
         return None
     names, prints = [path.name for path in tables], [file_fingerprint(path) for path in tables]
@@ -148,13 +149,6 @@ def warm_up(
     Each law is asked for a single point and for as many as the run has, up to where no law takes
     another way for more; and a bar of one element moves for an instant.
     """
-    import numpy as np
-
-    from surrofe2.errors import SimulationError
-    from surrofe2.load_case import LoadCase
-    from surrofe2.macro import simulate
-    from surrofe2.macro.discretisation import N_POINTS
-
     begin = time.perf_counter()
     nx, ny = settings.elements
     for law in laws:
@@ -181,11 +175,7 @@ def use_threads(wanted: int | None) -> int:
         return available
     if wanted > available:
         raise InputError(f"--threads: {wanted}; this machine has {available} cores")
-    # Read by the libraries that are not loaded yet; those that are, are told below.
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = str(wanted)
-    import numba
-    from threadpoolctl import threadpool_limits
-
     numba.set_num_threads(wanted)
     threadpool_limits(wanted)
     return wanted

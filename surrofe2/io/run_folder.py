@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.files import read_json, reported, write_json, write_text
+from surrofe2.errors import FileError, InputError
+from surrofe2.io.files import check_same, read_json, reported, write_json, write_text
 from surrofe2.units import ENERGY, LENGTH, STRESS, TIME
 
 SCHEMA = "surrofe2-run"
@@ -42,7 +42,7 @@ class RunRecord:
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
             audit with the errors found, trust with what became of it, cost against true RVEs.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
-            recipe's range that would hold the run.
+            recipe's range that would hold the run. Of a rest, where the `watched` point came to.
     """
 
     status: str
@@ -76,7 +76,7 @@ class RunRecord:
         """Everything the numbers depend on, by the names a recipe uses."""
         flat: dict[str, Any] = {
             f"{name}.{key}": self.recipe[name][key]
-            for name in ("cell", "rve", "load", "macro", "tissue", *self._sections_of_law())
+            for name in ("cell", "rve", "load", "macro", "tissue", "rest", *self._sections_of_law())
             for key in self.recipe.get(name, {})
         }
         surrogate = self.surrogate and self.surrogate["fingerprint"]
@@ -101,43 +101,30 @@ class StoredRun:
     curve: DisplacementCurve
 
 
-def open_run_folder(
-    folder: Path, record: RunRecord, *, resume: bool = False, force: bool = False
-) -> RunRecord | None:
-    """Make a folder ready for a run; when resuming, the record it was left with.
+def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> RunRecord | None:
+    """Make a folder ready for a run; the record of this very run, if an earlier call left one.
+
+    Args:
+        fresh: start over, whatever the folder holds; files that are not of a run stay.
 
     Raises:
-        FileError: the folder has files and neither `resume` nor `force` is set, or it cannot be
-            written.
-        MismatchError: `resume`, and the run in it is another one.
+        FileError: the folder cannot be written, or has files but no run.
+        MismatchError: it has a run of other settings.
     """
     with reported(folder, "written"):
         folder.mkdir(parents=True, exist_ok=True)
         occupied = any(folder.iterdir())
-    if occupied and not (resume or force):
-        raise FileError(
-            f"{folder}: exists and is not empty; continue its run with --resume or replace it "
-            "with --force"
-        )
-    if occupied and resume and (folder / "run.json").exists():
+    if occupied and not fresh:
+        if not (folder / "run.json").exists():
+            raise FileError(f"{folder}: has files but no run; write elsewhere or say --fresh")
         earlier = read_record(folder)
-        _check_same(folder, earlier, record)
+        check_same(folder, record.compared(), earlier.compared())
         return earlier
     with reported(folder, "written"):
         for name in FILES:
             (folder / name).unlink(missing_ok=True)
     write_record(folder, record)
     return None
-
-
-def _check_same(folder: Path, earlier: RunRecord, record: RunRecord) -> None:
-    there = earlier.compared()
-    for name, value in record.compared().items():
-        if there.get(name) != value:
-            raise MismatchError(
-                f"{folder}: {name}: this run has {value}, the one in the folder {there.get(name)}; "
-                "resume with the settings it was begun with or replace it with --force"
-            )
 
 
 def write_record(folder: Path, record: RunRecord) -> None:
@@ -217,7 +204,7 @@ def read_run(folder: str | Path) -> StoredRun:
         raise FileError(f"{folder}: no run.json; it is not a run folder")
     record = read_record(folder)
     if record.status != "finished":
-        raise InputError(f"{folder}: the run is {record.status}; finish it with --resume")
+        raise InputError(f"{folder}: the run is {record.status}; its command goes on with it")
     return StoredRun(folder, record, read_curve(folder))
 
 
@@ -225,8 +212,3 @@ def file_fingerprint(path: Path) -> str:
     """16 hexadecimal digits of a file's content."""
     with reported(path, "read"):
         return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-
-
-def ended(record: RunRecord, status: str, error: str | None = None) -> RunRecord:
-    """The record of the same run with another end."""
-    return replace(record, status=status, error=error)

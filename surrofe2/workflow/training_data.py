@@ -1,18 +1,23 @@
-"""Harvests of runs as further samples to train on."""
+"""The samples that a surrogate is trained on: a data set, and true answers of runs after it."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from surrofe2.cli.console import say
+import numpy as np
 
-if TYPE_CHECKING:
-    from surrofe2.io.harvest import Harvest
-    from surrofe2.recipe import Recipe
-    from surrofe2.stress_law import StressLaw
-    from surrofe2.stress_samples import StressSamples
+from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
+from surrofe2.recipe import Recipe
+from surrofe2.stress_law import StressLaw
+from surrofe2.stress_samples import StressSamples
+from surrofe2.tensors import stress_error, stress_spread
+from surrofe2.workflow import laws
+
+log = logging.getLogger(__name__)
 
 _CHUNK = 512
 _SAME = 1e-6
@@ -34,13 +39,6 @@ def with_harvests(
     Raises:
         MismatchError: a harvest is of other cell parameters or initialisation.
     """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from surrofe2.io.harvest import check_harvest, read_harvest
-    from surrofe2.rve import RveLaw
-
     harvests = [read_harvest(path) for path in paths]
     for path, harvest in zip(paths, harvests, strict=True):
         check_harvest(path, harvest, samples.cell, samples.initialisation)
@@ -50,12 +48,14 @@ def with_harvests(
     parts = [{name: getattr(harvest, name) for name in names} for harvest in harvests]
     if samples.P_by_F is not None:
         names += ["P_by_F", "P_by_F_dot"]
-        law = law or RveLaw(recipe.cell, recipe.rve)
+        law = law or laws.true_law(recipe)
         parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
         known = sum(len(part["status"]) for part in parts)
         left_out = sum(len(harvest.status) for harvest in harvests) - known
         if left_out:
-            say(f"{left_out} harvested states left out: RVEs from rest answer otherwise there")
+            log.warning(
+                "%d harvested states left out: RVEs from rest answer otherwise there", left_out
+            )
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(samples, name), *(part[name] for part in parts)])
         for name in names
@@ -67,8 +67,6 @@ def with_harvests(
 
 
 def _spread(samples: StressSamples) -> float:
-    from surrofe2.tensors import stress_spread
-
     return stress_spread(samples.stress[samples.status == 0])
 
 
@@ -76,10 +74,6 @@ def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str,
     """Arrays of harvested states with tangents: those that failed, and those that the law, from
     rest, answers alike.
     """
-    import numpy as np
-
-    from surrofe2.tensors import stress_error
-
     by_F, by_F_dot = np.full((2, len(harvest.status), 2, 2, 2, 2), np.nan)
     kept = harvest.status != 0
     valid = np.flatnonzero(~kept)

@@ -1,0 +1,130 @@
+"""Runs against each other: two or more folders, a sweep over tolerances, and the whole demo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from surrofe2.errors import InputError
+from surrofe2.io.files import is_there, write_json
+from surrofe2.io.run_folder import file_fingerprint, read_run
+from surrofe2.recipe import Recipe
+from surrofe2.report.comparison import Comparison
+from surrofe2.report.comparison import compare as compare_stored
+from surrofe2.report.comparison_plot import write_comparison_plot
+from surrofe2.report.tolerance_plot import write_sweep_plot
+from surrofe2.report.tolerance_sweep import Sweep, make_sweep
+from surrofe2.workflow.generate import data_summary, generate_data_set
+from surrofe2.workflow.run import change_cache, run_study, run_summary
+from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.train import train_surrogate, training_summary
+
+COMPARISON_FILES = ("comparison.json", "comparison.png")
+SWEEP_FILES = ("sweep.json", "sweep.png")
+LAWS = ("rve", "cached")
+LARGE_ELEMENTS, LARGE_DURATION = (16, 16), 100.0
+"""Of the demo: laws that it compares; elements and time, µs, of its finer bar."""
+
+
+def compare_runs(folders: Sequence[Path], out: Path, *, fresh: bool = False) -> Comparison:
+    """Compare runs and write comparison.json and comparison.png into `out`.
+
+    Raises:
+        MismatchError: `out` holds a comparison of other runs, and not `fresh`.
+    """
+    runs = [read_run(folder) for folder in folders]
+    result = compare_stored(runs)
+    of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}
+    path = out / COMPARISON_FILES[0]
+    if fresh or not is_there(path, {"of": of}):
+        write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
+        write_json(path, {**result.to_dict(), "of": of})
+    return result
+
+
+def run_sweep(
+    recipe: Recipe,
+    out: Path,
+    tolerances: Sequence[float],
+    *,
+    surrogate_file: Path | None = None,
+    fresh: bool = False,
+    stage: Stage = silent,
+) -> Sweep:
+    """True FE² and a cached run at each tolerance, each in a folder of its own, and their sweep."""
+    names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
+    studies = [recipe, *(change_cache(recipe, each) for each in tolerances)]
+    for k, (name, study) in enumerate(zip(names, studies, strict=True)):
+        with stage(f"{k + 1}/{len(names)} {name}", study.load.duration, "µs") as report:
+            run_study(
+                study,
+                "cached" if k else "rve",
+                out / name,
+                surrogate_file=surrogate_file,
+                fresh=fresh,
+                report=report,
+            )
+    reference, *runs = (read_run(out / name) for name in names)
+    sweep = make_sweep(reference, runs)
+    write_json(out / SWEEP_FILES[0], sweep.to_dict())
+    write_sweep_plot(out / SWEEP_FILES[1], sweep)
+    return sweep
+
+
+def parse_tolerances(text: str) -> tuple[float, ...]:
+    """Numbers between commas, falling, each once.
+
+    Raises:
+        InputError: something between them is no number.
+    """
+    try:
+        numbers = {float(part) for part in text.split(",")}
+    except ValueError:
+        raise InputError(f"--tolerances: {text!r}; they must be numbers between commas") from None
+    return tuple(sorted(numbers, reverse=True))
+
+
+def run_demo(
+    recipe: Recipe,
+    out: Path,
+    *,
+    fresh: bool = False,
+    stage: Stage = silent,
+    tell: Callable[[str], None] = lambda sentence: None,
+) -> list[tuple[str, Comparison]]:
+    """Data set, surrogate, and two bars by true and by cached FE²: the recipe's, and finer.
+
+    Each law runs a bar for an instant before it runs it for the record, so that both are warm.
+
+    Args:
+        tell: is told each step's outcome.
+
+    Returns:
+        A title and the comparison of each bar.
+    """
+    tell(f"1/4 data set {recipe.data_path()}")
+    with stage("generate", recipe.samples.count, "samples") as report:
+        made = generate_data_set(recipe, fresh=fresh, report=report)
+    tell(f"    {data_summary(made)}")
+    tell(f"2/4 surrogate {recipe.training_path()}")
+    trained = train_surrogate(recipe, fresh=fresh, stage=stage)
+    tell(f"    {training_summary(trained)}")
+    tell(f"    {trained.bound}")
+    n, m = LARGE_ELEMENTS
+    large = replace(
+        recipe,
+        macro=replace(recipe.macro, elements=LARGE_ELEMENTS),
+        load=replace(recipe.load, duration=min(LARGE_DURATION, recipe.load.duration)),
+    )
+    found = []
+    for k, (study, folder) in enumerate(((recipe, out), (large, out / f"{n}x{m}"))):
+        title = "{} × {} elements over {:g} µs".format(*study.macro.elements, study.load.duration)
+        tell(f"{k + 3}/4 {title}")
+        for law in LAWS:
+            with stage(f"run by {law}", study.load.duration, "µs") as report:
+                record = run_study(study, law, folder / law, fresh=fresh, report=report)
+            tell(f"    {folder / law}: {run_summary(record)}")
+        runs = [folder / law for law in LAWS]
+        found.append((title, compare_runs(runs, folder / "comparison", fresh=True)))
+    return found

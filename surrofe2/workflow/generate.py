@@ -1,0 +1,112 @@
+"""From a declared range of (F, Ḟ) to a data set of stresses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from surrofe2.errors import InputError
+from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
+from surrofe2.recipe import Recipe
+from surrofe2.sampling import sample
+from surrofe2.stress_law import StressLaw, describe
+from surrofe2.workflow import laws
+
+CHUNK = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """What is in a finished data set.
+
+    Attributes:
+        added: number of samples that this call computed; 0: it was already finished.
+        failed: reason → number of samples.
+        left: number of samples whose RVE left a bifurcation.
+    """
+
+    path: Path
+    count: int
+    added: int
+    failed: dict[str, int]
+    left: int = 0
+
+
+def generate_data_set(
+    recipe: Recipe,
+    law: StressLaw | None = None,
+    *,
+    fresh: bool = False,
+    chunk: int = CHUNK,
+    report: Callable[[int, str], None] = lambda done, note: None,
+) -> Generated:
+    """Sample the recipe's range, ask the RVE, and write the recipe's data set.
+
+    Samples are asked in chunks of fixed bounds and without warm start, so a continued data set
+    equals one made in one go, to the bit.
+
+    Args:
+        law: asked instead of the recipe's RVE.
+        fresh: start over, whatever is there.
+        report: called with the number of samples done and a remark.
+
+    Raises:
+        InputError: tangents are wanted of RVEs that have none.
+        MismatchError: the file holds a data set of other settings, and not `fresh`.
+    """
+    path, settings = recipe.data_path(), recipe.samples
+    if settings.tangents and recipe.rve.solver == "iterated":
+        raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
+    law = law or laws.true_law(recipe)
+    header = DataSetHeader(
+        cell=recipe.cell,
+        rve=asdict(recipe.rve),
+        range=recipe.range,
+        count=settings.count,
+        seed=settings.seed,
+        chunk=chunk,
+        version=version("surrofe2"),
+        recipe=recipe.to_dict(),
+        rest_length=getattr(law, "rest_length", None),
+        tangents=settings.tangents,
+    )
+    with writing_data_set(path, header, fresh=fresh) as data:
+        added = settings.count - data.completed
+        failures = sum(n for code, n in data.status_counts().items() if code)
+        report(data.completed, f"{failures} failed")
+        while data.completed < settings.count:
+            start = data.completed
+            F, F_dot = sample(
+                recipe.range, min(chunk, settings.count - start), settings.seed, start=start
+            )
+            answer = law.respond(F, F_dot, tangents=settings.tangents)
+            data.append(
+                F, F_dot, answer.stress, answer.status, answer.tangents, answer.left_bifurcation
+            )
+            failures += int((answer.status != 0).sum())
+            report(data.completed, f"{failures} failed")
+        counts, left = data.status_counts(), data.left_count()
+    finish_data_set(path)
+    failed = {describe(code): n for code, n in counts.items() if code}
+    return Generated(path, settings.count, added, failed, left)
+
+
+def data_summary(made: Generated) -> str:
+    """How many samples there are, how many were added, how many failed and why."""
+    failed = Counter(made.failed)
+    text = f"{made.count} samples" + ("" if made.added else " (already finished)")
+    if not failed:
+        text = f"{text}, none failed"
+    else:
+        reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
+        text = f"{text}, {failed.total()} failed ({reasons})"
+    if made.left:
+        share = made.left / made.count
+        text += (
+            f", {made.left} left a bifurcation and are not trained on: in {share:.1%} of the "
+            "recipe's range the stress has more than one value; narrow it where that matters"
+        )
+    return text

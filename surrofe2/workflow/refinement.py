@@ -1,0 +1,316 @@
+"""Rounds of cached run, sampling and training, until a surrogate knows what its runs meet."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.cache.protocols import Surrogate
+from surrofe2.errors import SimulationError
+from surrofe2.io.data_set_layout import tuples_of
+from surrofe2.io.data_sets import read_data_set
+from surrofe2.io.files import check_same, read_json, replacing, reported, write_json
+from surrofe2.io.harvest import Harvest, HarvestHeader, HarvestWriter, read_harvest
+from surrofe2.recipe import Recipe
+from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
+from surrofe2.stress_law import StressLaw
+from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate import SurrogateLaw, train
+from surrofe2.tensors import stress_error
+from surrofe2.workflow import laws
+from surrofe2.workflow.calibrate import calibrate_surrogate
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.run import run_study
+from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.run_outputs import HARVEST
+from surrofe2.workflow.train import train_surrogate, training_note
+from surrofe2.workflow.training_data import with_harvests
+
+Array = NDArray[np.float64]
+
+ROUNDS, SURROGATE = "refine.json", "surrogate.pt"
+_NEW, _STARTED = "new.h5", "round.json"
+FALLBACK, AUDIT, NEIGHBOUR, WIDENED = 0, 1, 2, 3
+AUDIT_QUANTILE = 0.99
+MOST_NEIGHBOURS = 20_000
+"""Largest number of neighbours sampled in a round; as many as unknown states below it."""
+CHUNK = 512
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """A row of the table of rounds.
+
+    Attributes:
+        hits: share of the run's answers that came from the surrogate.
+        unknown: states at accepted steps that the surrogate could not answer, and audited ones
+            over the tolerance.
+        samples: valid ones that the surrogate was trained on.
+        held_out: largest held-out RMS error of a stress component, relative to its spread.
+        audit: 99 % quantile of the audited errors as a share of the spread of stress; None where
+            nothing was audited.
+        range: of the surrogate.
+        added: samples taken in after the run.
+        seconds: of the run, sampling and training.
+    """
+
+    round: int
+    hits: float
+    unknown: int
+    samples: int
+    held_out: float
+    audit: float | None
+    tolerance: float
+    range: dict[str, Any]
+    added: int
+    seconds: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether no state was unknown and the audit holds."""
+        return self.unknown == 0 and (self.audit is None or self.audit <= self.tolerance)
+
+
+def refine_surrogate(
+    recipe: Recipe,
+    out: Path,
+    *,
+    rounds: int = 6,
+    fresh: bool = False,
+    stage: Stage = silent,
+    tell: Callable[[Round], None] = lambda row: None,
+) -> list[Round]:
+    """Rounds of cached run, harvest, sampling and training in a folder, until one is settled.
+
+    The first round runs on the recipe's surrogate, which is made where it is not there. Each
+    later one was trained anew on the recipe's data set and everything sampled since; where states
+    left the range, the range of the surrogate is the least box that holds them too. The last
+    surrogate is `out`/surrogate.pt.
+
+    Args:
+        rounds: how many at most.
+        fresh: start over, whatever the folder holds.
+        stage: begins the display of a stage.
+        tell: called with each finished round.
+
+    Raises:
+        MismatchError: the folder has rounds of another recipe, and not `fresh`.
+        SimulationError: the last round is not settled.
+    """
+    done = _open(recipe, out, fresh)
+    for k in range(rounds):
+        if k < len(done):
+            row = done[k]
+        else:
+            row = _round(recipe, out, k, stage)
+            done.append(row)
+            content = {"recipe": recipe.to_dict(), "rounds": [asdict(entry) for entry in done]}
+            write_json(out / ROUNDS, content)
+        tell(row)
+        if row.settled:
+            (out / SURROGATE).write_bytes((out / f"round-{k}" / SURROGATE).read_bytes())
+            return done
+    raise SimulationError(
+        f"{out}: {done[-1].unknown} states still unknown after {rounds} rounds; go on with "
+        f"--rounds {2 * rounds}",
+        partial=done,
+    )
+
+
+def _open(recipe: Recipe, out: Path, fresh: bool) -> list[Round]:
+    """The finished rounds to go on from."""
+    begun = out / ROUNDS
+    if begun.exists() and not fresh:
+        stored = read_json(begun)
+        check_same(out, recipe.to_dict(), stored["recipe"])
+        return [Round(**row) for row in stored["rounds"]]
+    with reported(out, "written"):
+        out.mkdir(parents=True, exist_ok=True)
+        for folder in out.glob("round-*"):
+            rmtree(folder)
+        (out / SURROGATE).unlink(missing_ok=True)
+    write_json(begun, {"recipe": recipe.to_dict(), "rounds": []})
+    return []
+
+
+def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
+    """One round; what it has finished before an interruption is kept."""
+    begin = time.perf_counter()
+    folder = out / f"round-{k}"
+    folder.mkdir(exist_ok=True)
+    surrogate, samples = _surrogate(recipe, out, k, stage)
+    with stage(f"round {k}: run", recipe.load.duration, "µs") as report:
+        record = run_study(
+            recipe,
+            "cached",
+            folder / "run",
+            surrogate_file=folder / SURROGATE,
+            report=report,
+        )
+    spread = surrogate.stress_spread
+    tolerance = recipe.cache.tolerance
+    harvest = harvest_of(folder / "run")
+    unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
+    added, wider = 0, surrogate.range
+    if len(unknown) and harvest is not None:
+        law = laws.true_law(recipe)
+        seed = recipe.samples.seed + k + 1
+        with stage(f"round {k}: sample", 1.0, "of the samples") as report:
+            wider, arrays = new_samples(
+                recipe, law, harvest, unknown, surrogate.range, seed, report
+            )
+        write_new_samples(folder / _NEW, recipe, arrays)
+        write_json(folder / _STARTED, {"range": wider.to_dict()})
+        added = len(arrays[0])
+    counts = record.counts
+    return Round(
+        round=k,
+        hits=counts["hits"] / max(1, counts["hits"] + counts["fallbacks"]),
+        unknown=len(unknown),
+        samples=len(samples.valid.F),
+        held_out=max(surrogate.errors["rms"].values()),
+        audit=None if audit is None else audit / spread,
+        tolerance=tolerance,
+        range=surrogate.range.to_dict(),
+        added=added,
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def _surrogate(
+    recipe: Recipe, out: Path, k: int, stage: Stage
+) -> tuple[SurrogateLaw, StressSamples]:
+    """The surrogate that round k runs on, in its folder, and the samples behind it."""
+    path = out / f"round-{k}" / SURROGATE
+    if k == 0:
+        _make_first(recipe, stage)
+        samples = with_harvests(read_data_set(recipe.data_path()), recipe.added_paths(), recipe)
+        if not path.exists():
+            path.write_bytes(recipe.training_path().read_bytes())
+        return SurrogateLaw.load(path), samples
+    samples = with_harvests(
+        read_data_set(recipe.data_path()),
+        [*recipe.added_paths(), *(out / f"round-{j}" / _NEW for j in range(k))],
+        recipe,
+    )
+    samples = replace(samples, range=_range_after(out, k - 1))
+    if not path.exists():
+        total = recipe.training.iterations
+        with stage(f"round {k}: train", total, "iterations") as report:
+            surrogate = train(
+                samples,
+                recipe.training,
+                progress=lambda i, n, figures: report(i, training_note(figures)),
+            )
+        with stage(f"round {k}: calibrate", 1.0, "of the paths") as report:
+            wider = replace(recipe, range=samples.range)
+            surrogate = calibrate_surrogate(wider, surrogate, samples, report)
+        surrogate.save(path)
+    return SurrogateLaw.load(path), samples
+
+
+def _make_first(recipe: Recipe, stage: Stage) -> None:
+    """Data set and surrogate of the recipe, where they are not there."""
+    with stage("generate", recipe.samples.count, "samples") as report:
+        generate_data_set(recipe, report=report)
+    if not recipe.training_path().exists():
+        train_surrogate(recipe, stage=stage)
+
+
+def _range_after(out: Path, k: int) -> SamplingRange:
+    stored = read_json(out / f"round-{k}" / _STARTED)["range"]
+    return SamplingRange(**{name: tuples_of(value) for name, value in stored.items()})
+
+
+def harvest_of(run: Path) -> Harvest | None:
+    """What a run harvested; None where its surrogate answered everything unseen."""
+    path = run / HARVEST
+    return read_harvest(path) if path.exists() else None
+
+
+def unknown_states(
+    harvest: Harvest | None, surrogate: Surrogate, allowed: float
+) -> tuple[NDArray[np.intp], float | None]:
+    """(rows of the harvest that were not known well enough, 99 % quantile of audited errors).
+
+    A point also falls back where the surrogate knows its state but not what the step may come to;
+    such states are not unknown.
+
+    Args:
+        allowed: error of a stress, µN/µm.
+    """
+    if harvest is None:
+        return np.empty(0, dtype=np.intp), None
+    audited = np.flatnonzero((harvest.why == AUDIT) & (harvest.status == 0))
+    fell_back = np.flatnonzero((harvest.why == FALLBACK) & (harvest.status == 0))
+    unknown = np.zeros(len(harvest.why), dtype=bool)
+    _, status, _ = surrogate.lookup(harvest.F[fell_back], harvest.F_dot[fell_back], allowed)
+    unknown[fell_back] = status != 0
+    quantile = None
+    if len(audited):
+        answer, status, _ = surrogate.lookup(harvest.F[audited], harvest.F_dot[audited])
+        error = stress_error(answer, harvest.stress[audited])
+        error = np.where(status == 0, error, np.inf)
+        unknown[audited[error > allowed]] = True
+        quantile = float(np.quantile(error, AUDIT_QUANTILE))
+    return np.flatnonzero(unknown), quantile
+
+
+def new_samples(
+    recipe: Recipe,
+    law: StressLaw,
+    harvest: Harvest,
+    unknown: NDArray[np.intp],
+    known: SamplingRange,
+    seed: int,
+    report: Any,
+) -> tuple[SamplingRange, tuple[Array, Array, Array, NDArray[np.int8], NDArray[np.int8]]]:
+    """(range that holds the unknown states, (F, F_dot, stress, status, why) to train on).
+
+    The true answers of the harvest, as many neighbours of the unknown states, and, where the
+    range had to be widened, as many samples of it as the recipe has of its own.
+
+    Args:
+        known: range of the surrogate.
+        report: called with (samples done, remark).
+    """
+    states = harvest.F[unknown], harvest.F_dot[unknown]
+    wider = range_holding(known, *states)
+    asked = [(*neighbours(wider, *states, min(len(unknown), MOST_NEIGHBOURS), seed), NEIGHBOUR)]
+    if wider != known:
+        asked.append((*sample(wider, recipe.samples.count, seed), WIDENED))
+    parts = [(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)]
+    total, done = sum(len(F) for F, _, _ in asked), 0
+    for F, F_dot, why in asked:
+        for first in range(0, len(F), CHUNK):
+            rows = slice(first, first + CHUNK)
+            answer = law.respond(F[rows], F_dot[rows])
+            reasons = np.full(len(answer.status), why, dtype=np.int8)
+            parts.append((F[rows], F_dot[rows], answer.stress, answer.status, reasons))
+            done += len(answer.status)
+            report(done / total, f"{done} of {total} new samples")
+    F, F_dot, stress, status, reason = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return wider, (F, F_dot, stress, status, reason)
+
+
+def write_new_samples(path: Path, recipe: Recipe, arrays: tuple[Any, ...]) -> None:
+    """Write samples as a harvest, whole or not at all."""
+    header = HarvestHeader(
+        cell=recipe.cell,
+        rve=asdict(recipe.rve),
+        version=version("surrofe2"),
+        recipe=recipe.to_dict(),
+    )
+    with replacing(path) as partial:
+        partial.unlink(missing_ok=True)
+        writer = HarvestWriter(partial, header)
+        writer(*arrays)
+        writer.flush()

@@ -1,0 +1,159 @@
+"""The bar at rest under its load, into a run folder, and its small oscillations about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numba
+
+from surrofe2.io.fields import write_fields
+from surrofe2.io.run_folder import RunRecord, write_load_path
+from surrofe2.macro import Rest, find_modes, find_rest, rest_frames
+from surrofe2.recipe import Recipe
+from surrofe2.workflow.laws import choose_law, warm_up
+from surrofe2.workflow.run import change_rve
+from surrofe2.workflow.run_lifecycle import (
+    Report,
+    Stage,
+    describe_platform,
+    new_record,
+    recording,
+    silent,
+    time_text,
+    untold,
+)
+
+STATES = {"unloaded": 0.0, "loaded": 1.0}
+"""Factor of the body force by the name of the state whose modes are asked for."""
+
+
+def rest_study(
+    recipe: Recipe,
+    folder: Path,
+    *,
+    factor: float = 1.0,
+    load_steps: int = 10,
+    fresh: bool = False,
+    report: Report = untold,
+) -> RunRecord:
+    """Load the recipe's bar in steps and write the run folder.
+
+    What was found before a failure or an interrupt is written.
+
+    Args:
+        factor: of the body force, at the end.
+        fresh: start over, whatever the folder holds.
+        report: called with the part of the load that is on, 0 to 1, and a remark.
+
+    Raises:
+        SimulationError: a load step finds no equilibrium.
+        MismatchError: the folder holds a run of other settings, and not `fresh`.
+    """
+    path: list[Rest] = []
+    begin = compilation = 0.0
+
+    def store(record: RunRecord, last: Rest) -> RunRecord:
+        write_load_path(folder, last.path)
+        write_fields(
+            folder, last.discretisation.nodes, last.discretisation.quads, rest_frames(path)
+        )
+        wall = {"total": time.perf_counter() - begin, "compilation": compilation}
+        met = {"watched": [float(u) for u in last.watched]}
+        return replace(record, wall_time=wall, counts=last.counts, met=met)
+
+    record = new_record(recipe, "rve")
+    stated = {"factor": factor, "load_steps": load_steps}
+    record = replace(record, recipe={**record.recipe, "rest": stated})
+    with recording(folder, record, store, fresh=fresh) as current:
+        if current.is_finished:
+            return current.record
+        chosen = choose_law(recipe, "rve")
+        compilation = warm_up(chosen.parts, recipe.macro)
+        begin = time.perf_counter()
+
+        def reached(rest: Rest) -> None:
+            path.append(rest)
+            current.partial = rest
+            report(rest.factor / factor if factor else 1.0, "")
+
+        found = find_rest(
+            recipe.load,
+            chosen.law,
+            recipe.macro,
+            factor=factor,
+            load_steps=load_steps,
+            reached=reached,
+        )
+        current.finish(found)
+    return current.record
+
+
+def rest_summary(record: RunRecord) -> str:
+    """Where the bar came to rest and what it cost."""
+    counts, end = record.counts, record.recipe["rest"]
+    u_x, u_y = record.met["watched"]
+    return (
+        f"at rest under {end['factor']:g} times the load, watched point at ({u_x:.4g}, {u_y:.4g}) "
+        f"µm, in {time_text(record.wall_time['total'])}: {counts['load_steps']} load steps, "
+        f"{counts['halvings']} halvings, {counts['factorisations']} Newton corrections"
+    )
+
+
+def find_all_modes(
+    recipe: Recipe, methods: Sequence[str], count: int, *, stage: Stage = silent
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """The slowest oscillations about both states of `STATES`, by state and initialisation."""
+    found: dict[str, dict[str, dict[str, Any]]] = {state: {} for state in STATES}
+    with stage("modes", float(len(methods) * len(STATES)), "states") as report:
+        for k, method in enumerate(methods):
+            for j, (state, factor) in enumerate(STATES.items()):
+                found[state][method] = _modes_of(recipe, method, factor, count)
+                report(len(STATES) * k + j + 1.0, method)
+    return found
+
+
+def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
+    law = choose_law(change_rve(recipe, method), "rve").law
+    rest = find_rest(recipe.load, law, recipe.macro, factor=factor, load_steps=4)
+    modes = find_modes(rest, count)
+    return {
+        "watched": rest.watched,
+        "period": modes.periods,
+        "frequency": modes.frequencies,
+        "decrement": modes.decrements,
+        "damping_ratio": modes.damping_ratios,
+        "creeping": modes.creeping,
+        "stable": modes.stable,
+    }
+
+
+def modes_identity(recipe: Recipe, methods: Sequence[str], count: int) -> dict[str, Any]:
+    """What modes depend on."""
+    return {
+        "version": version("surrofe2"),
+        "recipe": recipe.to_dict(),
+        "asked": {"initialisations": methods, "count": count},
+    }
+
+
+def modes_record(recipe: Recipe, states: Mapping[str, Any]) -> dict[str, Any]:
+    """The modes with everything needed to compute them again."""
+    return {
+        "fingerprint": recipe.cell.fingerprint,
+        "threads": numba.get_num_threads(),
+        "platform": describe_platform(),
+        "units": {
+            "watched": "µm, displacement of the watched point at rest",
+            "period": "µs",
+            "frequency": "1/µs",
+            "decrement": "1, logarithmic, a period",
+            "damping_ratio": "1",
+            "creeping": "1/µs, real eigenvalues found on the way",
+        },
+        "states": states,
+    }

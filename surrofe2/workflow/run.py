@@ -1,0 +1,187 @@
+"""A bar by a chosen stress law, into a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from surrofe2.cache import CachedLaw
+from surrofe2.io.fields import write_fields
+from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
+from surrofe2.macro import MacroRun, MacroState, simulate
+from surrofe2.recipe import Recipe
+from surrofe2.workflow.laws import ChosenLaw, choose_law, warm_up
+from surrofe2.workflow.run_lifecycle import (
+    CHECKPOINT_INTERVAL,
+    Report,
+    new_record,
+    recording,
+    time_text,
+    untold,
+)
+from surrofe2.workflow.run_outputs import RunOutputs, counts_of
+
+
+def run_study(
+    recipe: Recipe,
+    kind: str,
+    folder: Path,
+    *,
+    surrogate_file: Path | None = None,
+    tables: Sequence[Path] = (),
+    harvest: bool = True,
+    fresh: bool = False,
+    report: Report = untold,
+) -> RunRecord:
+    """Run the recipe's load case by the law called `kind` and write the run folder.
+
+    Args:
+        tables: files of tables to start from; the run's own is written into the folder.
+        harvest: whether true answers of a cached run are kept in the folder.
+        fresh: start over, whatever the folder holds.
+        report: called with the time reached in µs and a remark.
+
+    Raises:
+        SimulationError: the run could not be carried on; the folder holds it up to there.
+        MismatchError: the folder holds a run of other settings, and not `fresh`.
+    """
+    outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
+    chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.keep)
+    compilation = 0.0
+
+    def store(record: RunRecord, run: MacroRun) -> RunRecord:
+        outputs.store(chosen.table)
+        write_curve(folder, run.curve)
+        write_energies(folder, run.curve.t, run.energies)
+        write_fields(folder, run.nodes, run.quads, run.frames)
+        return replace(
+            record,
+            wall_time={**run.wall_time, "compilation": compilation},
+            counts={**run.counts, **run.effort, **counts_of(chosen.table)},
+            cache=_cache_report(chosen, whole=record.status == "finished"),
+            met=_met(run),
+            threads=run.threads,
+        )
+
+    record = new_record(recipe, kind, chosen.surrogate)
+    with recording(folder, record, store, fresh=fresh) as current:
+        if current.is_finished:
+            return current.record
+        arrays = current.last_state()
+        if arrays is not None:
+            outputs.resume(chosen.table)
+        if current.record.cache is not None and isinstance(chosen.law, CachedLaw):
+            chosen.law.restore(current.record.cache)
+
+        def checkpoint(state: MacroState) -> None:
+            outputs.store(chosen.table)
+            current.checkpoint(state.to_arrays(), _cache_report(chosen))
+
+        compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
+        done = simulate(
+            recipe.load,
+            chosen.law,
+            recipe.macro,
+            progress=lambda t, duration: report(t, ""),
+            checkpoint=checkpoint,
+            checkpoint_interval=CHECKPOINT_INTERVAL,
+            resume=None if arrays is None else MacroState.from_arrays(arrays),
+        )
+        current.finish(done)
+    return current.record
+
+
+def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] | None:
+    """What a cached law has to report; None of any other law.
+
+    whole: the run is over: audit what waits and say what true RVEs would have cost.
+    """
+    if not isinstance(chosen.law, CachedLaw):
+        return None
+    return chosen.law.report() if whole else chosen.law.history()
+
+
+def _met(run: MacroRun) -> dict[str, Any]:
+    summary = {"stretch": run.met.stretch, "shear": run.met.shear, "rate": run.met.rate}
+    return asdict(run.met) | summary
+
+
+def change_rve(recipe: Recipe, initialisation: str | None, solver: str | None = None) -> Recipe:
+    """The recipe with another way to initialise its RVEs."""
+    usual = recipe.rve
+    rve = replace(
+        usual,
+        initialisation=initialisation or usual.initialisation,
+        solver=solver or usual.solver,
+    )
+    return replace(recipe, rve=rve)
+
+
+def change_cache(recipe: Recipe, tolerance: float | None, audit: float | None = None) -> Recipe:
+    """The recipe with another tolerance or audit of the cache."""
+    usual = recipe.cache
+    cache = replace(
+        usual,
+        tolerance=usual.tolerance if tolerance is None else tolerance,
+        audit=usual.audit if audit is None else audit,
+    )
+    return replace(recipe, cache=cache)
+
+
+def run_summary(record: RunRecord) -> str:
+    """What a finished run did and what it cost."""
+    wall, counts = record.wall_time, record.counts
+    return (
+        f"{record.recipe['load']['duration']:g} µs by {record.law} in "
+        f"{time_text(wall['total'])} (law {time_text(wall['law'])}, "
+        f"macro {time_text(wall['macro'])}; "
+        f"compilation {time_text(wall.get('compilation', 0.0))} before), {costs(counts)}"
+    )
+
+
+def costs(counts: Mapping[str, int]) -> str:
+    """Stress points, RVE solves and, for cached laws, hits and fallbacks by reason."""
+    asked = counts["stress_points"] + counts.get("dissipation_points", 0)
+    text = f"{asked} stresses, {counts.get('rve_solves', 0)} RVE solves"
+    if "hits" not in counts:
+        return text
+    reasons = [
+        f"{n} {name.removeprefix('fallbacks_').replace('_', ' ')}"
+        for name, n in counts.items()
+        if name.startswith("fallbacks_") and n
+    ]
+    fallbacks = f"{counts.get('fallbacks', 0)} fallbacks"
+    text += f", {counts['hits']} hits, {fallbacks}" + (
+        f" ({', '.join(reasons)})" if reasons else ""
+    )
+    records = counts.get("table_records")
+    return text if records is None else f"{text}, table of {records} records"
+
+
+def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """Sentences on audit, trust and cost of a run, each with whether it is a warning."""
+    cache = record.cache
+    if cache is None:
+        return
+    yield f"audit: {audit_sentence(cache)}", False
+    for event in cache["trust"]["events"]:
+        yield f"cache, step {event['step']}: {event['finding']}", True
+    if cache["cost"] is not None:
+        yield f"cost: {cache['cost']['sentence']}", not cache["cost"]["pays"]
+
+
+def audit_sentence(cache: Mapping[str, Any]) -> str:
+    """How many answers were audited and how wrong they were."""
+    audit, allowed = cache["audit"], float(cache["tolerance"]["absolute"])
+    if not audit["audited"]:
+        return "none of the cache's answers"
+    text = f"{audit['audited']} of {cache['accepted']['hits']} accepted answers"
+    if audit["quantiles"]:
+        text += (
+            f", error {audit['quantiles']['0.99']:.2g} µN/µm at 99 %, {audit['largest']:.2g} worst"
+        )
+    if allowed == float("inf"):
+        return f"{text}; no bound, so no tolerance is held"
+    return f"{text}; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"

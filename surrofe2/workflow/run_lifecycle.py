@@ -1,0 +1,175 @@
+"""One run in its folder: begun, checkpointed, and finished, failed or interrupted."""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from surrofe2.errors import SimulationError
+from surrofe2.io.checkpoints import read_checkpoint, write_checkpoint
+from surrofe2.io.run_folder import RunRecord, open_run_folder, write_record
+from surrofe2.recipe import Recipe
+
+log = logging.getLogger(__name__)
+
+CHECKPOINT_INTERVAL = 5.0  # s
+
+Report = Callable[[float, str], None]
+"""Is told how much is done and a remark."""
+Stage = Callable[[str, float, str], AbstractContextManager[Report]]
+"""Begins to display a stage: what is done, how much of it, in which unit."""
+Store = Callable[[RunRecord, Any], RunRecord]
+"""Writes the files of a result, whole or partial; gives the record with what it cost."""
+
+
+def untold(done: float, note: str = "") -> None:
+    """A report that nobody hears."""
+
+
+def silent(what: str, total: float, unit: str) -> AbstractContextManager[Report]:
+    """A stage that nobody sees."""
+    return nullcontext(untold)
+
+
+@dataclass(slots=True)
+class Recording:
+    """A run that is being recorded.
+
+    Attributes:
+        record: what run.json says now.
+        earlier: the record that an earlier call left, if this run goes on from there.
+        partial: what to store where the run ends early and its error carries nothing.
+    """
+
+    folder: Path
+    record: RunRecord
+    earlier: RunRecord | None
+    store: Store
+    partial: Any = None
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether an earlier call finished this very run; `record` is then the earlier one."""
+        return self.earlier is not None and self.earlier.status == "finished"
+
+    def last_state(self) -> dict[str, np.ndarray] | None:
+        """The arrays of the last checkpoint; None where the run starts at its beginning."""
+        path = self._checkpoint_path()
+        known = self.earlier is not None and path.exists()
+        return read_checkpoint(path, self._kind()) if known else None
+
+    def checkpoint(
+        self, arrays: Mapping[str, np.ndarray], cache: Mapping[str, Any] | None = None
+    ) -> None:
+        """Write a state to go on from, with what a cached law reports of itself there."""
+        write_checkpoint(self._checkpoint_path(), arrays, self._kind())
+        self.record = replace(self.record, cache=cache)
+        write_record(self.folder, self.record)
+
+    def finish(self, result: Any) -> RunRecord:
+        """Store a whole result; run.json comes last, so a finished record has all its files."""
+        self.end("finished", result)
+        self._checkpoint_path().unlink(missing_ok=True)
+        return self.record
+
+    def end(self, status: str, result: Any = None, error: str | None = None) -> None:
+        """Store what there is and say how the run ended."""
+        self.record = replace(self.record, status=status, error=error)
+        if result is not None:
+            self.record = self.store(self.record, result)
+        write_record(self.folder, self.record)
+
+    def _checkpoint_path(self) -> Path:
+        return self.folder / "checkpoint.h5"
+
+    def _kind(self) -> str:
+        return f"a {self.record.law} run"
+
+
+@contextmanager
+def recording(
+    folder: Path, record: RunRecord, store: Store, *, fresh: bool = False
+) -> Iterator[Recording]:
+    """Open a run folder for a run and record how the block ends.
+
+    A run that fails or is interrupted leaves what it computed. The block itself calls `finish`.
+
+    Raises:
+        MismatchError: the folder holds a run of other settings, and not `fresh`.
+    """
+    earlier = open_run_folder(folder, record, fresh=fresh)
+    if earlier is not None and earlier.status == "finished":
+        log.info("%s: finished before; --fresh starts over", folder)
+        yield Recording(folder, earlier, earlier, store)
+        return
+    current = Recording(folder, record, earlier, store)
+    if earlier is not None:
+        current.record = replace(record, cache=earlier.cache)
+    write_record(folder, current.record)
+    try:
+        yield current
+    except SimulationError as error:
+        partial = current.partial if error.partial is None else error.partial
+        current.end("failed", partial, str(error))
+        raise
+    except KeyboardInterrupt:
+        current.end("interrupted", current.partial)
+        raise
+
+
+def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:
+    """The record of a run by the law of this name that is about to start."""
+    return RunRecord(
+        status="running",
+        recipe=recipe.to_dict(),
+        law=law,
+        initialisation=recipe.rve.initialisation,
+        solver=recipe.rve.solver,
+        package_version=version("surrofe2"),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        cell_fingerprint=recipe.cell.fingerprint,
+        threads=numba.get_num_threads(),
+        seed=recipe.samples.seed,
+        surrogate=surrogate,
+        platform=describe_platform(),
+    )
+
+
+def describe_platform() -> dict[str, str]:
+    """Processor, cores, system and library versions; nothing that identifies the machine."""
+    libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "torch")}
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        **libraries,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def time_text(seconds: float) -> str:
+    """Seconds as people say them."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s"

@@ -1,0 +1,134 @@
+"""The full microscopic tissue under a recipe's load case, into a run folder."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from surrofe2.errors import InputError
+from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
+from surrofe2.io.tissue_fields import write_particle_fields
+from surrofe2.recipe import Recipe
+from surrofe2.rve import RveLaw
+from surrofe2.tissue import Motion, Tissue, TissueRun, TissueState, make_tissue, simulate_tissue
+from surrofe2.workflow.run_lifecycle import (
+    CHECKPOINT_INTERVAL,
+    Report,
+    new_record,
+    recording,
+    time_text,
+    untold,
+)
+
+
+def run_tissue(
+    recipe: Recipe,
+    folder: Path,
+    *,
+    fresh: bool = False,
+    report: Report = untold,
+) -> RunRecord:
+    """Run the recipe's load case on a tissue of plant cells and write the run folder.
+
+    Args:
+        fresh: start over, whatever the folder holds.
+        report: called with the time reached in µs and a remark.
+
+    Raises:
+        SimulationError: the run could not be carried on; the folder holds it up to there.
+        MismatchError: the folder holds a run of other settings, and not `fresh`.
+    """
+    cells = cells_of(recipe)
+    compilation = 0.0
+
+    def store(record: RunRecord, run: TissueRun) -> RunRecord:
+        write_curve(folder, run.curve)
+        write_energies(folder, run.curve.t, run.energies)
+        write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
+        return replace(
+            record,
+            wall_time={**run.wall_time, "compilation": compilation},
+            counts=run.counts,
+            threads=run.threads,
+        )
+
+    record = replace(
+        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
+    )
+    with recording(folder, record, store, fresh=fresh) as current:
+        if current.is_finished:
+            return current.record
+        arrays = current.last_state()
+        tissue = build_tissue(recipe, cells)
+        compilation = _warm_up(tissue)
+        done = simulate_tissue(
+            recipe.load,
+            tissue,
+            recipe.tissue,
+            progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
+            checkpoint=lambda state: current.checkpoint(state.to_arrays()),
+            checkpoint_interval=CHECKPOINT_INTERVAL,
+            resume=None if arrays is None else TissueState.from_arrays(arrays),
+        )
+        current.finish(done)
+    return current.record
+
+
+def cells_of(recipe: Recipe) -> tuple[int, int]:
+    """Plant cells in x and y that fill the load case's rectangle.
+
+    Raises:
+        InputError: no whole number of them does.
+    """
+    side, load = recipe.cell.cell_side, recipe.load
+    counts = []
+    for name, extent in (("width", load.width), ("height", load.height)):
+        count = round(extent / side)
+        if count < 1 or abs(count * side - extent) > 1e-9 * extent:
+            raise InputError(
+                f"load.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
+                f"{side:g} µm: change it or give --cells N M"
+            )
+        counts.append(count)
+    return counts[0], counts[1]
+
+
+def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
+    """The recipe on a rectangle of so many plant cells, its watched point moved along.
+
+    Raises:
+        InputError: less than one in a direction.
+    """
+    if min(cells) < 1:
+        raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
+    load, side = recipe.load, recipe.cell.cell_side
+    width, height = cells[0] * side, cells[1] * side
+    watched = load.watched[0] * width / load.width, load.watched[1] * height / load.height
+    changed = replace(load, width=width, height=height, watched=watched)
+    return replace(recipe, load=changed)
+
+
+def build_tissue(recipe: Recipe, cells: tuple[int, int]) -> Tissue:
+    """Copies of the plant cell whose periodic unit is free of stress."""
+    law = RveLaw(recipe.cell)
+    return make_tissue(recipe.cell, law.reference_position, law.rest_length, cells)
+
+
+def _warm_up(tissue: Tissue) -> float:
+    """Ask for forces and energy once, so that compilation is not in the clock; seconds it took."""
+    begin = time.perf_counter()
+    Motion(tissue).elastic_energy()
+    return time.perf_counter() - begin
+
+
+def tissue_summary(record: RunRecord) -> str:
+    """What a finished run did and what it cost."""
+    wall, counts = record.wall_time, record.counts
+    rate = counts["particle_steps"] / max(wall["run"], 1e-9) / 1e6
+    return (
+        f"{record.recipe['load']['duration']:g} µs of {counts['particles']} particles in "
+        f"{time_text(wall['total'])} (relaxation {time_text(wall['relaxation'])}, run "
+        f"{time_text(wall['run'])}; compilation {time_text(wall.get('compilation', 0.0))} before), "
+        f"{counts['steps']} steps, {rate:.3g} million particle-steps/s"
+    )
