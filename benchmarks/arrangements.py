@@ -17,13 +17,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from benchmarks.timing import side_by_side, threads
-from surrofe2.plant_cell.arrangements import make_arrangement, start_positions
+from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.block_pattern import Pattern, factorisation_work
+from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-from surrofe2.rve.arranged_cells import equilibria_in, make_lists, start_set
-from surrofe2.rve.equilibria import distinct
 from surrofe2.rve.linear import factorise, solve_factorised
+from surrofe2.rve.reference_state import SAME_ENERGY, Equilibria, equilibria_in, make_topologies
 from surrofe2.rve.sparse_linear import factorise_sparse, solve_sparse
 from surrofe2.simd import TILE
 
@@ -66,9 +66,9 @@ def squares(preset: str) -> dict[str, float]:
 def equilibria(preset: str, arrangement: str, cells: int) -> dict[str, Any]:
     """Distinct stable equilibria at the reference's l₀ and box, from fluid put at random."""
     this = law(preset, arrangement, cells, "constrained-runs")
-    box = this.unit_cell.patches[0].lattice
-    starts = start_set(this.cell, 2 * TILE, at_random=True)
-    found = equilibria_in(this.cell, box, this.rest_length, starts)
+    box = this.reference.lattice
+    starts = [start_positions(this.cell, k, at_random=True) for k in range(2 * TILE)]
+    found = equilibria_in(this.cell, box, this.rest_length, np.array(starts))
     chosen = distinct(found)
     stress = found.stress[chosen]
     apart = np.abs(stress[:, None] - stress).max(initial=0.0)
@@ -80,6 +80,18 @@ def equilibria(preset: str, arrangement: str, cells: int) -> dict[str, Any]:
         "stresses_apart": float(apart),
         "energies": [float(e) for e in found.energy[chosen]],
     }
+
+
+def distinct(equilibria: Equilibria) -> list[int]:
+    """One of each group of stable equilibria of one energy, by rising energy."""
+    chosen: list[int] = []
+    for k in np.argsort(np.where(equilibria.stable, equilibria.energy, np.inf), kind="stable"):
+        if not equilibria.stable[k]:
+            break
+        energy = equilibria.energy[k]
+        if not chosen or energy - equilibria.energy[chosen[-1]] > SAME_ENERGY * abs(energy):
+            chosen.append(int(k))
+    return chosen
 
 
 def cauchy_born(preset: str, arrangement: str, cells: int) -> dict[str, float]:
@@ -107,8 +119,8 @@ def factorisations(repeats: int) -> list[dict[str, Any]]:
     for arrangement, cells in LADDER:
         cell = CellParameters(arrangement=arrangement, cells=cells)
         made = make_arrangement(cell)
-        start = start_positions(cell, np.random.default_rng(0))
-        pattern = make_lists(cell, start, made.tessellation.lattice, sparse=True).topologies[0]
+        patches = make_patches(cell, start_positions(cell), made.tessellation.lattice)
+        pattern = make_topologies(cell, patches, sparse=True)[0]
         unknowns = 2 * made.particles - 2
         rng = np.random.default_rng(1)
         dense = rng.normal(size=(unknowns, unknowns, TILE))

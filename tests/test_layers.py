@@ -31,10 +31,6 @@ HEAVY = ("torch", "matplotlib")
 """What a function may import."""
 
 CIRCLES: tuple[set[str], ...] = (
-    {
-        "surrofe2.plant_cell.arrangements", "surrofe2.plant_cell.geometry",
-        "surrofe2.plant_cell.parameters",
-    },
     {"surrofe2.rve.rve_law", "surrofe2.rve.solve"},
     {
         "surrofe2.surrogate.calibration", "surrofe2.surrogate.checkpoint",
@@ -46,12 +42,12 @@ CIRCLES: tuple[set[str], ...] = (
 
 LONG_KERNELS = 37
 """Kernels with more than eight arguments, at most: the innermost level of each."""
-LONG_FUNCTIONS = {"run", "localised"}
+LONG_FUNCTIONS = {"run"}
 """Functions with more than eight arguments. run: the options of a command."""
 
 LOCAL_IMPORTS = {
-    "cache/audit.py", "compilation.py", "plant_cell/parameters.py", "surrogate/calibration.py",
-    "surrogate/checkpoint.py", "surrogate/surrogate_law.py",
+    "cache/audit.py", "compilation.py", "surrogate/calibration.py", "surrogate/checkpoint.py",
+    "surrogate/surrogate_law.py",
 }  # fmt: skip
 """Files with imports inside functions of more than torch and matplotlib."""
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.errors import InputError
+from surrofe2.plant_cell.tessellation import Tessellation, make_tessellation
 from surrofe2.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
 
 _PAPER = "Ghysels et al. 2009, TW 550"
@@ -125,17 +126,23 @@ class CellParameters:
         return self.fluid_particle_mass * self.fluid_particles_per_side**2 / self.fluid_particles
 
     @property
+    def spring_length(self) -> float:
+        """Reference length of a wall spring on a square's side, µm."""
+        return self.cell_side / self.wall_springs_per_side
+
+    @property
+    def tessellation(self) -> Tessellation:
+        """Polygons of the RVE's plant cells."""
+        return make_tessellation(
+            self.arrangement, self.cell_side, self.cells, self.arrangement_seed
+        )
+
+    @property
     def mass(self) -> float:
         """Mass of one cell in a tissue (the mean), shared wall particles counted once, ng."""
-        if not self.is_one_square:
-            from surrofe2.plant_cell.arrangements import mean_mass  # which needs the parameters
-
-            return mean_mass(self)
-        walls = 2 * self.wall_springs_per_side - 1
-        return (
-            walls * self.wall_particle_mass
-            + self.fluid_particles_per_side**2 * self.fluid_particle_mass
-        )
+        walls = self.tessellation.wall_particles(self.spring_length)
+        fluid = self.fluid_particles * self.cells
+        return (walls * self.wall_particle_mass + fluid * self.fluid_mass) / self.cells
 
     @property
     def density(self) -> float:

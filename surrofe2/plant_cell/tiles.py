@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.block_pattern import Pattern
-from surrofe2.plant_cell.geometry import Patch
+from surrofe2.plant_cell.pair_lists import Patch
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.simd import TILE
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import iterate
-from surrofe2.rve.contact_lists import covers
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
 from surrofe2.rve.rve_state import RveState, flags, with_copies
@@ -36,8 +35,7 @@ def felt_rate(initialisation: str, F_dot: Array) -> Array:
 
 def covered_by(unit: UnitCell, level: int, F: Array, z: Array) -> NDArray[np.bool_]:
     """(tiles, TILE): whether the contacts that list `level` holds are all there can be."""
-    reach, cutoff = unit.patches[level].reach, unit.cell.repulsion_cutoff
-    return covers(F, z, unit.position, reach, unit.unlisted[level], cutoff)
+    return unit.covered(level, F, z)
 
 
 class Batch:

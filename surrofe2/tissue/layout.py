@@ -1,7 +1,7 @@
 """Which plant cells and particles a tissue has, and where they lie in tiles.
 
 Every square plant cell owns its lower left corner, bottom wall, left wall and fluid, as the
-periodic unit of `plant_cell.geometry` does. The walls along the right and the upper boundary
+periodic unit of `plant_cell.arrangement` does. The walls along the right and the upper boundary
 belong to further columns and rows of `walls only` places, which have no fluid::
 
     top walls only       ┌──┬──┬·

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.arranged_patch import arranged_patch, candidates
-from surrofe2.plant_cell.arrangements import make_arrangement, start_positions
-from surrofe2.plant_cell.geometry import even_positions, square_patch
+from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
+from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 
 CASES = (("square", 4, 38, 64), ("hexagon", 1, 17, 19), ("voronoi", 9, None, 144))
@@ -26,7 +25,7 @@ def test_polygons_tile_the_box_and_share_every_edge(arrangement, cells, per_two,
     assert len(t.vertices) - len(t.edges) + len(t.polygons) == 0  # Euler on a torus
     assert sum(made.fluid_counts) == fluid
     assert (made.wall_position[0] == 0.0).all()
-    bonded = np.bincount([k for i, j, _ in made.bonds for k in (i, j)], minlength=made.walls)
+    bonded = np.bincount(made.bonds[:, :2].ravel(), minlength=made.walls)
     assert set(bonded[: len(t.vertices)]) == ({4} if arrangement == "square" else {3})
     assert set(bonded[len(t.vertices) :]) == {2}
 
@@ -36,15 +35,16 @@ def test_voronoi_fluid_follows_area_and_springs_are_near_those_of_the_square():
     exact = made.tessellation.areas * 16.0 / 625.0
     assert np.abs(np.array(made.fluid_counts) - exact).max() < 1.0
     for edge in made.tessellation.edges:
-        length = made.tessellation.length(edge)
+        length = np.linalg.norm(made.tessellation.vector(edge))
         springs = max(1, round(length / 2.5))
+        assert made.tessellation.springs(edge, 2.5) == springs
         assert springs == 1 or abs(length / springs - 2.5) <= 0.5 * 2.5 / springs + 1e-12
 
 
 def test_fluid_starts_inside_its_polygon():
     cell = arranged("voronoi", 9, seed=4)
     made = make_arrangement(cell)
-    position = start_positions(cell, np.random.default_rng(0))
+    position = start_positions(cell)
     for k in range(9):
         corners = made.tessellation.corners(k)
         first, last = made.walls + made.fluid_start[k : k + 2]
@@ -54,19 +54,36 @@ def test_fluid_starts_inside_its_polygon():
             assert (side[:, 0] * way[:, 1] - side[:, 1] * way[:, 0] > 0.0).all()
 
 
-def test_one_square_by_the_general_way_has_the_pairs_of_the_special_one():
-    """Same particles at the same places, so the distances of every kind of pair agree."""
+def test_one_square_has_the_particles_in_the_order_that_tissues_repeat():
+    """Corner, bottom wall, left wall, fluid row by row."""
+    position = start_positions(CellParameters())
+    along = 2.5 * np.arange(1, 10)
+    np.testing.assert_array_equal(position[0], [0.0, 0.0])
+    np.testing.assert_array_equal(position[1:10], np.stack([along, 0.0 * along], axis=1))
+    np.testing.assert_array_equal(position[10:19], np.stack([0.0 * along, along], axis=1))
+    assert (position[19:] > 4.0).all()
+    assert (position[19:] < 21.0).all()
+
+
+def test_pairs_of_one_square_are_those_found_by_looking_at_every_image():
     cell = CellParameters()
-    made = make_arrangement(cell)
-    general = np.concatenate([made.wall_position, even_positions(cell)[19:]])
-    lattice = 25.0 * np.eye(2)
-    every = candidates(made, general, lattice, 30.0)
-    mine, _ = arranged_patch(cell, made, general, lattice, every, 14.0, 14.0)
-    theirs = square_patch(cell, reach=14.0)
-    for kind in ("bonds", "contacts", "fluid_pairs"):
-        np.testing.assert_allclose(
-            lengths(mine, getattr(mine, kind)), lengths(theirs, getattr(theirs, kind)), atol=1e-9
-        )
+    position, lattice = start_positions(cell), 25.0 * np.eye(2)
+    (patch,) = make_patches(cell, position, lattice, ((1.4, 1.4),))
+    images = 25.0 * np.array([(a, b) for a in range(-2, 3) for b in range(-2, 3)])
+    r = position[:, None, None] - position[None, :, None] - images
+    apart = np.sqrt((r**2).sum(axis=-1))  # (i, j, image)
+    walls, bonds = apart[:19, :19].ravel(), np.full(20, 2.5)
+    near = np.sort(walls[(walls > 0.0) & (walls <= 14.0)])[::2]
+    is_bond = near < 2.5 + 1e-9  # besides the springs, corners' neighbours are farther
+    np.testing.assert_allclose(lengths(patch, patch.bonds), bonds, atol=1e-12)
+    assert is_bond.sum() == 20
+    rim = [(w + 25.0 * np.array(s)) for w in position[:19] for s in np.ndindex(2, 2)]
+    rim = np.array([p for p in rim if (p <= 25.0 + 1e-9).all()])
+    assert len(rim) == 40
+    fluid = np.linalg.norm(position[19:, None] - rim, axis=2).ravel()
+    expected = np.concatenate([near[~is_bond], fluid[fluid <= 14.0]])
+    np.testing.assert_allclose(lengths(patch, patch.contacts), np.sort(expected), atol=1e-9)
+    assert len(patch.fluid_pairs) == 16 * 15 // 2
 
 
 def lengths(patch, pairs):
@@ -115,11 +132,15 @@ def test_fluid_may_reach_every_wall_around_it_from_wherever_it_is():
     made = make_arrangement(cell)
     lattice = made.tessellation.lattice
     for k in range(2):
-        position = start_positions(cell, np.random.default_rng(k))
-        every = candidates(made, position, lattice, 12.0)
-        patch, rest = arranged_patch(cell, made, position, lattice, every, np.inf, 12.0)
+        position = start_positions(cell, k)
+        (patch,) = make_patches(cell, position, lattice, ((np.inf, 1.2),))
         owner = np.concatenate([np.arange(made.particles), patch.owner])[patch.contacts]
         with_fluid = (owner >= made.walls).any(axis=1)
         pairs = zip(made.rims, made.fluid_counts, strict=True)
         assert with_fluid.sum() == sum(len(rim) * count for rim, count in pairs)
-        assert len(rest.pairs) == 0
+        rest = patch.unlisted
+        assert (rest.pairs < made.walls).all()
+        i, j = rest.pairs.T
+        way = position[j] + rest.offset - position[i]
+        assert np.linalg.norm(way, axis=1).min() > 12.0
+        assert np.linalg.norm(way, axis=1).max() <= rest.reach == 30.0

@@ -8,7 +8,8 @@ from numba import njit
 from scipy.integrate import quad
 
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
-from surrofe2.plant_cell.geometry import even_positions, square_patch
+from surrofe2.plant_cell.arrangement import start_positions
+from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope, spline_third
 from surrofe2.plant_cell.tiles import make_constants, make_topology, pack, unpack
@@ -40,8 +41,8 @@ class Patch:
     def __init__(self, preset: str, seed: int = 0, reach: float = 25.0) -> None:
         rng = np.random.default_rng(seed)
         self.cell = CellParameters.preset(preset)
-        base = even_positions(self.cell)
-        self.patch = square_patch(self.cell, base, reach=reach)
+        base, levels = start_positions(self.cell), ((reach / self.cell.repulsion_cutoff,) * 2,)
+        (self.patch,) = make_patches(self.cell, base, self.cell.tessellation.lattice, levels)
         self.topology = make_topology(self.patch)
         self.constants = make_constants(self.cell, REST)
         self.twin = Twin(self.cell, REST)
