@@ -13,7 +13,7 @@ from benchmarks.setting import Setting
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import TrainingSettings
-from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples
+from tests.laws import CELL, RANGE, lattice_samples
 
 
 class TinySetting(Setting):

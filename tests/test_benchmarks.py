@@ -34,7 +34,7 @@ from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
-from tests.cache.fakes import Learnt, Truth
+from tests.laws import Learnt, Truth
 
 ROOT = Path(__file__).parents[1]
 SMALL = MacroSettings(elements=(2, 2))

@@ -12,7 +12,7 @@ from surrofe2.cache.error_record import ErrorRecord
 from surrofe2.errors import InputError
 from surrofe2.stress_law import Status, StressResponse
 from surrofe2.tensors import stress_error
-from tests.cache.fakes import Learnt, Surrogate, Truth, Warmth, stretched
+from tests.laws import Learnt, PointStates, Surrogate, Truth, stretched
 
 SIZE = 0.05
 
@@ -114,7 +114,7 @@ class Warm(Truth):
     def respond(self, F, F_dot, state=None, *, tangents=False):
         self.asked.append((F.copy(), state))
         answer = super().respond(F, F_dot)
-        return StressResponse(answer.stress, answer.status, Warmth(F.copy()))
+        return StressResponse(answer.stress, answer.status, PointStates(F.copy()))
 
 
 def test_an_audit_starts_from_the_last_one_of_its_point():
@@ -165,7 +165,7 @@ def test_fallback_and_audit_answers_are_kept_and_learnt():
     surrogate = Surrogate()
     surrogate.has_bound, surrogate.stress_spread = True, 1e4
     surrogate.learn = lambda *answers: learnt.append(answers)
-    from tests.cache.fakes import TrueLaw
+    from tests.laws import TrueLaw
 
     cached = CachedLaw(
         surrogate,

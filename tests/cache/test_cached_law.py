@@ -9,7 +9,7 @@ from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.stress_law import Acceptance, Status, StressResponse
-from tests.cache.fakes import CELL, ZERO, Surrogate, TrueLaw, exact, stretched
+from tests.laws import CELL, ZERO, Surrogate, TrueLaw, exact, stretched
 
 
 @pytest.fixture
@@ -272,7 +272,7 @@ def test_a_corrupted_surrogate_falls_back_at_every_point():
     from dataclasses import replace
 
     from surrofe2.surrogate import TrainingSettings, train
-    from tests.surrogate.lattice_law import lattice_samples, lattice_stress
+    from tests.laws import lattice_samples, lattice_stress
 
     samples = lattice_samples(200)
     law = train(samples, TrainingSettings(hidden=(4,), baseline_degree=1, iterations=5))

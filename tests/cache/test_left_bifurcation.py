@@ -6,11 +6,11 @@ import numpy as np
 
 from surrofe2.cache import CachedLaw
 from surrofe2.stress_law import Acceptance
-from tests.cache.fakes import Surrogate, TrueLaw, Warmth, stretched
+from tests.laws import PointStates, Surrogate, TrueLaw, stretched
 
 
 @dataclass(frozen=True)
-class Branch(Warmth):
+class Branch(PointStates):
     """A state beyond a bifurcation where F₁₁ > 1.6."""
 
     def take(self, indices):

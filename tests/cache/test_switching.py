@@ -14,7 +14,7 @@ from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import Stepper
-from tests.cache.fakes import Learnt, Truth, shear_error
+from tests.laws import Learnt, Truth, shear_error
 
 LOAD_CASE = LoadCase(
     width=60.0, height=40.0, watched=(60.0, 20.0), duration=12.0, output_interval=0.25

@@ -8,21 +8,9 @@ from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS
 from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status
-from surrofe2.tensors import stress_error
-from tests.cache.square_law import Points, SquareLaw, square_stress
-from tests.cache.test_table_inputs import RANGE, states, to_components, to_inputs, transpose
-
-SPREAD = 3.0
-
-
-def make(law=None, tolerance=5e-2, **settings):
-    return StressTable(law or SquareLaw(), tolerance * SPREAD, RANGE, SPREAD, **settings)
-
-
-def taught(F, F_dot, table=None):
-    table = table or make()
-    table.learn(F, F_dot, square_stress(F, F_dot))
-    return table
+from surrofe2.tensors import stress_error, to_components, to_inputs, transpose
+from tests.cache.tables import RANGE, SPREAD, make, states, taught
+from tests.laws import PointStates, SquareLaw, square_stress
 
 
 def test_an_empty_table_knows_nothing():
@@ -220,7 +208,7 @@ def test_records_begin_warm_from_the_state_of_their_points():
     F, F_dot = states(3)
     law = SquareLaw()
     table = make(law)
-    table.learn(F, F_dot, square_stress(F, F_dot), Points(F.copy()))
+    table.learn(F, F_dot, square_stress(F, F_dot), PointStates(F.copy()))
     asked = law.states[0].F
     assert np.array_equal(asked, np.repeat(F[:1], 8, axis=0))
 

@@ -10,19 +10,13 @@ from surrofe2.cache.table_inputs import (
     input_scale,
     input_slopes,
 )
-from surrofe2.sampling import SamplingRange, sample
+from surrofe2.sampling import SamplingRange
 from surrofe2.tensors import from_inputs, to_components, to_inputs, transpose
-from tests.cache.square_law import SquareLaw, square_stress
+from tests.cache.tables import RANGE, states
+from tests.laws import SquareLaw, square_stress
 
-RANGE = SamplingRange(stretch=(0.93, 1.07), shear=0.06, rate=0.016)
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 MIRROR = np.diag([1.0, -1.0])
-
-
-def states(count=50, angle=0.4):
-    U, A = sample(RANGE, count, 5)
-    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return R @ U, R @ A
 
 
 def test_there_and_back():

@@ -10,10 +10,8 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
 from surrofe2.tensors import stress_error
-from tests.cache.fakes import Untaught
-from tests.cache.square_law import SquareLaw, square_stress
-from tests.cache.test_table import SPREAD, make, taught
-from tests.cache.test_table_inputs import RANGE, states
+from tests.cache.tables import RANGE, SPREAD, make, states, taught
+from tests.laws import SquareLaw, Untaught, square_stress
 
 
 def test_merged_tables_know_what_both_know():

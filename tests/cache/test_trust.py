@@ -9,7 +9,7 @@ from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.trust import NOMINAL, Trust, chance
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from tests.cache.fakes import Learnt, Truth, shear_error
+from tests.laws import Learnt, Truth, shear_error
 
 LOAD_CASE = LoadCase(
     width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.5

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.workflow import laws
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from surrofe2 import simulate
 from surrofe2.errors import SimulationError
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow import calibrate as calibrating
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 AT_REST = np.eye(2)[None], np.zeros((1, 2, 2))
 

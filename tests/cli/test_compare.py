@@ -5,7 +5,7 @@ from shutil import copytree
 
 import pytest
 
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from surrofe2.io.data_sets import read_data_set
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.workflow.generate import generate_data_set
-from tests.fakes import SoftLaw, StoppingLaw
+from tests.laws import SoftLaw, StoppingLaw
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +72,7 @@ _KILLED = """
 import sys, time
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.recipe import load_recipe
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 class SlowLaw(SoftLaw):
     def respond(self, F, F_dot, state=None, *, tangents=False):

@@ -11,8 +11,7 @@ from surrofe2.io.harvest import read_harvest
 from surrofe2.io.run_folder import read_record
 from surrofe2.io.tables import read_table
 from surrofe2.surrogate import SurrogateLaw
-from tests.cache.square_law import SquareLaw, square_stress
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw, SquareLaw, square_stress
 
 
 def run(invoke, recipe, out, *more, law=None):

@@ -14,7 +14,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
 from surrofe2.workflow import laws
 from surrofe2.workflow.rest import rest_study
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 
 def call(*arguments):

@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.io.run_folder import read_curve, read_record
 from tests.cli.finished_run import FILES
-from tests.fakes import SoftLaw, StoppingLaw
+from tests.laws import SoftLaw, StoppingLaw
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from surrofe2.io.run_folder import read_record
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 
 @pytest.fixture(autouse=True)

@@ -108,7 +108,7 @@ def test_step_that_is_too_long(short, folder):
 
 
 def test_compared_with_a_run_by_a_law(short, folder, tmp_path, monkeypatch):
-    from tests.fakes import SoftLaw
+    from tests.laws import SoftLaw
 
     assert invoke(short, "--out", folder).exit_code == 0
     monkeypatch.setattr("surrofe2.rve.RveLaw", SoftLaw().of)

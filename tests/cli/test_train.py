@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.io.files import START_OVER
 from surrofe2.surrogate import SurrogateLaw, training
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 
 @pytest.fixture

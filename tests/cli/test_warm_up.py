@@ -6,7 +6,7 @@ import pytest
 from surrofe2.macro import MacroSettings
 from surrofe2.surrogate.compiled import MANY
 from surrofe2.workflow import laws
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 
 class Watched(SoftLaw):

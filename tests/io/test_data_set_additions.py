@@ -13,8 +13,8 @@ from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.data_sets import finish_data_set, read_data_set, writing_data_set
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Tangents
-from tests.fakes import SoftLaw
-from tests.io.test_data_sets import HEADER, RANGE, append_chunk, write_all
+from tests.io.small_data_set import HEADER, RANGE, append_chunk, write_all
+from tests.laws import SoftLaw
 
 
 def test_tangents_are_kept_to_the_bit(tmp_path):

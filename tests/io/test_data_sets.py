@@ -11,7 +11,6 @@ import pytest
 
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.data_sets import (
-    DataSetHeader,
     finish_data_set,
     read_data_set,
     writing_data_set,
@@ -19,35 +18,8 @@ from surrofe2.io.data_sets import (
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status, describe
-from tests.fakes import SoftLaw
-
-RANGE = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)
-HEADER = DataSetHeader(
-    cell=CellParameters(),
-    rve={"initialisation": "constrained-runs", "solver": "direct", "tolerance": 1e-8},
-    range=RANGE,
-    count=20,
-    seed=3,
-    chunk=8,
-    version="0.1.0",
-    recipe={"recipe": "recipe.toml"},
-    rest_length=1.5,
-)
-
-
-def append_chunk(data, law):
-    start = data.completed
-    F, F_dot = sample(RANGE, min(8, data.count - start), 3, start=start)
-    answer = law.respond(F, F_dot)
-    data.append(F, F_dot, answer.stress, answer.status)
-
-
-def write_all(path, fails_above=1.03):
-    law = SoftLaw(fails_above=fails_above)
-    with writing_data_set(path, HEADER) as data:
-        while data.completed < data.count:
-            append_chunk(data, law)
-    finish_data_set(path)
+from tests.io.small_data_set import HEADER, RANGE, append_chunk, write_all
+from tests.laws import SoftLaw
 
 
 def test_what_was_written_is_read(tmp_path):

@@ -19,7 +19,7 @@ from surrofe2.io.harvest import (
 )
 from surrofe2.io.tables import check_table, read_table, stored, write_table
 from surrofe2.plant_cell.parameters import CellParameters
-from tests.cache.test_table import make, states, taught
+from tests.cache.tables import make, states, taught
 
 CELL = CellParameters()
 HEADER = HarvestHeader(

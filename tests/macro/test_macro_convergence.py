@@ -9,8 +9,7 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.discretisation import make_discretisation, make_mesh
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
-
-from .analytic_laws import Fibres, KelvinVoigt, LinearFirstPiola
+from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
 
 UNIT_SQUARE = LoadCase(width=1.0, height=1.0, watched=(1.0, 0.5), body_force=(0.0, 0.0))
 

@@ -15,8 +15,7 @@ from surrofe2.macro.time_stepping import Stepper
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
-
-from .analytic_laws import DryFriction, Fibres, KelvinVoigt
+from tests.laws import DryFriction, Fibres, KelvinVoigt
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8)
 IMPLICIT = MacroSettings(elements=(2, 2), integrator="implicit")

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import skfem
 
-from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import make_discretisation, make_discretisation_on, make_mesh
+from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.history import widen_extremes
 from surrofe2.macro.internal_force import (
@@ -17,29 +15,14 @@ from surrofe2.macro.internal_force import (
     internal_force,
     nodal_forces,
 )
-
-from .analytic_laws import KelvinVoigt, determinant
-
-LOAD_CASE = LoadCase(width=30.0, height=20.0, watched=(30.0, 10.0), body_force=(0.3, -0.2))
-
-
-def distorted_bar(rng, elements=(5, 4), density=0.08):
-    """Inner nodes moved at random: elements that are no rectangles."""
-    mesh = make_mesh(LOAD_CASE, elements)
-    nodes = mesh.p.copy()
-    inner = mesh.interior_nodes()
-    nodes[:, inner] += rng.uniform(-0.8, 0.8, (2, inner.size))
-    return make_discretisation_on(skfem.MeshQuad(nodes, mesh.t), LOAD_CASE, density)
+from surrofe2.tensors import det
+from tests.laws import KelvinVoigt
+from tests.macro.bars import PLATE, distorted_bar, random_state
 
 
 def unheld(bar):
     """The same elements with no node held."""
     return replace(bar, rows=bar.quads, free=np.arange(len(bar.nodes)))
-
-
-def random_state(bar, rng, size=0.5):
-    u, v = rng.uniform(-size, size, (2, len(bar.free), 2))
-    return u, v
 
 
 def deformation_twin(bar, u, v):
@@ -80,7 +63,7 @@ def test_deformation_kernel_agrees_with_its_twin(rng):
     expected_F, expected_rate = deformation_twin(bar, u, v)
     np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-13)
     np.testing.assert_allclose(F_dot, expected_rate, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(J, determinant(expected_F), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(J, det(expected_F), rtol=0, atol=1e-13)
 
 
 def test_force_kernel_agrees_with_its_twin(rng):
@@ -111,7 +94,7 @@ def test_kernels_may_not_assume_that_there_is_no_nan():
 
 def test_kernels_keep_nan(rng):
     """What comes in as NaN must not leave as a number that passes for a deformation."""
-    bar = make_discretisation(LOAD_CASE, (2, 2), 0.08)
+    bar = make_discretisation(PLATE, (2, 2), 0.08)
     u, v = random_state(bar, rng)
     u[0, 0] = np.nan
     F, _, J = deformation_gradient(bar, u, v)
@@ -134,7 +117,7 @@ def test_patch_of_distorted_elements_carries_a_homogeneous_deformation(rng):
 
     # J σ F⁻ᵀ with ∇N summed over the side's nodes gives the traction resultant.
     P = J[0] * stress[0] @ np.linalg.inv(expected_F).T
-    width, height = LOAD_CASE.width, LOAD_CASE.height
+    width, height = PLATE.width, PLATE.height
     scale = abs(P).max() * height
     inner = (bar.nodes > 0.0).all(axis=1) & (bar.nodes < [width, height]).all(axis=1)
     np.testing.assert_allclose(force[inner], 0.0, atol=1e-13 * scale)
@@ -156,7 +139,7 @@ def test_rotating_unheld_body_feels_no_force(rng):
     v = spin * x @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     F, F_dot, _ = deformation_gradient(bar, x - bar.nodes, v)
     force = internal_force(bar, F, law.respond(F, F_dot).stress)
-    assert abs(force).max() < 1e-12 * law.shear_modulus * LOAD_CASE.height
+    assert abs(force).max() < 1e-12 * law.shear_modulus * PLATE.height
     # The same motion does make a force where the law minds: it is not zero for lack of stress.
     F, F_dot, _ = deformation_gradient(bar, 1.1 * x - bar.nodes, v)
     assert abs(internal_force(bar, F, law.respond(F, F_dot).stress)).max() > 1.0
@@ -194,7 +177,7 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     F, F_dot = deformation_twin(bar, u, v)
     L = (F_dot @ np.linalg.inv(F)).reshape(-1, 5, 2, 2)
     stress = law.respond(F, F_dot).stress.reshape(-1, 5, 2, 2)
-    area = determinant(F).reshape(-1, 5) * bar.weights
+    area = det(F).reshape(-1, 5) * bar.weights
     trace_L, pressure = (np.trace(A, axis1=2, axis2=3) for A in (L, 0.5 * stress))
     power = np.einsum("eqij,eqij->eq", stress, L) - pressure * trace_L
     internal_power = (area * power)[:, :4].sum() + (area * pressure * trace_L)[:, 4].sum()
@@ -207,17 +190,17 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
 def test_mass_and_load_are_consistent(rng):
     """½ v·M v for v = x is ρ H W³/6 exactly, and load·v for v = x is ρ g H W²/2."""
     bar = distorted_bar(rng, density=0.11)
-    width, height = LOAD_CASE.width, LOAD_CASE.height
+    width, height = PLATE.width, PLATE.height
     x = bar.nodes[bar.free, 0]
     assert 0.5 * x @ bar.mass @ x == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
-    expected = 0.11 * np.array(LOAD_CASE.body_force) * height * width**2 / 2.0
+    expected = 0.11 * np.array(PLATE.body_force) * height * width**2 / 2.0
     np.testing.assert_allclose(x @ bar.load, expected, rtol=1e-12)
     field = rng.normal(size=(len(bar.free), 2))
     np.testing.assert_allclose(bar.mass @ bar.solve_mass(field), field, atol=1e-12)
 
 
 def test_watched_point_between_nodes_is_interpolated(rng):
-    bar = make_discretisation(replace(LOAD_CASE, watched=(13.0, 7.3)), (5, 3), 0.08)
+    bar = make_discretisation(replace(PLATE, watched=(13.0, 7.3)), (5, 3), 0.08)
     x, y = bar.nodes[bar.free].T
     field = np.stack([2.0 * x + 0.3 * x * y, -x * y], axis=1)
     expected = [2.0 * 13.0 + 0.3 * 13.0 * 7.3, -13.0 * 7.3]

@@ -11,8 +11,7 @@ import pytest
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-
-from .analytic_laws import DryFriction, Fibres, KelvinVoigt
+from tests.laws import DryFriction, Fibres, KelvinVoigt
 
 W, H, G = 30.0, 20.0, 0.05
 ONE_ELEMENT = LoadCase(

@@ -12,8 +12,7 @@ from surrofe2.macro import MacroSettings, find_modes, find_rest, modes
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-
-from .analytic_laws import KelvinVoigt
+from tests.laws import KelvinVoigt
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0))
 # Damping in proportion to stiffness, at F = I: 2 η = 2 µ τ, ζ − η = λ τ.

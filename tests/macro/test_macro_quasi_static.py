@@ -11,8 +11,7 @@ from surrofe2.macro import MacroSettings, Rest, find_rest, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
-
-from .analytic_laws import DryFriction, Fibres, KelvinVoigt
+from tests.laws import DryFriction, Fibres, KelvinVoigt
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0))
 SETTINGS = MacroSettings(elements=(2, 2), newton_tolerance=1e-10)

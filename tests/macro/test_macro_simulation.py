@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, MacroState, simulate
-
-from .analytic_laws import KelvinVoigt
-
-LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.25
-)
-SETTINGS = MacroSettings(elements=(2, 3), frames=13)
+from tests.laws import KelvinVoigt
+from tests.macro.bars import LOAD_CASE, SETTINGS
 
 
 class Stop(KeyboardInterrupt):

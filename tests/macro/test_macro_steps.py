@@ -14,9 +14,8 @@ from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import NO_MEMORY, Standing, Stepper
 from surrofe2.stress_law import Status
-
-from .analytic_laws import Failing, KelvinVoigt
-from .test_macro_simulation import LOAD_CASE, SETTINGS
+from tests.laws import Failing, KelvinVoigt
+from tests.macro.bars import LOAD_CASE, SETTINGS
 
 
 class FailsAtQuestions:

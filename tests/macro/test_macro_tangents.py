@@ -15,9 +15,8 @@ from surrofe2.macro.tangents import (
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.stress_law import require_tangents
-
-from .analytic_laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
-from .test_macro_internal_force import distorted_bar, random_state
+from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
+from tests.macro.bars import distorted_bar, random_state
 
 
 def force_of(bar, law, u, v, state=None):

@@ -6,7 +6,7 @@ import pytest
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
 from surrofe2.plant_cell.force_derivatives import add_force_gradients, add_stiffness_rates
 from surrofe2.simd import TILE
-from tests.plant_cell.test_forces import Patch
+from tests.plant_cell.lanes_of_states import Patch
 
 
 class Local(Patch):

@@ -8,15 +8,10 @@ from numba import njit
 from scipy.integrate import quad
 
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
-from surrofe2.plant_cell.arrangement import start_positions
-from surrofe2.plant_cell.pair_lists import make_patches
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope, spline_third
-from surrofe2.plant_cell.tiles import make_constants, make_topology, pack, unpack
+from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.simd import TILE, load, store
-from tests.plant_cell.twin import Twin
-
-REST = 1.9
+from tests.plant_cell.lanes_of_states import Patch
 
 
 def call_kernel(law):
@@ -33,49 +28,6 @@ def call_kernel(law):
         return tile[:, 0]
 
     return of
-
-
-class Patch:
-    """One cell, in every lane another state: material positions z (TILE, n, 2), F, Ḟ."""
-
-    def __init__(self, preset: str, seed: int = 0, reach: float = 25.0) -> None:
-        rng = np.random.default_rng(seed)
-        self.cell = CellParameters.preset(preset)
-        base, levels = start_positions(self.cell), ((reach / self.cell.repulsion_cutoff,) * 2,)
-        (self.patch,) = make_patches(self.cell, base, self.cell.tessellation.lattice, levels)
-        self.topology = make_topology(self.patch)
-        self.constants = make_constants(self.cell, REST)
-        self.twin = Twin(self.cell, REST)
-        self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
-        self.F = np.eye(2) + 0.08 * rng.uniform(-1, 1, (TILE, 2, 2))
-        self.F_dot = 0.01 * rng.uniform(-1, 1, (TILE, 2, 2))
-
-    def local(self, z, tensor):
-        """(2, local, TILE): tensor applied to own particles and images."""
-        everyone = np.concatenate(
-            [z, z[:, self.patch.owner] + self.patch.shift @ self.patch.lattice.T], axis=1
-        )
-        return np.ascontiguousarray(np.einsum("lab,lpb->apl", tensor, everyone))
-
-    def forces(self, z=None, F=None, F_dot=None, fold=True):
-        """(TILE, n, 2)."""
-        z = self.z if z is None else z
-        x = self.local(z, self.F if F is None else F)
-        v = self.local(z, self.F_dot if F_dot is None else F_dot)
-        f = np.zeros_like(x)
-        pairs, fluid = len(self.patch.fluid_pairs), self.patch.particles - self.patch.walls
-        forces.add_forces(
-            x, v, f, self.topology, self.constants, np.empty((pairs, TILE)),
-            np.empty((fluid, TILE)),
-        )  # fmt: skip
-        if fold:
-            forces.fold_images(f, self.topology)
-        return np.moveaxis(f[:, : self.patch.particles], -1, 0).swapaxes(1, 2)
-
-    def energy(self, z, F):
-        energy = np.empty((1, TILE))
-        forces.elastic_energy(self.local(z, F), self.topology, self.constants, energy)
-        return energy[0]
 
 
 @pytest.fixture(params=["printed", "water"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.stress_law import Status
-from tests.rve.test_rve_law import PRESETS, deformations, law, particles
+from tests.rve.rves import PRESETS, deformations, law, particles
 from tests.rve.twin import Solver
 
 TIGHT = 1e-11

@@ -7,7 +7,7 @@ from surrofe2.plant_cell.tiles import pack
 from surrofe2.rve.factors import Factors
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Status
-from tests.rve.test_rve_law import PRESETS, deformations, law
+from tests.rve.rves import PRESETS, deformations, law
 
 
 def numbered(points, rows=6):

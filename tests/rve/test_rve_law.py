@@ -1,39 +1,14 @@
 """What must hold of the RVE's stress: fixed point, symmetries, hyperelasticity, failures."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
+from surrofe2.rve import INITIALISATIONS, RveLaw
 from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
-
-SPREAD = {"printed": 0.08, "water": 0.04}
-PRESETS = tuple(SPREAD)
-
-
-@cache
-def law(preset, initialisation="constrained-runs", solver="direct", **settings):
-    wanted = RveSettings(initialisation=initialisation, solver=solver, **settings)
-    return RveLaw(CellParameters.preset(preset), wanted)
-
-
-def deformations(preset, n=48, seed=0, corners=True):
-    """Random F (entries within SPREAD of I) and Ḟ (within 0.01/µs); some at the range's corners."""
-    rng = np.random.default_rng(seed)
-    F = rng.uniform(-1, 1, (n, 2, 2))
-    if corners:
-        F[: n // 4] = np.sign(F[: n // 4])
-    return np.eye(2) + SPREAD[preset] * F, 0.01 * rng.uniform(-1, 1, (n, 2, 2))
-
-
-def particles(answer, point):
-    """(n, 2) material positions of one point."""
-    tile, lane = divmod(point, 8)
-    return answer.state.z[tile, :, :, lane].T
+from tests.rve.rves import PRESETS, deformations, law, particles
 
 
 @pytest.mark.parametrize("preset", PRESETS)

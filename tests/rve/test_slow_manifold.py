@@ -12,7 +12,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
-from tests.rve.test_rve_law import PRESETS, deformations, law, particles
+from tests.rve.rves import PRESETS, deformations, law, particles
 
 
 def shear(t):

@@ -7,7 +7,7 @@ from surrofe2.errors import InputError
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.stress_law import Status
 from tests.plant_cell.twin import IMAGES
-from tests.rve.test_rve_law import PRESETS, deformations, law, particles
+from tests.rve.rves import PRESETS, deformations, law, particles
 
 STEP = 2e-6
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from surrofe2.surrogate import TrainingSettings, train
-from tests.surrogate.lattice_law import lattice_samples
+from tests.laws import lattice_samples
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -15,7 +15,7 @@ from surrofe2.surrogate.calibration import Truth, calibrate, conformal_quantile,
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
 from surrofe2.surrogate.deformation_paths import random_states, random_walks
 from surrofe2.tensors import stress_error, stress_spread
-from tests.surrogate.lattice_law import RANGE, lattice_stress
+from tests.laws import RANGE, lattice_stress
 
 SHARE = 0.01
 

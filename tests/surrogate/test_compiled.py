@@ -16,7 +16,7 @@ from surrofe2.surrogate.packing import pack
 from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.surrogate.vector_tanh import fill_tanh
 from surrofe2.tensors import to_inputs
-from tests.surrogate.lattice_law import RANGE
+from tests.laws import RANGE
 
 
 def make_network(hidden, degree, precision=torch.float64, symmetry="D4", **settings):

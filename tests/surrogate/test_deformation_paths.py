@@ -18,7 +18,7 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.tensors import rotation, transpose
-from tests.fakes import SoftLaw
+from tests.laws import SoftLaw
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
 

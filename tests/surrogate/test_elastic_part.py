@@ -13,7 +13,7 @@ from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.piola import to_piola, to_slopes, to_tangents
-from tests.surrogate.lattice_law import CELL, RANGE, lattice_samples, lattice_stress
+from tests.laws import CELL, RANGE, lattice_samples, lattice_stress
 
 H = 1e-6
 

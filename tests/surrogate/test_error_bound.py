@@ -12,8 +12,8 @@ from surrofe2.surrogate.compiled import MANY
 from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import fit_domain
 from surrofe2.surrogate.trust_features import scale_table, scaled_inputs
-from tests.surrogate.lattice_law import RANGE
-from tests.surrogate.test_domain import G, buckles, samples_that_fail
+from tests.laws import RANGE
+from tests.surrogate.failing_samples import G, buckles, samples_that_fail
 
 
 @pytest.fixture(scope="module")

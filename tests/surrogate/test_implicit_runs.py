@@ -10,9 +10,8 @@ from surrofe2.cache.settings import CacheSettings
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
-from tests.cache.fakes import Untaught
-from tests.surrogate.lattice_law import CELL, lattice_stress
+from surrofe2.stress_law import Status
+from tests.laws import CELL, TrueLattice, Untaught, tangents_by_differences
 
 LOAD_CASE = LoadCase(
     width=60.0, height=60.0, body_force=(0.0, -0.2), watched=(60.0, 30.0), duration=6.0,
@@ -22,40 +21,6 @@ EXPLICIT = MacroSettings(elements=(2, 2), absolute_tolerance=1e-8, relative_tole
 IMPLICIT = replace(
     EXPLICIT, integrator="implicit", absolute_tolerance=1e-7, relative_tolerance=1e-5
 )
-H = 1e-5
-
-
-class TrueLattice:
-    """The lattice's stress as the law a surrogate learnt; tangents by central differences."""
-
-    cell, initialisation, density = CELL, "constrained-runs", CELL.density
-    has_tangents = True
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        slopes = differences(lattice_stress, F, F_dot) if tangents else None
-        status = np.zeros(len(F), dtype=np.int8)
-        return StressResponse(
-            lattice_stress(F, F_dot), status, None, {"rve_solves": len(F)}, slopes
-        )
-
-    def accept(self, F, F_dot, response):
-        return Acceptance(response.status, response.state)
-
-
-def nominal(stress, F, F_dot):
-    P = np.linalg.det(F)[:, None, None] * stress(F, F_dot)
-    return P @ np.linalg.inv(F).swapaxes(1, 2)
-
-
-def differences(stress, F, F_dot):
-    """Tangents of P of a Cauchy stress, by central differences."""
-    by_F, by_F_dot = np.empty((2, len(F), 2, 2, 2, 2))
-    for c, d in np.ndindex(2, 2):
-        step = np.zeros((2, 2))
-        step[c, d] = H
-        by_F[..., c, d] = nominal(stress, F + step, F_dot) - nominal(stress, F - step, F_dot)
-        by_F_dot[..., c, d] = nominal(stress, F, F_dot + step) - nominal(stress, F, F_dot - step)
-    return Tangents(by_F / (2 * H), by_F_dot / (2 * H))
 
 
 class Unbounded(Untaught):
@@ -80,7 +45,7 @@ def test_tangents_of_each_point_are_those_of_who_answers(cached):
     answer = cached.respond(F, F_dot, tangents=True)
     assert cached.surrogate.lookup(F, F_dot)[1].tolist() == [Status.OK, Status.OUT_OF_RANGE]
     assert answer.effort["hits"] == answer.effort["fallbacks"] == 1
-    expected = differences(lambda *at: cached.respond(*at).stress, F, F_dot)
+    expected = tangents_by_differences(lambda *at: cached.respond(*at).stress, F, F_dot)
     for found, slope in (
         (answer.tangents.P_by_F, expected.P_by_F),
         (answer.tangents.P_by_F_dot, expected.P_by_F_dot),

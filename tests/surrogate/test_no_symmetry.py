@@ -8,7 +8,7 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
 from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
-from tests.surrogate.lattice_law import (
+from tests.laws import (
     CELL,
     RANGE,
     WELL_INSIDE,

@@ -14,7 +14,7 @@ from surrofe2.errors import FileError, InputError
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
-from tests.surrogate.lattice_law import RANGE, WELL_INSIDE, lattice_samples
+from tests.laws import RANGE, WELL_INSIDE, lattice_samples
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from surrofe2.surrogate.features import (
 )
 from surrofe2.surrogate.piola import to_cauchy, to_piola
 from surrofe2.tensors import from_components, to_components, to_inputs
-from tests.surrogate.lattice_law import WELL_INSIDE, lattice_stress
+from tests.laws import WELL_INSIDE, lattice_stress
 
 ROTATIONS = [
     np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]).round()

@@ -11,8 +11,14 @@ from surrofe2.errors import InputError, MismatchError
 from surrofe2.sampling import sample
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.held_out_errors import measure_errors
-from tests.surrogate.lattice_law import CELL, RANGE, WELL_INSIDE, lattice_samples, lattice_stress
-from tests.surrogate.test_implicit_runs import differences
+from tests.laws import (
+    CELL,
+    RANGE,
+    WELL_INSIDE,
+    lattice_samples,
+    lattice_stress,
+    tangents_by_differences,
+)
 
 SMALL = TrainingSettings(hidden=(8,), baseline_degree=2, iterations=60, checkpoint_interval=20)
 
@@ -50,7 +56,7 @@ def test_the_network_is_what_makes_it_accurate(law, samples, settings):
 def test_a_few_wrong_tangents_do_not_steer_the_network():
     """One sample in a hundred has those of another; were they not left out, tenfold the error."""
     samples = lattice_samples(600)
-    exact = differences(lattice_stress, samples.F, samples.F_dot)
+    exact = tangents_by_differences(lattice_stress, samples.F, samples.F_dot)
     wrong = np.random.default_rng(3).random(600) < 0.01
     spoilt = exact.P_by_F.copy()
     spoilt[wrong] = np.roll(exact.P_by_F, 1, axis=0)[wrong]
