@@ -191,9 +191,10 @@ def to_page(report: Mapping[str, Any], outcome: Outcome, reports: list[dict[str,
     table = to_markdown(report, [outcome]).split("\n## ")
     head = (
         "# The cache against its tolerance\n\n"
-        "Written by `make accept-cache`; do not edit. Stress tolerance "
-        f"{TOLERANCE:g} of the spread of stress, every accepted answer of the cache audited by a "
-        f"true RVE. surrofe2 {report['version']}, {report['date'][:10]}.\n"
+        "This page shows how large the errors of the cache are against its tolerance, which is "
+        f"{TOLERANCE:g} of the spread of stress. A true RVE audited every accepted answer.\n\n"
+        "Written by `make accept-cache`; do not edit. "
+        f"surrofe2 {report['version']}, {report['date'][:10]}.\n"
     )
     lines = [
         "| case | audited | above | 50 % | 90 % | 99 % | 99.9 % | largest | worst at F | Ḟ |",
@@ -201,9 +202,8 @@ def to_page(report: Mapping[str, Any], outcome: Outcome, reports: list[dict[str,
         *(_distribution(each) for each in reports),
     ]
     return (
-        f"{head}\n## {table[1]}\n## Errors incurred\n\nRelative to the tolerance.\n\n"
-        + "\n".join(lines)
-        + "\n"
+        f"{head}\n## {table[1]}\n## Errors incurred\n\nQuantiles of the errors relative to the "
+        "tolerance, and where the largest was.\n\n" + "\n".join(lines) + "\n"
     )
 
 
