@@ -13,6 +13,7 @@ One module an item of what must hold; each has a TITLE and `run(setting) -> list
     inference          the cached law against torch
     data_set           samples a second
     start_up           help, compilation, memory
+    commands           whole processes by true and by cached FE², and their start
     linear_cost        cost over the number of points, and its plot
     peers              LAMMPS and PySPH on the same tissue
     ablation           the surrogate part by part beside other regressions; on request only

@@ -26,6 +26,7 @@ NAMES = (
     "inference",
     "data_set",
     "start_up",
+    "commands",
     "linear_cost",
     "peers",
 )

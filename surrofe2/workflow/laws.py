@@ -17,14 +17,18 @@ from threadpoolctl import threadpool_limits
 from surrofe2.cache import CachedLaw, StressTable, TableBehind, sampled_spread
 from surrofe2.cache.protocols import Fallback, Keep
 from surrofe2.cache.table_merge import merged
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
+from surrofe2.io.reference_states import read_reference, reference_path, write_reference
 from surrofe2.io.run_folder import file_fingerprint
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.discretisation import N_POINTS
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
+from surrofe2.rve.reference_state import ReferenceState
+from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 
@@ -33,8 +37,19 @@ _MANY_POINTS = 2048
 
 
 def true_law(recipe: Recipe) -> RveLaw:
-    """The RVEs of a recipe."""
-    return RveLaw(recipe.cell, recipe.rve)
+    """The RVEs of a recipe, around their kept reference state."""
+    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe.cell))
+
+
+def kept_reference(cell: CellParameters) -> ReferenceState:
+    """The settled reference state of a cell; settled and kept where no command did so yet."""
+    path = reference_path(cell)
+    known = read_reference(path, cell)
+    if known is None:
+        known = settle_reference(cell)
+        with suppress(FileError):  # a folder that cannot be written keeps nothing
+            write_reference(path, known)
+    return known
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from surrofe2.errors import InputError
 from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
 from surrofe2.io.tissue_fields import write_particle_fields
 from surrofe2.recipe import Recipe
-from surrofe2.rve import RveLaw
 from surrofe2.tissue import Motion, Tissue, TissueRun, TissueState, make_tissue, simulate_tissue
+from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
     Report,
@@ -111,8 +111,8 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
 
 def build_tissue(recipe: Recipe, cells: tuple[int, int]) -> Tissue:
     """Copies of the plant cell whose periodic unit is free of stress."""
-    law = RveLaw(recipe.cell)
-    return make_tissue(recipe.cell, law.reference_position, law.rest_length, cells)
+    reference = kept_reference(recipe.cell)
+    return make_tissue(recipe.cell, reference.position, reference.rest_length, cells)
 
 
 def _warm_up(tissue: Tissue) -> float:
