@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from surrofe2.errors import InputError
+from surrofe2.settings import check_settings, setting
 from surrofe2.units import ACCELERATION, LENGTH, NONE, TIME
-
-
-def _quantity(default: object, unit: str, about: str):  # type: ignore[no-untyped-def]
-    return field(default=default, metadata={"unit": unit, "about": about})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,38 +18,30 @@ class LoadCase:
     The defaults are the bending bar of the paper's section 6.2.
     """
 
-    width: float = _quantity(400.0, LENGTH, "extent in x")
-    height: float = _quantity(400.0, LENGTH, "extent in y")
-    body_force: tuple[float, float] = _quantity(
-        (0.0, -0.2), ACCELERATION, "body force per mass (g in eq. 58)"
+    width: float = setting(400.0, "extent in x", LENGTH, above=0.0)
+    height: float = setting(400.0, "extent in y", LENGTH, above=0.0)
+    body_force: tuple[float, float] = setting(
+        (0.0, -0.2), "body force per mass (g in eq. 58)", ACCELERATION
     )
-    amplitude: tuple[tuple[float, float], ...] = _quantity(
-        (), f"({TIME}, {NONE})", "(time, factor) of the body force, linear between; empty: constant"
+    amplitude: tuple[tuple[float, float], ...] = setting(
+        (), "(time, factor) of the body force, linear between; empty: constant", f"({TIME}, {NONE})"
     )
-    duration: float = _quantity(250.0, TIME, "length of the run")
-    watched: tuple[float, float] = _quantity(
-        (400.0, 200.0), LENGTH, "reference position of the watched point"
+    duration: float = setting(250.0, "length of the run", TIME, above=0.0)
+    watched: tuple[float, float] = setting(
+        (400.0, 200.0), "reference position of the watched point", LENGTH
     )
-    output_interval: float = _quantity(0.5, TIME, "time between rows of the curve")
+    output_interval: float = setting(0.5, "time between rows of the curve", TIME, above=0.0)
 
     def __post_init__(self) -> None:
-        for name in ("width", "height", "duration", "output_interval"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"load.{name}: {value}; it must be positive")
-        if not np.isfinite(self.body_force).all():
-            raise InputError(f"load.body_force: {self.body_force}; it must be finite")
+        check_settings(self, "load")
         x, y = self.watched
         if not (0.0 <= x <= self.width and 0.0 <= y <= self.height):
             raise InputError(
                 f"load.watched: {self.watched}; it must lie within "
                 f"[0, {self.width}] x [0, {self.height}] µm"
             )
-        times = np.array([t for t, _ in self.amplitude])
-        if not np.isfinite(np.array(self.amplitude)).all() or (np.diff(times) <= 0.0).any():
-            raise InputError(
-                f"load.amplitude: {self.amplitude}; times must increase, entries be finite"
-            )
+        if (np.diff([t for t, _ in self.amplitude]) <= 0.0).any():
+            raise InputError(f"load.amplitude: {self.amplitude}; times must increase")
 
     def amplitude_at(self, t: float) -> float:
         """Factor of the body force at time t (µs)."""

@@ -1,8 +1,8 @@
 """Study recipes: one TOML file that drives generate, train, run and demo.
 
 Each section of a recipe is the frozen dataclass of the layer it configures (`CellParameters`,
-`RveSettings`, …), so names, defaults and bounds stand there and nowhere else. pydantic adds
-strict types and forbids unknown keys; what is wrong comes out as one `InputError` sentence.
+`RveSettings`, …), so names, types, defaults and bounds stand there and nowhere else; what is wrong
+comes out as one `InputError` sentence.
 """
 
 from __future__ import annotations
@@ -10,12 +10,10 @@ from __future__ import annotations
 import difflib
 import os
 import tomllib
-from collections.abc import Mapping
-from dataclasses import MISSING, Field, asdict, dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
-
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from typing import Any, TypeVar
 
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.table_settings import TableSettings
@@ -26,31 +24,25 @@ from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
+from surrofe2.settings import check_settings, check_value, setting
 from surrofe2.surrogate.calibration_settings import CalibrationSettings
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 from surrofe2.units import NONE
 
 T = TypeVar("T")
-_STRICT = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleSettings:
-    """How many samples of the range, by which seed of the low-discrepancy sequence.
+    """How many samples of the range, by which seed of the low-discrepancy sequence."""
 
-    `tangents`: whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress.
-    """
-
-    count: int = 16384
-    seed: int = 1
-    tangents: bool = False
+    count: int = setting(16384, "number of samples", least=1)
+    seed: int = setting(1, "of the sequence", least=0)
+    tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
 
     def __post_init__(self) -> None:
-        if self.count < 1:
-            raise InputError(f"samples.count: {self.count}; it must be at least 1")
-        if self.seed < 0:
-            raise InputError(f"samples.seed: {self.seed}; it must be at least 0")
+        check_settings(self, "samples")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,11 +114,13 @@ SECTIONS: dict[str, type] = {
     "table": TableSettings,
     "cache": CacheSettings,
 }
-_EXTRA_KEYS: dict[str, dict[str, Any]] = {
-    "cell": {"preset": (str, "printed")},
-    "samples": {"file": (str, None), "add": (tuple[str, ...], ())},
-    "training": {"file": (str, None)},
+_EXTRA_KEYS: dict[tuple[str, str], tuple[Any, Any]] = {
+    ("cell", "preset"): (str, "printed"),
+    ("samples", "file"): (str | None, None),
+    ("samples", "add"): (tuple[str, ...], ()),
+    ("training", "file"): (str | None, None),
 }
+"""Keys besides the fields of the sections: type and default."""
 
 
 def load_recipe(path: str | Path) -> Recipe:
@@ -160,111 +154,46 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             raise InputError(_unknown(name, name, "section", SECTIONS))
         if not isinstance(section, dict):
             raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
-    given = {name: _checked(name, table.get(name, {})) for name in SECTIONS}
-    preset = given["cell"].pop("preset", "printed")
-    added = given["samples"].pop("add", ())
-    files = {name: given[name].pop("file", None) for name in ("samples", "training")}
+    given = {name: dict(table.get(name, {})) for name in SECTIONS}
+    extras: dict[str, Any] = {}
+    for (section, key), (kind, default) in _EXTRA_KEYS.items():
+        value = given[section].pop(key, default)
+        extras[f"{section}.{key}"] = check_value(f"{section}.{key}", value, kind, {})
+    preset = extras["cell.preset"]
+    made: dict[str, Any] = {
+        name: _make(name, kind, given[name], [key for part, key in _EXTRA_KEYS if part == name])
+        for name, kind in SECTIONS.items()
+        if name != "cell"
+    }
+    _make("cell", CellParameters, given["cell"], ["preset"])
     return Recipe(
         path=path,
         preset=preset,
         cell=CellParameters.preset(preset, **given["cell"]),
-        rve=_make(RveSettings, "rve", given),
-        range=_make(SamplingRange, "range", given),
-        samples=_make(SampleSettings, "samples", given),
-        training=_make(TrainingSettings, "training", given),
-        calibration=_make(CalibrationSettings, "calibration", given),
-        load=_make(LoadCase, "load", given),
-        macro=_make(MacroSettings, "macro", given),
-        tissue=_make(TissueSettings, "tissue", given),
-        table=_make(TableSettings, "table", given),
-        cache=_make(CacheSettings, "cache", given),
-        data_file=files["samples"],
-        training_file=files["training"],
-        added_files=added,
+        data_file=extras["samples.file"],
+        training_file=extras["training.file"],
+        added_files=extras["samples.add"],
+        **made,
     )
 
 
-def _make(kind: type[T], section: str, given: Mapping[str, dict[str, Any]]) -> T:
-    """The dataclass of a section; its own bounds are checked by its constructor."""
-    try:
-        return kind(**given[section])
-    except InputError as error:
-        named = str(error).startswith(f"{section}.")
-        raise InputError(str(error) if named else f"{section}: {error}") from None
+def _make(section: str, kind: type[T], table: Mapping[str, Any], extras: Iterable[str] = ()) -> T:
+    """The dataclass of a section; its constructor checks types and bounds."""
+    items = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    known = [*items, *extras]
+    for key in table:
+        if key not in known:
+            raise InputError(_unknown(f"{section}.{key}", key, "key", known))
+    for item in items.values():
+        required = item.default is MISSING and item.default_factory is MISSING
+        if required and item.name not in table:
+            unit = item.metadata.get("unit", NONE)
+            told = f"{section}.{item.name}: missing; it must be given"
+            raise InputError(told if unit == NONE else f"{told} ({unit})")
+    return kind(**table)
 
 
-def _checked(section: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The given keys of a section with their types checked; TOML arrays become tuples."""
-    model = _model_of(section)
-    try:
-        checked = model.model_validate({key: _frozen(value) for key, value in table.items()})
-    except ValidationError as error:
-        raise InputError(_sentence(section, model, error)) from None
-    return {key: getattr(checked, key) for key in checked.model_fields_set}
-
-
-def _model_of(section: str) -> type[BaseModel]:
-    """The pydantic model with the keys and types of a section's dataclass."""
-    kind = SECTIONS[section]
-    hints = get_type_hints(kind, include_extras=True)
-    keys: dict[str, Any] = {item.name: (hints[item.name], _default(item)) for item in fields(kind)}
-    return create_model(section, __config__=_STRICT, **keys, **_EXTRA_KEYS.get(section, {}))
-
-
-def _default(item: Field[Any]) -> Any:
-    """`...` (required) where the dataclass has none; else a placeholder, which is never read."""
-    required = item.default is MISSING and item.default_factory is MISSING
-    return ... if required else None
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(entry) for entry in value) if isinstance(value, list) else value
-
-
-_ALLOWED = {
-    "float_type": "a number",
-    "int_type": "an integer",
-    "int_from_float": "an integer",
-    "string_type": "a text in quotes",
-    "bool_type": "true or false",
-}
-
-
-def _sentence(section: str, model: type[BaseModel], error: ValidationError) -> str:
-    """The first of pydantic's findings as field, value and what is allowed; unknown keys lead."""
-    findings = error.errors(include_url=False)
-    finding = next((f for f in findings if f["type"] == "extra_forbidden"), findings[0])
-    kind, place, value = finding["type"], finding["loc"], finding["input"]
-    key = str(place[0])
-    if kind == "extra_forbidden":
-        return _unknown(f"{section}.{key}", key, "key", model.model_fields)
-    unit = _unit(section, key)
-    if kind == "missing" and len(place) == 1:
-        return f"{section}.{key}: missing; it must be given{unit}"
-    entries = get_args(model.model_fields[key].annotation)
-    if kind == "literal_error":
-        allowed = "one of " + ", ".join(str(choice) for choice in entries)
-    elif kind in ("missing", "too_long", "tuple_type"):
-        many = f" of {len(entries)}" if entries and entries[-1] is not Ellipsis else ""
-        allowed, place = f"a list{many}", place[:1] if kind == "missing" else place
-    else:
-        allowed = _ALLOWED.get(kind) or finding["msg"].removeprefix("Input should be ")
-    index = "".join(f"[{i}]" for i in place[1:] if isinstance(i, int))
-    shown = list(value) if isinstance(value, tuple) else value
-    return f"{section}.{key}{index}: {shown!r}; it must be {allowed}{unit}"
-
-
-def _unit(section: str, key: str) -> str:
-    """The unit of a field, in brackets, where its dataclass states one."""
-    units = {item.name: item.metadata.get("unit", NONE) for item in fields(SECTIONS[section])}
-    unit = units.get(key, NONE)
-    return "" if unit == NONE else f" ({unit})"
-
-
-def _unknown(name: str, key: str, what: str, known: Mapping[str, Any]) -> str:
+def _unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"{name}: unknown {what}; {hint}known are {', '.join(sorted(known))}"
-
-
-__all__ = ["SECTIONS", "Recipe", "SampleSettings", "load_recipe", "make_recipe"]

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
+from surrofe2.settings import check_settings, setting
 from surrofe2.tensors import INPUTS, transpose, unrotated
+from surrofe2.units import RATE
 
 Array = NDArray[np.float64]
 
@@ -29,30 +31,19 @@ _PRIMITIVE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplingRange:
-    """Bounds on the stretch U and on A = RᵀḞ; mapped onto itself by the square cell's group D4.
+    """Bounds on the stretch U and on A = RᵀḞ; mapped onto itself by the square cell's group D4."""
 
-    Attributes:
-        stretch: (low, high) of U₁₁ and of U₂₂, 1.
-        shear: bound on |U₁₂|, 1.
-        rate: bound on the modulus of every entry of RᵀḞ, 1/µs.
-    """
-
-    stretch: tuple[float, float]
-    shear: float
-    rate: float
+    stretch: tuple[float, float] = setting(about="(low, high) of U₁₁ and of U₂₂")
+    shear: float = setting(about="bound on |U₁₂|", least=0.0)
+    rate: float = setting(about="bound on the modulus of every entry of RᵀḞ", unit=RATE, least=0.0)
 
     def __post_init__(self) -> None:
-        low, high = _pair(self.stretch)
-        if not 0.0 < low < high < np.inf:
+        check_settings(self, "range")
+        low, high = self.stretch
+        if not 0.0 < low < high:
             raise InputError(
                 f"range.stretch: ({low}, {high}); low must be below high, both positive"
             )
-        object.__setattr__(self, "stretch", (low, high))
-        for name in ("shear", "rate"):
-            bound = _number(f"range.{name}", getattr(self, name))
-            if not 0.0 <= bound < np.inf:
-                raise InputError(f"range.{name}: {bound}; it must be at least 0 and finite")
-            object.__setattr__(self, name, bound)
         if self.shear >= low:
             raise InputError(
                 f"range.shear: {self.shear}; it must be below the lowest stretch {low}, "
@@ -173,15 +164,3 @@ def _direction_numbers() -> NDArray[np.int64]:
             row.append(number)
         rows.append(row)
     return np.array(rows) << np.arange(_BITS)[::-1]
-
-
-def _pair(value: Any) -> tuple[float, float]:
-    if not isinstance(value, tuple | list) or len(value) != 2:
-        raise InputError(f"range.stretch: {value!r}; it must be two numbers, low and high")
-    return _number("range.stretch", value[0]), _number("range.stretch", value[1])
-
-
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise InputError(f"{name}: {value!r}; it must be a number")
-    return float(value)

@@ -180,7 +180,7 @@ def test_samples_out_of_bounds(changed_recipe, key, value):
     path = changed_recipe({"count": "count = 40", "seed": "seed = 3"}[key], f"{key} = {value}")
     least = {"count": 1, "seed": 0}[key]
     assert message(InputError, path) == (
-        f"recipe.toml: samples.{key}: {value}; it must be at least {least}"
+        f"recipe.toml: samples.{key}: {value}; it must be an integer of at least {least}"
     )
 
 

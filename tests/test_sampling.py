@@ -28,7 +28,7 @@ def turned(tensors, angle):
         ({"stretch": (-0.1, 1.0)}, "both positive"),
         ({"stretch": (0.9, np.nan)}, "range.stretch"),
         ({"stretch": (0.9, np.inf)}, "range.stretch"),
-        ({"stretch": 1.0}, "two numbers"),
+        ({"stretch": 1.0}, "a list of 2"),
         ({"stretch": ("a", 1.0)}, "must be a number"),
         ({"shear": -0.1}, "range.shear: -0.1; it must be at least 0"),
         ({"shear": 0.9}, "det U > 0"),

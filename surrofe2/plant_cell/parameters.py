@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from math import isqrt
 from typing import Any
 
-import numpy as np
-
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.tessellation import Tessellation, make_tessellation
+from surrofe2.settings import check_settings, setting
 from surrofe2.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
 
 _PAPER = "Ghysels et al. 2009, TW 550"
@@ -22,10 +21,8 @@ FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 
 
-def _constant(default: Any, unit: str, source: str, *, may_be_zero: bool = False) -> Any:
-    return field(
-        default=default, metadata={"unit": unit, "source": source, "may_be_zero": may_be_zero}
-    )
+def _constant(default: Any, unit: str, source: str, **bounds: Any) -> Any:
+    return setting(default, unit=unit, source=source, **(bounds or {"above": 0.0}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +34,12 @@ class CellParameters:
     """
 
     cell_side: float = _constant(25.0, LENGTH, f"{_PAPER}, section 6")
-    wall_springs_per_side: int = _constant(10, NONE, f"{_PAPER}, section 6: 11 particles a side")
-    fluid_particles_per_side: int = _constant(4, NONE, f"{_PAPER}, section 6: 16 SPH particles")
+    wall_springs_per_side: int = _constant(
+        10, NONE, f"{_PAPER}, section 6: 11 particles a side", least=4
+    )
+    fluid_particles_per_side: int = _constant(
+        4, NONE, f"{_PAPER}, section 6: 16 SPH particles", least=1
+    )
     fluid_particle_mass: float = _constant(
         2.7, MASS, f"{_PAPER}, section 6, as printed; water fills 0.27 (preset `water`)"
     )
@@ -54,36 +55,26 @@ class CellParameters:
         0.1,
         f"{MASS}/{TIME}",
         f"{_PAPER}, section 6: 1e-2 Pa s times 10 µm (eq. 8)",
-        may_be_zero=True,
+        least=0.0,
     )
     wall_damping_ratio: float = _constant(
-        1.0, NONE, f"{_PAPER}, section 6: critical (eq. 1)", may_be_zero=True
+        1.0, NONE, f"{_PAPER}, section 6: critical (eq. 1)", least=0.0
     )
     contact_damping_ratio: float = _constant(
-        1.0, NONE, f"{_PAPER}, section 2.1: critical (eq. 2)", may_be_zero=True
+        1.0, NONE, f"{_PAPER}, section 2.1: critical (eq. 2)", least=0.0
     )
     tissue_thickness: float = _constant(
         10.0, LENGTH, f"{_PAPER}, section 6; turns 2D stress into MPa"
     )
     arrangement: str = _constant(
-        "square", NONE, f"of an RVE's plant cells: {', '.join(SYMMETRIES)}"
+        "square", NONE, "of an RVE's plant cells", one_of=tuple(SYMMETRIES)
     )
-    cells: int = _constant(1, NONE, "plant cells of an RVE, of cell_side² µm² on average")
-    arrangement_seed: int = _constant(1, NONE, "of Voronoi plant cells", may_be_zero=True)
+    cells: int = _constant(1, NONE, "plant cells of an RVE, of cell_side² µm² on average", least=1)
+    arrangement_seed: int = _constant(1, NONE, "of Voronoi plant cells", least=0)
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.type == "str":
-                continue
-            _check_number(f"cell.{item.name}", value, item.metadata["may_be_zero"])
-            if item.type == "float":
-                object.__setattr__(self, item.name, float(value))
-        for name, least in (("wall_springs_per_side", 4), ("fluid_particles_per_side", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise InputError(f"cell.{name}: {value}; it must be an integer of at least {least}")
-        _check_arrangement(self.arrangement, self.cells, self.arrangement_seed)
+        check_settings(self, "cell")
+        _check_arrangement(self.arrangement, self.cells)
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> CellParameters:
@@ -163,14 +154,7 @@ class CellParameters:
         return asdict(self)
 
 
-def _check_arrangement(arrangement: Any, cells: Any, seed: Any) -> None:
-    if arrangement not in SYMMETRIES:
-        raise InputError(
-            f"cell.arrangement: {arrangement!r}; it must be one of {', '.join(SYMMETRIES)}"
-        )
-    for name, value in (("cells", cells), ("arrangement_seed", seed)):
-        if not isinstance(value, int):
-            raise InputError(f"cell.{name}: {value}; it must be an integer")
+def _check_arrangement(arrangement: str, cells: int) -> None:
     if arrangement == "voronoi" and cells < FEWEST_VORONOI:
         raise InputError(
             f"cell.cells: {cells}; with arrangement voronoi it must be at least {FEWEST_VORONOI}"
@@ -179,14 +163,6 @@ def _check_arrangement(arrangement: Any, cells: Any, seed: Any) -> None:
         raise InputError(
             f"cell.cells: {cells}; with arrangement {arrangement} it must be a square number"
         )
-
-
-def _check_number(name: str, value: Any, may_be_zero: bool) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{name}: {value!r}; it must be a number")
-    if not np.isfinite(value) or value < 0 or (value == 0 and not may_be_zero):
-        allowed = "at least 0" if may_be_zero else "positive"
-        raise InputError(f"{name}: {value}; it must be {allowed} and finite")
 
 
 PRESETS = {

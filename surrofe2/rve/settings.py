@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from surrofe2.errors import InputError
-from surrofe2.units import FORCE, NONE, TIME
+from surrofe2.settings import check_settings, setting
+from surrofe2.units import FORCE, TIME
 
 INITIALISATIONS = ("cauchy-born", "elastic", "constrained-runs", "slow-manifold")
 SOLVERS = ("direct", "iterated")
@@ -15,44 +16,26 @@ SOLVERS = ("direct", "iterated")
 class RveSettings:
     """Initialisation and solver of the micro problem.
 
-    Attributes:
-        initialisation: "cauchy-born" (eq. 64), "elastic" (eqs. 65 to 67), "constrained-runs"
-            (eqs. 69 to 72) or "slow-manifold" (docs/theory.md, not in the paper).
-        solver: "direct" (Newton on the fixed point) or "iterated" (the paper's Euler step and
-            rescaling; for "elastic" with the velocities of the macro scale at zero).
-        tolerance: mean particle force at which `direct` stops, µN.
-        stop: mean particle force at which `iterated` stops, µN (paper: 1.0, section 6.2).
-        micro_step: time step of `iterated`, µs (paper: 1e-4).
-        max_iterations: steps after which `iterated` gives up.
+    The initialisation is "cauchy-born" (eq. 64), "elastic" (eqs. 65 to 67), "constrained-runs"
+    (eqs. 69 to 72) or "slow-manifold" (docs/theory.md, not in the paper); the solver "direct"
+    (Newton on the fixed point) or "iterated" (the paper's Euler step and rescaling; for "elastic"
+    with the velocities of the macro scale at zero).
     """
 
-    initialisation: str = field(
-        default="constrained-runs", metadata={"unit": NONE, "about": ", ".join(INITIALISATIONS)}
+    initialisation: str = setting(
+        "constrained-runs", "how the RVE finds its state", one_of=INITIALISATIONS
     )
-    solver: str = field(default="direct", metadata={"unit": NONE, "about": ", ".join(SOLVERS)})
-    tolerance: float = field(
-        default=1e-8, metadata={"unit": FORCE, "about": "mean particle force, solver direct"}
+    solver: str = setting("direct", "how the micro problem is solved", one_of=SOLVERS)
+    tolerance: float = setting(1e-8, "mean particle force, solver direct", FORCE, above=0.0)
+    stop: float = setting(
+        1.0, "mean particle force, solver iterated (paper: 1.0, section 6.2)", FORCE, above=0.0
     )
-    stop: float = field(
-        default=1.0, metadata={"unit": FORCE, "about": "mean particle force, solver iterated"}
-    )
-    micro_step: float = field(
-        default=1e-4, metadata={"unit": TIME, "about": "Euler step, solver iterated"}
-    )
-    max_iterations: int = field(
-        default=1_000_000, metadata={"unit": NONE, "about": "limit of solver iterated"}
-    )
+    micro_step: float = setting(1e-4, "Euler step, solver iterated (paper: 1e-4)", TIME, above=0.0)
+    max_iterations: int = setting(1_000_000, "limit of solver iterated", least=1)
 
     def __post_init__(self) -> None:
-        for name, allowed in (("initialisation", INITIALISATIONS), ("solver", SOLVERS)):
-            value = getattr(self, name)
-            if value not in allowed:
-                raise InputError(f"rve.{name}: {value!r}; it must be one of {', '.join(allowed)}")
+        check_settings(self, "rve")
         if (self.initialisation, self.solver) == ("slow-manifold", "iterated"):
             raise InputError(
                 "rve.solver: 'iterated'; with initialisation slow-manifold it must be direct"
             )
-        for name in ("tolerance", "stop", "micro_step", "max_iterations"):
-            value = getattr(self, name)
-            if not 0.0 < value < float("inf"):
-                raise InputError(f"rve.{name}: {value}; it must be positive and finite")

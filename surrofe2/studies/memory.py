@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
+from surrofe2.settings import check_settings, setting
 from surrofe2.studies.drives import Path
+from surrofe2.units import RATE, TIME
 
 Array = NDArray[np.float64]
 
@@ -29,29 +30,22 @@ _SHORT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class MemorySettings:
-    """The two pasts.
+    """The two pasts, of which the second departs from the first by a stretch and a shear."""
 
-    Attributes:
-        period: of the fastest motion expected, µs; the second mode of the bending bar has 17.
-        stretch, shear: amplitude by which the second past departs from the first, F₁₁ and F₁₂.
-        rate: Ḟ₁₂ where they meet, 1/µs.
-        tolerance: part of the largest stress that may depend on the past.
-        after: how long the stresses are watched, µs.
-        micro_step: µs.
-    """
-
-    period: float = 17.0
-    stretch: float = 0.02
-    shear: float = 0.03
-    rate: float = 0.005
-    tolerance: float = 0.01
-    after: float = 10.0
-    micro_step: float = 1e-3
+    period: float = setting(
+        17.0, "of the fastest motion expected; the bar's second mode has 17", TIME, above=0.0
+    )
+    stretch: float = setting(0.02, "amplitude of F₁₁")
+    shear: float = setting(0.03, "amplitude of F₁₂")
+    rate: float = setting(0.005, "Ḟ₁₂ where they meet", RATE)
+    tolerance: float = setting(
+        0.01, "part of the largest stress that may depend on the past", above=0.0
+    )
+    after: float = setting(10.0, "how long the stresses are watched", TIME, above=0.0)
+    micro_step: float = setting(1e-3, unit=TIME, above=0.0)
 
     def __post_init__(self) -> None:
-        for name in ("period", "tolerance", "after", "micro_step"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"memory.{name}: {getattr(self, name)}; it must be positive")
+        check_settings(self, "memory")
 
 
 @dataclass(frozen=True, slots=True)

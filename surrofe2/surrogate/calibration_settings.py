@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from surrofe2.errors import InputError
-
-_LEAST = {"walks": 0, "states": 0, "runs": 0, "length": 1, "seed": 0}
+from surrofe2.settings import check_settings, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,39 +14,28 @@ class CalibrationSettings:
     """Number and kind of the paths along which the true stress is asked.
 
     A third as many again of each kind shape the local scale, which the others then calibrate.
-
-    Attributes:
-        walks: random walks in the sampling range.
-        states: single random states of it.
-        runs: short runs of the recipe's bar under random loads; all points of a run are one path.
-        length: states taken along a walk; along a run a third as many.
-        share: of new paths on which the bound may break, the nominal share; each kind that is
-            used needs at least 1/share − 1 paths.
-        seed: of the paths.
+    Each kind that is used needs at least 1/share − 1 paths.
     """
 
-    walks: int = 500
-    states: int = 2000
-    runs: int = 100
-    length: int = 24
-    share: float = 0.01
-    seed: int = 2
+    walks: int = setting(500, "random walks in the sampling range", least=0)
+    states: int = setting(2000, "single random states of it", least=0)
+    runs: int = setting(
+        100, "short runs of the bar under random loads; all points are one path", least=0
+    )
+    length: int = setting(24, "states taken along a walk; along a run a third as many", least=1)
+    share: float = setting(
+        0.01, "of new paths on which the bound may break, the nominal share", above=0.0, below=1.0
+    )
+    seed: int = setting(2, "of the paths", least=0)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.share, float) or not 0.0 < self.share < 1.0:
-            raise InputError(f"calibration.share: {self.share!r}; it must be between 0 and 1")
-        for name, least in _LEAST.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(
-                    f"calibration.{name}: {value!r}; it must be an integer of at least {least}"
-                )
+        check_settings(self, "calibration")
         needed = 1.0 / self.share - 1.0
-        for name in ("walks", "states", "runs"):
-            if 0 < getattr(self, name) < needed * (1.0 - 1e-9):
+        for name, count in (("walks", self.walks), ("states", self.states), ("runs", self.runs)):
+            if 0 < count < needed * (1.0 - 1e-9):
                 raise InputError(
-                    f"calibration.{name}: {getattr(self, name)}; it must be 0 or at least "
-                    f"{needed:.4g}, 1/share − 1, for a share of {self.share:g}"
+                    f"calibration.{name}: {count}; it must be 0 or at least {needed:.4g}, "
+                    f"1/share − 1, for a share of {self.share:g}"
                 )
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,45 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-from surrofe2.errors import InputError
-from surrofe2.units import FORCE, LENGTH, NONE, TIME
-
-
-def _setting(default: Any, unit: str, about: str) -> Any:
-    return field(default=default, metadata={"unit": unit, "about": about})
+from surrofe2.settings import check_settings, setting
+from surrofe2.units import FORCE, LENGTH, TIME
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueSettings:
     """Time step, accuracy of the unloaded equilibrium, and what is kept."""
 
-    micro_step: float = _setting(
-        2e-3, TIME, "longest leapfrog step; an output interval has a whole number of them"
+    micro_step: float = setting(
+        2e-3, "longest leapfrog step; an output interval has a whole number of them", TIME, above=0
     )
-    residual: float = _setting(
-        1e-6, FORCE, "largest force left on a particle of the unloaded tissue"
+    residual: float = setting(
+        1e-6, "largest force left on a particle of the unloaded tissue", FORCE, above=0
     )
-    skin: float = _setting(
-        2.0, LENGTH, "reach of neighbour lists beyond the cut-off; it changes the cost only"
+    skin: float = setting(
+        2.0,
+        "reach of neighbour lists beyond the cut-off; changes the cost only",
+        LENGTH,
+        above=0,
     )
-    energy_steps: int = _setting(
-        50, NONE, "steps between two evaluations of the dissipated power, at most"
+    energy_steps: int = setting(
+        50, "steps between two evaluations of the dissipated power, at most", least=1
     )
-    frames: int = _setting(51, NONE, "number of times at which particle fields are kept, at most")
+    frames: int = setting(51, "number of times at which particle fields are kept", least=2)
 
     def __post_init__(self) -> None:
-        for name in ("micro_step", "residual", "skin"):
-            value = getattr(self, name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (number and math.isfinite(value) and value > 0.0):
-                raise InputError(f"tissue.{name}: {value!r}; it must be positive and finite")
-        for name, least in (("energy_steps", 1), ("frames", 2)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InputError(
-                    f"tissue.{name}: {value!r}; it must be an integer of at least {least}"
-                )
+        check_settings(self, "tissue")

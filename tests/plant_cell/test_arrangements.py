@@ -116,9 +116,12 @@ def test_arrangements_have_fingerprints_and_symmetries_of_their_own():
         ({"arrangement": "brick"}, "cell.arrangement: 'brick'; it must be one of square, hexagon"),
         ({"cells": 3}, "cell.cells: 3; with arrangement square it must be a square number"),
         ({"cells": 4.0}, "cell.cells: 4.0; it must be an integer"),
-        ({"cells": 0}, "cell.cells: 0; it must be positive"),
+        ({"cells": 0}, "cell.cells: 0; it must be an integer of at least 1"),
         ({"arrangement": "voronoi", "cells": 3}, "cells: 3; with arrangement voronoi it must be"),
-        ({"arrangement_seed": -1}, "cell.arrangement_seed: -1; it must be at least 0"),
+        (
+            {"arrangement_seed": -1},
+            "arrangement_seed: -1; it must be an integer of at least 0",
+        ),
     ],
 )
 def test_bad_arrangements_are_named(changes, message):

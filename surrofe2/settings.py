@@ -1,0 +1,120 @@
+"""Settings are frozen dataclasses whose fields say unit, meaning and bounds once.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableSettings:
+    tolerance: float = setting(1e-3, "largest error of a stress", above=0.0, below=1.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "table")
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping
+from dataclasses import MISSING, astuple, field, fields
+from functools import cache
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from surrofe2.errors import InputError
+from surrofe2.units import NONE
+
+
+def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds: Any) -> Any:
+    """A field of a settings dataclass.
+
+    Args:
+        bounds: of numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
+            where infinity is allowed; of a text: `one_of`. Other entries are kept as metadata.
+    """
+    return field(default=default, metadata={"about": about, "unit": unit, **bounds})
+
+
+def check_settings(settings: Any, section: str) -> None:
+    """Check types and bounds of all fields; integers become the floats, lists the tuples they are.
+
+    Raises:
+        InputError: naming section, field, value and what is allowed.
+    """
+    hints = hints_of(settings.__class__)
+    for item, given in zip(fields(settings), astuple(settings), strict=True):
+        value = check_value(f"{section}.{item.name}", given, hints[item.name], item.metadata)
+        object.__setattr__(settings, item.name, value)
+
+
+@cache
+def hints_of(kind: Hashable) -> dict[str, Any]:
+    """Types of a dataclass's fields by name."""
+    return get_type_hints(kind)
+
+
+def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> Any:
+    """The value as its type has it.
+
+    Args:
+        name: whose value it is, for the sentence.
+        hint: its type: float, int, bool, str, Literal, a tuple of these, or one of them or None.
+        bounds: as `setting` takes them.
+
+    Raises:
+        InputError: it is of another type or out of its bounds.
+    """
+    options = get_args(hint)
+    if NoneType in options:
+        inner = next(option for option in options if option is not NoneType)
+        return None if value is None else check_value(name, value, inner, bounds)
+    if get_origin(hint) is tuple:
+        return _list(name, value, options, bounds)
+    if hint in (float, int):
+        return _number(name, value, hint, bounds)
+    one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())
+    if one_of and value not in one_of:
+        raise _refusal(name, value, f"one of {', '.join(map(str, one_of))}", {})
+    if not one_of and not isinstance(value, hint):
+        raise _refusal(name, value, "true or false" if hint is bool else "a text in quotes", bounds)
+    return value
+
+
+def _list(name: str, value: Any, options: tuple[Any, ...], bounds: Mapping[str, Any]) -> Any:
+    endless = options[-1] is Ellipsis
+    if not isinstance(value, tuple | list) or not (endless or len(value) == len(options)):
+        allowed = "a list" if endless else f"a list of {len(options)}"
+        raise _refusal(name, value, allowed, bounds)
+    kinds = options[:1] * len(value) if endless else options
+    entries = enumerate(zip(value, kinds, strict=True))
+    return tuple(check_value(f"{name}[{k}]", entry, kind, bounds) for k, (entry, kind) in entries)
+
+
+def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any:
+    numeric = isinstance(value, int if kind is int else int | float)
+    if not numeric or isinstance(value, bool):
+        raise _refusal(name, value, "an integer" if kind is int else "a number", bounds)
+    least, most = bounds.get("least", -math.inf), bounds.get("most", math.inf)
+    above, below = bounds.get("above"), bounds.get("below")
+    inside = (above is None or value > above) and (below is None or value < below)
+    finite = math.isfinite(value) or (bounds.get("inf", False) and not math.isnan(value))
+    if not (finite and inside and least <= value <= most):
+        raise _refusal(name, value, allowed_numbers(kind, bounds), {})
+    return kind(value)
+
+
+def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
+    """Bounds of a number in words."""
+    least, most, above, below = (bounds.get(key) for key in ("least", "most", "above", "below"))
+    noun = "an integer " if kind is int else ""
+    if least is not None and most is not None:
+        return f"{noun}from {least} to {most}" if noun else f"within [{least:g}, {most:g}]"
+    if above is not None and below is not None:
+        return f"between {above:g} and {below:g}"
+    if least is not None:
+        return f"{noun}{'of ' if noun else ''}at least {least:g}" + ("" if noun else " and finite")
+    words = "positive" if above == 0 else f"above {above:g}" if above is not None else ""
+    return " and ".join(word for word in (words, "" if bounds.get("inf") else "finite") if word)
+
+
+def _refusal(name: str, value: Any, allowed: str, metadata: Mapping[str, Any]) -> InputError:
+    unit = metadata.get("unit", NONE)
+    shown = list(value) if isinstance(value, tuple) else value
+    told = f"{name}: {shown!r}; it must be {allowed}"
+    return InputError(told if unit == NONE else f"{told} ({unit})")
