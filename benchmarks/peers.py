@@ -22,7 +22,7 @@ from benchmarks.setting import Setting, rve
 from benchmarks.timing import threads, time_calls
 from surrofe2 import LoadCase
 from surrofe2.tissue import Tissue, TissueSettings, make_tissue
-from surrofe2.tissue.simulation import make_motion
+from surrofe2.tissue.simulation import clamped_and_loaded
 
 TITLE = "Full tissue against other particle codes"
 VARIABLE = "SURROFE2_PEERS"
@@ -48,7 +48,7 @@ ABSENT = "not installed"
 def run(setting: Setting) -> list[Row]:
     """Million particle-steps a second and core: ours, then each peer's."""
     law = rve(PRESET)
-    tissue = make_tissue(law.cell, law.reference_position, law.rest_length, PLANT_CELLS)
+    tissue = make_tissue(law.cell, law.reference, PLANT_CELLS)
     ours = _ours(setting, tissue)
     name = "million particle-steps a second and core"
     rows = [
@@ -84,11 +84,11 @@ def run(setting: Setting) -> list[Row]:
 def _ours(setting: Setting, tissue: Tissue) -> float:
     width, height = (float(length) for length in tissue.size)
     load = LoadCase(width=width, height=height, watched=(width, 0.5 * height))
-    motion = make_motion(load, tissue, TissueSettings())
+    dynamics = clamped_and_loaded(load, tissue, TissueSettings())
     steps = setting.pick(500, 50)
     even = np.full(steps, 1e-3)
     with threads(1):
-        taken = time_calls(lambda: motion.leap(even, even, np.zeros(steps)), setting.pick(7, 2))
+        taken = time_calls(lambda: dynamics.leap(even, even, np.zeros(steps)), setting.pick(7, 2))
     return _MILLION * tissue.particles * steps / taken.median
 
 

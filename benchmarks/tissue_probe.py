@@ -17,17 +17,17 @@ def main() -> None:
 
     from surrofe2 import CellParameters, LoadCase, RveLaw
     from surrofe2.errors import SimulationError
-    from surrofe2.tissue import Motion, TissueSettings, make_tissue, simulate_tissue
+    from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, simulate_tissue
 
     side = 25.0 * given.cells
     load = LoadCase(width=side, height=side, watched=(side, 0.5 * side), duration=given.duration)
-    law = RveLaw(CellParameters.preset(given.preset))
-    cells = (given.cells, given.cells)
-    tissue = make_tissue(law.cell, law.reference_position, law.rest_length, cells)
-    Motion(tissue).elastic_energy()  # compiles
+    cell = CellParameters.preset(given.preset)
+    reference = RveLaw(cell).reference
+    tissue = make_tissue(cell, reference, (given.cells, given.cells))
+    TissueDynamics(tissue).elastic_energy()  # compiles
     settings = TissueSettings(micro_step=given.micro_step, frames=2)
     try:
-        done = simulate_tissue(load, tissue, settings)
+        done = simulate_tissue(load, cell, settings, reference=reference)
     except (SimulationError, FloatingPointError) as error:
         print(json.dumps({"failure": str(error)}))
         return

@@ -14,7 +14,7 @@ from surrofe2.tissue import make_tissue
 @pytest.fixture(scope="module")
 def tissue():
     law = rve(peers.PRESET)
-    return make_tissue(law.cell, law.reference_position, law.rest_length, (3, 2))
+    return make_tissue(law.cell, law.reference, (3, 2))
 
 
 def test_the_tissue_as_others_read_it(tissue):

@@ -1,6 +1,6 @@
 """Representative volume elements: (F, Ḟ) in, stress out."""
 
-from surrofe2.rve.reference_state import ReferenceState
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import RveState
 from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings

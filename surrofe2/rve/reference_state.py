@@ -1,4 +1,4 @@
-"""The reference state of an RVE: plant cells relaxed at F = I, in a box free of stress.
+"""Settles the reference state of an RVE: plant cells relaxed at F = I, in a box free of stress.
 
 The paper starts "from this cell in its equilibrium state", and its tissue measures an exact
 multiple of the cell: so the wall rest length l₀ follows from σ(I, 0) = 0 with particles relaxed.
@@ -6,28 +6,25 @@ Irregular cells also need the shape of the box at its given area (symmetry frees
 it); the stress of an elastic equilibrium is symmetric, so these three numbers free it. Where
 starts lead to several equilibria, the stable one of least energy is taken, at the l₀ of one
 square cell and in the box as it was laid out.
-
-The state is costly to find for irregular cells, so it is plain data that can be kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to be settled
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.errors import InputError
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.block_pattern import make_pattern
 from surrofe2.plant_cell.forces import elastic_energy
 from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, interacting_groups, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import (
     Constants,
     make_constants,
@@ -59,62 +56,6 @@ _TRIALS, _DIFFERENCE, _SETTLED_STRESS = 200, 1e-5, 1e-14
 _SETTLING_STEP, _SETTLING_LIMIT = 1e-3, 300_000
 _SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
 """Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReferenceState:
-    """A stable equilibrium at F = I without stress.
-
-    Attributes:
-        fingerprint: of the `CellParameters` that it belongs to.
-        position: (n, 2) µm, walls first; particle 0 is a wall corner at the origin.
-        lattice: (2, 2) µm, its columns the periods of the RVE.
-        rest_length: wall rest length l₀, µm.
-    """
-
-    fingerprint: str
-    position: Array
-    lattice: Array
-    rest_length: float
-
-    def check_belongs_to(self, cell: CellParameters) -> None:
-        """Raise MismatchError unless this is the reference state of `cell`."""
-        if self.fingerprint != cell.fingerprint:
-            raise MismatchError(
-                f"reference: it belongs to plant cells {self.fingerprint}, not to "
-                f"{cell.fingerprint}; take that of these parameters, or none to have it settled"
-            )
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """One array for each field; the fingerprint as its 16 character codes."""
-        return {
-            "fingerprint": np.frombuffer(self.fingerprint.encode("ascii"), dtype=np.uint8).copy(),
-            "position": self.position.copy(),
-            "lattice": self.lattice.copy(),
-            "rest_length": np.array([self.rest_length]),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ReferenceState:
-        """The state whose `to_arrays` gave `arrays`.
-
-        Raises:
-            InputError: an array is missing, has another shape or is not finite.
-        """
-        for name in ("fingerprint", "position", "lattice", "rest_length"):
-            if name not in arrays:
-                raise InputError(f"reference: no {name!r}; it is incomplete, have it settled anew")
-        letters = np.asarray(arrays["fingerprint"]).astype(np.uint8).tobytes()
-        position, lattice, length = (
-            np.array(arrays[name], dtype=np.float64, order="C")
-            for name in ("position", "lattice", "rest_length")
-        )
-        shapes = position.shape == (len(position), 2) and lattice.shape == (2, 2)
-        if not shapes or length.size != 1 or not letters.isalnum():
-            raise InputError("reference: arrays of other shapes; have it settled anew")
-        if not all(np.isfinite(values).all() for values in (position, lattice, length)):
-            raise InputError("reference: it holds numbers that are not finite; settle it anew")
-        return cls(letters.decode("ascii"), position, lattice, float(length.item()))
 
 
 @lru_cache(maxsize=32)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.rve.newton import renew
-from surrofe2.rve.reference_state import ReferenceState
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow

@@ -13,11 +13,12 @@ from surrofe2.errors import InputError
 from surrofe2.plant_cell.arrangement import make_arrangement
 from surrofe2.plant_cell.pair_lists import Patch, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import Constants, make_constants, pack
 from surrofe2.rve.factors import Factors
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particle_state import list_covers
-from surrofe2.rve.reference_state import ReferenceState, make_topologies, settle_reference
+from surrofe2.rve.reference_state import make_topologies, settle_reference
 from surrofe2.rve.systems import AnyTopology, empty_factors
 from surrofe2.simd import TILE
 

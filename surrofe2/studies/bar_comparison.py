@@ -15,7 +15,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import DampedFit, first_minimum, fit_damped_modes
 from surrofe2.report.study import Curve, Panel, Study
 from surrofe2.rve import RveLaw
-from surrofe2.tissue import TissueSettings, make_tissue, simulate_tissue
+from surrofe2.tissue import TissueSettings, simulate_tissue
 
 TISSUE = "tissue"
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-5, 1e-7
@@ -86,11 +86,8 @@ def run_tissue(
     progress: Progress | None = None,
 ) -> BarRun:
     """The bar as a full tissue of plant cells."""
-    unit = RveLaw(cell).unit_cell
-    n, m = (round(size / cell.cell_side) for size in (load_case.width, load_case.height))
-    tissue = make_tissue(cell, unit.position, unit.rest_length, (n, m))
-    settings = TissueSettings(micro_step=micro_step, frames=2)
-    run = simulate_tissue(load_case, tissue, settings, progress=progress)
+    reference, settings = RveLaw(cell).reference, TissueSettings(micro_step=micro_step, frames=2)
+    run = simulate_tissue(load_case, cell, settings, reference=reference, progress=progress)
     return make_bar_run(TISSUE, None, run.curve, run.wall_time["total"])
 
 

@@ -1,4 +1,6 @@
-"""One time step of all particles: gather images, sum forces, fold them back, kick and drift.
+"""Kernels of all particles of a tissue: its time step and its elastic energy.
+
+A step gathers images, sums forces, folds them back, kicks and drifts.
 
 Arrays hold a tile after the other, and one more that stays as it is: there lie the images of
 cells that do not exist, at rest and far away, and there is the force that is always zero::
@@ -18,31 +20,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.forces import add_central_forces, add_fluid_forces
+from surrofe2.plant_cell.forces import (
+    add_central_energy,
+    add_central_forces,
+    add_fluid_forces,
+    fluid_specific_volume,
+)
 from surrofe2.simd import TILE, load, spread, store, where_less
 
 Array = NDArray[np.float64]
 
 
-class Periods(NamedTuple):
-    """lattice, rate: (2, 2) periods of a periodic patch in columns, µm, and their rates."""
+class Particles(NamedTuple):
+    """x, v, f: (tiles + 1, 2, local, TILE) µm, µm/µs, µN."""
 
-    lattice: Array
-    rate: Array
+    x: Array
+    v: Array
+    f: Array
 
 
 class Body(NamedTuple):
-    """What moves.
+    """What moves, and by what.
 
     Attributes:
+        lattice, rate: (2, 2) periods of a periodic patch in columns, µm, and their rates.
         per_mass: (tiles, own, TILE) 1/ng, 0 where held or missing.
         load: (tiles, 2, own, TILE) µN at amplitude 1.
-        keep: part of the velocity that a step leaves; 1, or less with drag.
+        retained: part of the velocity that a step leaves; 1, or less with drag.
     """
 
+    lattice: Array
+    rate: Array
     per_mass: Array
     load: Array
-    keep: float
+    retained: float
 
 
 class Watch(NamedTuple):
@@ -62,51 +73,49 @@ class Watch(NamedTuple):
 
 
 @parallel_kernel
-def leap(x, v, f, lists, grid, fluid, c, periods, body, watch, kicks, drifts, amplitudes):
+def leap(particles, lists, grid, fluid, c, body, watch, steps):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
-    Step n takes forces at x with the velocities at hand, then v += kicks[n] a, x += drifts[n] v.
+    steps: (n, 3) kick, drift and amplitude of the load of each. A step takes forces at x with the
+    velocities at hand, then v += kick a, x += drift v.
     fluid: `Topology` of the fluid of one plant cell; c: `Constants`.
     """
-    tiles = x.shape[0] - 1
-    for n in range(len(kicks)):
+    tiles = particles.x.shape[0] - 1
+    for n in range(len(steps)):
         for k in numba.prange(tiles):
-            sum_forces(lists.order[k], x, v, f, lists, fluid, c, periods)
-            look_around(lists.order[k], grid, watch)
-        if not excess(watch) <= lists.skin:
+            _sum_forces(lists.order[k], particles, lists, fluid, c, body)
+            _measure_apart(lists.order[k], grid, watch)
+        if not _largest_motion(watch) <= lists.skin:
             return n
         for k in numba.prange(tiles):
-            move(
-                lists.order[k], x, v, f, lists, grid, body, watch, kicks[n], drifts[n],
-                amplitudes[n],
-            )  # fmt: skip
-    return len(kicks)
+            _kick_and_drift(lists.order[k], particles, lists, grid, body, watch, steps[n])
+    return len(steps)
 
 
 @kernel
-def sum_forces(t, x, v, f, lists, fluid, c, periods):
+def _sum_forces(t, particles, lists, fluid, c, body):
     """Images of tile t and the forces on its local particles, not folded."""
     own = fluid.particles
     here, end = lists.starts[t], lists.starts[t + 1]
-    gather(x, t, own, here[0], end[0], lists, periods.lattice)
-    gather(v, t, own, here[0], end[0], lists, periods.rate)
-    xt, vt, ft = x[t], v[t], f[t]
+    _gather_images(particles.x, t, own, here[0], end[0], lists, body.lattice)
+    _gather_images(particles.v, t, own, here[0], end[0], lists, body.rate)
+    x, v, f = particles.x[t], particles.v[t], particles.f[t]
     for i in range(own + end[0] - here[0]):
-        store(0.0, ft, 0, i)
-        store(0.0, ft, 1, i)
+        store(0.0, f, 0, i)
+        store(0.0, f, 1, i)
     rows = slice(here[1], end[1])
-    add_central_forces(xt, vt, ft, lists.bonds[rows], lists.bond_share[rows], True, c)
+    add_central_forces(x, v, f, lists.bonds[rows], lists.bond_share[rows], True, c)
     rows = slice(here[2], end[2])
-    add_central_forces(xt, vt, ft, lists.lines[rows], lists.line_share[rows], False, c)
-    add_central_forces(xt, vt, ft, lists.contacts[here[3] : end[3]], None, False, c)
+    add_central_forces(x, v, f, lists.lines[rows], lists.line_share[rows], False, c)
+    add_central_forces(x, v, f, lists.contacts[here[3] : end[3]], None, False, c)
     if t < lists.fluid_tiles:
         slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
         volume = np.empty((own - fluid.walls, TILE))
-        add_fluid_forces(xt, vt, ft, fluid, c, slope, volume)
+        add_fluid_forces(x, v, f, fluid, c, slope, volume)
 
 
 @kernel
-def gather(x, t, own, start, end, lists, lattice):
+def _gather_images(x, t, own, start, end, lists, lattice):
     """Copy the owners of tile t's images, a period further where it wraps around."""
     flat = x.reshape(-1)
     y = x.shape[2] * TILE
@@ -123,8 +132,10 @@ def gather(x, t, own, start, end, lists, lattice):
 
 
 @kernel
-def move(t, x, v, f, lists, grid, body, watch, kick, drift, amplitude):
+def _kick_and_drift(t, particles, lists, grid, body, watch, step):
     """Fold image forces back to tile t's own particles, then v += kick a, x += drift v."""
+    x, v, f = particles.x, particles.v, particles.f
+    kick, drift, amplitude = step[0], step[1], step[2]
     flat = f.reshape(-1)
     y = f.shape[2] * TILE
     for k in range(lists.starts[t, 4], lists.starts[t + 1, 4]):
@@ -138,8 +149,8 @@ def move(t, x, v, f, lists, grid, body, watch, kick, drift, amplitude):
         push = kick * load(body.per_mass, t, i)
         pull_x = load(f, t, 0, i) + amplitude * load(body.load, t, 0, i)
         pull_y = load(f, t, 1, i) + amplitude * load(body.load, t, 1, i)
-        speed_x = body.keep * load(v, t, 0, i) + push * pull_x
-        speed_y = body.keep * load(v, t, 1, i) + push * pull_y
+        speed_x = body.retained * load(v, t, 0, i) + push * pull_x
+        speed_y = body.retained * load(v, t, 1, i) + push * pull_y
         store(speed_x, v, t, 0, i)
         store(speed_y, v, t, 1, i)
         new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
@@ -150,11 +161,11 @@ def move(t, x, v, f, lists, grid, body, watch, kick, drift, amplitude):
     share = load(grid.per_count, t)
     store(mean_x * share, watch.mean, t, 0)
     store(mean_y * share, watch.mean, t, 1)
-    measure_spread(t, x, grid, watch)
+    _measure_spread(t, x, grid, watch)
 
 
 @kernel
-def measure_spread(t, x, grid, watch):
+def _measure_spread(t, x, grid, watch):
     """watch.spread of tile t from watch.mean."""
     mean_x, mean_y = load(watch.mean, t, 0), load(watch.mean, t, 1)
     largest = spread(0.0)
@@ -167,7 +178,7 @@ def measure_spread(t, x, grid, watch):
 
 
 @kernel
-def look_around(t, grid, watch):
+def _measure_apart(t, grid, watch):
     """watch.apart of tile t: mean displacements against those of the next cells."""
     for lane in range(TILE):
         largest = 0.0
@@ -182,7 +193,7 @@ def look_around(t, grid, watch):
 
 
 @kernel
-def excess(watch):
+def _largest_motion(watch):
     """2 d + |ū_B − ū_A|, the largest anywhere, µm."""
     within, apart = 0.0, 0.0
     for t in range(watch.spread.shape[0]):
@@ -192,3 +203,39 @@ def excess(watch):
             within = max(within, watch.spread[t, lane])
             apart = max(apart, watch.apart[t, lane])
     return 2.0 * np.sqrt(within) + np.sqrt(apart)
+
+
+@parallel_kernel
+def elastic_energy(x, lists, grid, fluid, c, energy):
+    """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
+
+    Springs ½ k (|r| − l₀)², contacts, fluid Σ m c_s² ln ρ.
+    x: (tiles + 1, 2, local, TILE) with images set.
+    """
+    for t in numba.prange(energy.shape[0]):
+        _stored_in_tile(t, x, lists, grid, fluid, c, energy)
+
+
+@kernel
+def _stored_in_tile(t, x, lists, grid, fluid, c, energy):
+    here, end = lists.starts[t], lists.starts[t + 1]
+    mine = energy[t : t + 1]
+    store(0.0, mine, 0)
+    rows = slice(here[1], end[1])
+    add_central_energy(x[t], lists.bonds[rows], lists.bond_share[rows], True, c, mine)
+    rows = slice(here[2], end[2])
+    add_central_energy(x[t], lists.lines[rows], lists.line_share[rows], False, c, mine)
+    add_central_energy(x[t], lists.contacts[here[3] : end[3]], None, False, c, mine)
+    if t < lists.fluid_tiles:
+        _add_fluid(x[t], grid.exists[t], fluid, c, energy[t])
+
+
+@kernel
+def _add_fluid(x, exists, fluid, c, energy):
+    slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
+    volume = np.empty((fluid.particles - fluid.walls, TILE))
+    fluid_specific_volume(x, fluid, c, slope, volume)
+    for p in range(volume.shape[0]):
+        for lane in range(TILE):
+            mass = exists[fluid.walls + p, lane] * c.fluid_mass
+            energy[lane] -= mass * c.sound_speed_squared * np.log(volume[p, lane])

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import Constants, make_constants, tiles_for
 from surrofe2.simd import TILE
 
@@ -112,8 +113,7 @@ class Tissue:
 
 def make_tissue(
     cell: CellParameters,
-    position: Array,
-    rest_length: float,
+    reference: ReferenceState,
     cells: tuple[int, int],
     *,
     periodic: bool = False,
@@ -121,10 +121,13 @@ def make_tissue(
     """A tissue of n × m copies of one plant cell.
 
     Args:
-        position: (own, 2) reference positions of one periodic plant cell, walls first, µm.
-        rest_length: wall rest length l₀, µm, at which that cell is free of stress.
+        reference: of one square plant cell, free of stress as part of a tissue.
         cells: plant cells in x and y.
         periodic: whether the patch goes on beyond its sides, so that it has no boundary.
+
+    Raises:
+        InputError: `cells` are not two positive integers, or the cell is not one square.
+        MismatchError: the reference is of another cell.
     """
     if len(cells) != 2 or any(not isinstance(n, int) or n < 1 for n in cells):
         raise InputError(f"tissue.cells: {cells}; they must be two integers of at least 1")
@@ -133,12 +136,8 @@ def make_tissue(
             f"cell.arrangement: {cell.cells} of {cell.arrangement}; a tissue must be made of "
             "copies of one square plant cell"
         )
+    reference.check_belongs_to(cell)
     walls = 2 * cell.wall_springs_per_side - 1
-    if position.shape != (walls + cell.fluid_particles_per_side**2, 2):
-        raise InputError(
-            f"tissue: reference positions {position.shape}; a plant cell of these parameters has "
-            f"{walls} wall particles and {cell.fluid_particles_per_side**2} of fluid"
-        )
     column, row, has_fluid = _places(cells, periodic)
     exists, mass = _particles(cell, cells, column, row, has_fluid, periodic)
     tiles = len(column) // TILE
@@ -147,12 +146,12 @@ def make_tissue(
     there = column >= 0
     tissue_place[column[there], row[there]] = np.flatnonzero(there)
     origin = cell.cell_side * np.stack([column, row], axis=1)
-    start = position + origin[:, None]
+    start = reference.position + origin[:, None]
     start[~exists] = _far_away(int((~exists).sum()))
     start = np.moveaxis(start.reshape(tiles, TILE, -1, 2), (1, 3), (3, 1))
     return Tissue(
         cell=cell,
-        constants=make_constants(cell, rest_length),
+        constants=make_constants(cell, reference.rest_length),
         cells=cells,
         periodic=periodic,
         column=column,

@@ -11,7 +11,8 @@ touches the walls around its own cell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,14 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.parameters import CellParameters
 
 Ints = NDArray[np.int64]
+Shift = tuple[int, int]
 
 RINGS = 2
 """Walls of plant cells up to this many columns or rows apart are looked at."""
+_BOND, _ON_LINE, _ELSEWHERE = 0, 1, 2
 
 
-@dataclass(frozen=True, slots=True)
-class PairKinds:
+class PairKinds(NamedTuple):
     """Pair kinds in the order bonds, contacts along one line, other contacts.
 
     Attributes:
@@ -48,25 +50,16 @@ class PairKinds:
 
 def make_pair_kinds(cell: CellParameters) -> PairKinds:
     """All pair kinds of a tissue of such square cells."""
-    per_side = cell.wall_springs_per_side
-    shifts = _half_of_the_shifts()
-    rows = [*_wall_kinds(per_side, shifts), *_rim_kinds(cell, shifts)]
-    table = np.array(sorted(rows), dtype=np.int64)
-    kind = table[:, 0]
-    return PairKinds(
-        i=table[:, 1],
-        j=table[:, 2],
-        shift=table[:, 3],
-        shifts=np.array(shifts),
-        line=table[:, 4:],
-        bonds=int((kind == 0).sum()),
-        lines=int((kind == 1).sum()),
-    )
-
-
-def _half_of_the_shifts() -> list[tuple[int, int]]:
     around = range(-RINGS, RINGS + 1)
-    return [(a, b) for a in around for b in around if (a, b) >= (0, 0)]
+    shifts = [shift for shift in product(around, around) if shift >= (0, 0)]
+    table = np.array(
+        sorted([*_wall_kinds(cell.wall_springs_per_side, shifts), *_fluid_kinds(cell, shifts)])
+    )
+    kind, i, j, shift = np.ascontiguousarray(table[:, :4].T)
+    return PairKinds(
+        i, j, shift, np.array(shifts), table[:, 4:],
+        int((kind == _BOND).sum()), int((kind == _ON_LINE).sum()),
+    )  # fmt: skip
 
 
 def _grid(particle: int, per_side: int) -> tuple[int, int]:
@@ -74,20 +67,18 @@ def _grid(particle: int, per_side: int) -> tuple[int, int]:
     return (particle, 0) if particle < per_side else (0, particle - per_side + 1)
 
 
-def _wall_kinds(per_side: int, shifts: list[tuple[int, int]]) -> list[tuple[int, ...]]:
+def _wall_kinds(per_side: int, shifts: list[Shift]) -> list[tuple[int, ...]]:
     walls = range(2 * per_side - 1)
     rows: list[tuple[int, ...]] = []
-    for number, (a, b) in enumerate(shifts):
-        for i in walls:
-            for j in walls:
-                if (a, b) == (0, 0) and j <= i:
-                    continue
-                at_i, there = _grid(i, per_side), _grid(j, per_side)
-                at_j = there[0] + a * per_side, there[1] + b * per_side
-                line = _common_line(at_i, at_j, per_side)
-                spring_apart = abs(at_i[0] - at_j[0]) + abs(at_i[1] - at_j[1]) == 1
-                kind = 0 if spring_apart else 1 if line[0] >= 0 else 2
-                rows.append((kind, i, j, number, *line))
+    for (number, (a, b)), i, j in product(enumerate(shifts), walls, walls):
+        if (a, b) == (0, 0) and j <= i:
+            continue
+        at_i, there = _grid(i, per_side), _grid(j, per_side)
+        at_j = there[0] + a * per_side, there[1] + b * per_side
+        line = _common_line(at_i, at_j, per_side)
+        spring_apart = abs(at_i[0] - at_j[0]) + abs(at_i[1] - at_j[1]) == 1
+        kind = _BOND if spring_apart else _ON_LINE if line[0] >= 0 else _ELSEWHERE
+        rows.append((kind, i, j, number, *line))
     return rows
 
 
@@ -99,14 +90,14 @@ def _common_line(at_i: tuple[int, int], at_j: tuple[int, int], per_side: int) ->
     return -1, 0
 
 
-def _rim_kinds(cell: CellParameters, shifts: list[tuple[int, int]]) -> list[tuple[int, ...]]:
+def _fluid_kinds(cell: CellParameters, shifts: list[Shift]) -> list[tuple[int, ...]]:
+    """Fluid with the walls around its cell."""
     per_side = cell.wall_springs_per_side
     walls = 2 * per_side - 1
     fluid = range(walls, walls + cell.fluid_particles_per_side**2)
     rows: list[tuple[int, ...]] = []
-    for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        for wall in range(walls):
-            column, row = _grid(wall, per_side)
-            if column + a * per_side <= per_side and row + b * per_side <= per_side:
-                rows += [(2, f, wall, shifts.index((a, b)), -1, 0) for f in fluid]
+    for (a, b), wall in product(product((0, 1), (0, 1)), range(walls)):
+        column, row = _grid(wall, per_side)
+        if column + a * per_side <= per_side and row + b * per_side <= per_side:
+            rows += [(_ELSEWHERE, f, wall, shifts.index((a, b)), -1, 0) for f in fluid]
     return rows

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
-from surrofe2.tissue.motion import Motion
+from surrofe2.tissue.dynamics import TissueDynamics
 
 Array = NDArray[np.float64]
 
@@ -32,47 +32,47 @@ _FIRST_DRAG = 0.02
 _log = logging.getLogger(__name__)
 
 
-def relax(motion: Motion, residual: float) -> Array:
+def relax(dynamics: TissueDynamics, residual: float) -> Array:
     """Bring all particles to rest in a stable equilibrium; (particles, 2) positions, µm.
 
     Args:
-        motion: starts at rest where it is and ends at rest in equilibrium.
+        dynamics: starts at rest where it is and ends at rest in equilibrium.
         residual: largest force that may remain on a free particle, µN.
 
     Raises:
         SimulationError: no equilibrium within `LIMIT` steps, or the tissue collapses.
     """
-    cell, start = motion.tissue.cell, motion.x
+    cell, start = dynamics.tissue.cell, dynamics.x
     frequency = np.sqrt(cell.wall_stiffness / cell.wall_particle_mass)
     for halvings in range(HALVINGS + 1):
         try:
-            return _settle(motion, residual, _STEP / frequency / 2**halvings, frequency)
+            return _settle(dynamics, residual, _STEP / frequency / 2**halvings, frequency)
         except SimulationError as error:
             _log.info("relaxation: %s; trying half the step", error)
-            motion.place(start)
+            dynamics.place(start)
     raise SimulationError(
         f"tissue: the unloaded tissue does not come to rest within {residual:g} µN; "
         "check the parameters of the plant cell, or raise tissue.residual"
     )
 
 
-def _settle(motion: Motion, residual: float, step: float, frequency: float) -> Array:
-    constants = motion.tissue.constants._replace(
+def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: float) -> Array:
+    constants = dynamics.tissue.constants._replace(
         wall_damping=0.0, contact_damping=0.0, viscosity=0.0
     )
-    mass = motion.free_mass[:, None]
+    mass = dynamics.free_mass[:, None]
     drag = _FIRST_DRAG * frequency
-    x, f = motion.x, motion.free_forces(constants)
+    x, f = dynamics.x, dynamics.free_forces(constants)
     for _ in range(0, LIMIT, STRETCH):
         implicit = 1.0 + 0.5 * drag * step
         drifts = np.full(STRETCH, step)
-        motion.leap(
+        dynamics.leap(
             drifts / implicit, drifts, np.zeros(STRETCH), constants=constants,
-            keep=(1.0 - 0.5 * drag * step) / implicit,
+            retained=(1.0 - 0.5 * drag * step) / implicit,
         )  # fmt: skip
-        x_before, f_before, x, f = x, f, motion.x, motion.free_forces(constants)
+        x_before, f_before, x, f = x, f, dynamics.x, dynamics.free_forces(constants)
         if np.hypot(*f.T).max() <= residual:
-            motion.place(x)
+            dynamics.place(x)
             return x
         moved = x - x_before
         stiffness = -float(np.sum(moved * (f - f_before)))

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.tissue.layout import Tissue
-from surrofe2.tissue.motion import Motion
-from surrofe2.tissue.recording import TissueRecorder
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.tissue.dynamics import TissueDynamics
+from surrofe2.tissue.history import Recorder, TissueRun, TissueState
+from surrofe2.tissue.layout import Tissue, make_tissue
 from surrofe2.tissue.relaxation import relax
-from surrofe2.tissue.results import TissueRun, TissueState
 from surrofe2.tissue.settings import TissueSettings
 
 Array = NDArray[np.float64]
@@ -36,9 +37,10 @@ DEFAULTS = TissueSettings()
 
 def simulate_tissue(
     load_case: LoadCase,
-    tissue: Tissue,
+    cell: CellParameters,
     settings: TissueSettings = DEFAULTS,
     *,
+    reference: ReferenceState,
     progress: Callable[[float, float], None] | None = None,
     checkpoint: Callable[[TissueState], None] | None = None,
     checkpoint_interval: float = 30.0,
@@ -49,9 +51,10 @@ def simulate_tissue(
     The tissue is first relaxed without load; displacements count from there.
 
     Args:
-        load_case: the tissue's extent, its load, the duration and what is watched: the particle
-            nearest to the watched point.
-        tissue: of the load case's extent.
+        load_case: the tissue's extent, a whole number of plant cells, its load, the duration and
+            what is watched: the particle nearest to the watched point.
+        cell: the plant cell that the tissue is made of.
+        reference: its reference state, as the RVE law of the same cell has it.
         progress: called with (t, duration) in µs at every output time.
         checkpoint: called at output times with the state of the run when `checkpoint_interval`
             seconds have passed since it last was, and upon an interrupt, which then goes its way.
@@ -59,31 +62,37 @@ def simulate_tissue(
             the results are those of the uninterrupted run, bit by bit.
 
     Raises:
+        InputError: the cells do not fill the load case's extent.
         SimulationError: the step is too long or the tissue collapses; `partial` is the
             `TissueRun` up to there (None before the loaded run begins).
-        MismatchError: `resume` is of another run.
+        MismatchError: `resume` is of another run, `reference` of another cell.
     """
     if not checkpoint_interval >= 0.0:
         raise InputError(
             f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
         )
-    _check_extent(load_case, tissue)
-    motion = make_motion(load_case, tissue, settings)
-    recorder = TissueRecorder(load_case, settings, motion, identity(load_case, tissue, settings))
+    tissue = make_tissue(cell, reference, cells_that_fill(load_case, cell))
+    dynamics = clamped_and_loaded(load_case, tissue, settings)
+    numbers = identity(load_case, tissue, settings)
+    recorder = Recorder(load_case, settings, dynamics, numbers)
     if resume is None:
         if progress is not None:
             progress(0.0, load_case.duration)
-        relax(motion, settings.residual)
+        relax(dynamics, settings.residual)
         recorder.begin()
     else:
-        _check_same_run(resume, identity(load_case, tissue, settings))
+        if not np.array_equal(resume.identity, numbers):
+            raise MismatchError(
+                "resume: cells, load, step or output times are not those of the checkpoint; "
+                "run anew"
+            )
         recorder.restore(resume)
     times = load_case.output_times()
     last_checkpoint = monotonic()
     try:
-        for row in range(recorder.rows, len(times)):
+        for row in range(recorder.state.rows, len(times)):
             steps, work, lost = advance(
-                motion, load_case, settings, float(times[row - 1]), float(times[row])
+                dynamics, load_case, settings, float(times[row - 1]), float(times[row])
             )
             recorder.record(steps, work, lost)
             if progress is not None:
@@ -100,19 +109,43 @@ def simulate_tissue(
     return recorder.run(finished=True)
 
 
-def make_motion(load_case: LoadCase, tissue: Tissue, settings: TissueSettings) -> Motion:
-    """The tissue at rest in its repeated reference, clamped and loaded."""
+def cells_that_fill(load_case: LoadCase, cell: CellParameters) -> tuple[int, int]:
+    """Plant cells in x and y.
+
+    Raises:
+        InputError: no whole number of them fills the load case's rectangle.
+    """
+    counts = []
+    for name, extent in (("width", load_case.width), ("height", load_case.height)):
+        count = round(extent / cell.cell_side)
+        if count < 1 or abs(count * cell.cell_side - extent) > 1e-9 * extent:
+            raise InputError(
+                f"load.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
+                f"{cell.cell_side:g} µm: change it or give --cells N M"
+            )
+        counts.append(count)
+    return counts[0], counts[1]
+
+
+def clamped_and_loaded(
+    load_case: LoadCase, tissue: Tissue, settings: TissueSettings
+) -> TissueDynamics:
+    """The tissue at rest in its repeated reference, held at x = 0."""
     x = tissue.to_particles(tissue.start)
     mass = tissue.mass.reshape(-1)[tissue.where]
     # The relaxed reference puts the left wall at x = 0 but for rounding.
     at_left = abs(x[:, 0]) < 1e-6 * tissue.cell.cell_side
     held = at_left & (np.arange(len(x)) < tissue.wall_particles)
     load = mass[:, None] * np.array(load_case.body_force)
-    return Motion(tissue, skin=settings.skin, held=held, load=load)
+    return TissueDynamics(tissue, skin=settings.skin, held=held, load=load)
 
 
 def advance(
-    motion: Motion, load_case: LoadCase, settings: TissueSettings, start: float, end: float
+    dynamics: TissueDynamics,
+    load_case: LoadCase,
+    settings: TissueSettings,
+    start: float,
+    end: float,
 ) -> tuple[int, float, float]:
     """Move from t = start to end, µs; steps taken, work of the load and dissipated energy, pJ.
 
@@ -128,14 +161,14 @@ def advance(
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
     work, lost = 0.0, 0.0
-    x, rate = motion.x, motion.dissipation_rate()
+    x, rate = dynamics.x, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
         amplitudes = np.array([load_case.amplitude_at(each) for each in t])
-        motion.leap(kicks, drifts, amplitudes)
-        x_before, rate_before, x, rate = x, rate, motion.x, motion.dissipation_rate()
+        dynamics.leap(kicks, drifts, amplitudes)
+        x_before, rate_before, x, rate = x, rate, dynamics.x, dynamics.dissipation_rate()
         mean = 0.5 * (amplitudes[0] + amplitudes[-1])
-        work += mean * float(np.sum(motion.load * (x - x_before)))
+        work += mean * float(np.sum(dynamics.load * (x - x_before)))
         lost += 0.5 * length * (rate_before + rate)
     if not (np.isfinite(work) and np.isfinite(lost)):
         raise SimulationError("tissue: the motion is not finite; lower tissue.micro_step")
@@ -150,22 +183,3 @@ def identity(load_case: LoadCase, tissue: Tissue, settings: TissueSettings) -> A
          *load_case.watched, load_case.output_interval, settings.micro_step, settings.skin,
          settings.energy_steps, *amplitude]
     )  # fmt: skip
-
-
-def _check_extent(load_case: LoadCase, tissue: Tissue) -> None:
-    if tissue.periodic:
-        raise InputError("tissue: a periodic patch has no side to clamp; make it finite")
-    extent = np.array([load_case.width, load_case.height])
-    if not np.allclose(extent, tissue.size, rtol=1e-9, atol=0.0):
-        n, m = tissue.cells
-        raise InputError(
-            f"tissue: {n} x {m} plant cells of {tissue.cell.cell_side:g} µm; they must fill the "
-            f"load case's {load_case.width:g} x {load_case.height:g} µm"
-        )
-
-
-def _check_same_run(state: TissueState, here: Array) -> None:
-    if state.identity.shape != here.shape or not np.array_equal(state.identity, here):
-        raise MismatchError(
-            "resume: cells, load, step or output times are not those of the checkpoint; run anew"
-        )

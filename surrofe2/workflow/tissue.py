@@ -10,7 +10,15 @@ from surrofe2.errors import InputError
 from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
 from surrofe2.io.tissue_fields import write_particle_fields
 from surrofe2.recipe import Recipe
-from surrofe2.tissue import Motion, Tissue, TissueRun, TissueState, make_tissue, simulate_tissue
+from surrofe2.tissue import (
+    Tissue,
+    TissueDynamics,
+    TissueRun,
+    TissueState,
+    make_tissue,
+    simulate_tissue,
+)
+from surrofe2.tissue.simulation import cells_that_fill
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
@@ -39,7 +47,7 @@ def run_tissue(
         SimulationError: the run could not be carried on; the folder holds it up to there.
         MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
-    cells = cells_of(recipe)
+    cells = cells_that_fill(recipe.load, recipe.cell)
     compilation = 0.0
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
@@ -60,12 +68,13 @@ def run_tissue(
         if current.is_finished:
             return current.record
         arrays = current.last_state()
-        tissue = build_tissue(recipe, cells)
-        compilation = _warm_up(tissue)
+        reference = kept_reference(recipe.cell)
+        compilation = _warm_up(make_tissue(recipe.cell, reference, cells))
         done = simulate_tissue(
             recipe.load,
-            tissue,
+            recipe.cell,
             recipe.tissue,
+            reference=reference,
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
             checkpoint=lambda state: current.checkpoint(state.to_arrays()),
             checkpoint_interval=CHECKPOINT_INTERVAL,
@@ -73,25 +82,6 @@ def run_tissue(
         )
         current.finish(done)
     return current.record
-
-
-def cells_of(recipe: Recipe) -> tuple[int, int]:
-    """Plant cells in x and y that fill the load case's rectangle.
-
-    Raises:
-        InputError: no whole number of them does.
-    """
-    side, load = recipe.cell.cell_side, recipe.load
-    counts = []
-    for name, extent in (("width", load.width), ("height", load.height)):
-        count = round(extent / side)
-        if count < 1 or abs(count * side - extent) > 1e-9 * extent:
-            raise InputError(
-                f"load.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
-                f"{side:g} µm: change it or give --cells N M"
-            )
-        counts.append(count)
-    return counts[0], counts[1]
 
 
 def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
@@ -109,16 +99,10 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
     return replace(recipe, load=changed)
 
 
-def build_tissue(recipe: Recipe, cells: tuple[int, int]) -> Tissue:
-    """Copies of the plant cell whose periodic unit is free of stress."""
-    reference = kept_reference(recipe.cell)
-    return make_tissue(recipe.cell, reference.position, reference.rest_length, cells)
-
-
 def _warm_up(tissue: Tissue) -> float:
     """Ask for forces and energy once, so that compilation is not in the clock; seconds it took."""
     begin = time.perf_counter()
-    Motion(tissue).elastic_energy()
+    TissueDynamics(tissue).elastic_energy()
     return time.perf_counter() - begin
 
 

@@ -11,12 +11,11 @@ from surrofe2.tissue.layout import make_tissue
 
 @pytest.fixture(scope="session")
 def reference():
-    """reference(preset): cell, reference positions and wall rest length of its RVE."""
+    """reference(preset): cell and its reference state."""
 
     def of(preset):
         cell = CellParameters.preset(preset)
-        law = RveLaw(cell)
-        return cell, law.reference_position, law.rest_length
+        return cell, RveLaw(cell).reference
 
     return of
 

@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.rve import RveLaw
 from surrofe2.simd import TILE
-from surrofe2.tissue.motion import Motion
+from surrofe2.tissue import TissueDynamics
 from tests.plant_cell.twin import Twin
 from tests.tissue.twin import TissueTwin
 
@@ -37,14 +37,14 @@ def case(request, tissue_of, reference):
 def test_forces_energy_and_dissipation_are_those_of_the_twin(case):
     tissue, twin, order = case
     x, v = shaken(tissue)
-    motion = Motion(tissue)
-    motion.place(x, v)
+    dynamics = TissueDynamics(tissue)
+    dynamics.place(x, v)
     there = np.empty_like(x), np.empty_like(v)
     there[0][order], there[1][order] = x, v
     f, energy, lost = twin.evaluate(*there)
-    np.testing.assert_allclose(motion.forces(), f[order], rtol=0, atol=1e-10 * abs(f).max())
-    assert motion.elastic_energy() == pytest.approx(energy, rel=1e-12)
-    assert motion.dissipation_rate() == pytest.approx(lost, rel=1e-10)
+    np.testing.assert_allclose(dynamics.forces(), f[order], rtol=0, atol=1e-10 * abs(f).max())
+    assert dynamics.elastic_energy() == pytest.approx(energy, rel=1e-12)
+    assert dynamics.dissipation_rate() == pytest.approx(lost, rel=1e-10)
     np.testing.assert_array_equal(tissue.mass.reshape(-1)[tissue.where], twin.mass[order])
 
 
@@ -61,25 +61,25 @@ def test_paper_s_bar_has_its_particles(tissue_of):
 
 def test_forces_sum_to_zero(case):
     tissue, *_ = case
-    motion = Motion(tissue)
-    motion.place(*shaken(tissue))
-    f = motion.forces()
+    dynamics = TissueDynamics(tissue)
+    dynamics.place(*shaken(tissue))
+    f = dynamics.forces()
     assert abs(f.sum(axis=0)).max() < 1e-12 * abs(f).max() * len(f)
 
 
 def test_force_is_minus_the_gradient_of_the_energy(case):
     tissue, *_ = case
-    motion = Motion(tissue)
+    dynamics = TissueDynamics(tissue)
     x, _ = shaken(tissue)
-    motion.place(x)
-    f = motion.forces()
+    dynamics.place(x)
+    f = dynamics.forces()
     step = 1e-4
     for seed in range(3):
         direction = np.random.default_rng(seed).normal(size=x.shape)
         energy = []
         for sign in (1, -1):
-            motion.place(x + sign * step * direction)
-            energy.append(motion.elastic_energy())
+            dynamics.place(x + sign * step * direction)
+            energy.append(dynamics.elastic_energy())
         slope = (energy[0] - energy[1]) / (2 * step)
         size = np.linalg.norm(f) * np.linalg.norm(direction)
         assert slope == pytest.approx(-np.sum(f * direction), abs=1e-7 * size)
@@ -88,16 +88,16 @@ def test_force_is_minus_the_gradient_of_the_energy(case):
 @pytest.mark.parametrize(("cells", "preset"), [((1, 1), "water"), ((3, 2), "printed")])
 def test_periodic_patch_under_affine_deformation_is_one_rve(cells, preset, tissue_of, reference):
     """Particles at F X with velocities Ḟ X: Cauchy–Born (eq. 64)."""
-    cell, position, rest_length = reference(preset)
+    cell, at_rest = reference(preset)
     F = np.array([[1.05, 0.06], [-0.03, 0.96]])
     F_dot = np.array([[0.01, -0.004], [0.006, 0.008]])
     tissue = tissue_of(cells, preset, periodic=True)
-    motion = Motion(tissue, F=F, F_dot=F_dot)
+    dynamics = TissueDynamics(tissue, F=F, F_dot=F_dot)
     X = tissue.to_particles(tissue.start)
-    motion.place(X @ F.T, X @ F_dot.T)
+    dynamics.place(X @ F.T, X @ F_dot.T)
     expected = RveLaw(cell, initialisation="cauchy-born").respond(F[None], F_dot[None]).stress[0]
-    np.testing.assert_allclose(motion.mean_stress(), expected, rtol=0, atol=1e-9)
-    assert tissue.particles == len(position) * cells[0] * cells[1]
+    np.testing.assert_allclose(dynamics.mean_stress(), expected, rtol=0, atol=1e-9)
+    assert tissue.particles == len(at_rest.position) * cells[0] * cells[1]
     own = tissue.where // TILE % tissue.own
-    f, *_ = Twin(cell, rest_length).evaluate(position, F, F_dot)
-    np.testing.assert_allclose(motion.forces(), f[own], rtol=0, atol=1e-10 * abs(f).max())
+    f, *_ = Twin(cell, at_rest.rest_length).evaluate(at_rest.position, F, F_dot)
+    np.testing.assert_allclose(dynamics.forces(), f[own], rtol=0, atol=1e-10 * abs(f).max())

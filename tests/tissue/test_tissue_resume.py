@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -23,11 +24,18 @@ class Stop(KeyboardInterrupt):
 
 
 @pytest.fixture(scope="module")
-def whole(tissue_of):
-    return simulate_tissue(LOAD_CASE, tissue_of((2, 2)), SETTINGS)
+def simulate(reference):
+    """The tissue of the settings under a load case."""
+    cell, at_rest = reference("printed")
+    return partial(simulate_tissue, cell=cell, settings=SETTINGS, reference=at_rest)
 
 
-def stopped_at(tissue, when):
+@pytest.fixture(scope="module")
+def whole(simulate):
+    return simulate(LOAD_CASE)
+
+
+def stopped_at(simulate, when):
     states = []
 
     def stop(t, duration):
@@ -36,18 +44,16 @@ def stopped_at(tissue, when):
             raise Stop
 
     with pytest.raises(Stop):
-        simulate_tissue(LOAD_CASE, tissue, SETTINGS, progress=stop, checkpoint=states.append)
+        simulate(LOAD_CASE, progress=stop, checkpoint=states.append)
     (state,) = states
     return state
 
 
-def test_interrupted_run_resumes_bit_by_bit(whole, tissue_of):
-    state = stopped_at(tissue_of((2, 2)), 1.5)
+def test_interrupted_run_resumes_bit_by_bit(whole, simulate):
+    state = stopped_at(simulate, 1.5)
     assert state.rows == 7
     assert state.list_builds > 1
-    resumed = simulate_tissue(
-        LOAD_CASE, tissue_of((2, 2)), SETTINGS, resume=TissueState.from_arrays(state.to_arrays())
-    )
+    resumed = simulate(LOAD_CASE, resume=TissueState.from_arrays(state.to_arrays()))
     np.testing.assert_array_equal(resumed.curve.t, LOAD_CASE.output_times())
     np.testing.assert_array_equal(resumed.curve.displacement, whole.curve.displacement)
     for name, expected in whole.energies.items():
@@ -73,21 +79,19 @@ def test_results_belong_together(whole):
     assert whole.is_wall[whole.bonds].all()
 
 
-def test_checkpoints_come_with_every_output_time_when_asked(whole, tissue_of):
+def test_checkpoints_come_with_every_output_time_when_asked(whole, simulate):
     states = []
-    simulate_tissue(
-        LOAD_CASE, tissue_of((2, 2)), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0
-    )
+    simulate(LOAD_CASE, checkpoint=states.append, checkpoint_interval=0.0)
     assert [state.rows for state in states] == list(range(2, 14))
-    last = simulate_tissue(LOAD_CASE, tissue_of((2, 2)), SETTINGS, resume=states[-1])
+    last = simulate(LOAD_CASE, resume=states[-1])
     np.testing.assert_array_equal(last.curve.displacement, whole.curve.displacement)
 
 
-def test_checkpoint_of_another_run_is_refused(tissue_of):
-    state = stopped_at(tissue_of((2, 2)), 0.5)
+def test_checkpoint_of_another_run_is_refused(simulate):
+    state = stopped_at(simulate, 0.5)
     other = replace(LOAD_CASE, body_force=(0.5, -1.0))
     with pytest.raises(MismatchError, match=r"resume: .* are not those of the checkpoint"):
-        simulate_tissue(other, tissue_of((2, 2)), SETTINGS, resume=state)
+        simulate(other, resume=state)
     arrays = state.to_arrays()
     del arrays["listed"]
     with pytest.raises(InputError, match="listed"):

@@ -12,10 +12,11 @@ from tests.plant_cell.twin import spline, spline_slope
 
 
 class TissueTwin:
-    """Particles in an order of its own; `position` of one cell only places them at the start."""
+    """Particles in an order of its own; the reference only places them at the start."""
 
-    def __init__(self, cell, position, rest_length, cells):
-        self.cell, self.rest_length, self.cells = cell, rest_length, cells
+    def __init__(self, cell, reference, cells):
+        self.cell, self.rest_length, self.cells = cell, reference.rest_length, cells
+        position = reference.position
         per_side = self.per_side = cell.wall_springs_per_side
         n, m = cells
         side = cell.cell_side

@@ -8,9 +8,10 @@ import numba
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.tissue import Motion, TissueSettings, make_tissue, relax, simulate_tissue
+from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, relax, simulate_tissue
+from surrofe2.tissue.simulation import clamped_and_loaded
 from tests.tissue.twin import TissueTwin
 
 LOAD_CASE = LoadCase(
@@ -20,10 +21,12 @@ LOAD_CASE = LoadCase(
 
 
 def run(reference, preset, micro_step, **changes):
-    cell, position, rest_length = reference(preset)
-    tissue = make_tissue(replace(cell, **changes), position, rest_length, (2, 1))
+    """`changes` of the cell that leave its reference state as it is."""
+    cell, at_rest = reference(preset)
+    cell = replace(cell, **changes)
+    at_rest = replace(at_rest, fingerprint=cell.fingerprint)
     settings = TissueSettings(micro_step=micro_step, residual=1e-8, frames=2, energy_steps=4)
-    return simulate_tissue(LOAD_CASE, tissue, settings)
+    return simulate_tissue(LOAD_CASE, cell, settings, reference=at_rest)
 
 
 @pytest.mark.parametrize(
@@ -62,35 +65,35 @@ def test_balanced_load_leaves_momentum_alone(tissue_of):
     tissue = tissue_of((2, 2), "water")
     load = np.random.default_rng(5).normal(size=(tissue.particles, 2))
     load -= load.mean(axis=0)
-    motion = Motion(tissue, load=load)
-    start = motion.x
+    dynamics = TissueDynamics(tissue, load=load)
+    start = dynamics.x
     steps = np.full(200, 1e-3)
-    motion.leap(steps, steps, np.ones(200))
-    mass = motion.free_mass[:, None]
-    size = np.sum(mass * abs(motion.v))
+    dynamics.leap(steps, steps, np.ones(200))
+    mass = dynamics.free_mass[:, None]
+    size = np.sum(mass * abs(dynamics.v))
     assert size > 1.0
-    assert abs(np.sum(mass * motion.v, axis=0)).max() < 1e-12 * size
-    moved = np.sum(mass * (motion.x - start), axis=0) / mass.sum()
+    assert abs(np.sum(mass * dynamics.v, axis=0)).max() < 1e-12 * size
+    moved = np.sum(mass * (dynamics.x - start), axis=0) / mass.sum()
     assert abs(moved).max() < 1e-12
 
 
 def test_pair_that_comes_close_later_is_seen(tissue_of, reference):
     """A tissue squeezed to two thirds: pairs from beyond the lists come within the cut-off."""
-    cell, position, rest_length = reference("water")
-    tissue, twin = tissue_of((2, 2), "water"), TissueTwin(cell, position, rest_length, (2, 2))
-    motion = Motion(tissue, skin=0.5)
-    start = motion.x
+    cell, at_rest = reference("water")
+    tissue, twin = tissue_of((2, 2), "water"), TissueTwin(cell, at_rest, (2, 2))
+    dynamics = TissueDynamics(tissue, skin=0.5)
+    start = dynamics.x
     order = np.linalg.norm(start[:, None] - twin.start, axis=2).argmin(axis=1)
     squeeze = -start * np.array([1.0, 0.0])
-    motion.place(start, squeeze)
+    dynamics.place(start, squeeze)
     steps = np.full(340, 1e-3)
-    motion.leap(0.0 * steps, steps, 0.0 * steps)
-    assert motion.counts["list_builds"] > 3
+    dynamics.leap(0.0 * steps, steps, 0.0 * steps)
+    assert dynamics.counts["list_builds"] > 3
     there = np.empty_like(start), np.empty_like(start)
-    there[0][order], there[1][order] = motion.x, motion.v
+    there[0][order], there[1][order] = dynamics.x, dynamics.v
     expected, *_ = twin.evaluate(*there)
     np.testing.assert_allclose(
-        motion.forces(), expected[order], rtol=0, atol=1e-9 * abs(expected).max()
+        dynamics.forces(), expected[order], rtol=0, atol=1e-9 * abs(expected).max()
     )
     before, after = (np.hypot(*(at[twin.j] - at[twin.i]).T) for at in (twin.start, there[0]))
     late = (twin.contact > 0) & (before > cell.repulsion_cutoff + 2 * 0.5)
@@ -100,10 +103,10 @@ def test_pair_that_comes_close_later_is_seen(tissue_of, reference):
 def test_lists_only_change_the_cost(tissue_of):
     runs = []
     for skin in (0.3, 4.0):
-        motion = Motion(tissue_of((2, 1)), skin=skin)
+        dynamics = TissueDynamics(tissue_of((2, 1)), skin=skin)
         steps = np.full(300, 1e-3)
-        motion.leap(steps, steps, 0.0 * steps)
-        runs.append((motion.x, motion.counts["list_builds"]))
+        dynamics.leap(steps, steps, 0.0 * steps)
+        runs.append((dynamics.x, dynamics.counts["list_builds"]))
     (x, builds), (y, fewer) = runs
     assert builds > fewer
     np.testing.assert_allclose(x, y, rtol=0, atol=1e-9)
@@ -116,10 +119,10 @@ def test_number_of_threads_does_not_matter(tissue_of):
     try:
         for threads in (1, 2):
             numba.set_num_threads(threads)
-            motion = Motion(tissue_of((8, 8)))
+            dynamics = TissueDynamics(tissue_of((8, 8)))
             steps = np.full(20, 1e-3)
-            motion.leap(steps, steps, 0.0 * steps)
-            ends.append(motion.x)
+            dynamics.leap(steps, steps, 0.0 * steps)
+            ends.append(dynamics.x)
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(*ends)
@@ -135,13 +138,11 @@ def test_held_wall_stays(reference):
 
 def test_relaxed_tissue_shrinks_where_its_boundary_is_free(tissue_of):
     """Outer walls bulge; outer rows shrink by about 5 %, the inside by 0.2 to 0.7 %."""
-    from surrofe2.tissue.simulation import make_motion
-
     tissue = tissue_of((6, 6))
     load_case = LoadCase(width=150.0, height=150.0, watched=(150.0, 75.0))
-    motion = make_motion(load_case, tissue, TissueSettings())
-    x = relax(motion, 1e-6)
-    assert abs(motion.free_forces()).max() <= 1e-6
+    dynamics = clamped_and_loaded(load_case, tissue, TissueSettings())
+    x = relax(dynamics, 1e-6)
+    assert abs(dynamics.free_forces()).max() <= 1e-6
     start = tissue.to_particles(tissue.start)
 
     def at(point):
@@ -155,17 +156,26 @@ def test_relaxed_tissue_shrinks_where_its_boundary_is_free(tissue_of):
     assert at((150.0, 62.5))[0] - at((150.0, 50.0))[0] > 2.0
 
 
-def test_step_that_is_too_long_is_named(tissue_of):
+def test_step_that_is_too_long_is_named(reference):
+    cell, at_rest = reference("printed")
+    settings = TissueSettings(micro_step=8e-3)
     with pytest.raises(SimulationError, match="micro_step") as caught:
-        simulate_tissue(LOAD_CASE, tissue_of((2, 1)), TissueSettings(micro_step=8e-3))
+        simulate_tissue(LOAD_CASE, cell, settings, reference=at_rest)
     assert caught.value.partial.finished is False
 
 
-def test_wrong_extent_is_named(tissue_of):
-    with pytest.raises(InputError, match=r"3 x 1 plant cells .* must fill"):
-        simulate_tissue(LOAD_CASE, tissue_of((3, 1)))
-    with pytest.raises(InputError, match="periodic"):
-        simulate_tissue(LOAD_CASE, tissue_of((2, 1), periodic=True))
+@pytest.mark.parametrize(("name", "extent"), [("width", 60.0), ("height", 20.0)])
+def test_wrong_extent_is_named(reference, name, extent):
+    cell, at_rest = reference("printed")
+    load_case = replace(LOAD_CASE, watched=(0.0, 0.0), **{name: extent})
+    with pytest.raises(InputError, match=rf"^load.{name}: {extent:g}; a tissue needs a whole num"):
+        simulate_tissue(load_case, cell, reference=at_rest)
+
+
+def test_reference_of_another_cell_is_refused(reference):
+    cell, at_rest = reference("printed")
+    with pytest.raises(MismatchError, match=r"^reference: it belongs to plant cells"):
+        simulate_tissue(LOAD_CASE, replace(cell, viscosity=0.2), reference=at_rest)
 
 
 @pytest.mark.parametrize("cells", [(0, 1), (2.0, 1), (1,)])

@@ -1,33 +1,33 @@
-"""All particles of a tissue in motion, with neighbour lists that follow them: `Motion`."""
+"""Dynamics of all particles of a tissue, with pair lists that follow them."""
 
 from __future__ import annotations
 
 from collections import Counter
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
 from surrofe2.plant_cell.tiles import Constants, Topology
 from surrofe2.simd import TILE
-from surrofe2.tissue.kernels import Body, Periods, Watch, leap
+from surrofe2.tissue.kernels import Body, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
-from surrofe2.tissue.list_assembly import Lists
-from surrofe2.tissue.neighbour_lists import Lister
-from surrofe2.tissue.stored_energy import stored_energy
-from surrofe2.tissue.threads import ThreadChoice
+from surrofe2.tissue.pair_lists import PairLister, PairLists
 
 Array = NDArray[np.float64]
 
+TILES_PER_THREAD = 4
+"""For fewer, another thread is not worth the waiting for each other, twice a step."""
 _REST = np.zeros((2, 2))
 
 
-class Motion:
+class TissueDynamics:
     """Positions and velocities, moved in place by leapfrog steps.
 
     Args:
         tissue: the particles.
-        skin: by how much neighbour lists reach beyond the cut-off, µm; it changes the cost only.
+        skin: by how much pair lists reach beyond the cut-off, µm; it changes the cost only.
         held: (particles,) which particles do not move; None: none.
         load: (particles, 2) force on each at amplitude 1, µN; None: none.
         F, F_dot: of a periodic patch, how its periods are deformed and at which rate, 1/µs.
@@ -50,31 +50,31 @@ class Motion:
     ) -> None:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
-        self._lister = Lister(tissue, skin)
-        self._threads = ThreadChoice(tissue.tiles)
+        self._lister = PairLister(tissue, skin)
         self.free_mass = tissue.mass.reshape(-1)[tissue.where]
         if held is not None:
             self.free_mass[held] = 0.0
         self.load = np.zeros((tissue.particles, 2)) if load is None else load
-        self._body = Body(_per_mass(tissue, self.free_mass), tissue.to_tiles(self.load), 1.0)
         periods = np.diag(tissue.size) if tissue.periodic else np.zeros((2, 2))
-        F = np.eye(2) if F is None else np.asarray(F)
-        self._fluid = _fluid_topology(tissue)
-        self._periods = Periods(
-            np.ascontiguousarray(F @ periods), np.ascontiguousarray(F_dot @ periods)
+        self._body = Body(
+            lattice=np.ascontiguousarray((np.eye(2) if F is None else np.asarray(F)) @ periods),
+            rate=np.ascontiguousarray(F_dot @ periods),
+            per_mass=_per_mass(tissue, self.free_mass),
+            load=tissue.to_tiles(self.load),
+            retained=1.0,
         )
-        self._listed = tissue.start
+        self._fluid = _fluid_topology(tissue)
         self.place(tissue.to_particles(tissue.start))
 
     @property
     def x(self) -> Array:
         """(particles, 2) positions, µm."""
-        return self.tissue.to_particles(self._x[:-1, :, : self.tissue.own])
+        return self.tissue.to_particles(self._particles.x[:-1, :, : self.tissue.own])
 
     @property
     def v(self) -> Array:
         """(particles, 2) velocities, µm/µs."""
-        return self.tissue.to_particles(self._v[:-1, :, : self.tissue.own])
+        return self.tissue.to_particles(self._particles.v[:-1, :, : self.tissue.own])
 
     @property
     def listed(self) -> Array:
@@ -82,19 +82,19 @@ class Motion:
         return self.tissue.to_particles(self._listed)
 
     @property
-    def lists(self) -> Lists:
+    def lists(self) -> PairLists:
         """The lists in use."""
         return self._lists
 
     def place(self, x: Array, v: Array | None = None, listed: Array | None = None) -> None:
         """Put particles at x with velocities v (None: at rest), lists as made at `listed`.
 
-        With the `listed` of another motion this one goes on as that one would, bit by bit.
+        With the `listed` of another run this one goes on as that one would, bit by bit.
         """
         tissue = self.tissue
-        self._own_x = tissue.to_tiles(x, tissue.start)
-        self._own_v = tissue.to_tiles(np.zeros_like(x) if v is None else v)
-        self._make_lists(self._own_x if listed is None else tissue.to_tiles(listed, tissue.start))
+        own_x = tissue.to_tiles(x, tissue.start)
+        own_v = tissue.to_tiles(np.zeros_like(x) if v is None else v)
+        self._put(own_x, own_v, own_x if listed is None else tissue.to_tiles(listed, tissue.start))
         if listed is not None:
             self.forces()  # so that how far they have moved since is known
 
@@ -105,38 +105,40 @@ class Motion:
         amplitudes: Array,
         *,
         constants: Constants | None = None,
-        keep: float = 1.0,
+        retained: float = 1.0,
     ) -> None:
-        """Steps v += kicks[k] a(x, v), x += drifts[k] v; `keep` of v is left by each step.
+        """Steps v += kicks[k] a(x, v), x += drifts[k] v; each leaves the part `retained` of v.
 
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
         c = self.tissue.constants if constants is None else constants
-        body = self._body._replace(keep=keep)
-        done, renewed = 0, False
-        while done < len(kicks):
-            with self._threads.set_for(len(kicks) - done):
+        body = self._body._replace(retained=retained)
+        steps, renewed = np.stack([kicks, drifts, amplitudes], axis=1), False
+        allowed = numba.get_num_threads()
+        numba.set_num_threads(max(1, min(allowed, self.tissue.tiles // TILES_PER_THREAD)))
+        try:
+            while len(steps):
+                if renewed:
+                    self._renew()
                 taken = leap(
-                    self._x, self._v, self._f, self._lists, self._lister.grid, self._fluid, c,
-                    self._periods, body, self._watch, kicks[done:], drifts[done:],
-                    amplitudes[done:],
+                    self._particles, self._lists, self._lister.grid, self._fluid, c, body,
+                    self._watch, steps,
                 )  # fmt: skip
-            self.counts["force_evaluations"] += taken
-            done += taken
-            if done < len(kicks):
+                self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
                     raise SimulationError(
                         "tissue: particles fly apart within a step; lower tissue.micro_step"
                     )
-                self._renew()
-                renewed = True
+                steps, renewed = steps[taken:], True
+        finally:
+            numba.set_num_threads(allowed)
 
     def forces(self, constants: Constants | None = None) -> Array:
         """(particles, 2) forces without the load, µN."""
         nothing = np.zeros(1)
         self.leap(nothing, nothing, nothing, constants=constants)
-        return self.tissue.to_particles(self._f[:-1, :, : self.tissue.own])
+        return self.tissue.to_particles(self._particles.f[:-1, :, : self.tissue.own])
 
     def free_forces(self, constants: Constants | None = None) -> Array:
         """`forces`, with none on particles that are held."""
@@ -155,14 +157,15 @@ class Motion:
         """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm²."""
         self.forces()  # sets the images
         energy = np.empty((self.tissue.tiles, TILE))
-        stored_energy(
-            self._x, self._lists, self._lister.grid, self._fluid, self.tissue.constants, energy
-        )
+        elastic_energy(
+            self._particles.x, self._lists, self._lister.grid, self._fluid, self.tissue.constants,
+            energy,
+        )  # fmt: skip
         return float(energy.sum())
 
     def kinetic_energy(self) -> float:
         """½ Σ m v², pJ."""
-        v = self._v[:-1, :, : self.tissue.own]
+        v = self._particles.v[:-1, :, : self.tissue.own]
         return 0.5 * float(np.sum(self.tissue.mass * (v * v).sum(axis=1)))
 
     def mean_stress(self) -> Array:
@@ -171,12 +174,12 @@ class Motion:
         σ = −1/V [Σ f ⊗ x + Σ g ⊗ p] over all particles, which feel f, and over all images,
         which feel g and lie p beside their owners.
         """
-        f, lists, lattice = self.forces(), self._lists, self._periods.lattice
+        f, lists, lattice = self.forces(), self._lists, self._body.lattice
         virial = -f.T @ self.x
         images = np.diff(lists.starts[:, 0])
         for t, count in enumerate(images):
             first, own = lists.starts[t, 0], self.tissue.own
-            g = self._f[t, :, own : own + count]
+            g = self._particles.f[t, :, own : own + count]
             p = np.einsum("ab,kbl->akl", lattice, lists.wrap[first : first + count])
             virial -= np.einsum("akl,bkl->ab", g, p)
         return virial / abs(float(np.linalg.det(lattice)))
@@ -184,23 +187,21 @@ class Motion:
     def _renew(self) -> None:
         """New lists where the particles are now."""
         own = self.tissue.own
-        self._own_x = np.ascontiguousarray(self._x[:-1, :, :own])
-        self._own_v = np.ascontiguousarray(self._v[:-1, :, :own])
-        self._make_lists(self._own_x)
+        x = np.ascontiguousarray(self._particles.x[:-1, :, :own])
+        self._put(x, self._particles.v[:-1, :, :own], x)
 
-    def _make_lists(self, listed: Array) -> None:
-        tissue = self.tissue
-        self._lists = self._lister.make(listed, self._periods.lattice)
-        self._listed = listed.copy()
+    def _put(self, x: Array, v: Array, listed: Array) -> None:
+        """Own particles (tiles, 2, own, TILE) at x with v, lists made at `listed`."""
+        self._lists = self._lister.make(listed, self._body.lattice)
+        self._listed = listed
         self.counts["list_builds"] += 1
-        tiles, own = tissue.tiles, tissue.own
+        tiles, own = self.tissue.tiles, self.tissue.own
         shape = (tiles + 1, 2, self._lists.local, TILE)
-        self._x, self._v, self._f = np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape)
-        self._x[:-1, :, :own], self._v[:-1, :, :own] = self._own_x, self._own_v
-        self._watch = Watch(
-            self._listed, np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE)),
-            np.zeros((tiles, TILE)),
-        )  # fmt: skip
+        particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
+        particles.x[:-1, :, :own], particles.v[:-1, :, :own] = x, v
+        self._particles = particles
+        mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
+        self._watch = Watch(listed, mean, nothing, nothing.copy())
 
 
 def _per_mass(tissue: Tissue, free_mass: Array) -> Array:

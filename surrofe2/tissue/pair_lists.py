@@ -1,0 +1,311 @@
+"""Lists of the pairs that may interact, tile by tile, made from where the particles are now.
+
+A pair kind is listed for a tile if in any of its lanes the two particles are within the list's
+reach: the cut-off and a skin. Partners in other plant cells become images, local particles that
+follow the own ones; they are gathered before forces are summed, and what they feel is folded back
+to their owners by a list that each owner reads alone, so that threads never meet.
+
+With ū the mean displacement of a cell's own particles since the listing, and d the largest
+|u − ū| anywhere, particles of neighbouring cells A and B have moved against one another by at most
+2 d + |ū_B − ū_A|. While that is within the skin everywhere, and as particles of cells k columns or
+rows apart are listed up to the cut-off and k skins, no unlisted pair is within the cut-off.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import scipy  # scipy.spatial is loaded where a tissue is
+from numpy.typing import NDArray
+
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.errors import SimulationError
+from surrofe2.simd import TILE
+from surrofe2.tissue.layout import Tissue
+from surrofe2.tissue.pair_kinds import RINGS, PairKinds, make_pair_kinds
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Grid(NamedTuple):
+    """Neighbouring places.
+
+    Attributes:
+        place: (tiles, shifts, TILE) place of the cell at each of `PairKinds.shifts`, or −1.
+        wrap: (tiles, shifts, 2, TILE) how often a periodic patch is left on the way there.
+        exists: (tiles, own, TILE) 1.0 where there is a particle, else 0.
+        per_count: (tiles, TILE) 1/(number of own particles), or 0.
+        next_shifts: the shifts to the next column or row.
+    """
+
+    place: Ints
+    wrap: Array
+    exists: Array
+    per_count: Array
+    next_shifts: Ints
+
+
+class PairLists(NamedTuple):
+    """Pairs of all tiles one after another; those of tile t are [starts[t, k], starts[t + 1, k]).
+
+    Attributes:
+        starts: (tiles + 1, 5) of images, bonds, lines, contacts, folds.
+        source: (images, TILE) flat index of the owner in (tiles + 1, 2, local, TILE).
+        wrap: (images, 2, TILE) periods between owner and image.
+        bonds, lines, contacts: (·, 2) local particles.
+        bond_share, line_share: (·, TILE) 1, ½ at the boundary, 0 where there is no pair.
+        fold: (folds,) own particle; fold_source: (folds, TILE) flat index of the image force.
+        order: (tiles,) in which to go through them: those with and without fluid evenly mixed,
+            so that equal parts of it cost threads the same.
+        local: local particles of a tile, at most.
+        fluid_tiles: how many tiles, the first ones, have fluid.
+        skin: how far particles of neighbouring cells may move against one another, µm.
+    """
+
+    starts: Ints
+    source: Ints
+    wrap: Array
+    bonds: NDArray[np.int32]
+    lines: NDArray[np.int32]
+    contacts: NDArray[np.int32]
+    bond_share: Array
+    line_share: Array
+    fold: Ints
+    fold_source: Ints
+    order: Ints
+    local: int
+    fluid_tiles: int
+    skin: float
+
+
+class PairLister:
+    """Makes `PairLists` for one tissue."""
+
+    def __init__(self, tissue: Tissue, skin: float) -> None:
+        self._tissue = tissue
+        self._skin = skin
+        self._kinds = make_pair_kinds(tissue.cell)
+        rings = abs(self._kinds.shifts).max(axis=1)[self._kinds.shift]
+        self._reach = tissue.cell.repulsion_cutoff + skin * np.maximum(rings, 1)
+        self.grid = make_grid(tissue, self._kinds)
+        self._share = pair_shares(tissue, self._kinds, self.grid)
+
+    def make(self, x: Array, lattice: Array) -> PairLists:
+        """Lists at positions x (tiles, 2, own, TILE) with periods `lattice` (2, 2), µm.
+
+        Raises:
+            SimulationError: positions are not finite, or plant cells with two others between
+                them come so close that lists could miss a pair.
+        """
+        kinds, grid = self._kinds, self.grid
+        self._check_apart(x)
+        close = np.zeros((len(x), len(kinds.i)), dtype=np.bool_)
+        mark_close(x, kinds, self._reach, grid, lattice, close)
+        close[:, : kinds.bonds] = True
+        return _assemble(self._tissue, kinds, grid, self._share, close, self._skin)
+
+    def _check_apart(self, x: Array) -> None:
+        """Plant cells further apart than RINGS must be out of each other's reach."""
+        grid, tissue = self.grid, self._tissue
+        if not np.isfinite(x).all():
+            raise SimulationError("tissue: positions are not finite; lower tissue.micro_step")
+        if tissue.periodic:
+            return
+        weight = grid.exists * grid.per_count[:, None]
+        centre = (x * weight[:, None]).sum(axis=2)
+        extent = np.hypot(*np.moveaxis((x - centre[:, :, None]) * grid.exists[:, None], 1, 0)).max()
+        there = tissue.column >= 0
+        centres = np.moveaxis(centre, 1, 2).reshape(-1, 2)[there]
+        at = np.stack([tissue.column, tissue.row], axis=1)[there]
+        near = tissue.cell.repulsion_cutoff + 2.0 * extent
+        tree = scipy.spatial.cKDTree(centres)
+        i, j = tree.query_pairs(near + self._skin * at.max(), output_type="ndarray").T
+        rings = abs(at[i] - at[j]).max(axis=1)
+        distance = np.hypot(*(centres[i] - centres[j]).T)
+        if (distance < near + self._skin * rings)[rings > RINGS].any():
+            raise SimulationError(
+                f"tissue: plant cells with {RINGS} others between them come within reach of each "
+                "other; the tissue has collapsed: lower the load or tissue.micro_step"
+            )
+
+
+def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
+    """Who is whose neighbour."""
+    column = tissue.column[:, None] + kinds.shifts[:, 0]
+    row = tissue.row[:, None] + kinds.shifts[:, 1]
+    n, m = tissue.place.shape
+    wrap = np.zeros((*column.shape, 2))
+    if tissue.periodic:
+        wrap[..., 0], column = np.divmod(column, n)
+        wrap[..., 1], row = np.divmod(row, m)
+    inside = (column >= 0) & (column < n) & (row >= 0) & (row < m)
+    inside &= (tissue.column >= 0)[:, None]
+    there = tissue.place[np.where(inside, column, 0), np.where(inside, row, 0)]
+    exists = tissue.exists.astype(np.float64)
+    count = exists.sum(axis=1)
+    return Grid(
+        place=_tiled(np.where(inside, there, -1)),
+        wrap=_tiled(wrap),
+        exists=exists,
+        per_count=np.where(count > 0, 1.0 / np.maximum(count, 1.0), 0.0),
+        next_shifts=np.flatnonzero(abs(kinds.shifts).max(axis=1) == 1),
+    )
+
+
+def pair_shares(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
+    """(tiles, bonds + lines, TILE): 1, ½ on the tissue's boundary, 0 where a particle lacks."""
+    count = kinds.bonds + kinds.lines
+    exists = np.moveaxis(tissue.exists, 1, 2).reshape(-1, tissue.own)
+    share = np.zeros((len(tissue.column), count))
+    place = np.moveaxis(grid.place, 1, 2).reshape(-1, len(kinds.shifts))
+    for k, (axis, line) in enumerate(kinds.line[:count]):
+        there = place[:, kinds.shift[k]]
+        share[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
+        if not tissue.periodic:
+            across = (tissue.row if axis == 0 else tissue.column) + line
+            share[(across == 0) | (across == tissue.cells[1 - axis]), k] *= 0.5
+    return _tiled(share)
+
+
+def bonded_particles(tissue: Tissue) -> Ints:
+    """(b, 2) numbers of the particles that wall springs join."""
+    kinds = make_pair_kinds(tissue.cell)
+    place = make_grid(tissue, kinds).place
+    number = np.full(tissue.mass.size, -1)
+    number[tissue.where] = np.arange(tissue.particles)
+    tile, lane = np.indices((tissue.tiles, TILE))
+    pairs = []
+    for k in range(kinds.bonds):
+        there = place[:, kinds.shift[k]]
+        first = number[(tile * tissue.own + kinds.i[k]) * TILE + lane]
+        flat = (there // TILE * tissue.own + kinds.j[k]) * TILE + there % TILE
+        second = np.where(there >= 0, number[np.where(there >= 0, flat, 0)], -1)
+        both = (first >= 0) & (second >= 0)
+        pairs.append(np.stack([first[both], second[both]], axis=1))
+    return np.concatenate(pairs)
+
+
+def _tiled(values: NDArray) -> NDArray:
+    """(places, …) → (tiles, …, TILE)."""
+    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, TILE, *values.shape[1:]), 1, -1))
+
+
+def _assemble(
+    tissue: Tissue,
+    kinds: PairKinds,
+    grid: Grid,
+    share: Array,
+    close: NDArray[np.bool_],
+    skin: float,
+) -> PairLists:
+    """Lists of the kinds that `close` (tiles, kinds) marks, in their order."""
+    tile, kind = np.nonzero(close)
+    j, shift = kinds.j[kind].copy(), kinds.shift[kind]
+    elsewhere = shift > 0
+    key = ((tile * len(kinds.shifts) + shift) * tissue.own + j)[elsewhere]
+    images, number = np.unique(key, return_inverse=True)
+    shift_of_image, owner = np.divmod(images, tissue.own)
+    tile_of_image, shift_of_image = np.divmod(shift_of_image, len(kinds.shifts))
+    image_starts = _starts(tissue, tile_of_image)
+    j[elsewhere] = tissue.own + number - image_starts[tile[elsewhere]]
+    local = tissue.own + int(np.diff(image_starts).max())
+    pairs = np.stack([kinds.i[kind], j], axis=1).astype(np.int32)
+    is_bond, is_contact = kind < kinds.bonds, kind >= kinds.bonds + kinds.lines
+    is_line = ~(is_bond | is_contact)
+    place = grid.place[tile_of_image, shift_of_image]
+    fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
+    there, lane = np.divmod(place, TILE)
+    source = (there * 2 * local + owner[:, None]) * TILE + lane
+    groups = (is_bond, is_line, is_contact)
+    starts = [image_starts, *(_starts(tissue, tile[one]) for one in groups), fold_starts]
+    return PairLists(
+        starts=np.ascontiguousarray(np.stack(starts, axis=1)),
+        source=np.where(place < 0, _nowhere(tissue, local), source),
+        wrap=np.ascontiguousarray(grid.wrap[tile_of_image, shift_of_image]),
+        bonds=pairs[is_bond],
+        lines=pairs[is_line],
+        contacts=pairs[is_contact],
+        bond_share=share[tile[is_bond], kind[is_bond]],
+        line_share=share[tile[is_line], kind[is_line]],
+        fold=fold,
+        fold_source=fold_source,
+        order=_evenly_mixed(tissue.fluid_tiles, tissue.tiles),
+        local=local,
+        fluid_tiles=tissue.fluid_tiles,
+        skin=skin,
+    )
+
+
+def _starts(tissue: Tissue, tile: Ints) -> Ints:
+    """(tiles + 1,) where each tile begins among rows whose ascending tiles are given."""
+    return np.searchsorted(tile, np.arange(tissue.tiles + 1))
+
+
+def _nowhere(tissue: Tissue, local: int) -> int:
+    """Flat index of particles that stay where they are and of a force that is always zero."""
+    return tissue.tiles * 2 * local * TILE
+
+
+def _evenly_mixed(first: int, tiles: int) -> Ints:
+    """The numbers below `first` and those from there to `tiles`, evenly mixed."""
+    spots = [(np.arange(n) + 0.5) / max(n, 1) for n in (first, tiles - first)]
+    return np.argsort(np.concatenate(spots), kind="stable")
+
+
+def _folds(
+    tissue: Tissue, place: Ints, owner: Ints, image_starts: Ints, local: int
+) -> tuple[Ints, Ints, Ints]:
+    """fold and fold_source of `PairLists`, and where each tile's folds start.
+
+    Row r of an own particle holds, lane by lane, the r-th image of it that exists; lanes with
+    fewer images read a force that is always zero.
+
+    Args:
+        place: (images, TILE) of the cells whose own particles `owner` (images,) have the images.
+    """
+    there, lane = np.divmod(place, TILE)
+    key = (there * tissue.own + owner[:, None]) * TILE + lane
+    exists = (place >= 0) & tissue.exists.reshape(-1)[np.where(place < 0, 0, key)]
+    image, lane = np.nonzero(exists)
+    tile = np.searchsorted(image_starts, image, side="right") - 1
+    number = tissue.own + image - image_starts[tile]
+    source = (tile * 2 * local + number) * TILE + lane
+    key = key[exists]
+    order = np.argsort(key, kind="stable")
+    key, source = key[order], source[order]
+    rank = np.arange(len(key)) - np.searchsorted(key, key, side="left")
+    particle, at_lane = np.divmod(key, TILE)
+    rows, row = np.unique(np.stack([particle, rank], axis=1), axis=0, return_inverse=True)
+    fold_source = np.full((len(rows), TILE), _nowhere(tissue, local))
+    fold_source[row.reshape(-1), at_lane] = source
+    own_tile, fold = np.divmod(rows[:, 0], tissue.own)
+    return fold, fold_source, _starts(tissue, own_tile)
+
+
+@parallel_kernel
+def mark_close(x, kinds, reach, grid, lattice, close):
+    """close (tiles, kinds): whether any lane has that pair within its `reach`."""
+    for t in numba.prange(x.shape[0]):
+        _mark_close_in_tile(t, x, kinds, reach, grid, lattice, close)
+
+
+@kernel
+def _mark_close_in_tile(t, x, kinds, reach, grid, lattice, close):
+    for k in range(kinds.i.shape[0]):
+        i, j, s = kinds.i[k], kinds.j[k], kinds.shift[k]
+        for lane in range(TILE):
+            there = grid.place[t, s, lane]
+            if there < 0:
+                continue
+            tile, other = there // TILE, there % TILE
+            rx = x[tile, 0, j, other] - x[t, 0, i, lane]
+            ry = x[tile, 1, j, other] - x[t, 1, i, lane]
+            a, b = grid.wrap[t, s, 0, lane], grid.wrap[t, s, 1, lane]
+            rx += lattice[0, 0] * a + lattice[0, 1] * b
+            ry += lattice[1, 0] * a + lattice[1, 1] * b
+            if rx * rx + ry * ry <= reach[k] * reach[k]:
+                close[t, k] = True
+                break
