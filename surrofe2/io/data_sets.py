@@ -1,38 +1,81 @@
-"""Data sets of (F, Ḟ) → σ in HDF5; the schema is in data/README.md.
-
-Every array is laid out in full at the start, and a counter says how many rows count. A row is
-flushed before the counter that covers it, so the file can be continued after a kill at any
-moment.
-"""
+"""Data sets of (F, Ḟ) → σ in HDF5, continued after a kill at any moment; schema: data/README.md."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.checks import check_schema
-from surrofe2.io.data_set_layout import (
-    LEFT,
-    SCHEMA,
-    SCHEMA_VERSION,
-    DataSetHeader,
-    check_header,
-    create_file,
-    samples_of,
-)
-from surrofe2.io.files import opened_hdf5, replacing, reported
-from surrofe2.stress_law import Tangents, describe
-from surrofe2.stress_samples import StressSamples
+from surrofe2.io.append_arrays import Column, append_rows, completed, create_arrays
+from surrofe2.io.files import check_same, flat, opened_hdf5, plain, replacing
+from surrofe2.io.provenance import check_schema, stamp, stored_cell, stored_range
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
+from surrofe2.stress_law import Status, StressResponse, describe
+from surrofe2.stress_samples import TANGENTS, StressSamples
+from surrofe2.units import RATE, STRESS, VISCOSITY
+
+SCHEMA = "surrofe2-data-set"
+SCHEMA_VERSION = 1
+LEFT = "left_bifurcation"
+_COLUMNS = {
+    "F": Column((2, 2)),
+    "F_dot": Column((2, 2), unit=RATE),
+    "stress": Column((2, 2), unit=STRESS),
+    "status": Column(kind=np.int8, meaning={int(code): describe(code) for code in Status}),
+    LEFT: Column(kind=np.int8, meaning="1: a stable state beyond a bifurcation, one of several"),
+}
+_TANGENT_COLUMNS = {
+    name: Column((2, 2, 2, 2), unit=unit)
+    for name, unit in zip(TANGENTS, (STRESS, VISCOSITY), strict=True)
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataSetHeader:
+    """What a data set is made from; two data sets with equal headers hold equal numbers.
+
+    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and `rest_length` (of the
+    walls, µm) are carried along and not compared.
+    """
+
+    cell: CellParameters
+    rve: Mapping[str, Any]
+    range: SamplingRange
+    count: int
+    seed: int
+    chunk: int
+    version: str
+    recipe: Mapping[str, Any]
+    rest_length: float | None = None
+    tangents: bool = False
+
+    def compared(self) -> dict[str, Any]:
+        """Everything the numbers depend on, by the names a recipe uses."""
+        return {
+            "cell": self.cell.to_dict(),
+            "rve": dict(self.rve),
+            "range": asdict(self.range),
+            "samples": {
+                "count": self.count,
+                "seed": self.seed,
+                "chunk": self.chunk,
+                "tangents": self.tangents,
+            },
+            "surrofe2": {"version": self.version},
+        }
 
 
 class DataSetWriter:
-    """An open, unfinished data set. Rows are appended in order; `finish` seals it."""
+    """An open data set. Rows are appended in order; `finish_data_set` seals the file."""
 
     def __init__(self, path: Path, file: h5py.File) -> None:
         self._path = path
@@ -41,7 +84,7 @@ class DataSetWriter:
     @property
     def completed(self) -> int:
         """How many rows are safely in the file."""
-        return int(self._file["completed"][()])
+        return completed(self._file)
 
     @property
     def count(self) -> int:
@@ -54,33 +97,16 @@ class DataSetWriter:
         return bool(self._file.attrs["status"] == "finished")
 
     def append(
-        self,
-        F: NDArray[np.float64],
-        F_dot: NDArray[np.float64],
-        stress: NDArray[np.float64],
-        status: NDArray[np.int8],
-        tangents: Tangents | None = None,
-        left_bifurcation: NDArray[np.bool_] | None = None,
+        self, F: NDArray[np.float64], F_dot: NDArray[np.float64], answer: StressResponse
     ) -> None:
-        """Write the next n rows, then count them; with tangents if the data set holds them.
-
-        Args:
-            F, F_dot, stress: (n, 2, 2); 1, 1/µs and µN/µm.
-            status: (n,) codes of `Status`.
-            left_bifurcation: as in `StressResponse`.
-        """
-        rows = slice(self.completed, self.completed + len(F))
-        arrays = {"F": F, "F_dot": F_dot, "stress": stress, "status": status}
-        if tangents is not None:
-            arrays |= {"P_by_F": tangents.P_by_F, "P_by_F_dot": tangents.P_by_F_dot}
-        if left_bifurcation is not None and LEFT in self._file:
-            arrays[LEFT] = left_bifurcation
-        with reported(self._path, "written"):
-            for name, values in arrays.items():
-                self._file[name][rows] = values
-            self._file.flush()
-            self._file["completed"][()] = rows.stop
-            self._file.flush()
+        """Write the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
+        rows: dict[str, np.ndarray] = {"F": F, "F_dot": F_dot}
+        rows |= {"stress": answer.stress, "status": answer.status}
+        if answer.tangents is not None and TANGENTS[0] in self._file:
+            rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
+        if answer.left_bifurcation is not None and LEFT in self._file:
+            rows[LEFT] = answer.left_bifurcation
+        append_rows(self._path, self._file, rows)
 
     def left_count(self) -> int:
         """How many rows so far are of RVEs that left a bifurcation."""
@@ -103,12 +129,29 @@ def writing_data_set(
         MismatchError: it was begun with other settings, and not `fresh`.
     """
     if not path.exists() or fresh:
-        create_file(path, header)
+        columns = _COLUMNS | (_TANGENT_COLUMNS if header.tangents else {})
+        create_arrays(path, columns, header.count, _attributes(header))
     with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 data set")
-        check_header(path, file, header)
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
+        there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
+        check_same(path, header.compared(), there)
     with opened_hdf5(path, "r+") as file:
         yield DataSetWriter(path, file)
+
+
+def _attributes(header: DataSetHeader) -> dict[str, Any]:
+    given = {
+        "status": "writing",
+        "compared": json.dumps(flat(header.compared())),
+        "rve": json.dumps(plain(header.rve)),
+        "range": json.dumps(asdict(header.range)),
+        "count": header.count,
+        "seed": header.seed,
+    }
+    if header.rest_length is not None:
+        given["rest_length"] = header.rest_length
+    initialisation = str(header.rve["initialisation"])
+    return stamp(SCHEMA, SCHEMA_VERSION, header.cell, initialisation, header.recipe) | given
 
 
 def finish_data_set(path: Path) -> None:
@@ -122,7 +165,7 @@ def finish_data_set(path: Path) -> None:
         with h5py.File(partial, "r+") as file:
             if file.attrs["status"] == "finished":
                 return
-            missing = file["F"].shape[0] - int(file["completed"][()])
+            missing = file["F"].shape[0] - completed(file)
             if missing:
                 raise InputError(f"{path}: {missing} samples are missing; it cannot be finished")
             status = file["status"][:]
@@ -130,7 +173,7 @@ def finish_data_set(path: Path) -> None:
             file["failed/index"] = index
             reasons = [describe(code) for code in status[index]]
             file.create_dataset("failed/reason", data=reasons, dtype=h5py.string_dtype())
-            file.attrs["fingerprint"] = samples_of(path, file).fingerprint
+            file.attrs["fingerprint"] = _samples_of(path, file).fingerprint
             file.attrs["status"] = "finished"
 
 
@@ -143,22 +186,32 @@ def read_data_set(path: str | Path) -> StressSamples:
     """
     path = Path(path)
     with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 data set")
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
         if file.attrs["status"] != "finished":
             raise InputError(
-                f"{path}: unfinished, {int(file['completed'][()])} of {file['F'].shape[0]} "
+                f"{path}: unfinished, {completed(file)} of {file['F'].shape[0]} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        samples = samples_of(path, file)
+        samples = _samples_of(path, file)
         if samples.fingerprint != file.attrs["fingerprint"]:
             raise FileError(f"{path}: its numbers changed since it was written; generate it anew")
     return samples
 
 
-__all__ = [
-    "DataSetHeader",
-    "DataSetWriter",
-    "finish_data_set",
-    "read_data_set",
-    "writing_data_set",
-]
+def _samples_of(path: Path, file: h5py.File) -> StressSamples:
+    try:
+        given = [name for name in TANGENTS if name in file]
+        arrays = {name: file[name][:] for name in ("F", "F_dot", "stress", "status", *given)}
+        cell, initialisation = stored_cell(file)
+        length = file.attrs.get("rest_length")
+        return StressSamples(
+            **arrays,
+            cell=cell,
+            initialisation=initialisation,
+            range=stored_range(file),
+            seed=int(file.attrs["seed"]),
+            rest_length=None if length is None else float(length),
+            left_bifurcation=file[LEFT][:].astype(np.bool_) if LEFT in file else None,
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileError(f"{path}: not a whole surrofe2 data set: {error}") from None

@@ -40,11 +40,11 @@ class Frames(Motion, Protocol):
 
 def write_fields(folder: Path, nodes: Array, quads: NDArray[np.integer], frames: Frames) -> None:
     """Write fields.xdmf and fields.h5: nodes (n, 2) in µm, quads (e, 4), and the frames."""
-    with writing_series(folder, nodes, "quad", quads) as writer:
+    with _writing_series(folder, nodes, "quad", quads) as writer:
         for k, t in enumerate(frames.t):
             writer.write_data(
                 float(t),
-                point_data=motion_at(frames, k),
+                point_data=_motion_at(frames, k),
                 cell_data={
                     "cauchy_stress_uN_per_um": [_tensor_in_space(frames.stress[k])],
                     "deformation_gradient": [_tensor_in_space(frames.F[k], thickness=1.0)],
@@ -52,8 +52,27 @@ def write_fields(folder: Path, nodes: Array, quads: NDArray[np.integer], frames:
             )
 
 
+def write_particle_fields(
+    folder: Path,
+    position: Array,
+    bonds: NDArray[np.integer],
+    is_wall: NDArray[np.bool_],
+    frames: Motion,
+) -> None:
+    """Write fields.xdmf and fields.h5.
+
+    Points are particles at `position` (particles, 2) in µm, unloaded; wall springs `bonds` (b, 2)
+    are lines between them. Fluid particles are points without lines, which ParaView shows as
+    Point Gaussian or by Glyph; `wall` is 1 on wall particles, 0 on fluid.
+    """
+    wall = np.asarray(is_wall, np.float64)
+    with _writing_series(folder, position, "line", bonds) as writer:
+        for k, t in enumerate(frames.t):
+            writer.write_data(float(t), point_data=_motion_at(frames, k) | {"wall": wall})
+
+
 @contextmanager
-def writing_series(
+def _writing_series(
     folder: Path, points: Array, kind: str, cells: NDArray[np.integer]
 ) -> Iterator[TimeSeriesWriter]:
     """A writer of data at one time after another; fields.xdmf and fields.h5 appear at the end.
@@ -75,7 +94,7 @@ def writing_series(
             os.replace(Path(place) / name, folder / name)
 
 
-def motion_at(frames: Motion, k: int) -> dict[str, Array]:
+def _motion_at(frames: Motion, k: int) -> dict[str, Array]:
     """Displacement and velocity of frame k by the names they have in the files."""
     return {
         "displacement_um": _in_space(frames.displacement[k]),

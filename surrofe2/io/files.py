@@ -54,8 +54,8 @@ def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -
     Raises:
         MismatchError: naming the first that differs.
     """
-    known = _flat(there)
-    for name, value in _flat(here).items():
+    known = flat(there)
+    for name, value in flat(here).items():
         if known.get(name) != value:
             raise MismatchError(
                 f"{place}: {name}: this call has {value}, what is there {known.get(name)}; "
@@ -75,13 +75,13 @@ def is_there(path: Path, wanted: Mapping[str, Any]) -> bool:
     return path.exists()
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Plain entries by their dotted names."""
-    flat: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, value in settings.items():
         nested = isinstance(value, Mapping)
-        flat |= _flat(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": plain(value)}
-    return flat
+        entries |= flat(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": plain(value)}
+    return entries
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,29 +1,22 @@
-"""Harvest of a run: every true RVE answer it has paid for, kept in HDF5 for training.
-
-Rows lie in arrays whose place in the file is fixed; a counter says how many count, and rows are
-flushed before the counter that covers them, so a kill at any moment leaves a file to read. Full
-arrays are copied into a file of twice the size, which then takes the old one's place.
-"""
+"""Harvest of a run: every true RVE answer it has paid for, kept in HDF5 for training."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError
-from surrofe2.io.checks import check_same_rve, check_schema
-from surrofe2.io.data_set_layout import lay_out
-from surrofe2.io.files import opened_hdf5, plain, replacing, reported
+from surrofe2.io.append_arrays import Column, append_rows, completed, create_arrays, grow
+from surrofe2.io.files import opened_hdf5, plain
+from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.units import NONE, RATE, STRESS
+from surrofe2.units import RATE, STRESS
 
 Array = NDArray[np.float64]
 
@@ -36,17 +29,21 @@ WHY = {
     3: "sample of the range widened to hold such states",
 }
 CHUNK = 4096
-_UNITS = {"F": NONE, "F_dot": RATE, "stress": STRESS, "status": NONE, "why": NONE}
+_COLUMNS = {
+    "F": Column((2, 2)),
+    "F_dot": Column((2, 2), unit=RATE),
+    "stress": Column((2, 2), unit=STRESS),
+    "status": Column(kind=np.int8),
+    "why": Column(kind=np.int8, meaning=WHY),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HarvestHeader:
-    """Where a harvest's answers come from; cell, initialisation and solver settings must match
-    where it is continued."""
+    """Where a harvest's answers come from; cell and initialisation must match where it goes on."""
 
     cell: CellParameters
     rve: Mapping[str, Any]
-    version: str
     recipe: Mapping[str, Any]
 
 
@@ -94,45 +91,22 @@ class HarvestWriter:
         """Write what is waiting."""
         if not self._count:
             return
-        rows = dict(zip(_UNITS, map(np.concatenate, zip(*self._waiting, strict=True)), strict=True))
+        parts = map(np.concatenate, zip(*self._waiting, strict=True))
+        rows = dict(zip(_COLUMNS, parts, strict=True))
         if not self.path.exists():
-            _create(self.path, self.header, max(CHUNK, 2 * self._count), {})
+            create_arrays(self.path, _COLUMNS, max(CHUNK, 2 * self._count), self._attributes())
         with opened_hdf5(self.path, "r") as file:
-            done, room = int(file["completed"][()]), len(file["F"])
-            held = {name: file[name][:done] for name in _UNITS} if done + self._count > room else {}
-        if held:
-            _create(self.path, self.header, 2 * (done + self._count), held)
-        with opened_hdf5(self.path, "r+") as file, reported(self.path, "written"):
-            for name, values in rows.items():
-                file[name][done : done + self._count] = values
-            file.flush()
-            file["completed"][()] = done + self._count
-            file.flush()
+            needed, room = completed(file) + self._count, len(file["F"])
+        if needed > room:
+            grow(self.path, _COLUMNS, 2 * needed)
+        with opened_hdf5(self.path, "r+") as file:
+            append_rows(self.path, file, rows)
         self._waiting, self._count = [], 0
 
-
-def _create(path: Path, header: HarvestHeader, room: int, held: Mapping[str, NDArray[Any]]) -> None:
-    """A file with room for so many rows, the first of them filled; it replaces what is there."""
-    with replacing(path) as partial, h5py.File(partial, "w") as file:
-        for name, unit in _UNITS.items():
-            tensor = unit != NONE or name == "F"
-            shape, kind = ((room, 2, 2), np.float64) if tensor else ((room,), np.int8)
-            lay_out(file, name, shape, kind).attrs["unit"] = unit
-            if held:
-                file[name][: len(held[name])] = held[name]
-        file["why"].attrs["meaning"] = json.dumps(WHY)
-        file["completed"] = np.int64(len(held["F"]) if held else 0)
-        file.attrs.update(
-            schema=SCHEMA,
-            schema_version=SCHEMA_VERSION,
-            package_version=header.version,
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
-            recipe=json.dumps(plain(header.recipe)),
-            cell=json.dumps(asdict(header.cell)),
-            cell_fingerprint=header.cell.fingerprint,
-            initialisation=header.rve["initialisation"],
-            rve=json.dumps(plain(header.rve)),
-        )
+    def _attributes(self) -> dict[str, Any]:
+        header, initialisation = self.header, str(self.header.rve["initialisation"])
+        stamped = stamp(SCHEMA, SCHEMA_VERSION, header.cell, initialisation, header.recipe)
+        return {**stamped, "rve": json.dumps(plain(header.rve))}
 
 
 def read_harvest(path: str | Path) -> Harvest:
@@ -143,14 +117,13 @@ def read_harvest(path: str | Path) -> Harvest:
     """
     path = Path(path)
     with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "harvest of surrofe2")
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
         try:
-            count = int(file["completed"][()])
-            arrays = {name: file[name][:count] for name in _UNITS}
-            cell = CellParameters(**json.loads(file.attrs["cell"]))
-            initialisation = str(file.attrs["initialisation"])
+            count = completed(file)
+            arrays = {name: file[name][:count] for name in _COLUMNS}
+            cell, initialisation = stored_cell(file)
         except (KeyError, TypeError, ValueError) as error:
-            raise FileError(f"{path}: not a whole harvest of surrofe2: {error}") from None
+            raise FileError(f"{path}: not a whole surrofe2 harvest: {error}") from None
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(count, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
@@ -164,4 +137,5 @@ def check_harvest(path: Path, harvest: Harvest, cell: CellParameters, initialisa
     Raises:
         MismatchError: naming the first parameter that differs.
     """
-    check_same_rve(f"{path}: harvested", harvest, cell, initialisation, "leave it out")
+    there = harvest.cell, harvest.initialisation
+    check_same_rve(f"{path}: harvested", there, (cell, initialisation), "leave it out")

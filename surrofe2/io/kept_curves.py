@@ -6,18 +6,15 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import surrofe2
+from surrofe2.compilation import cache_folder
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError
 from surrofe2.io.files import plain, read_json, write_json
-
-_NUMERICS = ("plant_cell", "rve", "macro", "tissue", "load_case.py", "tensors.py")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +28,8 @@ class KeptCurve:
 class KeptCurves:
     """A folder with one JSON file a curve, NAME-DIGEST.json; the digest is of its configuration.
 
-    A curve is taken from there only if its configuration and the sources of the numerics are
-    those that it was computed with.
+    A curve is taken from there only if its configuration and the sources of the package are those
+    that it was computed with.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -71,17 +68,5 @@ class KeptCurves:
 
 
 def _identity(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    named: dict[str, Any] = plain({"sources": numerics_fingerprint(), **configuration})
+    named: dict[str, Any] = plain({"sources": cache_folder().name, **configuration})
     return named
-
-
-@cache
-def numerics_fingerprint() -> str:
-    """16 hexadecimal digits of all sources that a curve depends on."""
-    digest = hashlib.sha256()
-    root = Path(surrofe2.__file__).parent
-    for name in _NUMERICS:
-        place = root / name
-        for source in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]

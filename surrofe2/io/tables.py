@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +15,8 @@ from surrofe2.cache.table import StressTable
 from surrofe2.cache.table_inputs import OUTPUTS
 from surrofe2.cache.table_records import Records
 from surrofe2.errors import FileError
-from surrofe2.io.checks import check_same_rve, check_schema
-from surrofe2.io.data_set_layout import tuples_of
-from surrofe2.io.files import opened_hdf5, plain, replacing
+from surrofe2.io.files import opened_hdf5, replacing
+from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell, stored_range
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.tensors import INPUTS
@@ -27,9 +24,8 @@ from surrofe2.units import STRESS
 
 SCHEMA = "surrofe2-table"
 SCHEMA_VERSION = 1
-_STRETCH, _RATE = "1", "1/µs"
 _UNITS = {
-    "centre": f"{_STRETCH} (3), {_RATE} (4)",
+    "centre": "1 (3), 1/µs (4)",
     "stress": STRESS,
     "slope": f"{STRESS} over that of centre",
     "curvature": f"{STRESS} over that of centre, twice",
@@ -84,14 +80,7 @@ def write_table(path: Path, table: StoredTable) -> None:
             file[name] = getattr(table.records, name)
             file[name].attrs["unit"] = unit
         file.attrs.update(
-            schema=SCHEMA,
-            schema_version=SCHEMA_VERSION,
-            package_version=version("surrofe2"),
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
-            recipe=json.dumps(plain(table.recipe)),
-            cell=json.dumps(table.cell.to_dict()),
-            cell_fingerprint=table.cell.fingerprint,
-            initialisation=table.initialisation,
+            stamp(SCHEMA, SCHEMA_VERSION, table.cell, table.initialisation, table.recipe),
             range=json.dumps(asdict(table.range)),
             tolerance=table.tolerance,
             stress_spread=table.spread,
@@ -107,15 +96,14 @@ def read_table(path: str | Path) -> StoredTable:
     """
     path = Path(path)
     with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION, "surrofe2 table")
+        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
         try:
+            cell, initialisation = stored_cell(file)
             table = StoredTable(
                 records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
-                cell=CellParameters(**json.loads(file.attrs["cell"])),
-                initialisation=str(file.attrs["initialisation"]),
-                range=SamplingRange(
-                    **{k: tuples_of(v) for k, v in json.loads(file.attrs["range"]).items()}
-                ),
+                cell=cell,
+                initialisation=initialisation,
+                range=stored_range(file),
                 tolerance=float(file.attrs["tolerance"]),
                 spread=float(file.attrs["stress_spread"]),
                 recipe=json.loads(file.attrs["recipe"]),
@@ -143,4 +131,5 @@ def check_table(path: Path, table: StoredTable, cell: CellParameters, initialisa
         MismatchError: naming the first parameter that differs.
     """
     advice = "start an empty one or use one of {}"
-    check_same_rve(f"{path}: a table", table, cell, initialisation, advice)
+    there = table.cell, table.initialisation
+    check_same_rve(f"{path}: a table", there, (cell, initialisation), advice)

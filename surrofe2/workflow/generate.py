@@ -11,6 +11,7 @@ from pathlib import Path
 from surrofe2.errors import InputError
 from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
 from surrofe2.recipe import Recipe
+from surrofe2.rve import RveLaw
 from surrofe2.sampling import sample
 from surrofe2.stress_law import StressLaw, describe
 from surrofe2.workflow import laws
@@ -70,7 +71,7 @@ def generate_data_set(
         chunk=chunk,
         version=version("surrofe2"),
         recipe=recipe.to_dict(),
-        rest_length=getattr(law, "rest_length", None),
+        rest_length=law.rest_length if isinstance(law, RveLaw) else None,
         tangents=settings.tangents,
     )
     with writing_data_set(path, header, fresh=fresh) as data:
@@ -83,9 +84,7 @@ def generate_data_set(
                 recipe.range, min(chunk, settings.count - start), settings.seed, start=start
             )
             answer = law.respond(F, F_dot, tangents=settings.tangents)
-            data.append(
-                F, F_dot, answer.stress, answer.status, answer.tangents, answer.left_bifurcation
-            )
+            data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
         counts, left = data.status_counts(), data.left_count()

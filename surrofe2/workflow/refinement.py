@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.errors import SimulationError
-from surrofe2.io.data_set_layout import tuples_of
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import check_same, read_json, replacing, reported, write_json
 from surrofe2.io.harvest import Harvest, HarvestHeader, HarvestWriter, read_harvest
@@ -227,7 +225,7 @@ def _make_first(recipe: Recipe, stage: Stage) -> None:
 
 def _range_after(out: Path, k: int) -> SamplingRange:
     stored = read_json(out / f"round-{k}" / _STARTED)["range"]
-    return SamplingRange(**{name: tuples_of(value) for name, value in stored.items()})
+    return SamplingRange(**stored)
 
 
 def harvest_of(run: Path) -> Harvest | None:
@@ -306,7 +304,6 @@ def write_new_samples(path: Path, recipe: Recipe, arrays: tuple[Any, ...]) -> No
     header = HarvestHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),
-        version=version("surrofe2"),
         recipe=recipe.to_dict(),
     )
     with replacing(path) as partial:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +56,6 @@ class RunOutputs:
         header = HarvestHeader(
             cell=recipe.cell,
             rve=asdict(recipe.rve),
-            version=version("surrofe2"),
             recipe=recipe.to_dict(),
         )
         return HarvestWriter(self.folder / HARVEST, header)

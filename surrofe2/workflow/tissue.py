@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from surrofe2.errors import InputError
+from surrofe2.io.fields import write_particle_fields
 from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
-from surrofe2.io.tissue_fields import write_particle_fields
 from surrofe2.recipe import Recipe
 from surrofe2.tissue import (
     Tissue,

@@ -49,9 +49,7 @@ def harvest(recipe, tmp_path):
     stress[:FAILED], status[:FAILED] = np.nan, 1
     stress[FAILED : FAILED + OTHERWISE] += 0.1
     path = tmp_path / "harvest.h5"
-    writer = HarvestWriter(
-        path, HarvestHeader(cell=recipe.cell, rve=asdict(recipe.rve), version="0", recipe={})
-    )
+    writer = HarvestWriter(path, HarvestHeader(cell=recipe.cell, rve=asdict(recipe.rve), recipe={}))
     writer(F, F_dot, stress, status, np.zeros(HARVESTED, dtype=np.int8))
     writer.flush()
     return path

@@ -25,7 +25,7 @@ def append_chunk(data, law):
     start = data.completed
     F, F_dot = sample(RANGE, min(8, data.count - start), 3, start=start)
     answer = law.respond(F, F_dot)
-    data.append(F, F_dot, answer.stress, answer.status)
+    data.append(F, F_dot, answer)
 
 
 def write_all(path, fails_above=1.03):

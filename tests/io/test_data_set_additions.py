@@ -12,7 +12,7 @@ import pytest
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.data_sets import finish_data_set, read_data_set, writing_data_set
 from surrofe2.sampling import sample
-from surrofe2.stress_law import Tangents
+from surrofe2.stress_law import StressResponse, Tangents
 from tests.io.small_data_set import HEADER, RANGE, append_chunk, write_all
 from tests.laws import SoftLaw
 
@@ -27,7 +27,8 @@ def test_tangents_are_kept_to_the_bit(tmp_path):
     with writing_data_set(path, header) as data:
         for rows in (slice(0, 8), slice(8, 20)):
             slopes = Tangents(values[0, rows], values[1, rows])
-            data.append(F[rows], F_dot[rows], answer.stress[rows], answer.status[rows], slopes)
+            part = StressResponse(answer.stress[rows], answer.status[rows], tangents=slopes)
+            data.append(F[rows], F_dot[rows], part)
     finish_data_set(path)
     samples = read_data_set(path)
     np.testing.assert_array_equal(samples.P_by_F, values[0])
@@ -70,10 +71,9 @@ def test_samples_beyond_a_bifurcation_are_marked_and_not_valid(tmp_path):
     answer = SoftLaw(fails_above=1.03).respond(F, F_dot)
     left = np.arange(20) % 5 == 0
     with writing_data_set(path, HEADER) as data:
-        data.append(F[:8], F_dot[:8], answer.stress[:8], answer.status[:8])
-        data.append(
-            F[8:], F_dot[8:], answer.stress[8:], answer.status[8:], left_bifurcation=left[8:]
-        )
+        data.append(F[:8], F_dot[:8], StressResponse(answer.stress[:8], answer.status[:8]))
+        rest = StressResponse(answer.stress[8:], answer.status[8:], left_bifurcation=left[8:])
+        data.append(F[8:], F_dot[8:], rest)
         assert data.left_count() == 2
     finish_data_set(path)
     samples = read_data_set(path)

@@ -30,7 +30,7 @@ def test_another_configuration_or_other_sources_are_not_taken(tmp_path, monkeypa
     path = kept.write("bar", CONFIGURATION, KeptCurve(CURVE, 3.5))
     assert kept.read("bar", {**CONFIGURATION, "elements": (8, 8)}) is None
     assert kept.read("tissue", CONFIGURATION) is None
-    monkeypatch.setattr(kept_curves, "numerics_fingerprint", lambda: "other")
+    monkeypatch.setattr(kept_curves, "cache_folder", lambda: tmp_path / "other")
     assert kept.read("bar", CONFIGURATION) is None
     monkeypatch.undo()
     record = json.loads(path.read_text(encoding="utf-8"))
@@ -38,22 +38,3 @@ def test_another_configuration_or_other_sources_are_not_taken(tmp_path, monkeypa
     path.write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(FileError, match="not a whole curve; delete it"):
         kept.read("bar", CONFIGURATION)
-
-
-def test_the_fingerprint_is_of_the_sources(tmp_path, monkeypatch):
-    here = kept_curves.numerics_fingerprint()
-    package = tmp_path / "surrofe2"
-    for name in ("plant_cell", "rve", "macro", "tissue"):
-        (package / name).mkdir(parents=True)
-    for name in ("load_case.py", "tensors.py"):
-        (package / name).write_text("")
-    monkeypatch.setattr(kept_curves.surrofe2, "__file__", str(package / "__init__.py"))
-    found = []
-    for text in ("a = 1", "a = 2"):
-        (package / "rve" / "law.py").write_text(text)
-        kept_curves.numerics_fingerprint.cache_clear()
-        found.append(kept_curves.numerics_fingerprint())
-    monkeypatch.undo()
-    kept_curves.numerics_fingerprint.cache_clear()
-    assert len({here, *found}) == 3
-    assert kept_curves.numerics_fingerprint() == here

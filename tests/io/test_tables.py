@@ -25,7 +25,6 @@ CELL = CellParameters()
 HEADER = HarvestHeader(
     cell=CELL,
     rve={"initialisation": "constrained-runs", "tolerance": 1e-8},
-    version="0.1.0",
     recipe={"recipe": "recipe.toml"},
 )
 
@@ -172,5 +171,5 @@ def test_what_is_no_harvest(tmp_path, schema):
     with h5py.File(path, "w") as file:
         if schema:
             file.attrs["schema"] = schema
-    with pytest.raises(FileError, match="not a harvest"):
+    with pytest.raises(FileError, match="not a surrofe2 harvest"):
         read_harvest(path)

@@ -1,0 +1,92 @@
+"""What each HDF5 file says of its origin, and the check of it before its numbers are used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from surrofe2.errors import FileError, MismatchError
+from surrofe2.io.files import plain
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
+
+
+def stamp(
+    schema: str,
+    schema_version: int,
+    cell: CellParameters,
+    initialisation: str,
+    recipe: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Attributes of a file: schema, package, time, and the plant cells that its answers are of."""
+    return {
+        "schema": schema,
+        "schema_version": schema_version,
+        "package_version": version("surrofe2"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "recipe": json.dumps(plain(recipe)),
+        "cell": json.dumps(cell.to_dict()),
+        "cell_fingerprint": cell.fingerprint,
+        "initialisation": initialisation,
+    }
+
+
+def stored_cell(file: h5py.File) -> tuple[CellParameters, str]:
+    """(plant cells, initialisation) that a file's answers are of."""
+    cell = CellParameters(**json.loads(file.attrs["cell"]))
+    return cell, str(file.attrs["initialisation"])
+
+
+def stored_range(file: h5py.File) -> SamplingRange:
+    """The range that a file has as JSON."""
+    return SamplingRange(**json.loads(file.attrs["range"]))
+
+
+def check_schema(path: Path, file: h5py.File, schema: str, schema_version: int) -> None:
+    """Refuse an HDF5 file of another schema ("surrofe2-…") or version.
+
+    Raises:
+        FileError: it is of another one.
+    """
+    kind = schema.removeprefix("surrofe2-").replace("-", " ")
+    if file.attrs.get("schema") != schema:
+        raise FileError(f"{path}: an HDF5 file, but not a surrofe2 {kind}")
+    found = int(file.attrs["schema_version"])
+    if found != schema_version:
+        raise FileError(f"{path}: {kind} schema {found}; this surrofe2 reads {schema_version}")
+
+
+def check_same_rve(
+    made: str,
+    there: tuple[CellParameters, str],
+    here: tuple[CellParameters, str],
+    advice: str,
+) -> None:
+    """Refuse answers of other cell parameters or another initialisation.
+
+    Args:
+        made: the sentence up to what the answers are for.
+        there, here: (plant cells, initialisation) of the answers, and wanted.
+        advice: the sentence's end; "{}" stands for "these parameters" or "this initialisation".
+
+    Raises:
+        MismatchError: naming the first parameter that differs.
+    """
+    known = there[0].to_dict()
+    for name, value in here[0].to_dict().items():
+        if known.get(name) != value:
+            raise MismatchError(
+                f"{made} for cell.{name} = {known.get(name)}, not {value}; "
+                + advice.format("these parameters")
+            )
+    if there[1] != here[1]:
+        raise MismatchError(
+            f"{made} for initialisation {there[1]}, not {here[1]}; "
+            + advice.format("this initialisation")
+        )
