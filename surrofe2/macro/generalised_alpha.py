@@ -26,12 +26,7 @@ from scipy.sparse import csc_matrix
 
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.tangents import (
-    assembled_tangents,
-    factorised,
-    make_pattern,
-    mass_matrix,
-)
+from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix
 from surrofe2.macro.time_stepping import Standing, StepControl, StepResult
 from surrofe2.stress_law import require_tangents
 
@@ -116,7 +111,7 @@ class GeneralisedAlpha:
         self._settings = settings
         self._equations = equations
         self._mass = mass_matrix(equations.discretisation)
-        self._pattern = make_pattern(equations.discretisation)
+        self._assembly = make_assembly(equations.discretisation)
 
     def first_length(self, start: Standing, t_end: float) -> float:
         """So short that the displacement gained is what the tolerance allows."""
@@ -131,11 +126,14 @@ class GeneralisedAlpha:
         """The step from `start` to time t; its work is second order, by powers linear in time."""
         now, past = start.now, _Past.of(start)
         h = t - now.t
-        # The algorithmic acceleration, its lag brought from the last step's to this one's.
+        # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
+        # end of the step it is carried on straight, or as where the step was restarted.
         a = now.acceleration + h / past.h * (past.a - now.acceleration)
         guess = a
         if found is not None:
-            guess = self.acceleration_to(found.y[: found.y.size // 2].reshape(-1, 2), now, a, h)
+            beta = self.weights.beta
+            known = now.u + h * now.v + h**2 * (0.5 - beta) * a
+            guess = (found.y[: found.y.size // 2].reshape(-1, 2) - known) / (h**2 * beta)
         elif past.rate is not None:
             before = past.rate[past.rate.size // 2 :].reshape(-1, 2)
             guess = a + h / past.h * (now.acceleration - before)
@@ -152,12 +150,6 @@ class GeneralisedAlpha:
             power_bulge=0.0,
             memory=np.concatenate([[h], solved.a.ravel(), now.rate, end.rate]),
         )
-
-    def acceleration_to(self, u: Array, start: Evaluation, a: Array, h: float) -> Array:
-        """(n_free, 2) algorithmic acceleration at the end of a step that leads to u."""
-        w = self.weights
-        known = start.u + h * start.v + h**2 * (0.5 - w.beta) * a
-        return np.asarray((u - known) / (h**2 * w.beta))
 
     def solve(
         self, start: Evaluation, a: Array, guess: Array, t: float
@@ -200,8 +192,8 @@ class GeneralisedAlpha:
 
     def _matrix(self, now: Evaluation, h: float) -> csc_matrix:
         """S = (1 − α_m) M + (1 − α_f) (h γ C + h² β K), the derivative of the residual by a₁."""
-        w, discretisation = self.weights, self._equations.discretisation
-        K, C = assembled_tangents(discretisation, self._pattern, now.F, now.response)
+        w = self.weights
+        K, C = self._assembly.tangents(now.F, now.response)
         return csc_matrix(
             (1.0 - w.alpha_m) * self._mass
             + (1.0 - w.alpha_f) * (h * w.gamma * C + h**2 * w.beta * K)

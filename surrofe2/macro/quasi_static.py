@@ -16,12 +16,7 @@ from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, No
 from surrofe2.macro.history import Frames
 from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.tangents import (
-    Pattern,
-    assembled_tangents,
-    factorised,
-    make_pattern,
-)
+from surrofe2.macro.tangents import Assembly, factorised, make_assembly
 from surrofe2.stress_law import StressLaw, require_tangents
 
 Array = NDArray[np.float64]
@@ -97,7 +92,7 @@ def find_rest(
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
     discretisation = make_discretisation(load_case, settings.elements, law.density)
     equations = EquationsOfMotion(discretisation, law, lambda x: x, clock="load factor {:.6g}")
-    newton = _Newton(equations, make_pattern(discretisation), settings.newton_tolerance)
+    newton = _Newton(equations, make_assembly(discretisation), settings.newton_tolerance)
     found = newton.rest_at(0.0, np.zeros((len(discretisation.free), 2)), np.zeros((1, 3)))
     if isinstance(found, NoStress):
         raise SimulationError(f"the load cannot start: {found.message}")
@@ -144,7 +139,7 @@ def rest_frames(path: Sequence[Rest]) -> Frames:
 @dataclass(frozen=True, slots=True)
 class _Newton:
     equations: EquationsOfMotion
-    pattern: Pattern
+    assembly: Assembly
     tolerance: float
 
     def rest_at(self, factor: float, u: Array, path: Array) -> Rest | NoStress:
@@ -160,7 +155,7 @@ class _Newton:
             return found
         now, residuals = found
         discretisation = self.equations.discretisation
-        K, C = assembled_tangents(discretisation, self.pattern, now.F, now.response)
+        K, C = self.assembly.tangents(now.F, now.response)
         self.equations.tally.counts["load_steps"] += factor != 0.0
         here = np.append(factor, discretisation.at_watched_point(now.u))
         return Rest(
@@ -216,7 +211,7 @@ class _Newton:
         if last:
             reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
             return equations.out_of_balance(now, residual, reason)
-        K, _ = assembled_tangents(equations.discretisation, self.pattern, now.F, now.response)
+        K, _ = self.assembly.tangents(now.F, now.response)
         equations.tally.counts["factorisations"] += 1
         solve = factorised(K)
         if solve is None:

@@ -20,34 +20,56 @@ Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Pattern:
-    """Where the entries of the element matrices go; made once for a bar.
-
-    Unknown 2 a + i is component i of free node a.
+class Assembly:
+    """Adds up element matrices; unknown 2 a + i is component i of free node a.
 
     Attributes:
+        discretisation: whose.
         size: number of unknowns, 2 n_free.
         kept: (k,) entries of the flattened (n_el, 8, 8) element matrices between free nodes.
         slot: (k,) place of each of them among the stored values, many to one.
         indices, indptr: of the compressed columns.
     """
 
+    discretisation: Discretisation
     size: int
     kept: Index
     slot: Index
     indices: Index
     indptr: Index
 
-    def assemble(self, element_matrices: Array) -> csc_matrix:
+    def sum(self, element_matrices: Array) -> csc_matrix:
         """Sum of (n_el, 8, 8) element matrices, sparse (2 n_free, 2 n_free)."""
         values = np.bincount(
             self.slot, weights=element_matrices.ravel()[self.kept], minlength=self.indices.size
         )
         return csc_matrix((values, self.indices, self.indptr), shape=(self.size, self.size))
 
+    def tangents(self, F: Array, response: StressResponse) -> tuple[csc_matrix, csc_matrix]:
+        """K = ∂f/∂u (µN/µm) and C = ∂f/∂v (µN µs/µm) of `internal_force`, (2 n_free, 2 n_free).
 
-def make_pattern(discretisation: Discretisation) -> Pattern:
-    """The pattern of a discretisation."""
+        With Δu = Σ_b Δu_b N_b both are Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress
+        of a point, see `effective_tangents`. Neither need be symmetric.
+
+        Args:
+            F: (n_points, 2, 2) deformation gradient.
+            response: of the stress law there, with tangents.
+        """
+        if response.tangents is None:
+            raise InputError("tangents: the stress law gave none; ask it for them")
+        gradients = self.discretisation.gradients
+        weighted = self.discretisation.weights[:, :, None, None] * gradients
+        matrices = []
+        for slope in effective_tangents(F, response.stress, response.tangents):
+            # Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k) of each element.
+            slope = slope.reshape(-1, N_POINTS, 2, 2, 2, 2)
+            right = np.einsum("eqijkl,eqbl->eqijbk", slope, gradients)
+            matrices.append(self.sum(np.einsum("eqaj,eqijbk->eaibk", weighted, right)))
+        return matrices[0], matrices[1]
+
+
+def make_assembly(discretisation: Discretisation) -> Assembly:
+    """Where the entries of the element matrices go; made once for a discretisation."""
     size = 2 * len(discretisation.free)
     unknowns = (2 * discretisation.rows[:, :, None] + np.arange(2)).reshape(-1, 8)
     held = np.repeat(discretisation.rows < 0, 2, axis=1)
@@ -55,7 +77,7 @@ def make_pattern(discretisation: Discretisation) -> Pattern:
     kept = np.flatnonzero(~(held[:, :, None] | held[:, None, :]))
     code, slot = np.unique((column * size + row).ravel()[kept], return_inverse=True)
     indptr = np.searchsorted(code, size * np.arange(size + 1))
-    return Pattern(size, kept, slot, code % size, indptr)
+    return Assembly(discretisation, size, kept, slot, code % size, indptr)
 
 
 def mass_matrix(discretisation: Discretisation) -> csc_matrix:
@@ -70,27 +92,6 @@ def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
     except RuntimeError:
         return None
     return solve
-
-
-def assembled_tangents(
-    discretisation: Discretisation, pattern: Pattern, F: Array, response: StressResponse
-) -> tuple[csc_matrix, csc_matrix]:
-    """K = ∂f/∂u (µN/µm) and C = ∂f/∂v (µN µs/µm) of `internal_force`, (2 n_free, 2 n_free).
-
-    With Δu = Σ_b Δu_b N_b both are Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress
-    of a point, see `effective_tangents`. Neither need be symmetric.
-
-    Args:
-        F: (n_points, 2, 2) deformation gradient.
-        response: of the stress law there, with tangents.
-    """
-    if response.tangents is None:
-        raise InputError("tangents: the stress law gave none; ask it for them")
-    by_F, by_F_dot = effective_tangents(F, response.stress, response.tangents)
-    return (
-        pattern.assemble(_element_matrices(discretisation, by_F)),
-        pattern.assemble(_element_matrices(discretisation, by_F_dot)),
-    )
 
 
 def effective_tangents(F: Array, stress: Array, tangents: Tangents) -> tuple[Array, Array]:
@@ -114,13 +115,3 @@ def effective_tangents(F: Array, stress: Array, tangents: Tangents) -> tuple[Arr
     by_F[gauss] = tangents.P_by_F[gauss] - by_F[gauss]
     by_F_dot[gauss] = tangents.P_by_F_dot[gauss] - by_F_dot[gauss]
     return by_F, by_F_dot
-
-
-def _element_matrices(discretisation: Discretisation, tangent: Array) -> Array:
-    """(n_el, 8, 8) Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k)."""
-    gradients = discretisation.gradients
-    weighted = discretisation.weights[:, :, None, None] * gradients
-    tangent = tangent.reshape(-1, N_POINTS, 2, 2, 2, 2)
-    right = np.einsum("eqijkl,eqbl->eqijbk", tangent, gradients)
-    matrices: Array = np.einsum("eqaj,eqijbk->eaibk", weighted, right)
-    return matrices.reshape(-1, 8, 8)

@@ -8,8 +8,7 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.tangents import (
-    assembled_tangents,
-    make_pattern,
+    make_assembly,
     mass_matrix,
 )
 from surrofe2.plant_cell.parameters import CellParameters
@@ -40,7 +39,7 @@ def differences(bar, law, u, v, step, state=None):
 def exact(bar, law, u, v, state=None):
     F, F_dot, _ = deformation_gradient(bar, u, v)
     answer = law.respond(F, F_dot, state, tangents=True)
-    tangents = assembled_tangents(bar, make_pattern(bar), F, answer)
+    tangents = make_assembly(bar).tangents(F, answer)
     return tangents, answer
 
 
@@ -74,8 +73,8 @@ def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisati
 
 def test_pattern_joins_all_nodes_of_an_element_and_no_others():
     bar = make_discretisation(LoadCase(), (3, 2), 0.08)
-    pattern = make_pattern(bar)
-    joined = pattern.assemble(np.ones((6, 8, 8))).toarray() > 0.0
+    assembly = make_assembly(bar)
+    joined = assembly.sum(np.ones((6, 8, 8))).toarray() > 0.0
     near = abs(bar.nodes[bar.free][:, None] - bar.nodes[bar.free]) <= [134.0, 201.0]
     np.testing.assert_array_equal(joined[::2, 1::2], near.all(axis=2))
 
