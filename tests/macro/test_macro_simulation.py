@@ -176,5 +176,5 @@ def test_last_output_time_survives_rounding():
     ],
 )
 def test_settings_out_of_range_are_refused(change):
-    with pytest.raises(InputError, match=rf"macro\.{next(iter(change))}: .*must be"):
+    with pytest.raises(InputError, match=rf"macro\.{next(iter(change))}(\[[01]\])?: .*must be"):
         MacroSettings(**change)
