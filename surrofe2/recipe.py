@@ -15,8 +15,7 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from surrofe2.cache.settings import CacheSettings
-from surrofe2.cache.table_settings import TableSettings
+from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase

@@ -65,6 +65,9 @@ class PointStates:
         F[indices] = part.F
         return PointStates(F)
 
+    def to_arrays(self):
+        return {"F": self.F}
+
     @property
     def left_points(self):
         return np.zeros(len(self.F), dtype=bool)
@@ -334,6 +337,9 @@ class SquareLaw:
         effort = {"rve_solves": len(F)}
         return StressResponse(stress, status.astype(np.int8), PointStates(F.copy()), effort, slopes)
 
+    def state_from_arrays(self, arrays):
+        return PointStates(arrays["F"])
+
     def accept(self, F, F_dot, response):
         return Acceptance(response.status, response.state)
 
@@ -427,6 +433,9 @@ class TrueLaw:
         stress[status != 0] = np.nan
         return StressResponse(stress, status, PointStates(F.copy()), {"rve_solves": len(F)})
 
+    def state_from_arrays(self, arrays):
+        return PointStates(arrays["F"])
+
     def accept(self, F, F_dot, response):
         self.accepted.append((F.copy(), response))
         status = response.status.copy()
@@ -446,6 +455,12 @@ class Untaught:
         raise InputError("tangents: none")
 
     def learn(self, F, F_dot, stress, state=None):
+        pass
+
+    def to_arrays(self):
+        return {}
+
+    def from_arrays(self, arrays):
         pass
 
 

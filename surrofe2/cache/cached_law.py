@@ -10,23 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.bookkeeping import Bookkeeping
-from surrofe2.cache.cached_state import (
+from surrofe2.cache.branches import (
+    NO_POINTS,
     CachedState,
-    check_state,
-    leaving_and_returning,
-    look_up,
-    put_together,
-)
-from surrofe2.cache.counting import NO_EFFORT, effort_of
-from surrofe2.cache.point_set import (
-    NOBODY,
     Indices,
     PointSet,
     added,
+    all_tangents,
     answer_both,
+    check_state,
+    choose_branches,
+    look_up,
+    part_of,
+    within,
 )
-from surrofe2.cache.protocols import Fallback, Keep, Surrogate
+from surrofe2.cache.monitor import NO_EFFORT, Monitor, effort_of
+from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.errors import MismatchError
 from surrofe2.stress_law import (
@@ -53,7 +52,7 @@ class CachedLaw:
         surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `protocols.Surrogate`.
         fallback: the law the surrogate was trained on, e.g. `surrofe2.rve.RveLaw`.
         settings: tolerance and audit.
-        keep: is given every true answer at accepted steps, see `protocols.Keep`.
+        on_true_answer: is given every true answer at accepted steps, see `OnTrueAnswer`.
 
     Raises:
         MismatchError: they are not of the same plant cell and initialisation.
@@ -64,13 +63,13 @@ class CachedLaw:
         surrogate: Surrogate,
         fallback: Fallback,
         settings: CacheSettings | None = None,
-        keep: Keep | None = None,
+        on_true_answer: OnTrueAnswer | None = None,
     ) -> None:
         _check_match(surrogate, fallback)
         self.surrogate = surrogate
         self.fallback = fallback
         self.settings = settings or CacheSettings()
-        self._keep = keep
+        self._on_true_answer = on_true_answer
         self.reset_counts()
 
     @property
@@ -81,7 +80,7 @@ class CachedLaw:
     @property
     def tolerance(self) -> float:
         """Allowed error of a stress, µN/µm; inf where the surrogate knows no bound."""
-        return self._book.trust.allowed
+        return self._monitor.trust.allowed
 
     @property
     def has_tangents(self) -> bool:
@@ -93,28 +92,41 @@ class CachedLaw:
         """Points at ends of kept steps since the last reset: `hits`, `fallbacks` and, of these,
         by reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`,
         solves by which a point began a step on the fallback."""
-        return dict(self._book.counts)
+        return dict(self._monitor.counts)
 
     @property
     def is_off(self) -> bool:
         """Whether the cache was switched off."""
-        return self._book.trust.is_off
+        return self._monitor.trust.is_off
 
     def reset_counts(self) -> None:
         """Begin as if nothing had been asked: counts, audits, trust and stopwatch."""
-        self._book = Bookkeeping(self.surrogate, self.fallback, self.settings, self._keep)
+        self._monitor = Monitor(self.surrogate, self.fallback, self.settings, self._on_true_answer)
 
     def history(self) -> dict[str, Any]:
-        """How the cache has done so far, as plain values: what `restore` takes."""
-        return self._book.history()
+        """How the cache has done so far, as plain values for run.json."""
+        return self._monitor.history()
 
     def report(self) -> dict[str, Any]:
-        """`history` at the end of a run: what still waits is audited, and the true law timed."""
-        return self._book.report()
+        """`history` at the end of a run: what still waits is audited, and the cost is stated."""
+        return self._monitor.report()
 
-    def restore(self, report: Mapping[str, Any]) -> None:
-        """Go on from the counts, audits and trust of an earlier part of the same run."""
-        self._book.restore(report)
+    def to_arrays(self, state: CachedState) -> dict[str, NDArray]:
+        """All that decides what comes next, `state` being what `accept` gave last.
+
+        That is its branches with the fallback's warm start, counts, audits with those that wait,
+        trust, the random stream, and what the surrogate has learnt.
+        """
+        return {
+            **within("state", state.to_arrays()),
+            **within("monitor", self._monitor.to_arrays()),
+        }
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
+        """Go on where a law of the same parts and settings gave these; its state to continue by."""
+        self.reset_counts()
+        self._monitor.from_arrays(part_of(arrays, "monitor"))
+        return CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
 
     def respond(
         self, F: Array, F_dot: Array, state: CachedState | None = None, *, tangents: bool = False
@@ -130,7 +142,7 @@ class CachedLaw:
             require_tangents(self)
         began = perf_counter()
         answer = self._respond(F, F_dot, state, tangents)
-        self._book.meter.answered(len(F), perf_counter() - began)
+        self._monitor.meter.answered(len(F), perf_counter() - began)
         return answer
 
     def _respond(
@@ -138,36 +150,38 @@ class CachedLaw:
     ) -> StressResponse:
         count = len(F)
         if given is None:
-            state = CachedState(count, tolerance=self._book.trust.tolerance)
+            state = CachedState(count, tolerance=self._monitor.trust.tolerance)
         else:
             state = check_state(given, count)
         stress, status, bound = look_up(self.surrogate, F, F_dot, state)
         missed = status.nonzero()[0]
-        if not len(missed) and not len(state.held):
+        if not len(missed) and not len(state.on_fallback):
             slopes = self.surrogate.tangents(F, F_dot) if tangents else None
-            after = CachedState(count, state.held, state.tolerance, bound, state.before)
+            after = CachedState(count, state.on_fallback, state.tolerance, bound, state.before)
             return StressResponse(stress, status, after, {**NO_EFFORT, "hits": count}, slopes)
         check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
         why = status[missed]
-        with self._book.meter.part("fallback"):
-            answer = answer_both(self.fallback, F, F_dot, state.held, missed, tangents=tangents)
-        held = PointSet(
-            np.concatenate([state.held.points, missed]),
-            np.concatenate([state.held.why, why]),
+        with self._monitor.meter.part("fallback"):
+            answer = answer_both(
+                self.fallback, F, F_dot, state.on_fallback, missed, tangents=tangents
+            )
+        known = PointSet(
+            np.concatenate([state.on_fallback.points, missed]),
+            np.concatenate([state.on_fallback.why, why]),
             answer.state,
         )
         switched = None
         if given is not None and len(missed):
             switched = np.zeros(count, dtype=np.int8)
             switched[missed] = why
-        stress[held.points], status[held.points] = answer.stress, answer.status
+        stress[known.points], status[known.points] = answer.stress, answer.status
         bound[missed] = np.inf
-        after = replace(state, held=held, bound=bound)
+        after = replace(state, on_fallback=known, bound=bound)
         return StressResponse(
             stress,
             status,
             after,
-            added(effort_of(count, held.why), answer.effort),
+            added(effort_of(count, known.why), answer.effort),
             self._tangents(F, F_dot, after, answer.tangents) if tangents else None,
             switched,
         )
@@ -175,44 +189,48 @@ class CachedLaw:
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
         answered by which part in the next step."""
-        with self._book.meter.part("total"):
-            state: CachedState = response.state
-            state, accepted = self._accept_held(F, F_dot, response, state)
+        before: CachedState = response.state
+        with self._monitor.meter.part("total"):
+            state, accepted = self._accept_fallback(F, F_dot, response, before)
             if accepted.status.any():
                 return Acceptance(accepted.status, state)
             if accepted.stress is not None:
                 response = replace(response, stress=accepted.stress)
-            self._book.note(F, F_dot, response.stress, state)
-            turned = self._turn(F, F_dot, response, state)
-            if accepted.stress is None:
-                return turned
-            return replace(
-                turned, stress=response.stress if turned.stress is None else turned.stress,
-                left_bifurcation=accepted.left_bifurcation,
-            )  # fmt: skip
+            self._monitor.note(F, F_dot, response.stress, state)
+            chosen = self._choose_branches(F, F_dot, response, state)
+        self._monitor.meter.sample(before.before, (F, F_dot))
+        if accepted.stress is None:
+            return chosen
+        return replace(
+            chosen,
+            stress=response.stress if chosen.stress is None else chosen.stress,
+            left_bifurcation=accepted.left_bifurcation,
+        )
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
         """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
-        with self._book.meter.part("total"):
+        with self._monitor.meter.part("total"):
             state: CachedState = response.state
             new = (state.free() & (switched != 0)).nonzero()[0]
             answer = self._solve_cold(F, F_dot, new)
             stress, status = response.stress.copy(), response.status.copy()
             stress[new], status[new] = answer.stress, answer.status
-            held = state.held.and_also(new, switched[new], answer.state)
-            return Acceptance(status, replace(state, held=held), stress)
+            known = state.on_fallback.and_also(new, switched[new], answer.state)
+            return Acceptance(status, replace(state, on_fallback=known), stress)
 
-    def _accept_held(
+    def _accept_fallback(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
     ) -> tuple[CachedState, Acceptance]:
         """The state after the fallback has accepted, and what it said, for all points."""
-        points = state.held.points
+        points = state.on_fallback.points
         if not len(points):
             return state, Acceptance(response.status)
-        answer = StressResponse(response.stress[points], response.status[points], state.held.state)
-        with self._book.meter.part("fallback"):
+        answer = StressResponse(
+            response.stress[points], response.status[points], state.on_fallback.state
+        )
+        with self._monitor.meter.part("fallback"):
             accepted = self.fallback.accept(F[points], F_dot[points], answer)
         status = response.status.copy()
         status[points] = accepted.status
@@ -221,39 +239,37 @@ class CachedLaw:
             stress, left = response.stress.copy(), np.zeros(len(status), dtype=np.bool_)
             stress[points], left[points] = accepted.stress, accepted.left_bifurcation
             said = Acceptance(status, None, stress, left)
-        return replace(state, held=replace(state.held, state=accepted.state)), said
+        return replace(state, on_fallback=replace(state.on_fallback, state=accepted.state)), said
 
-    def _turn(
+    def _choose_branches(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
     ) -> Acceptance:
         """Choose the branches of the next step, looking ahead to where it will end."""
-        tolerance, held = self._book.trust.tolerance, state.held
+        tolerance, known = self._monitor.trust.tolerance, state.on_fallback
         stress = response.stress
-        if self._book.trust.is_off:
+        if self._monitor.trust.is_off:
             leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
-            stay = np.ones(len(held), dtype=bool)
+            stay = np.ones(len(known), dtype=bool)
         else:
-            leaving, known, status, returning = leaving_and_returning(
+            leaving, of_surrogate, status, returning = choose_branches(
                 self.surrogate, F, F_dot, state, tolerance
             )
-            self._book.counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
+            self._monitor.counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
             stay = ~returning
             if returning.any():
                 stress = stress.copy()
-                stress[held.points[returning]] = known[returning]
-        after, new = held.only(stay), leaving.nonzero()[0]
+                stress[known.points[returning]] = of_surrogate[returning]
+        after, new = known.only(stay), leaving.nonzero()[0]
         if len(new):
             answer = self._solve_cold(F, F_dot, new)
             solved = answer.status == 0
             fresh = PointSet(new, leaving[new], answer.state).only(solved)
             stress = stress.copy()
             stress[fresh.points] = answer.stress[solved]
-            self._book.counts["switched"] += len(new)
+            self._monitor.counts["switched"] += len(new)
             if len(fresh):
-                self._book.hand_on(F, F_dot, stress, fresh)
+                self._monitor.distribute(F, F_dot, stress, fresh)
                 after = after.and_also(fresh.points, fresh.why, fresh.state)
-        before = (F, F_dot) if state.before is None else state.before
-        self._book.latest = (before, (F, F_dot))
         return Acceptance(
             response.status,
             CachedState(state.count, after, tolerance, None, (F, F_dot)),
@@ -262,19 +278,19 @@ class CachedLaw:
 
     def _solve_cold(self, F: Array, F_dot: Array, points: Indices) -> StressResponse:
         """The fallback's checked answer at points it does not know yet."""
-        with self._book.meter.part("fallback"):
+        with self._monitor.meter.part("fallback"):
             at = F[points], F_dot[points]
-            answer = answer_both(self.fallback, F, F_dot, NOBODY, points)
+            answer = answer_both(self.fallback, F, F_dot, NO_POINTS, points)
             accepted = self.fallback.accept(*at, answer)
         stress = answer.stress if accepted.stress is None else accepted.stress
         return replace(answer, stress=stress, status=accepted.status, state=accepted.state)
 
     def _tangents(
-        self, F: Array, F_dot: Array, state: CachedState, of_held: Tangents | None
+        self, F: Array, F_dot: Array, state: CachedState, of_known: Tangents | None
     ) -> Tangents:
         free = state.free().nonzero()[0]
         of_free = self.surrogate.tangents(F[free], F_dot[free])
-        return put_together(state.count, free, of_free, state.held.points, of_held)
+        return all_tangents(state.count, free, of_free, state.on_fallback.points, of_known)
 
 
 def _check_match(surrogate: Surrogate, fallback: Fallback) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -68,9 +69,15 @@ class Surrogate(Protocol):
         an audit found wrong. state: the fallback's at these points, or None.
         """
 
+    def to_arrays(self) -> dict[str, NDArray]:
+        """What it has learnt, for a checkpoint; empty where it does not learn."""
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Know what it knew at `to_arrays`, exactly."""
+
 
 class Fallback(StressLaw, Protocol):
-    """The true law of the same plant cell; its states, if any, are `PointStates`."""
+    """The true law of the same plant cell; its states are `PointStates`, or None."""
 
     @property
     def cell(self) -> CellParameters:
@@ -79,6 +86,9 @@ class Fallback(StressLaw, Protocol):
     @property
     def initialisation(self) -> str:
         """How its RVE is initialised."""
+
+    def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
+        """The state whose `PointStates.to_arrays` gave these arrays, to the bit."""
 
 
 class PointStates(Protocol):
@@ -94,8 +104,11 @@ class PointStates(Protocol):
     def put(self, indices: NDArray[np.intp], state: Any) -> Any:
         """This state with that of these points replaced."""
 
+    def to_arrays(self) -> dict[str, NDArray]:
+        """All of it, for a checkpoint."""
 
-class Keep(Protocol):
+
+class OnTrueAnswer(Protocol):
     """Takes every true answer that a run has paid for, at accepted steps."""
 
     def __call__(

@@ -1,15 +1,19 @@
-"""How far the surrogate is believed: its bound times a factor, until audits say otherwise."""
+"""Decides how far the surrogate is trusted: by audits, and by signs of a fault without any."""
 
 from __future__ import annotations
 
 import logging
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc
+
+from surrofe2.stress_law import Status
+from surrofe2.tensors import transpose
 
 Array = NDArray[np.float64]
 
@@ -22,6 +26,24 @@ RECENT = 500
 """Audits over which a fault that begins late is looked for."""
 LARGEST_FACTOR = 100.0
 _MARGIN = 1.1
+
+SILENT_STEPS, SILENT_POINTS = 20, 1000
+"""Accepted steps and points from the start of a run, at rest, that should have had a hit. Later
+silence may be honest: the tissue left the range, or what the tolerance allows."""
+PATIENCE_WITH_LEARNERS = 40
+"""As many times longer is waited for a surrogate that begins empty and learns."""
+EVERY = 5
+"""Steps between looks at the answers."""
+LOOKS = 3
+"""Looks in a row that must find the same fault."""
+_DISTINCT = 1e-3
+"""Spread of FᵀF from which points are different questions."""
+
+_REASONS = {
+    Status.OUT_OF_RANGE: "out of range",
+    Status.NOT_FINITE: "not finite",
+    Status.NOT_TRUSTED: "not trusted",
+}
 
 _log = logging.getLogger("surrofe2.cache")
 
@@ -74,10 +96,23 @@ class Trust:
         """Plain values for run.json."""
         return {"factor": self.factor, "off": self.is_off, "events": list(self.events)}
 
-    def restore(self, stored: Mapping[str, Any]) -> None:
-        """Go on from what `to_dict` gave."""
-        self.factor, self.is_off = stored["factor"], stored["off"]
-        self.events = [dict(event) for event in stored["events"]]
+    def to_values(self) -> dict[str, Any]:
+        """All that it knows, plainly, for `from_values`."""
+        return {
+            **self.to_dict(),
+            "audits": self._audits,
+            "violations": self._violations,
+            "broken": list(self._broken),
+            "ratios": list(self._ratios),
+        }
+
+    def from_values(self, values: Mapping[str, Any]) -> None:
+        """Know what another knew at its `to_values`."""
+        self.factor, self.is_off = values["factor"], values["off"]
+        self.events = [dict(event) for event in values["events"]]
+        self._audits, self._violations = values["audits"], values["violations"]
+        self._broken.extend(values["broken"])
+        self._ratios.extend(values["ratios"])
 
     def _tighten(self, step: int, violations: int, audits: int) -> None:
         """Multiply the bound so that it would have held over the audits that raised the alarm."""
@@ -108,6 +143,97 @@ class Trust:
         self._audits = self._violations = 0
         self._broken: deque[bool] = deque(maxlen=RECENT)
         self._ratios: deque[float] = deque(maxlen=RECENT)
+
+
+@dataclass
+class FaultDetector:
+    """Detects a broken surrogate without audits: no hits, a constant answer, or a constant bound.
+
+    Attributes:
+        learns: whether it may begin empty.
+        steps: accepted ones; silent_steps, silent_points: those without any hit so far.
+        one_answer, constant_bound: looks in a row that found the fault.
+        bound: at the first hit of the latest look.
+    """
+
+    learns: bool
+    steps: int = 0
+    silent_steps: int = 0
+    silent_points: int = 0
+    one_answer: int = 0
+    constant_bound: int = 0
+    bound: float | None = None
+    has_hit: bool = False
+
+    def to_values(self) -> dict[str, Any]:
+        """The arguments of another one that knows as much."""
+        return asdict(self)
+
+    def check(
+        self,
+        F: Array,
+        stress: Array,
+        bound: Array,
+        hits: NDArray[np.intp],
+        why: NDArray[np.int8],
+        tolerance: float,
+    ) -> str | None:
+        """Take note of an accepted step.
+
+        Args:
+            F, stress: (n, 2, 2) of all points. bound: (n,), used at hits alone.
+            hits: (k,) points the surrogate answered; why: (n − k,) why it did not, elsewhere.
+            tolerance: that bounds were compared with, µN/µm.
+        """
+        self.steps += 1
+        if not len(hits):
+            return None if self.has_hit else self._silence(why)
+        self.has_hit = True
+        if self.steps % EVERY or not _differ(F[hits]):
+            return None
+        self.one_answer = self.one_answer + 1 if _is_one_answer(stress[hits]) else 0
+        if self.one_answer >= LOOKS:
+            return f"the surrogate gave one answer at {len(hits)} different deformations"
+        changes = self._bound_changes(bound[hits], tolerance)
+        self.constant_bound = 0 if changes else self.constant_bound + 1
+        if self.constant_bound >= LOOKS:
+            return f"the surrogate's bound stands still at {self.bound:.3g} µN/µm"
+        return None
+
+    def _silence(self, why: NDArray[np.int8]) -> str | None:
+        self.silent_steps += 1
+        self.silent_points += len(why)
+        patience = PATIENCE_WITH_LEARNERS if self.learns else 1
+        if (
+            self.silent_steps < SILENT_STEPS * patience
+            or self.silent_points < SILENT_POINTS * patience
+        ):
+            return None
+        codes, counts = np.unique(why, return_counts=True)
+        most = Status(int(codes[counts.argmax()]))
+        return (
+            f"no hit in {self.silent_steps} steps ({self.silent_points} points, most of them "
+            f"{_REASONS.get(most, most.name)})"
+        )
+
+    def _bound_changes(self, bound: Array, tolerance: float) -> bool:
+        """A bound that is the tolerance itself is no estimate of this point, and may stand."""
+        before, self.bound = self.bound, float(bound[0])
+        if not np.isfinite(self.bound) or self.bound in (0.0, tolerance):
+            return True
+        same = bool((bound == bound[0]).all())
+        return not same or (before is not None and before != self.bound)
+
+
+def _differ(F: Array) -> bool:
+    return bool(np.ptp(transpose(F) @ F, axis=0).max() > _DISTINCT)
+
+
+def _is_one_answer(stress: Array) -> bool:
+    """Whether trace and norm are the same everywhere: rotations of one stress are one answer."""
+    norm = np.sqrt((stress**2).sum(axis=(1, 2)))
+    spread = np.ptp(norm) + np.ptp(stress[:, 0, 0] + stress[:, 1, 1])
+    return bool(spread <= 1e-9 * norm.max())
 
 
 def chance(violations: int, audits: int) -> float:

@@ -11,9 +11,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from surrofe2.cache.table import StressTable
-from surrofe2.cache.table_inputs import OUTPUTS
-from surrofe2.cache.table_records import Records
+from surrofe2.cache.table.records import OUTPUTS, Records
+from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.errors import FileError
 from surrofe2.io.files import opened_hdf5, replacing
 from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell, stored_range

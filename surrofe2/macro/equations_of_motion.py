@@ -109,6 +109,8 @@ class EquationsOfMotion:
 
     Attributes:
         clock: how a message calls the time; a quasi-static load has a factor in its place.
+        law_state: what the stress law committed last.
+        is_committing: whether the law may have committed more than was recorded of the run.
     """
 
     def __init__(
@@ -124,7 +126,8 @@ class EquationsOfMotion:
         self.clock = clock
         self.tally = Tally()
         self._start: Evaluation
-        self._law_state: Any = None
+        self.law_state: Any = None
+        self.is_committing = False
 
     def evaluate(
         self, t: float, y: Array, *, tangents: bool = False
@@ -144,26 +147,43 @@ class EquationsOfMotion:
             return self._failed(t, F, response.status)
         if response.switched is not None:
             return Switched(y, response.switched)
-        internal = internal_force(self.discretisation, F, response.stress)
-        if not np.isfinite(internal).all():
+        now = self._evaluation(t, y, (F, F_dot, J), response)
+        if not np.isfinite(now.internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             return self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
-        load = self.amplitude_at(t) * self.discretisation.load
-        powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
-        rate = self._rate(v, load, internal)
-        return Evaluation(t, y, F, F_dot, J, response, internal, load, powers, rate)
+        return now
 
     def accept(self, now: Evaluation) -> Evaluation | NoStress:
         """Let the law commit its answer: the evaluation by which the next step begins."""
+        self.is_committing = True
         started = perf_counter()
         acceptance = self.law.accept(now.F, now.F_dot, now.response)
         self.tally.law_seconds += perf_counter() - started
-        return self._begin(now, acceptance)
+        start = self._begin(now, acceptance)
+        self.is_committing = isinstance(start, Evaluation)
+        return start
+
+    def begin(self, t: float, y: Array) -> Evaluation | NoStress | Switched:
+        """The evaluation by which the first step begins, accepted by the law."""
+        start = self.evaluate(t, y)
+        return self.accept(start) if isinstance(start, Evaluation) else start
+
+    def resume(self, t: float, y: Array, stress: Array, law_state: Any) -> Evaluation:
+        """The evaluation by which a step begins, of the stress that an earlier call found there.
+
+        law_state: what the law had committed there.
+        """
+        u, v = y.reshape(2, -1, 2)
+        F, F_dot, J = deformation_gradient(self.discretisation, u, v)
+        response = StressResponse(stress, np.zeros(len(F), dtype=np.int8), law_state)
+        self.law_state = law_state
+        self._start = self._evaluation(t, y, (F, F_dot, J), response)
+        return self._start
 
     def restart_step(self, points: NDArray[np.int8]) -> Evaluation | NoStress:
         """The start of the step under way with these points on another branch of the law."""
         start, law = self._start, cast(SwitchingLaw, self.law)
-        response = replace(start.response, state=self._law_state)
+        response = replace(start.response, state=self.law_state)
         started = perf_counter()
         acceptance = law.restart_step(start.F, start.F_dot, response, points)
         self.tally.law_seconds += perf_counter() - started
@@ -202,7 +222,7 @@ class EquationsOfMotion:
         """Commit what the law said of an evaluation."""
         if acceptance.status.any():
             return self._failed(at.t, at.F, acceptance.status)
-        self._law_state = acceptance.state
+        self.law_state = acceptance.state
         left = acceptance.left_bifurcation
         if left is not None:
             self.tally.effort["left_bifurcation"] += int(left.sum())
@@ -224,13 +244,25 @@ class EquationsOfMotion:
         self._start = at
         return at
 
+    def _evaluation(
+        self, t: float, y: Array, motion: tuple[Array, Array, Array], response: StressResponse
+    ) -> Evaluation:
+        """The forces and the rate by a stress; motion: F, Ḟ and det F."""
+        F, F_dot, J = motion
+        v = y[y.size // 2 :].reshape(-1, 2)
+        internal = internal_force(self.discretisation, F, response.stress)
+        load = self.amplitude_at(t) * self.discretisation.load
+        powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
+        rate = self._rate(v, load, internal)
+        return Evaluation(t, y, F, F_dot, J, response, internal, load, powers, rate)
+
     def _rate(self, v: Array, load: Array, internal: Array) -> Array:
         acceleration = self.discretisation.solve_mass(load - internal)
         return np.concatenate([v.ravel(), acceleration.ravel()])
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
         started = perf_counter()
-        response = self.law.respond(F, F_dot, self._law_state, tangents=tangents)
+        response = self.law.respond(F, F_dot, self.law_state, tangents=tangents)
         self.tally.law_seconds += perf_counter() - started
         for name, value in response.effort.items():
             self.tally.effort[name] += int(value)

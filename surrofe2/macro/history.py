@@ -63,8 +63,8 @@ class Frames:
 class MacroState:
     """A run at the end of a step: all that carries it on, and all it has found.
 
-    Plain arrays, numbers and dicts, none of which is changed any more. The law's state is not
-    among them: a resumed run starts the law cold, without warm start and without history.
+    Plain arrays, numbers and dicts, none of which is changed any more, and the law's state, which
+    is whatever the law makes it: who writes a file adds it to the arrays by the law's own means.
 
     Attributes:
         t: µs. y: (4 n_free,) displacement and velocity of the free nodes.
@@ -78,6 +78,8 @@ class MacroState:
         lowest, highest: (4, 2, 2) extremes of F, Ḟ, U and RᵀḞ.
         nodes, load, amplitude: what the run was of; a resumed run must have the same.
         counts, effort, wall_time: as in `MacroRun`.
+        stress: (n_points, 2, 2) by which the next step begins, µN/µm.
+        law_state: what the law has committed; None: it starts cold.
     """
 
     t: float
@@ -96,11 +98,15 @@ class MacroState:
     counts: dict[str, int]
     effort: dict[str, int]
     wall_time: dict[str, float]
+    stress: Array
+    law_state: Any = None
 
     def to_arrays(self) -> dict[str, NDArray]:
         """One array for each entry; those of frames and dicts are ``"counts.steps"`` and so on."""
         arrays: dict[str, NDArray] = {}
-        for name, value in asdict(self).items():
+        values = asdict(replace(self, law_state=None))
+        del values["law_state"]
+        for name, value in values.items():
             inner = value.items() if isinstance(value, dict) else ()
             arrays |= {f"{name}.{key}": np.array(entry) for key, entry in inner}
             if not isinstance(value, dict):
@@ -121,7 +127,7 @@ class MacroState:
             (values[group] if dot else values)[key or name] = value
         for of, found, prefix in ((cls, values, ""), (Frames, values["frames"], "frames.")):
             for item in fields(of):
-                if item.name not in found:
+                if item.name not in found and item.name != "law_state":
                     raise InputError(
                         f"macro state: no '{prefix}{item.name}'; the checkpoint is incomplete"
                     )
@@ -173,8 +179,9 @@ class Recorder:
             nodes=self._discretisation.nodes,
             load=self._discretisation.load,
             amplitude=self._amplitude,
-            **self._cost(),
+            **self._standing(stepper),
         )
+        self._equations.is_committing = False
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
         """Record an accepted step, after which `stepper` stands at its end."""
@@ -206,11 +213,22 @@ class Recorder:
             frames=frames,
             lowest=lowest,
             highest=highest,
+            **self._standing(stepper),
         )
+        self._equations.is_committing = False
+
+    def checkpoint(self) -> MacroState:
+        """The state after the last step recorded, without what the next one has cost so far."""
+        return replace(self._state, wall_time=self._cost()["wall_time"])
 
     def state(self) -> MacroState:
-        """Everything up to the last step recorded."""
+        """Everything up to the last step recorded, with all that was spent."""
         return replace(self._state, **self._cost())
+
+    def _standing(self, stepper: Stepper) -> dict[str, Any]:
+        """What changes with every step and is not of its motion."""
+        stress = stepper.standing.now.response.stress
+        return {"stress": stress, "law_state": self._equations.law_state, **self._cost()}
 
     def _cost(self) -> dict[str, Any]:
         tally, total = self._equations.tally, perf_counter() - self._started

@@ -121,11 +121,12 @@ def simulate(
         settings: mesh, tolerances, what is kept.
         progress: called with (t, duration) in µs after every step.
         checkpoint: called with the state of the run when `checkpoint_interval` seconds have
-            passed since it last was, and upon an interrupt, which then goes its way.
+            passed since it last was, and upon an interrupt, which then goes its way; but not
+            where that comes while the law commits a step, of which it may have taken down a part.
         checkpoint_interval: s.
         resume: a state that `checkpoint` was given, of the same load case, mesh and density.
-            The law starts cold, so a law with a history must not be resumed; the results of one
-            without a state are those of the uninterrupted run to the bit.
+            The results are those of the uninterrupted run to the bit where the law goes on from
+            `MacroState.law_state`, or has no state; else it starts cold.
 
     Raises:
         InputError: `checkpoint_interval` is negative, or the integrator is "implicit" and the law
@@ -156,14 +157,14 @@ def simulate(
                 if progress is not None:
                     progress(stepper.standing.now.t, load_case.duration)
                 if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
-                    checkpoint(recorder.state())
+                    checkpoint(recorder.checkpoint())
                     last_checkpoint = monotonic()
     except SimulationError as error:
         partial = _make_run(discretisation, recorder.state(), finished=False)
         raise SimulationError(str(error), partial=partial) from error
     except KeyboardInterrupt:
-        if checkpoint is not None:
-            checkpoint(recorder.state())
+        if checkpoint is not None and not equations.is_committing:
+            checkpoint(recorder.checkpoint())
         raise
     return _make_run(discretisation, recorder.state(), finished=True)
 
@@ -182,12 +183,12 @@ def _make_stepper(
     """A stepper at rest at t = 0, or where `resume` was taken."""
     method, tally = make_method(equations, settings), equations.tally
     if resume is None:
-        y = np.zeros(4 * len(equations.discretisation.free))
-        return Stepper(equations, method, settings, end, 0.0, y)
+        start = equations.begin(0.0, np.zeros(4 * len(equations.discretisation.free)))
+        return Stepper(equations, method, settings, end, start)
     tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
     tally.law_seconds = resume.wall_time["law"]
-    place = resume.t, resume.y, resume.next_step, resume.memory
-    return Stepper(equations, method, settings, end, *place)
+    going_on = equations.resume(resume.t, resume.y, resume.stress, resume.law_state)
+    return Stepper(equations, method, settings, end, going_on, resume.next_step, resume.memory)
 
 
 def _make_run(discretisation: Discretisation, state: MacroState, finished: bool) -> MacroRun:

@@ -135,7 +135,7 @@ class Method(Protocol):
 
 
 class Stepper:
-    """Accepted steps, one after another, from (t, y) to t_end.
+    """Accepted steps, one after another, from `start` to t_end.
 
     Attributes:
         standing: where the next step begins.
@@ -151,16 +151,12 @@ class Stepper:
         method: Method,
         settings: MacroSettings,
         t_end: float,
-        t: float,
-        y: Array,
+        start: Evaluation | NoStress | Switched,
         next_length: float | None = None,
         memory: Array = NO_MEMORY,
     ) -> None:
         self._equations, self._method = equations, method
         self._largest, self._t_end = settings.largest_step, t_end
-        start = equations.evaluate(t, y)
-        if isinstance(start, Evaluation):
-            start = equations.accept(start)
         if not isinstance(start, Evaluation):
             raise SimulationError(f"the run cannot start: {start.message}")
         self.standing = Standing(start, memory)

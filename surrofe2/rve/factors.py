@@ -13,6 +13,7 @@ for as long as any state refers to it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +58,17 @@ class Factors:
         """
         rows = (free * free if size is None else size) + free * SLOPES
         return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Each block once, and which is whose, for `from_arrays`."""
+        _, first, block_of = np.unique(self.address, return_index=True, return_inverse=True)
+        return {"blocks": np.stack([self.blocks[k] for k in first]), "block_of": block_of}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Factors:
+        """The factors whose `to_arrays` gave these."""
+        blocks = [np.array(block) for block in arrays["blocks"]]
+        return cls.of([blocks[k] for k in arrays["block_of"]])
 
     def repeated(self, tiles: int) -> Factors:
         """The first tile's factors for `tiles` tiles."""

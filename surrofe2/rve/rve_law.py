@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -108,6 +109,10 @@ class RveLaw:
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
         return rest_state(self.unit_cell, points)
+
+    def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
+        """The state whose `to_arrays` gave these, to the bit."""
+        return RveState.from_arrays(arrays)
 
     def respond(
         self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,6 +60,40 @@ class RveState:
     def left_points(self) -> NDArray[np.bool_]:
         """(points,) `left`."""
         return unpack(flags(self), self.points)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """All of it, for `from_arrays`; shared blocks of factors once."""
+        arrays = {
+            "points": np.array(self.points),
+            "z": self.z,
+            "F": self.F,
+            "F_dot": self.F_dot,
+            "iterations": self.iterations,
+            "is_checked": np.array(self.is_checked),
+            **self.factors.to_arrays(),
+        }
+        for name, values in (
+            ("fluctuation", self.fluctuation), ("elastic", self.elastic), ("left", self.left),
+        ):  # fmt: skip
+            if values is not None:
+                arrays[name] = values
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RveState:
+        """The state whose `to_arrays` gave these, to the bit."""
+        return cls(
+            points=int(arrays["points"]),
+            z=arrays["z"],
+            fluctuation=arrays.get("fluctuation"),
+            elastic=arrays.get("elastic"),
+            F=arrays["F"],
+            F_dot=arrays["F_dot"],
+            factors=Factors.from_arrays(arrays),
+            iterations=arrays["iterations"],
+            left=arrays.get("left"),
+            is_checked=bool(arrays["is_checked"]),
+        )
 
     def take(self, index: NDArray[np.intp]) -> RveState:
         """The state of the points `index` alone."""

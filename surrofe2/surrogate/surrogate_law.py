@@ -124,6 +124,13 @@ class SurrogateLaw:
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Nothing: see `learns`."""
 
+    def to_arrays(self) -> dict[str, NDArray]:
+        """Nothing that a run could have changed."""
+        return {}
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Nothing."""
+
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:

@@ -14,9 +14,9 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from surrofe2.cache import CachedLaw, StressTable, TableBehind, sampled_spread
-from surrofe2.cache.protocols import Fallback, Keep
-from surrofe2.cache.table_merge import merged
+from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spread
+from surrofe2.cache.protocols import Fallback, OnTrueAnswer
+from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.io.reference_states import read_reference, reference_path, write_reference
 from surrofe2.io.run_folder import file_fingerprint
@@ -67,7 +67,7 @@ def choose_law(
     kind: str,
     surrogate_file: Path | None = None,
     tables: Sequence[Path] = (),
-    keep: Keep | None = None,
+    keep: OnTrueAnswer | None = None,
 ) -> ChosenLaw:
     """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
 
@@ -105,7 +105,7 @@ def choose_law(
         return ChosenLaw(law, (surrogate, rve), record)
     table = make_table(recipe, rve, tables, surrogate.stress_spread)
     record |= {"tables": _record_of(tables)}
-    law = CachedLaw(TableBehind(surrogate, table), rve, recipe.cache, keep)
+    law = CachedLaw(ChainedSurrogate(surrogate, table), rve, recipe.cache, keep)
     return ChosenLaw(law, (surrogate, rve), record, table)
 
 

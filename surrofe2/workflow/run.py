@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.cache import CachedLaw
+from surrofe2.cache.branches import part_of, within
 from surrofe2.io.fields import write_fields
 from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
 from surrofe2.macro import MacroRun, MacroState, simulate
@@ -70,14 +71,16 @@ def run_study(
         if current.is_finished:
             return current.record
         arrays = current.last_state()
-        if arrays is not None:
-            outputs.resume(chosen.table)
-        if current.record.cache is not None and isinstance(chosen.law, CachedLaw):
-            chosen.law.restore(current.record.cache)
+        state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
+        if arrays is not None and state is not None and isinstance(chosen.law, CachedLaw):
+            state = replace(state, law_state=chosen.law.from_arrays(part_of(arrays, "law")))
 
         def checkpoint(state: MacroState) -> None:
             outputs.store(chosen.table)
-            current.checkpoint(state.to_arrays(), _cache_report(chosen))
+            arrays = within("macro", state.to_arrays())
+            if isinstance(chosen.law, CachedLaw):
+                arrays |= within("law", chosen.law.to_arrays(state.law_state))
+            current.checkpoint(arrays, _cache_report(chosen))
 
         compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
         done = simulate(
@@ -87,7 +90,7 @@ def run_study(
             progress=lambda t, duration: report(t, ""),
             checkpoint=checkpoint,
             checkpoint_interval=CHECKPOINT_INTERVAL,
-            resume=None if arrays is None else MacroState.from_arrays(arrays),
+            resume=state,
         )
         current.finish(done)
     return current.record

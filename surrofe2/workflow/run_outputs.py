@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.cache import StressTable
-from surrofe2.cache.protocols import Keep
-from surrofe2.cache.table_merge import merged
+from surrofe2.cache.protocols import OnTrueAnswer
+from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.io.files import check_same
 from surrofe2.io.harvest import HarvestHeader, HarvestWriter
 from surrofe2.io.run_folder import file_fingerprint
@@ -28,16 +28,8 @@ class RunOutputs:
 
     def __init__(self, recipe: Recipe, folder: Path, harvest: bool) -> None:
         self.recipe, self.folder = recipe, folder
-        self.keep: Keep | None = self._take if harvest else None
+        self.keep: OnTrueAnswer | None = self._take if harvest else None
         self._writer: HarvestWriter | None = None
-
-    def resume(self, table: StressTable | None) -> None:
-        """Let the table know what it did at the last checkpoint."""
-        path = self.folder / TABLE
-        if table is not None and path.exists():
-            stored = read_table(path)
-            check_table(path, stored, table.cell, table.initialisation)
-            table.restore(stored.records)
 
     def store(self, table: StressTable | None) -> None:
         """Write what there is now."""
@@ -86,7 +78,7 @@ def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> in
     tables = [read_table(path) for path in files]
     first = tables[0]
     tolerance = min(each.tolerance for each in tables)
-    images = 4 if getattr(first.cell, "symmetry", "D4") == "D4" else 1
+    images = 4 if first.cell.symmetry == "D4" else 1
     records = first.records
     for path, more in zip(files[1:], tables[1:], strict=True):
         check_table(path, more, first.cell, first.initialisation)

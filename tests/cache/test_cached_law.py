@@ -73,7 +73,10 @@ def test_a_refused_step_changes_nothing():
     surrogate = Surrogate()
     surrogate.learn = lambda *answers: learnt.append(answers)
     cached = CachedLaw(
-        surrogate, TrueLaw(), CacheSettings(audit=1.0), keep=lambda *answers: kept.append(answers)
+        surrogate,
+        TrueLaw(),
+        CacheSettings(audit=1.0),
+        on_true_answer=lambda *answers: kept.append(answers),
     )
     F, F_dot = stretched(1.9, 1.0, 1.6)
     refused = cached.accept(F, F_dot, cached.respond(F, F_dot))
@@ -96,11 +99,11 @@ def test_without_a_miss_the_fallback_rests(cached, fallback):
 def test_asked_twice_it_says_the_same(cached, fallback):
     F, F_dot = stretched(1.6, 1.0, 0.4)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
-    warm_before = state.held.state.F.copy()
+    warm_before = state.on_fallback.state.F.copy()
     first, second = (cached.respond(1.01 * F, F_dot, state) for _ in range(2))
     assert np.array_equal(first.stress, second.stress)
-    assert np.array_equal(first.state.held.state.F, second.state.held.state.F)
-    assert np.array_equal(state.held.state.F, warm_before)
+    assert np.array_equal(first.state.on_fallback.state.F, second.state.on_fallback.state.F)
+    assert np.array_equal(state.on_fallback.state.F, warm_before)
     starts = [start.F for _, start in fallback.asked[1:]]
     assert np.array_equal(starts[0], starts[1])
 
@@ -124,14 +127,14 @@ def test_a_point_that_leaves_the_range_later_is_solved_cold_and_called_moved(cac
     assert np.array_equal(cold_F, later[[0]])
     assert cold is None
     assert answer.switched.tolist() == [Status.OUT_OF_RANGE, 0, 0, 0]
-    assert answer.state.held.points.tolist() == [1, 3, 0]
-    assert np.array_equal(answer.state.held.state.F, later[[1, 3, 0]])
+    assert answer.state.on_fallback.points.tolist() == [1, 3, 0]
+    assert np.array_equal(answer.state.on_fallback.state.F, later[[1, 3, 0]])
     assert answer.effort["rve_solves"] == 3
     off = np.array([0.0, 0.0, 1.0, 0.0])[:, None, None]
     np.testing.assert_allclose(answer.stress, exact(later, F_dot) + off, rtol=1e-14)
 
 
-def test_a_point_held_does_not_come_back_within_the_step(cached, fallback):
+def test_a_point_on_the_fallback_does_not_come_back_within_the_step(cached, fallback):
     F, F_dot = stretched(1.6, 1.0)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
     back, _ = stretched(1.0, 1.1)
@@ -148,7 +151,7 @@ def test_a_point_comes_back_when_its_step_is_kept(cached):
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
     back, _ = stretched(1.4, 1.0)
     accepted = cached.accept(back, F_dot, cached.respond(back, F_dot, state))
-    assert not len(accepted.state.held)
+    assert not len(accepted.state.on_fallback)
     # The next step begins with the surrogate's stress there.
     np.testing.assert_allclose(accepted.stress, exact(back, F_dot) + 1.0, rtol=1e-14)
     assert cached.respond(back, F_dot, accepted.state).effort["hits"] == 2
@@ -160,8 +163,8 @@ def test_a_point_on_its_way_out_begins_the_next_step_on_the_fallback(cached, fal
     F_dot = 0.1 * (further - F)
     state = cached.accept(F, F_dot, cached.respond(F, F_dot)).state
     accepted = cached.accept(further, F_dot, cached.respond(further, F_dot, state))
-    assert accepted.state.held.points.tolist() == [0]
-    assert np.array_equal(accepted.state.held.state.F, further[[0]] + 100.0)
+    assert accepted.state.on_fallback.points.tolist() == [0]
+    assert np.array_equal(accepted.state.on_fallback.state.F, further[[0]] + 100.0)
     np.testing.assert_allclose(accepted.stress[0], exact(further, F_dot)[0], rtol=1e-14)
     np.testing.assert_allclose(accepted.stress[1], exact(further, F_dot)[1] + 1.0, rtol=1e-14)
     out, _ = stretched(1.55, 1.0)
@@ -178,7 +181,7 @@ def test_the_start_of_a_step_once_more_with_points_moved(cached):
     begun = cached.restart_step(F, F_dot, start, switched)
     assert not begun.status.any()
     np.testing.assert_allclose(begun.stress[1], exact(F, F_dot)[1], rtol=1e-14)
-    assert begun.state.held.points.tolist() == [0, 1]
+    assert begun.state.on_fallback.points.tolist() == [0, 1]
     again = cached.respond(out, F_dot, begun.state)
     assert again.switched is None
     np.testing.assert_allclose(again.stress[1], exact(out, F_dot)[1], rtol=1e-14)

@@ -40,7 +40,9 @@ class Leaving(TrueLaw):
 def test_stress_beyond_a_bifurcation_is_passed_on_but_neither_kept_nor_learnt():
     kept, learnt, surrogate = [], [], Surrogate()
     surrogate.learn = lambda F, F_dot, stress, state: learnt.append(F[:, 0, 0].tolist())
-    cached = CachedLaw(surrogate, Leaving(), keep=lambda F, *_: kept.append(F[:, 0, 0].tolist()))
+    cached = CachedLaw(
+        surrogate, Leaving(), on_true_answer=lambda F, *_: kept.append(F[:, 0, 0].tolist())
+    )
     F, F_dot = stretched(1.1, 1.7, 1.55)
     first = cached.respond(F, F_dot)
     accepted = cached.accept(F, F_dot, first)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.cache.foresight import look_ahead
+from surrofe2.cache.branches import extrapolate
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
@@ -32,7 +32,7 @@ def cached_law(limit=0.02, tolerance=TOLERANCE, audit=0.0, size=0.01):
 
 
 def blind(F, F_dot, before):
-    """What `look_ahead` sees if it does not look."""
+    """What `extrapolate` sees if it does not look."""
     return F, F_dot
 
 
@@ -70,26 +70,26 @@ class Watched(CachedLaw):
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         answer = super().respond(F, F_dot, state, tangents=tangents)
-        self.stages.append((frozenset(answer.state.held.points.tolist()), answer.switched))
+        self.stages.append((frozenset(answer.state.on_fallback.points.tolist()), answer.switched))
         return answer
 
     def accept(self, F, F_dot, response):
         accepted = super().accept(F, F_dot, response)
         self.steps.append(self.stages)
         self.stages = []
-        self.begun.append(frozenset(accepted.state.held.points.tolist()))
+        self.begun.append(frozenset(accepted.state.on_fallback.points.tolist()))
         return accepted
 
     def restart_step(self, F, F_dot, response, switched):
         accepted = super().restart_step(F, F_dot, response, switched)
         self.stages = []
-        self.begun[-1] = frozenset(accepted.state.held.points.tolist())
+        self.begun[-1] = frozenset(accepted.state.on_fallback.points.tolist())
         return accepted
 
 
 def test_no_kept_step_mixes_branches(monkeypatch):
     """Without looking ahead, every point that leaves is found within a step."""
-    monkeypatch.setattr("surrofe2.cache.cached_state.look_ahead", blind)
+    monkeypatch.setattr("surrofe2.cache.branches.extrapolate", blind)
     cached = cached_law()
     watched = Watched(cached.surrogate, cached.fallback, cached.settings)
     run = simulate(LOAD_CASE, watched, replace(SETTINGS, record_dissipation=False))
@@ -98,16 +98,16 @@ def test_no_kept_step_mixes_branches(monkeypatch):
     changes = 0
     for begun, stages in zip(watched.begun[:-1], watched.steps[1:], strict=True):
         assert len(stages) % 6 == 0 or begun is watched.begun[0]
-        for held, switched in stages:
+        for on_fallback, switched in stages:
             assert switched is None
-            assert held == begun
+            assert on_fallback == begun
         changes += bool(begun)
     assert 0 < changes < run.counts["steps"]
 
 
 def test_looking_ahead_saves_the_repeats(monkeypatch):
     ahead = simulate(LOAD_CASE, cached_law(), SETTINGS)
-    monkeypatch.setattr("surrofe2.cache.cached_state.look_ahead", blind)
+    monkeypatch.setattr("surrofe2.cache.branches.extrapolate", blind)
     without = simulate(LOAD_CASE, cached_law(), SETTINGS)
     assert ahead.counts["repeated_steps"] < 0.5 * without.counts["repeated_steps"]
 
@@ -123,7 +123,7 @@ def test_foresight_meets_cubics():
         rates = k * np.power(t, np.maximum(k - 1, 0))
         return tuple(np.tensordot(weights, coefficients, 1) for weights in (t**k, rates))
 
-    found, there, now = look_ahead(*at(0.3), at(0.2)), at(0.4), at(0.3)
+    found, there, now = extrapolate(*at(0.3), at(0.2)), at(0.4), at(0.3)
     for a, b, c, scale in zip(found, there, now, (1e-6, 1e-5), strict=True):
         assert abs(a - b).max() < scale
         assert abs(b - c).max() > 1e-3
@@ -132,7 +132,7 @@ def test_foresight_meets_cubics():
 def test_foresight_without_rates_goes_straight_on():
     F, F_dot = np.tile(np.eye(2), (3, 1, 1)), np.zeros((3, 2, 2))
     for before, expected in ((None, F), ((F, F_dot), F), ((0.99 * F, F_dot), 1.01 * F)):
-        found = look_ahead(F, F_dot, before)
+        found = extrapolate(F, F_dot, before)
         np.testing.assert_allclose(found[0], expected, rtol=1e-14)
         np.testing.assert_array_equal(found[1], F_dot)
 
@@ -158,7 +158,7 @@ def test_a_repeated_step_has_the_length_of_the_first_trial():
         equations = EquationsOfMotion(bar, law, LOAD_CASE.amplitude_at)
         loose, y = replace(SETTINGS, absolute_tolerance=1e3), np.zeros(4 * len(bar.free))
         method = make_method(equations, loose)
-        stepper = Stepper(equations, method, loose, 6.0, 0.0, y, next_length=0.4)
+        stepper = Stepper(equations, method, loose, 6.0, equations.begin(0.0, y), 0.4)
         steps.append(stepper.advance())
         lengths.append(stepper.next_length)
     assert equations.tally.counts["repeated_steps"] == 1

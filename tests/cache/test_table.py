@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import StressTable, sampled_spread
-from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS
 from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, sample
+from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.stress_law import Status
 from surrofe2.tensors import stress_error, to_components, to_inputs, transpose
 from tests.cache.tables import RANGE, SPREAD, make, states, taught
@@ -51,7 +51,7 @@ def test_lookup_is_what_plain_numpy_gives():
     records, own, alone, together = table.records, table.tolerance, 0, 0
     for p in range(len(F)):
         models, bounds = [], []
-        for inner, outer in zip(INPUT_SIGNS, OUTPUT_SIGNS, strict=True):
+        for inner, outer in zip(INPUT_SIGNS, COMPONENT_SIGNS, strict=True):
             d = x[p] * inner - records.centre
             bounds.append(np.einsum("ni,nij,nj->n", d, records.curvature, d))
             models.append((records.stress + np.einsum("nki,ni->nk", records.slope, d)) * outer)
@@ -152,7 +152,7 @@ def test_without_symmetry_images_are_told_apart():
     F, F_dot = np.array([[[1.05, 0.0], [0.0, 1.0]]]), np.zeros((1, 2, 2))
     turned = F[:, ::-1, ::-1].copy()
     table = make(tolerance=1e-4)
-    table.symmetry = "none"
+    table.images = 1
     taught(F, F_dot, table)
     assert table.lookup(F, F_dot)[1][0] == 0
     assert table.lookup(turned, F_dot)[1][0] == Status.OUT_OF_RANGE
@@ -217,7 +217,7 @@ def test_where_a_neighbour_fails_the_ellipsoid_is_the_small_one():
     F, F_dot = np.array([[[1.06, 0.0], [0.0, 1.0]]]), np.zeros((1, 2, 2))
     whole, cut = (taught(F, F_dot, make(SquareLaw(fails_above=above))) for above in (2.0, 1.0601))
     assert cut.size == 1
-    widths = [table.records.half_width(table.tolerance)[0] for table in (whole, cut)]
+    widths = [np.sqrt(table.records.extent[0]) for table in (whole, cut)]
     assert (widths[1] < widths[0]).any()
     assert widths[1][0] < 0.5 * widths[0][0]
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from surrofe2.cache.table_evidence import Rule, set_bound, weigh
-from surrofe2.cache.table_records import (
+from surrofe2.cache.table.ellipsoids import Rule, set_bound, update_ellipsoids
+from surrofe2.cache.table.records import (
     curvature_from_constant,
     curvature_from_slopes,
     limited,
     make_records,
 )
-from surrofe2.cache.table_tree import find, make_tree
+from surrofe2.cache.table.search_tree import find_all, make_tree
 
 
 def random_records(count, seed=0):
@@ -30,16 +30,24 @@ def bounds(records, x):
     return np.einsum("ni,nij,nj->n", d, records.curvature, d)
 
 
+def find(x, limit, records, tree):
+    """(record, bound) of the least bound at x; −1 where none is at most the limit."""
+    found, bound = np.empty(1000, dtype=np.int32), np.empty(1000)
+    count = find_all(x, limit, records.centre, records.curvature, tree, found, bound)
+    assert (np.diff(found[:count]) > 0).all()
+    return (found[:count][bound[:count].argmin()], bound[:count].min()) if count else (-1, limit)
+
+
+@pytest.mark.parametrize("limit", [12.0, 24.0])
 @pytest.mark.parametrize("count", [1, 3, 4, 5, 300])
-def test_search_finds_the_least_bound_of_all(count):
+def test_search_finds_the_least_bound_of_all(count, limit):
     records = random_records(count)
-    tolerance = 12.0
-    tree = make_tree(records.centre, records.half_width(tolerance))
+    tree = make_tree(records.centre, records.extent, 12.0)
     found = 0
     for x in np.random.default_rng(1).normal(size=(200, 7)):
-        at, bound = find(x, tolerance, records.centre, records.curvature, tree)
+        at, bound = find(x, limit, records, tree)
         expected = bounds(records, x)
-        if expected.min() > tolerance:
+        if expected.min() > limit:
             assert at == -1
         else:
             assert at == expected.argmin()
@@ -50,11 +58,11 @@ def test_search_finds_the_least_bound_of_all(count):
 
 def test_search_of_nothing_and_of_equals():
     records = random_records(1).take(np.zeros(40, dtype=int))
-    tree = make_tree(records.centre, records.half_width(1.0))
-    assert find(records.centre[0], 1.0, records.centre, records.curvature, tree)[1] == 0.0
+    tree = make_tree(records.centre, records.extent, 1.0)
+    assert find(records.centre[0], 1.0, records, tree)[1] == 0.0
     nothing = records.take(np.empty(0, dtype=int))
-    empty = make_tree(nothing.centre, nothing.half_width(1.0))
-    assert find(np.zeros(7), 1.0, nothing.centre, nothing.curvature, empty)[0] == -1
+    empty = make_tree(nothing.centre, nothing.extent, 1.0)
+    assert find(np.zeros(7), 1.0, nothing, empty)[0] == -1
 
 
 @pytest.mark.parametrize("radius", [0.5, 1.4])
@@ -88,7 +96,8 @@ def weighed(radius, error, rule=None):
     records = random_records(1)
     x = along(records, radius)
     s = linear(records, x) + np.array([error * np.sqrt(2.0), 0.0, 0.0, 0.0])
-    covered, counts = weigh(x[None], s[None], 1.0, 1, records, rule or Rule())
+    tree = make_tree(records.centre, records.extent, 1.0)
+    covered, counts = update_ellipsoids(x[None], s[None], 1, records, tree, rule or Rule())
     return covered[0], counts, bounds(records, x)[0]
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surrofe2.cache import CachedLaw, CacheSettings, TableBehind
-from surrofe2.cache.table_merge import merged
+from surrofe2.cache import CachedLaw, CacheSettings, ChainedSurrogate
+from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.errors import MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
@@ -58,7 +58,7 @@ def test_a_table_behind_a_surrogate_answers_the_rest():
     table = make(law)
     F, F_dot = sample(RANGE, 200, 3)
     cached = CachedLaw(
-        TableBehind(Half(law), table), law, settings=CacheSettings(tolerance=5e-2, audit=0.0)
+        ChainedSurrogate(Half(law), table), law, settings=CacheSettings(tolerance=5e-2, audit=0.0)
     )
     for _ in range(2):
         cached.reset_counts()
@@ -75,12 +75,12 @@ def test_a_table_behind_a_surrogate_answers_the_rest():
 def test_a_table_of_another_cell_is_refused_behind_a_surrogate():
     other = SquareLaw(CellParameters.preset("water"))
     with pytest.raises(MismatchError, match="use a table of these parameters"):
-        TableBehind(Half(SquareLaw()), make(other))
+        ChainedSurrogate(Half(SquareLaw()), make(other))
 
 
 def test_a_cached_law_teaches_its_table_only_at_kept_steps():
     law, kept = SquareLaw(fails_above=1.2), []
-    cached = CachedLaw(make(law), law, keep=lambda *answers: kept.append(answers))
+    cached = CachedLaw(make(law), law, on_true_answer=lambda *answers: kept.append(answers))
     F, F_dot = states(20, angle=0.0)
     answer = cached.respond(F, F_dot)
     assert cached.surrogate.size == 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache.branches import CachedState
 from surrofe2.cache.trust import NOMINAL, Trust, chance
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
@@ -210,7 +211,7 @@ def test_a_surrogate_without_a_bound_says_so(caplog):
 def test_history_goes_on_where_it_was_left():
     cached, report, _ = run(error=lambda F, F_dot: 3.0 + 0.0 * F[:, 0, 0])
     again = CachedLaw(Learnt(shear_error(0.0), sound_bound), Truth(), cached.settings)
-    again.restore(report)
+    again.from_arrays(cached.to_arrays(CachedState(1)))
     assert again.is_off
     assert again.counts == cached.counts
     assert again.report()["audit"] == report["audit"]
@@ -219,7 +220,7 @@ def test_history_goes_on_where_it_was_left():
 
 def test_a_cache_that_answered_nothing_does_not_claim_to_pay(monkeypatch):
     """Whatever a timing of the true law would say: the run itself has timed it."""
-    monkeypatch.setattr("surrofe2.cache.bookkeeping.time_true_law", lambda *given: 1e3)
+    monkeypatch.setattr("surrofe2.cache.cost.Meter._time_step", lambda *given: 1e6)
     assert run()[1]["cost"]["pays"]
     cached, report, _ = run(outside=lambda F: np.ones(len(F), dtype=bool))
     assert cached.counts["hits"] == 0

@@ -159,7 +159,9 @@ def stepper_of(law, first_step=0.2):
     loose = replace(IMPLICIT, absolute_tolerance=1e6)
     y = np.zeros(4 * len(bar.free))
     method = GeneralisedAlpha(equations, loose)
-    return Stepper(equations, method, loose, 12.8, 0.0, y, first_step), equations.tally
+    return Stepper(
+        equations, method, loose, 12.8, equations.begin(0.0, y), first_step
+    ), equations.tally
 
 
 class Refusing(KelvinVoigt):

@@ -40,8 +40,7 @@ def test_interrupted_run_resumes_as_if_nothing_had_happened():
             getattr(resumed.frames, item.name), getattr(whole.frames, item.name), atol=1e-12
         )
     np.testing.assert_allclose(resumed.met.F_dot, whole.met.F_dot, atol=1e-12)
-    assert resumed.counts["steps"] == whole.counts["steps"]
-    assert resumed.counts["stress_points"] > whole.counts["stress_points"]
+    assert resumed.counts == whole.counts
     assert resumed.wall_time["total"] > state.wall_time["total"]
 
 

@@ -45,7 +45,9 @@ def stepper_of(law, first_step=0.4):
     y = np.zeros(4 * len(bar.free))
     loose = replace(SETTINGS, absolute_tolerance=1e3)
     method = make_method(equations, loose)
-    return Stepper(equations, method, loose, 6.0, 0.0, y, first_step), equations.tally
+    return Stepper(
+        equations, method, loose, 6.0, equations.begin(0.0, y), first_step
+    ), equations.tally
 
 
 def test_step_whose_trial_fails_is_repeated_at_half_its_length():

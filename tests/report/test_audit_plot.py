@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surrofe2.cache.error_record import ErrorRecord
+from surrofe2.cache.audit import ErrorRecord
 from surrofe2.report.audit_plot import _coarse
 
 

@@ -14,13 +14,10 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from surrofe2.cache.table_inputs import (
-    INPUT_SIGNS,
-    OUTPUT_SIGNS,
-    OUTPUTS,
-)
-from surrofe2.cache.table_tree import find_all
+from surrofe2.cache.table.records import OUTPUTS
+from surrofe2.cache.table.search_tree import find_all
 from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.stress_law import Status
 from surrofe2.tensors import INPUTS
 
@@ -89,7 +86,7 @@ def _some(  # type: ignore[no-untyped-def]
                     weight = ((limit - b) / max(b, _NEAREST * own) + _NEAREST) ** 2
                     total += weight
                     radius += weight * np.sqrt(b * own)
-                    _add(weight, image, centre[k], response[k], slope[k], OUTPUT_SIGNS[flips], s)
+                    _add(weight, image, centre[k], response[k], slope[k], COMPONENT_SIGNS[flips], s)
         if least == np.inf:
             continue
         if total == 0.0:

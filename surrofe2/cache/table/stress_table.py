@@ -8,23 +8,28 @@ error of its linear model. And of all ellipsoids that hold a point the best one 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.protocols import Fallback
-from surrofe2.cache.table_evidence import weigh
-from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, canonical_image, input_scale
-from surrofe2.cache.table_lookup import MANY, look_up
-from surrofe2.cache.table_probing import probed_records
-from surrofe2.cache.table_records import Records, joined, no_records
-from surrofe2.cache.table_tree import make_tree
-from surrofe2.errors import InputError
-from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.cache.protocols import Fallback, Surrogate
+from surrofe2.cache.table.ellipsoids import update_ellipsoids
+from surrofe2.cache.table.lookup import MANY, look_up
+from surrofe2.cache.table.records import (
+    Records,
+    input_scale,
+    no_records,
+    records_from_neighbours,
+)
+from surrofe2.cache.table.search_tree import insert, make_tree
+from surrofe2.errors import InputError, MismatchError
 from surrofe2.sampling import SamplingRange, sample
+from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
 from surrofe2.stress_law import (
     Acceptance,
+    Status,
     StressResponse,
     Tangents,
     check_deformation,
@@ -53,11 +58,17 @@ class StressTable:
         most_records: after so many none is added.
 
     Attributes:
+        cell, initialisation, density: those of the law.
+        stress_spread: `spread`.
+        size: how many records it has.
+        images: how many images the symmetry of the cell makes of a state.
         counts: `added`, `grown`, `shrunk` ellipsoids and `table_rve_solves` since the start.
 
     Raises:
         InputError: the law gives no tangents, or the tolerance is not positive.
     """
+
+    has_tangents, has_bound, learns = False, True, True
 
     def __init__(
         self,
@@ -76,54 +87,20 @@ class StressTable:
                 "solver direct"
             )
         self.law = law
+        self.cell, self.initialisation, self.density = law.cell, law.initialisation, law.density
+        self.images = 4 if law.cell.symmetry == "D4" else 1
         self.tolerance = float(tolerance)
         self.range = range
         self.stress_spread = float(spread)
         self.most_records = most_records
-        self.symmetry: str = law.cell.symmetry
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = input_scale(range)
         self.restore(records if records is not None else no_records())
 
     @property
-    def cell(self) -> CellParameters:
-        """Parameters of the plant cell."""
-        return self.law.cell
-
-    @property
-    def initialisation(self) -> str:
-        """How its RVE is initialised."""
-        return self.law.initialisation
-
-    @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
-        return self.law.density
-
-    @property
-    def has_tangents(self) -> bool:
-        """Never: the slope jumps from one record to the next."""
-        return False
-
-    @property
-    def has_bound(self) -> bool:
-        """Always, see `lookup`."""
-        return True
-
-    @property
-    def learns(self) -> bool:
-        """Always."""
-        return True
-
-    @property
     def records(self) -> Records:
-        """What the table knows."""
-        return self._records
-
-    @property
-    def size(self) -> int:
-        """How many records it has."""
-        return len(self._records.centre)
+        """What the table knows now, a copy."""
+        return Records(*(part[: self.size].copy() for part in self._records))
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
@@ -176,23 +153,18 @@ class StressTable:
         """
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
-        old = self._records
-        records = old._replace(curvature=old.curvature.copy(), extent=old.extent.copy())
-        covered, counts = weigh(x, s, self.tolerance, self.images, records)
+        covered, counts = update_ellipsoids(x, s, self.images, self._records, self._tree)
+        self._count(counts)
         left = np.flatnonzero(~covered)
-        while len(left) and len(records.centre) < self.most_records:
-            chosen = left[self._apart(x[left], records)][: self.most_records - len(records.centre)]
+        while len(left) and self.size < self.most_records:
+            chosen = left[self._apart(x[left])][: self.most_records - self.size]
             new = self._solved(x[chosen], R[chosen], state, chosen)
             left = np.setdiff1d(left, chosen, assume_unique=True)
-            covered, more = weigh(x[left], s[left], self.tolerance, self.images, new)
+            tree = make_tree(new.centre, new.extent, self.tolerance)
+            covered, counts = update_ellipsoids(x[left], s[left], self.images, new, tree)
             left = left[~covered]
-            records = joined(records, new)
-            counts = {name: counts[name] + more[name] for name in counts}
-        counts["added"] = len(records.centre) - self.size
-        for name, count in counts.items():
-            self.counts[name] += count
-        if any(counts.values()):
-            self.restore(records)
+            self._add(new)
+            self._count({**counts, "added": len(new.centre)})
 
     def warm_up(self) -> None:
         """Compile everything by letting an empty table of the same law learn once."""
@@ -202,32 +174,52 @@ class StressTable:
         state = self.law.accept(F, 0.0 * F, answer).state
         probe.learn(F, 0.0 * F, answer.stress, state)
         probe.learn(1.001 * F, 0.0 * F, answer.stress, state)
+        probe._add(probe.records)
         probe.lookup(F, 0.0 * F)
         many = np.repeat(F, MANY, axis=0)
         probe.lookup(many, 0.0 * many)
 
-    @property
-    def images(self) -> int:
-        """How many images the symmetry of the cell makes of a state."""
-        return 4 if self.symmetry == "D4" else 1
-
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
-        self._records = records
-        self._tree = make_tree(records.centre, records.half_width(self.tolerance))
+        self.size = len(records.centre)
+        self._records = Records(*(np.array(part) for part in records))
+        self._tree = make_tree(records.centre, records.extent, self.tolerance)
 
-    def _folded(self, x: Array) -> tuple[Array, NDArray[np.intp]]:
-        image = canonical_image(x, self.symmetry)
-        return x * INPUT_SIGNS[image], image
+    def to_arrays(self) -> dict[str, NDArray]:
+        """Records and counts, for `from_arrays`."""
+        counts = np.array(list(self.counts.values()))
+        return {**self.records._asdict(), "counts": counts}
 
-    def _apart(self, x: Array, records: Records) -> NDArray[np.intp]:
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Know what another table of the same law and tolerance knew at its `to_arrays`."""
+        self.restore(Records(*(arrays[name] for name in Records._fields)))
+        self.counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
+
+    def _add(self, new: Records) -> None:
+        """Append records in place; room is doubled where there is none."""
+        size = self.size + len(new.centre)
+        if size > len(self._records.centre):
+            known, room = self.records, 2 * max(size, 32)
+            self._records = Records(*(np.empty((room, *part.shape[1:])) for part in new))
+            for mine, theirs in zip(self._records, known, strict=True):
+                mine[: self.size] = theirs
+        for mine, theirs in zip(self._records, new, strict=True):
+            mine[self.size : size] = theirs
+        self._tree = insert(self._tree, self._records.centre, self._records.extent, size)
+        self.size = size
+
+    def _count(self, changes: Mapping[str, int]) -> None:
+        for name, count in changes.items():
+            self.counts[name] += count
+
+    def _apart(self, x: Array) -> NDArray[np.intp]:
         """Which of these points should become records at once: none in the ellipsoid of another.
 
         Ellipsoids are taken to be like that of the latest record; a first record comes alone.
         """
-        if not len(records.centre):
+        if not self.size:
             return np.zeros(1, dtype=np.intp)
-        curvature, x = records.curvature[-1], self._folded(x)[0]
+        curvature, x = self._records.curvature[self.size - 1], x * INPUT_SIGNS[self._image(x)]
         chosen, left = [], np.arange(len(x))
         while len(left):
             chosen.append(left[0])
@@ -239,12 +231,12 @@ class StressTable:
 
     def _solved(self, x: Array, R: Array, state: Any, points: NDArray[np.intp]) -> Records:
         """Records at canonical images of the points x, those without tangents left out."""
-        records, found, solves = probed_records(
+        records, found, solves = records_from_neighbours(
             self.law, x, R, state, points, self.tolerance, self._reach
         )
         self.counts["table_rve_solves"] += solves
-        _, image = self._folded(x[found])
-        inner, outer = INPUT_SIGNS[image], OUTPUT_SIGNS[image]
+        image = self._image(x[found])
+        inner, outer = INPUT_SIGNS[image], COMPONENT_SIGNS[image]
         return Records(
             records.centre * inner,
             records.stress * outer,
@@ -252,6 +244,10 @@ class StressTable:
             records.curvature * inner[:, :, None] * inner[:, None],
             records.extent,
         )
+
+    def _image(self, x: Array) -> NDArray[np.intp]:
+        """(n,) which image of each state is its canonical one; 0 without symmetry."""
+        return canonical_image(x) if self.images > 1 else np.zeros(len(x), dtype=np.intp)
 
 
 def sampled_spread(law: Fallback, range: SamplingRange, seed: int = 1) -> float:
@@ -266,3 +262,71 @@ def sampled_spread(law: Fallback, range: SamplingRange, seed: int = 1) -> float:
     if not len(valid):
         raise InputError("range: no sample of it has a stress; narrow it")
     return stress_spread(valid)
+
+
+class ChainedSurrogate:
+    """A surrogate, and a table for what it may not answer; the table alone learns.
+
+    Attributes:
+        cell, initialisation, density, stress_spread, has_bound: those of the surrogate.
+
+    Raises:
+        MismatchError: they are not of the same plant cell and initialisation.
+    """
+
+    has_tangents, learns = False, True
+
+    def __init__(self, surrogate: Surrogate, table: StressTable) -> None:
+        if surrogate.cell != table.cell or surrogate.initialisation != table.initialisation:
+            raise MismatchError(
+                f"table: of cell parameters {table.cell.fingerprint}, {table.initialisation}, the "
+                f"surrogate of {surrogate.cell.fingerprint}, {surrogate.initialisation}; use a "
+                "table of these parameters"
+            )
+        self.surrogate = surrogate
+        self.table = table
+        self.cell, self.initialisation = surrogate.cell, surrogate.initialisation
+        self.density, self.stress_spread = surrogate.density, surrogate.stress_spread
+        self.has_bound = surrogate.has_bound
+
+    def lookup(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[Array, NDArray[np.int8], Array]:
+        """As `Surrogate.lookup`; a point that neither knows has the surrogate's status."""
+        stress, status, bound = self.surrogate.lookup(F, F_dot, tolerance)
+        missed = status.nonzero()[0]
+        if not len(missed):
+            return stress, status, bound
+        answer, known, of_table = self.table.lookup(F[missed], F_dot[missed], tolerance)
+        found = known == Status.OK
+        at = missed[found]
+        stress[at], status[at], bound[at] = answer[found], Status.OK, of_table[found]
+        return stress, status, bound
+
+    def status_and_bound(
+        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    ) -> tuple[NDArray[np.int8], Array]:
+        """Those of `lookup`."""
+        status, bound = self.surrogate.status_and_bound(F, F_dot, tolerance)
+        missed = status.nonzero()[0]
+        if len(missed):
+            known, of_table = self.table.status_and_bound(F[missed], F_dot[missed], tolerance)
+            found = known == Status.OK
+            status[missed[found]], bound[missed[found]] = Status.OK, of_table[found]
+        return status, bound
+
+    def tangents(self, F: Array, F_dot: Array) -> Tangents:
+        """An InputError, the table's."""
+        return self.table.tangents(F, F_dot)
+
+    def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
+        """Let the table take true answers in."""
+        self.table.learn(F, F_dot, stress, state)
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """The table's."""
+        return self.table.to_arrays()
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Let the table know what it knew."""
+        self.table.from_arrays(arrays)

@@ -1,4 +1,4 @@
-"""What true answers say of a table's ellipsoids: covered, to be grown, to be shrunk; compiled.
+"""Grows and shrinks the ellipsoids of a table by true answers; compiled.
 
 Growing is ISAT's (Pope 1997, section 3.3): where the linear model of a near record is right at a
 point outside its ellipsoid, this becomes the least ellipsoid that holds the old one and the point.
@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.table_inputs import INPUT_SIGNS, OUTPUT_SIGNS, OUTPUTS
-from surrofe2.cache.table_records import Records
-from surrofe2.cache.table_tree import quadratic
+from surrofe2.cache.table.records import OUTPUTS, Records, joined
+from surrofe2.cache.table.search_tree import Tree, enlarge, find_all, make_tree, quadratic
 from surrofe2.compilation import kernel
+from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
@@ -44,61 +44,82 @@ class Rule(NamedTuple):
 
 
 _RULE = Rule()
+_NO_GROWTH = Rule(reach=1.0)
+SAME = 0.01
+"""A record within so small a share of the tolerance of another, by its bound, adds nothing."""
+_MOST = 4096  # records that may have something to say of a point
 
 
-def weigh(
-    x: Array, s: Array, tolerance: float, images: int, records: Records, rule: Rule = _RULE
+def update_ellipsoids(
+    x: Array,
+    s: Array,
+    images: int,
+    records: Records,
+    tree: Tree,
+    rule: Rule = _RULE,
 ) -> tuple[NDArray[np.bool_], dict[str, int]]:
     """(covered (m,), counts) of m true answers, by which curvature and extent change in place.
 
     Args:
         x, s: (m, 7), (m, 4) inputs and stress.
         images: 4 with the symmetry D4, 1 without.
-        records: whose arrays are changed: pass copies.
+        records: whose arrays are changed.
+        tree: of the records, for the tolerance that decides; its boxes grow with them.
     """
     covered = np.zeros(len(x), dtype=np.bool_)
     counts = np.zeros(2, dtype=np.int64)
-    _weigh(
-        x, s, tolerance, images, rule, records.centre, records.stress, records.slope,
-        records.curvature, records.extent, covered, counts,
-    )  # fmt: skip
+    _update(x, s, images, rule, records, tree, covered, counts)
     return covered, {"grown": int(counts[0]), "shrunk": int(counts[1])}
 
 
 @kernel
-def _weigh(  # type: ignore[no-untyped-def]
-    x, s, tolerance, images, rule, centre, stress, slope, curvature, extent, covered, counts
-):
+def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore[no-untyped-def]
+    tolerance = tree.tolerance
     reach = rule.reach * tolerance
     p, candidate = np.empty(INPUTS), np.empty(INPUTS)
+    found, bounds = np.empty(images * _MOST, dtype=np.int32), np.empty(_MOST)
     for point in range(x.shape[0]):
-        nearest, least = -1, reach
-        for k in range(centre.shape[0]):
+        many = 0
+        for flips in range(images):
+            for i in range(INPUTS):
+                p[i] = x[point, i] * INPUT_SIGNS[flips, i]
+            many += find_all(
+                p,
+                reach,
+                records.centre,
+                records.curvature,
+                tree,
+                found[many : many + _MOST],
+                bounds,
+            )
+        nearest, least, last = -1, reach, -1
+        for k in np.sort(found[:many]):
+            if k == last:
+                continue
+            last = k
             for flips in range(images):
-                near = True
                 for i in range(INPUTS):
-                    p[i] = x[point, i] * INPUT_SIGNS[flips, i] - centre[k, i]
-                    near &= p[i] * p[i] <= reach * extent[k, i]
-                if not near:
-                    continue
-                bound = quadratic(p, curvature[k])
+                    p[i] = x[point, i] * INPUT_SIGNS[flips, i] - records.centre[k, i]
+                bound = quadratic(p, records.curvature[k])
                 if bound > reach:
                     continue
-                error = _error(p, s[point], flips, stress[k], slope[k])
+                error = _error(p, s[point], flips, records.stress[k], records.slope[k])
                 if bound > tolerance:
                     if error <= rule.growing * tolerance and bound < least:
                         nearest, least = k, bound
                         candidate[:] = p
                 elif error > max(bound, rule.shrinking * tolerance):
                     counts[1] += 1
-                    set_bound(p, rule.margin * error, curvature[k], extent[k])
+                    set_bound(p, rule.margin * error, records.curvature[k], records.extent[k])
                     bound = rule.margin * error
                     covered[point] |= bound <= tolerance
                 else:
                     covered[point] = True
         if not covered[point] and nearest >= 0:
             counts[0] += 1
-            set_bound(candidate, (1.0 - 1e-9) * tolerance, curvature[nearest], extent[nearest])
+            target = (1.0 - 1e-9) * tolerance
+            set_bound(candidate, target, records.curvature[nearest], records.extent[nearest])
+            enlarge(nearest, records.centre, records.extent, tree)
             covered[point] = True
 
 
@@ -110,7 +131,7 @@ def _error(p, s, flips, stress, slope):  # type: ignore[no-untyped-def]
         answer = stress[k]
         for i in range(INPUTS):
             answer += slope[k, i] * p[i]
-        total += (answer - s[k] * OUTPUT_SIGNS[flips, k]) ** 2
+        total += (answer - s[k] * COMPONENT_SIGNS[flips, k]) ** 2
     return np.sqrt(0.5 * total)
 
 
@@ -130,3 +151,30 @@ def set_bound(p, target, curvature, extent):  # type: ignore[no-untyped-def]
         for j in range(INPUTS):
             curvature[i, j] += factor * pull[i] * pull[j]
         extent[i] += (1.0 / target - 1.0 / bound) * p[i] * p[i]
+
+
+def merged(first: Records, second: Records, tolerance: float, images: int) -> Records:
+    """All records of both but those of the second that the first has too.
+
+    The stress at each centre is a true answer, and shrinks every ellipsoid that is wrong there.
+
+    Args:
+        tolerance: µN/µm, for which ellipsoids are tested.
+        images: 4 with the symmetry D4, 1 without.
+    """
+    near = SAME * tolerance
+    tree = make_tree(first.centre, first.extent, near)
+    is_known = np.empty(len(second.centre), dtype=np.bool_)
+    _hold_any(second.centre, near, first, tree, is_known)
+    records = joined(first, second.take(np.flatnonzero(~is_known)))
+    tree = make_tree(records.centre, records.extent, tolerance)
+    update_ellipsoids(records.centre, records.stress, images, records, tree, _NO_GROWTH)
+    return records
+
+
+@kernel
+def _hold_any(x, limit, records, tree, held):  # type: ignore[no-untyped-def]
+    """Fill held (m,): whether the bound of any record at x (m, 7) is at most `limit`."""
+    found, bounds = np.empty(1, dtype=np.int32), np.empty(1)
+    for p in range(x.shape[0]):
+        held[p] = find_all(x[p], limit, records.centre, records.curvature, tree, found, bounds) > 0

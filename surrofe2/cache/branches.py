@@ -1,0 +1,274 @@
+"""Which point is answered by the surrogate, which by the fallback, and when that changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.cache.protocols import Fallback, Surrogate
+from surrofe2.errors import InputError
+from surrofe2.stress_law import Status, StressResponse, Tangents
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+NOT_TRUSTED = np.int8(Status.NOT_TRUSTED)
+STAY, RETURN = 0.9, 0.8
+"""Shares of the tolerance up to which the bound foreseen may rise for a point to stay with the
+surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
+
+
+@dataclass(frozen=True, slots=True)
+class PointSet:
+    """Points in any order, each once.
+
+    Attributes:
+        points: (k,) indices.
+        why: (k,) int8 `Status` for which the surrogate first did not answer them.
+        state: the fallback's state for the k points in this order, or None.
+    """
+
+    points: Indices
+    why: NDArray[np.int8]
+    state: Any = None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def only(self, chosen: NDArray[np.bool_]) -> PointSet:
+        """The points chosen (k,)."""
+        if chosen.all():
+            return self
+        places = chosen.nonzero()[0]
+        state = self.state if self.state is None or not len(places) else self.state.take(places)
+        return PointSet(self.points[places], self.why[places], state if len(places) else None)
+
+    def and_also(self, points: Indices, why: NDArray[np.int8], state: Any) -> PointSet:
+        """These points and others, with the fallback's state for those."""
+        return PointSet(
+            np.concatenate([self.points, points]),
+            np.concatenate([self.why, why]),
+            state_of_both(self.state, len(self), state, len(points)),
+        )
+
+
+NO_POINTS = PointSet(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.int8))
+
+
+@dataclass(frozen=True, slots=True)
+class CachedState:
+    """Who is answered by the fallback, and what the next step needs to know.
+
+    Attributes:
+        count: n, the points there are.
+        on_fallback: those the fallback answers until the step is accepted, with its warm start.
+        tolerance: that bounds are compared with during this step, µN/µm; negative: none holds.
+        bound: (n,) of the answer this came with, inf where the fallback gave it; or None.
+        before: (F, Ḟ) at the last accepted step, or None.
+    """
+
+    count: int
+    on_fallback: PointSet = NO_POINTS
+    tolerance: float = np.inf
+    bound: Array | None = None
+    before: tuple[Array, Array] | None = None
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """Of a state that was accepted, which carries no bound; for `from_arrays`."""
+        before = np.empty((0, self.count, 2, 2)) if self.before is None else np.stack(self.before)
+        fallback = self.on_fallback.state
+        return {
+            "count": np.array(self.count),
+            "tolerance": np.array(self.tolerance),
+            "points": self.on_fallback.points,
+            "why": self.on_fallback.why,
+            "before": before,
+            **within("fallback", {} if fallback is None else fallback.to_arrays()),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray], fallback: Fallback) -> CachedState:
+        """The state whose `to_arrays` gave `arrays`, with the warm start of this fallback."""
+        known, before = part_of(arrays, "fallback"), arrays["before"]
+        state = fallback.state_from_arrays(known) if known else None
+        on_fallback = PointSet(arrays["points"].astype(np.intp), arrays["why"], state)
+        return cls(
+            count=int(arrays["count"]),
+            on_fallback=on_fallback,
+            tolerance=float(arrays["tolerance"]),
+            before=(before[0], before[1]) if len(before) else None,
+        )
+
+    def free(self) -> NDArray[np.bool_]:
+        """(n,) the points that the surrogate may answer."""
+        free = np.ones(self.count, dtype=bool)
+        free[self.on_fallback.points] = False
+        return free
+
+
+def look_up(
+    surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState
+) -> tuple[Array, NDArray[np.int8], Array]:
+    """As `Surrogate.lookup`, with stress 0, status 0 and an infinite bound at points held."""
+    if not len(state.on_fallback) and state.tolerance >= 0.0:
+        return surrogate.lookup(F, F_dot, state.tolerance)
+    stress, bound = np.zeros_like(F), np.full(len(F), np.inf)
+    status = np.zeros(len(F), dtype=np.int8)
+    free = state.free()
+    if state.tolerance < 0.0:
+        status[free] = Status.NOT_TRUSTED
+    elif free.any():
+        answer = surrogate.lookup(F[free], F_dot[free], state.tolerance)
+        stress[free], status[free], bound[free] = answer
+    return stress, status, bound
+
+
+def choose_branches(
+    surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState, tolerance: float
+) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], NDArray[np.bool_]]:
+    """Which points must leave the surrogate for the next step, and which may return to it.
+
+    Returns:
+        (n,) int8: why a free point must leave, 0 where it may stay.
+        (k, 2, 2), (k,): the surrogate's stress and status at the k points on the fallback, now.
+        (k,): whether each of them may return.
+    """
+    points = state.on_fallback.points
+    there = extrapolate(F, F_dot, state.before)
+    ahead, bound_ahead = surrogate.status_and_bound(*there, tolerance)
+    if state.bound is not None and np.isfinite(tolerance):
+        rising = (bound_ahead > STAY * tolerance) & (bound_ahead > state.bound)
+        ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
+    narrower = tolerance < state.tolerance
+    if not len(points) and not narrower:
+        return ahead, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
+    leaving = np.where(state.free(), ahead, np.int8(0))
+    if state.bound is not None and narrower:
+        leaving[state.free() & (leaving == 0) & ~(state.bound <= tolerance)] = Status.NOT_TRUSTED
+    if not len(points):
+        return leaving, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
+    stress, status, bound = surrogate.lookup(F[points], F_dot[points], tolerance)
+    limit = RETURN * tolerance
+    returning = (status == 0) & (bound <= limit)
+    returning &= (ahead[points] == 0) & (bound_ahead[points] <= limit)
+    return leaving, stress, status, returning
+
+
+def check_state(state: Any, count: int) -> CachedState:
+    """The state, or an InputError if it is not one for so many points."""
+    if not isinstance(state, CachedState) or state.count != count:
+        raise InputError(
+            f"state: not a state of a CachedLaw for {count} points; pass what an earlier answer "
+            "for the same points carried, or None"
+        )
+    return state
+
+
+def all_tangents(
+    count: int, free: Indices, of_free: Tangents, known: Indices, of_known: Tangents | None
+) -> Tangents:
+    """Tangents of all points from those of the free ones and of those on the fallback."""
+    if of_known is None:
+        return of_free
+    by_F, by_F_dot = np.empty((2, count, 2, 2, 2, 2))
+    by_F[free], by_F_dot[free] = of_free.P_by_F, of_free.P_by_F_dot
+    by_F[known], by_F_dot[known] = of_known.P_by_F, of_known.P_by_F_dot
+    return Tangents(by_F, by_F_dot)
+
+
+def extrapolate(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    """Hermite extrapolation of (F, Ḟ) over one step ahead of the same length h as the last.
+
+        F₊ = F − 5 ΔF + h (4 Ḟ + 2 Ḟ₋),    Ḟ₊ = 8 Ḟ + 5 Ḟ₋ − 12 ΔF/h
+
+    A law is not told h; here it is that by which the mean of the two rates comes closest to
+    ΔF = F − F₋, over all points. Without rates, as in a quasi-static run, F goes straight on;
+    without a step before all is as it is now.
+    """
+    if before is None or before[0].shape != F.shape:
+        return F, F_dot
+    change, rates = F - before[0], F_dot + before[1]
+    speed = np.vdot(rates, rates)
+    length = 2.0 * np.vdot(change, rates) / speed if speed > 0.0 else 0.0
+    if not length > 0.0:
+        return F + change, F_dot
+    return (
+        F - 5.0 * change + length * (4.0 * F_dot + 2.0 * before[1]),
+        8.0 * F_dot + 5.0 * before[1] - (12.0 / length) * change,
+    )
+
+
+def state_of_both(first: Any, count: int, second: Any, more: int) -> Any:
+    """The fallback's state for `count` points and then `more` others; None: it keeps none."""
+    if first is None or second is None:
+        return second if first is None else first
+    places = np.zeros(count + more, dtype=np.intp)  # any will do for those to be put over
+    places[:count] = np.arange(count)
+    return first.take(places).put(np.arange(count, count + more), second)
+
+
+def beyond_bifurcation(state: Any, count: int) -> NDArray[np.bool_]:
+    """(count,) whether the fallback's state says that the stress there is one of several."""
+    left: NDArray[np.bool_]
+    left = np.zeros(count, dtype=np.bool_) if state is None else state.left_points
+    return left
+
+
+def answer_both(
+    law: Fallback,
+    F: Array,
+    F_dot: Array,
+    known: PointSet,
+    new: Indices,
+    *,
+    tangents: bool = False,
+) -> StressResponse:
+    """The law at the known points, warm, and then at new ones, cold."""
+    if not len(new):
+        return law.respond(F[known.points], F_dot[known.points], known.state, tangents=tangents)
+    cold = law.respond(F[new], F_dot[new], None, tangents=tangents)
+    if not len(known):
+        return cold
+    warm = law.respond(F[known.points], F_dot[known.points], known.state, tangents=tangents)
+    return StressResponse(
+        np.concatenate([warm.stress, cold.stress]),
+        np.concatenate([warm.status, cold.status]),
+        state_of_both(warm.state, len(known), cold.state, len(new)),
+        added(warm.effort, cold.effort),
+        _joined(warm.tangents, cold.tangents),
+    )
+
+
+def _joined(first: Tangents | None, second: Tangents | None) -> Tangents | None:
+    """Tangents of both one after the other; None where there are none."""
+    if first is None or second is None:
+        return None
+    return Tangents(
+        np.concatenate([first.P_by_F, second.P_by_F]),
+        np.concatenate([first.P_by_F_dot, second.P_by_F_dot]),
+    )
+
+
+def added(effort: Mapping[str, int], more: Mapping[str, int]) -> dict[str, int]:
+    """Sum by name."""
+    total = dict(effort)
+    for name, value in more.items():
+        total[name] = total.get(name, 0) + value
+    return total
+
+
+def within(name: str, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """The arrays by names that begin with another and a dot."""
+    return {f"{name}.{key}": values for key, values in arrays.items()}
+
+
+def part_of(arrays: Mapping[str, NDArray], name: str) -> dict[str, NDArray]:
+    """What `within` was given by this name."""
+    start = f"{name}."
+    return {
+        key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)
+    }

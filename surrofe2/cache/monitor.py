@@ -1,0 +1,183 @@
+"""Counts, audits, trust and cost of a cached law: all that changes when a step is kept."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.cache.audit import Audit, Finding, Question
+from surrofe2.cache.branches import CachedState, PointSet, beyond_bifurcation, part_of, within
+from surrofe2.cache.cost import Meter
+from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
+from surrofe2.cache.settings import CacheSettings
+from surrofe2.cache.trust import FaultDetector, Trust
+from surrofe2.stress_law import Status
+
+Array = NDArray[np.float64]
+
+FALLBACK, AUDIT = 0, 1
+_REASONS = {
+    Status.OUT_OF_RANGE: "out_of_range",
+    Status.NOT_FINITE: "not_finite",
+    Status.NOT_TRUSTED: "not_trusted",
+}
+
+
+def effort_of(count: int, why: NDArray[np.int8]) -> dict[str, int]:
+    """Of `count` points, hits and fallbacks, the latter also by the surrogate's reason (k,)."""
+    counts = np.bincount(why, minlength=len(Status)).tolist()
+    by_reason = {f"fallbacks_{name}": counts[code] for code, name in _REASONS.items()}
+    return {"hits": count - len(why), "fallbacks": len(why), **by_reason}
+
+
+NO_EFFORT = effort_of(0, np.empty(0, dtype=np.int8))
+
+
+class Monitor:
+    """What a cached law has done so far, and how well.
+
+    Attributes:
+        counts: see `CachedLaw.counts`.
+        trust: what lookups are given for a tolerance.
+        meter: stopwatch, the one thing that runs while the law responds.
+    """
+
+    def __init__(
+        self,
+        surrogate: Surrogate,
+        fallback: Fallback,
+        settings: CacheSettings,
+        on_true_answer: OnTrueAnswer | None,
+    ) -> None:
+        self._surrogate = surrogate
+        self._settings = settings
+        self._on_true_answer = on_true_answer
+        self._spread = surrogate.stress_spread if surrogate.has_bound else None
+        self.counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
+        allowed = np.inf if self._spread is None else settings.tolerance * float(self._spread)
+        self.trust = Trust(allowed)
+        self.meter = Meter(fallback)
+        self._audit = Audit(fallback, settings.audit, settings.seed, allowed)
+        self._faults = FaultDetector(learns=surrogate.learns)
+        if self._spread is None and np.isfinite(settings.tolerance):
+            self.trust.warn(
+                0,
+                "the surrogate knows no bound of its error: its range alone decides, whatever "
+                "the tolerance",
+            )
+
+    def note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:
+        """Everything that changes at a kept step but the branches."""
+        self.meter.steps += 1
+        counts, known, hits = self.counts, state.on_fallback, state.free().nonzero()[0]
+        for name, value in effort_of(state.count, known.why).items():
+            counts[name] += value
+        counts["steps"] += 1
+        counts["in_domain"] += len(hits)
+        step = counts["steps"]
+        if len(known):
+            self.distribute(F, F_dot, stress, known)
+        if self.trust.is_off or state.bound is None:
+            return
+        chosen = self._audit.choose(hits)
+        if len(chosen) and self._audit.wait(
+            Question(
+                np.full(len(chosen), step),
+                chosen,
+                F[chosen],
+                F_dot[chosen],
+                stress[chosen],
+                state.bound[chosen],
+            )
+        ):
+            self.run_audit()
+        fault = self._faults.check(F, stress, state.bound, hits, known.why, state.tolerance)
+        if fault is not None and not self.trust.is_off:
+            self.trust.switch_off(step, fault)
+
+    def distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
+        """Give the fallback's answers to whoever keeps or learns them."""
+        known = known.only(~beyond_bifurcation(known.state, len(known)))
+        if not len(known):
+            return
+        at, true = (F[known.points], F_dot[known.points]), stress[known.points]
+        if self._on_true_answer is not None:
+            none = np.zeros(len(known), dtype=np.int8)
+            self._on_true_answer(*at, true, none, np.full(len(known), FALLBACK, dtype=np.int8))
+        self._surrogate.learn(*at, true, known.state)
+
+    def run_audit(self) -> None:
+        """Audit what waits; distribute the truth, let what was wrong be learnt, and judge."""
+        with self.meter.part("audit"):
+            found = self._audit.run()
+        if found is None:
+            return
+        asked, is_one_of_several = found.asked, beyond_bifurcation(found.state, len(found.error))
+        if self._on_true_answer is not None:
+            kept = ~is_one_of_several
+            why = np.full(int(kept.sum()), AUDIT, dtype=np.int8)
+            self._on_true_answer(
+                asked.F[kept], asked.F_dot[kept], found.stress[kept], found.status[kept], why
+            )
+        self._learn_from(found, found.broken & (found.status == 0) & ~is_one_of_several)
+        if not self.trust.is_off:
+            self.trust.judge(self.counts["steps"], found.broken, found.error, asked.bound)
+
+    def _learn_from(self, found: Finding, chosen: NDArray[np.bool_]) -> None:
+        wrong, asked = chosen.nonzero()[0], found.asked
+        if len(wrong):
+            state = None if found.state is None else found.state.take(wrong)
+            self._surrogate.learn(asked.F[wrong], asked.F_dot[wrong], found.stress[wrong], state)
+
+    def history(self) -> dict[str, Any]:
+        """How the cache has done so far, as plain values for run.json."""
+        return {
+            "tolerance": {
+                "share": self._settings.tolerance,
+                "spread": self._spread,
+                "absolute": self.trust.allowed,
+            },
+            "accepted": dict(self.counts),
+            "audit": {
+                "share": self._settings.audit,
+                "seed": self._settings.seed,
+                **self._audit.record.to_dict(),
+            },
+            "trust": self.trust.to_dict(),
+            "cost": None,
+        }
+
+    def report(self) -> dict[str, Any]:
+        """`history` at the end of a run: what still waits is audited, and the cost is stated."""
+        self.run_audit()
+        cost = self.meter.cost(all_true=not self.counts["hits"])
+        return self.history() | {"cost": cost.to_dict() if cost else None}
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """All that it knows, and what the surrogate has learnt, for `from_arrays`."""
+        values = {
+            "counts": self.counts,
+            "trust": self.trust.to_values(),
+            "faults": self._faults.to_values(),
+            "audit": self._audit.to_values(),
+            "meter": self.meter.to_values(),
+        }
+        return {
+            "values": np.frombuffer(json.dumps(values).encode(), dtype=np.uint8),
+            **within("audit", self._audit.to_arrays()),
+            **within("surrogate", self._surrogate.to_arrays()),
+        }
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Know what the monitor of the same law and settings knew at its `to_arrays`."""
+        values = json.loads(arrays["values"].tobytes())
+        self.counts = dict(values["counts"])
+        self.trust.from_values(values["trust"])
+        self._faults = FaultDetector(**values["faults"])
+        self._audit.restore(part_of(arrays, "audit"), values["audit"])
+        self.meter.from_values(values["meter"])
+        self._surrogate.from_arrays(part_of(arrays, "surrogate"))

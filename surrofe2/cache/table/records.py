@@ -1,0 +1,178 @@
+"""Records of a table: linear models of the stress, each with its ellipsoid of accuracy.
+
+A record says S(x) ≈ s₀ + G (x − x₀), x the seven inputs of `tensors` and S of the four components
+sum, difference, shear and spin; |S| = √(s·s/2) is its Frobenius norm. The error of a linear model
+is quadratic in the distance, so it is bounded by
+
+    bound(x) = dᵀ C d,    d = x − x₀,
+
+with the record's curvature C (symmetric, positive definite), and the ellipsoid of accuracy for a
+tolerance is where bound ≤ tolerance. ISAT keeps M = C/tolerance (Pope 1997, section 3.2); C does
+not depend on the tolerance. What a table claims is no more than this: a quadratic law through the
+errors it has seen.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.cache.protocols import Fallback
+from surrofe2.sampling import SamplingRange
+from surrofe2.tensors import INPUTS, from_components, from_inputs, to_components, transpose
+
+Array = NDArray[np.float64]
+
+OUTPUTS = 4
+NEIGHBOUR = 0.1
+"""How far a neighbour lies from its record, in half widths of the range."""
+MARGIN = 1.2
+"""On the second derivatives, for what they change within the ellipsoid."""
+_GROUP = 1 + INPUTS
+
+
+class Records(NamedTuple):
+    """n records.
+
+    Attributes:
+        centre: (n, 7) x₀, 1 and 1/µs.
+        stress: (n, 4) s₀, µN/µm.
+        slope: (n, 4, 7) G = ∂s/∂x.
+        curvature: (n, 7, 7) C.
+        extent: (n, 7) diagonal of C⁻¹: the ellipsoid of a tolerance has half widths
+            √(tolerance · extent).
+    """
+
+    centre: Array
+    stress: Array
+    slope: Array
+    curvature: Array
+    extent: Array
+
+    def take(self, index: NDArray[np.intp]) -> Records:
+        """The records `index` alone."""
+        return Records(*(part[index] for part in self))
+
+
+def no_records() -> Records:
+    """An empty table's records."""
+    return make_records(
+        np.empty((0, INPUTS)),
+        np.empty((0, OUTPUTS)),
+        np.empty((0, OUTPUTS, INPUTS)),
+        np.empty((0, INPUTS, INPUTS)),
+    )
+
+
+def make_records(centre: Array, stress: Array, slope: Array, curvature: Array) -> Records:
+    """Records with their extents."""
+    extent = np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2).copy()
+    return Records(centre, stress, slope, curvature, extent)
+
+
+def joined(first: Records, second: Records) -> Records:
+    """Records of both."""
+    return Records(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+
+
+def curvature_from_slopes(slope: Array, probed: Array, step: Array, reach: Array) -> Array:
+    """C (n, 7, 7) from the change of the exact slopes over a short way along each input.
+
+    With the second derivatives H_k of the four components, the error is |½ (dᵀ H_k d)_k| in the
+    Frobenius norm, which ½ dᵀ (½ Σ H_k²)^½ d follows closely (exactly where the H_k commute).
+
+    Args:
+        slope: (n, 4, 7) G at the centre.
+        probed: (n, 7, 4, 7) G at x₀ + step along each input in turn.
+        step: (7,) how far.
+        reach: (7,) the unit in which squares of different inputs are added up.
+    """
+    second = (probed - slope[:, None]) / step[:, None, None]  # [n, along, k, of]
+    second = np.moveaxis(second, 1, 3) * reach[:, None] * reach
+    second = 0.5 * (second + np.swapaxes(second, 2, 3))
+    squares = 0.5 * (second @ second).sum(axis=1)
+    size, axes = np.linalg.eigh(squares)
+    root = axes * np.sqrt(np.maximum(size, 0.0))[:, None] @ np.swapaxes(axes, 1, 2)
+    return 0.5 * root / (reach[:, None] * reach)
+
+
+def curvature_from_constant(slope: Array, tolerance: float, reach: Array) -> Array:
+    """C (n, 7, 7) such that the stress changes by at most the tolerance over the ellipsoid.
+
+    ISAT's first, conservative ellipsoid (Pope 1997, section 3.3), from the slopes alone.
+    """
+    curvature = 0.5 * np.swapaxes(slope, 1, 2) @ slope / tolerance
+    return limited(curvature, tolerance, reach)
+
+
+def limited(curvature: Array, tolerance: float, reach: Array) -> Array:
+    """C with semi-axes of the ellipsoid of at most `reach` (7,) along the inputs."""
+    return curvature + np.diag(tolerance / reach**2)
+
+
+def records_from_neighbours(
+    law: Fallback,
+    x: Array,
+    R: Array,
+    state: Any,
+    points: NDArray[np.intp],
+    tolerance: float,
+    reach: Array,
+) -> tuple[Records, NDArray[np.intp], int]:
+    """(records, which of the points they are at, RVE solves) for points x (m, 7) at R (m, 2, 2).
+
+    Eight RVEs each: the point, and a neighbour along every input. Where a neighbour has no
+    tangents, the ellipsoid is that of the stress taken as constant; a point that has none itself
+    gets no record.
+
+    Args:
+        state: the law's warm start, of which `points` (m,) are these, or None.
+        tolerance: µN/µm.
+        reach: (7,) half widths of the range.
+    """
+    m = len(x)
+    step = NEIGHBOUR * reach
+    nearby = (x[:, None] + np.concatenate([np.zeros((1, INPUTS)), np.diag(step)])).reshape(-1, 7)
+    frame = np.repeat(R, _GROUP, axis=0)
+    F, F_dot = from_inputs(nearby, frame)
+    warm = None if state is None else state.take(np.repeat(points, _GROUP))
+    answer = law.respond(F, F_dot, warm, tangents=True)
+    tangents = answer.tangents
+    assert tangents is not None  # a law without them has no table
+    stress = np.where(answer.status[:, None, None] == 0, answer.stress, 0.0)
+    by_F, by_F_dot = tangents.cauchy(F, stress)
+    slopes = input_slopes(frame, by_F, by_F_dot).reshape(m, _GROUP, 4, INPUTS)
+    sound = (answer.status == 0).reshape(m, _GROUP) & np.isfinite(slopes).all(axis=(2, 3))
+    found = np.flatnonzero(sound[:, 0])
+    whole, slopes = sound[found].all(axis=1), slopes[found]
+    s = to_components(transpose(frame) @ stress @ frame).reshape(m, _GROUP, 4)[found, 0]
+    curvature = curvature_from_constant(slopes[:, 0], tolerance, reach)
+    curvature[whole] = limited(
+        MARGIN * curvature_from_slopes(slopes[whole, 0], slopes[whole, 1:], step, reach),
+        tolerance,
+        reach,
+    )
+    return make_records(x[found], s, slopes[:, 0], curvature), found, len(F)
+
+
+def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
+    """∂s/∂x (n, 4, 7) from ∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2) each.
+
+    A change of x at fixed R changes F by R δU and Ḟ by R δA, and σ by R δS Rᵀ.
+    """
+    directions = from_components(np.eye(OUTPUTS))
+    stretch = np.einsum("nabcd,nck,jkd->njab", by_F, R, directions[:3])
+    rate = np.einsum("nabcd,nck,jkd->njab", by_F_dot, R, directions)
+    turned = np.concatenate([stretch, rate], axis=1)
+    slopes = to_components((transpose(R)[:, None] @ turned @ R[:, None]).reshape(-1, 2, 2))
+    return np.swapaxes(slopes.reshape(-1, INPUTS, OUTPUTS), 1, 2)
+
+
+def input_scale(range: SamplingRange) -> Array:
+    """(7,) half the width of a range in each input; a bound of 0 gives 1."""
+    low, high = range.stretch
+    half_width = max(abs(low - 1.0), abs(high - 1.0))
+    scale = 2.0 * np.array([half_width, half_width, range.shear, *[range.rate] * 4])
+    return np.where(scale > 0.0, scale, 1.0)

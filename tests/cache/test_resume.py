@@ -1,0 +1,118 @@
+"""A cached run that is interrupted and goes on equals one that was not, to the bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw, CacheSettings, ChainedSurrogate, StressTable
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.rve import RveLaw
+from surrofe2.sampling import SamplingRange
+from tests.laws import CELL, Learnt, Truth, shear_error
+
+LOAD_CASE = LoadCase(
+    width=100.0, height=100.0, body_force=(0.0, -0.1), watched=(100.0, 50.0), duration=20.0,
+    output_interval=1.0,
+)  # fmt: skip
+SETTINGS = MacroSettings(elements=(2, 2))
+RANGE = SamplingRange(stretch=(0.92, 1.08), shear=0.08, rate=0.01)
+
+
+def learnt(size=0.02):
+    return Learnt(shear_error(size), lambda F, F_dot: 0.02 + 3.0 * abs(F[:, 1, 0]))
+
+
+def untrustworthy():
+    """Off by more than its bound says, so that audits tighten and switch it off."""
+    return CachedLaw(learnt(0.3), Truth(), CacheSettings(tolerance=0.01, audit=0.3))
+
+
+def falling_back():
+    return CachedLaw(learnt(), Truth(), CacheSettings(tolerance=0.008, audit=0.05))
+
+
+def learning():
+    table = StressTable(Truth(), 0.02, RANGE, 10.0)
+    settings = CacheSettings(tolerance=0.006, audit=0.05)
+    return CachedLaw(ChainedSurrogate(learnt(), table), Truth(), settings)
+
+
+def of_cells():
+    """True RVEs whose warm starts decide the last bits."""
+    law = RveLaw(CELL, initialisation="elastic")
+    surrogate = Learnt(
+        lambda F, F_dot: np.zeros(len(F)),
+        lambda F, F_dot: np.full(len(F), 0.02),
+        outside=lambda F: F[:, 0, 1] + F[:, 1, 0] < -2e-3,
+    )
+    return CachedLaw(surrogate, law, CacheSettings(tolerance=1.0, audit=0.02))
+
+
+class Stop(KeyboardInterrupt):
+    pass
+
+
+def interrupted(make, steps):
+    """The arrays of the checkpoint of a run that is stopped after so many steps."""
+    law, kept, left = make(), [], [steps]
+
+    def stop(t, duration):
+        left[0] -= 1
+        if left[0] == 0:
+            raise Stop
+
+    def keep(state):
+        kept.append((state.to_arrays(), law.to_arrays(state.law_state)))
+
+    with pytest.raises(Stop):
+        simulate(LOAD_CASE, law, SETTINGS, progress=stop, checkpoint=keep, checkpoint_interval=1e9)
+    return kept[-1]
+
+
+def told(law):
+    """All it has to say but seconds."""
+    history = law.history()
+    return {name: history[name] for name in ("tolerance", "accepted", "audit", "trust")}
+
+
+@pytest.mark.parametrize("make", [untrustworthy, falling_back, learning, of_cells])
+def test_a_resumed_run_is_the_uninterrupted_one_to_the_bit(make):
+    law = make()
+    whole = simulate(LOAD_CASE, law, SETTINGS)
+    steps = whole.counts["steps"]
+    assert law.counts["fallbacks"] > 0
+    assert law.counts["hits"] > 0
+    waited = False
+    for stop in (1, steps // 3, steps // 2, steps - 3):
+        arrays, of_law = interrupted(make, stop)
+        waited |= any(name.startswith("monitor.audit.waiting") for name in of_law)
+        again = make()
+        state = MacroState.from_arrays(arrays)
+        state = replace(state, law_state=again.from_arrays(of_law))
+        resumed = simulate(LOAD_CASE, again, SETTINGS, resume=state)
+        assert np.array_equal(resumed.curve.displacement, whole.curve.displacement)
+        assert np.array_equal(resumed.energies["internal"], whole.energies["internal"])
+        assert resumed.counts == whole.counts
+        assert resumed.effort == whole.effort
+        assert told(again) == told(law)
+    assert waited
+    if make is untrustworthy:
+        assert [event["action"] for event in told(law)["trust"]["events"]]
+    if make is learning:
+        assert again.surrogate.table.counts == law.surrogate.table.counts
+        assert law.surrogate.table.size > 0
+
+
+def test_an_interrupt_while_the_law_commits_leaves_no_checkpoint_of_half_a_step():
+    class Stopping(Truth):
+        """Ctrl-C within the first audit."""
+
+        def accept(self, F, F_dot, response):
+            raise Stop
+
+    law, kept = CachedLaw(learnt(), Stopping(), CacheSettings(tolerance=0.01, audit=1.0)), []
+    with pytest.raises(Stop):
+        simulate(LOAD_CASE, law, SETTINGS, checkpoint=kept.append, checkpoint_interval=1e9)
+    assert not kept
