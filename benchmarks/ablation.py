@@ -30,8 +30,9 @@ from benchmarks.setting import POINTS, Array, Setting
 from benchmarks.timing import threads
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.recipe import Recipe
-from surrofe2.report.study import Curve, Panel, Study
-from surrofe2.report.study_files import write_study
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study, write_study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import sample
 from surrofe2.stress_samples import StressSamples
@@ -113,7 +114,8 @@ def run(setting: Setting) -> list[Row]:
                 results.append(compete(name, law, few, recipe.training, truth))
                 print(f"    {name}, {count} samples: {_errors(results[-1])}", flush=True)
     study = describe(results, recipe.training, PRESET)
-    write_study(setting.out, study, recipe.cell, PRESET)
+    asked = {"training": recipe.training.to_dict(), "counts": counts}
+    write_study(setting.out, study, recipe.cell, PRESET, asked)
     return [_row(result) for result in results]
 
 
@@ -212,50 +214,60 @@ def is_of(name: str, settings: TrainingSettings) -> bool:
 def describe(results: list[Result], training: TrainingSettings, preset: str) -> Study:
     """Error over samples and error over cost, with the table for people."""
     by_name = {
-        name: [result for result in results if result.contender == name]
+        name: {result.samples: result for result in results if result.contender == name}
         for name in dict.fromkeys(result.contender for result in results)
     }
+    counts = sorted({result.samples for result in results})
+    quantities: tuple[Quantity[dict[int, Result]], ...] = (
+        Quantity("contender", "", "", lambda row: _last(row).contender),
+        *(quantity for count in counts for quantity in _of_count(count)),
+        Quantity("query", "µs a point", ".2g", lambda row: _last(row).query),
+        Quantity("training", "CPU s", ".0f", lambda row: _last(row).training),
+        Quantity(
+            "recipe's own",
+            "",
+            lambda own: "yes" if own else "",
+            lambda row: is_of(_last(row).contender, training),
+        ),
+    )
     return Study(
         name="ablation",
         title=f"Surrogate part by part, and what else there is; preset “{preset}”",
-        panels=_panels(by_name),
+        panels=_panels([list(found.values()) for found in by_name.values()]),
         columns=2,
-        table={
-            "contender": [result.contender for result in results],
-            "samples": [result.samples for result in results],
-            "rms (of spread)": [result.rms for result in results],
-            "worst (of spread)": [result.worst for result in results],
-            "answered": [result.answered for result in results],
-            "query (µs/point)": [result.query for result in results],
-            "training (CPU s)": [result.training for result in results],
-        },
-        results={"rows": [asdict(result) for result in results]},
-        units={
-            "rms": "1",
-            "worst": "1",
-            "answered": "1",
-            "query": "µs a point",
-            "training": "s of CPU time",
-        },
-        settings={"training": training.to_dict()},
-        shown=_shown(by_name, training),
+        table=Table(quantities, list(by_name.values())),
+        results={"all": [asdict(result) for result in results]},
     )
 
 
-def _panels(by_name: Mapping[str, list[Result]]) -> tuple[Panel, Panel]:
-    answering = {
-        name: [result for result in found if result.answered > 0.0]
-        for name, found in by_name.items()
-    }
+def _last(row: Mapping[int, Result]) -> Result:
+    return row[max(row)]
+
+
+def _of_count(count: int) -> tuple[Quantity[dict[int, Result]], ...]:
+    """Errors of those that learnt from so many samples, and how much they answer."""
+
+    def value(get: Callable[[Result], float]) -> Callable[[dict[int, Result]], float]:
+        return lambda row: 100.0 * get(row[count]) if count in row else nan
+
+    return (
+        Quantity(f"{count} samples, RMS error", "%", ".2g", value(lambda result: result.rms)),
+        Quantity(f"{count} samples, worst", "%", ".2g", value(lambda result: result.worst)),
+        Quantity(f"{count} samples, answered", "%", ".3g", value(lambda result: result.answered)),
+    )
+
+
+def _panels(contenders: list[list[Result]]) -> tuple[Panel, Panel]:
     learning, costs = [], []
-    for name, found in answering.items():
+    for results in contenders:
+        found = [result for result in results if result.answered > 0.0]
         if found:
-            error = np.array([100.0 * result.rms for result in found])
+            name, error = found[0].contender, np.array([100.0 * result.rms for result in found])
             samples = np.array([float(result.samples) for result in found])
             learning.append(Curve(name, samples, error))
             costs.append(Curve(name, np.array([found[-1].query]), error[-1:]))
     error_label = "RMS error (% of spread)"
-    most = max(result.samples for found in by_name.values() for result in found)
+    most = max(result.samples for results in contenders for result in results)
     return (
         Panel(
             x_label="RVE samples",
@@ -273,21 +285,6 @@ def _panels(by_name: Mapping[str, list[Result]]) -> tuple[Panel, Panel]:
             log_y=True,
         ),
     )
-
-
-def _shown(by_name: Mapping[str, list[Result]], training: TrainingSettings) -> dict[str, list[str]]:
-    counts = sorted({result.samples for found in by_name.values() for result in found})
-    table: dict[str, list[str]] = {
-        "contender": [f"**{name}**" if is_of(name, training) else name for name in by_name]
-    }
-    for count in counts:
-        table[f"{count} samples, RMS / worst, %"] = [
-            next((_errors(result) for result in found if result.samples == count), "–")
-            for found in by_name.values()
-        ]
-    table["query, µs"] = [f"{found[-1].query:.2g}" for found in by_name.values()]
-    table["training, CPU s"] = [f"{found[-1].training:.0f}" for found in by_name.values()]
-    return table
 
 
 def _errors(result: Result) -> str:

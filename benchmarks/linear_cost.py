@@ -15,7 +15,7 @@ from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
 from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
-from surrofe2.report.pictures import BLUE, GREEN, VERMILION, new_figure, write_png
+from surrofe2.report.figures import BLUE, GREEN, VERMILION, new_figure, write_png
 
 TITLE = "Cost over the number of points"
 PRESET = "printed"

@@ -35,7 +35,7 @@ def test_it_writes_figure_table_and_numbers(tmp_path):
     ]
     stem = tmp_path / "ablation"
     record = json.loads(stem.with_suffix(".json").read_text(encoding="utf-8"))
-    found = {(row["contender"], row["samples"]): row for row in record["results"]["rows"]}
+    found = {(row["contender"], row["samples"]): row for row in record["results"]["all"]}
     assert all(row["query"] > 0.0 for row in found.values())
     best, plain = found["+ polynomial", 128], found["plain MLP", 128]
     assert best["answered"] == plain["answered"] == 1.0

@@ -34,21 +34,8 @@ def compare(
 
 def show_comparison(result: Comparison, of: str = "") -> None:
     """The figures of a comparison as a table."""
-    columns = ["run", "largest difference", "RMS", "wall time", "speed-up", "fewer RVE solves"]
-    rows = [
-        [
-            run.name,
-            f"{100 * run.difference.largest:.3g} %",
-            f"{100 * run.difference.rms:.3g} %",
-            f"{run.wall_time:.3g} s",
-            ratio(run.speed_up["wall_time"]),
-            ratio(run.speed_up["rve_solves"]),
-        ]
-        for run in result.runs
-    ]
-    show_table(
-        f"{of}, against {result.reference}" if of else f"Against {result.reference}", columns, rows
-    )
+    title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
+    show_table(title, *result.table.for_people())
     for run in result.runs:
         if run.audit is not None and run.audit["audited"]:
             print_line(f"{run.name}: {audit_line(run.audit)}")
@@ -65,8 +52,3 @@ def audit_line(audit: Mapping[str, Any]) -> str:
         f"{audit['audited']} answers audited, {audit['violations']} above the tolerance of "
         f"{float(audit['tolerance']):.2g} µN/µm; error {quantiles}{off}"
     )
-
-
-def ratio(value: float | None) -> str:
-    """A speed-up; None means that this run needed none of it."""
-    return "none needed" if value is None else f"{value:.3g}×"

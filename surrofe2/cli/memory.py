@@ -11,7 +11,7 @@ import typer
 from surrofe2.cli.console import print_line
 from surrofe2.cli.options import Fresh, Preset
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study_files import study_is_there, write_study
+from surrofe2.report.study import study_is_there, write_study
 from surrofe2.studies.memory import MemorySettings, describe
 from surrofe2.studies.memory import memory as measure
 
@@ -41,6 +41,6 @@ def memory(
         print_line(f"{out / name}.json: there already")
         return
     found = measure(cell, settings)
-    for path in write_study(out, describe(found, settings, preset, name), cell, preset, asked):
+    for path in write_study(out, describe(found, settings, preset), cell, preset, asked):
         print_line(str(path))
     print_line(found.verdict(settings))

@@ -7,17 +7,14 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import print_error, print_line, show_table
+from surrofe2.cli.console import print_line, show_table
 from surrofe2.cli.options import AnyInitialisation, Fresh, JsonFile, Preset
 from surrofe2.io.files import is_there, write_json
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.studies.moduli import cell_moduli, to_numbers, with_turgor
+from surrofe2.studies.moduli import cell_moduli, with_turgor
 from surrofe2.studies.moduli import turgor as turgor_of
-from surrofe2.studies.moduli_tables import TABLES, ModuliRow
-from surrofe2.studies.moduli_tables import to_numbers as row_numbers
-
-NAMES = ("C11", "C12", "C66", "bulk", "shear", "shear_45", "young", "poisson")
+from surrofe2.studies.moduli_tables import CHANGES, changed_cells, moduli_tables
 
 
 def moduli(
@@ -60,53 +57,17 @@ def moduli(
     )
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
     found = {name: cell_moduli(cell, name) for name in chosen}
-    _show({name: to_numbers(cell, value) for name, value in found.items()})
-    record: dict[str, object] = {
-        **asked,
-        "preset": preset,
-        "fingerprint": cell.fingerprint,
-        "turgor_mean_MPa": pressure.mean,
-        "turgor_virial_MPa": pressure.virial,
-        "moduli": {name: to_numbers(cell, value) for name, value in found.items()},
-    }
+    shown = moduli_tables(cell, found)
     if tables:
         method = "slow-manifold" if initialisation == "all" else initialisation
-        changes = {}
-        for name, (heading, make) in TABLES.items():
-            rows = make(cell, method)
-            changes[name] = [row_numbers(row) for row in rows]
-            _show_changes(f"Over {name}, {method}", heading, rows, cell)
-        record["tables"] = {"initialisation": method, "units": "N/m, N/m µs", **changes}
+        for name, change in CHANGES.items():
+            title = f"Over {name}, {method}: MPa, MPa µs"
+            shown[title] = changed_cells(cell, method, change)
+    for title, each in shown.items():
+        show_table(title, *each.for_people())
     if out is not None:
-        write_json(out, record)
+        turgors = {"turgor_mean_MPa": pressure.mean, "turgor_virial_MPa": pressure.virial}
+        records = {title: each.to_records() for title, each in shown.items()}
+        about = {"preset": preset, "fingerprint": cell.fingerprint}
+        write_json(out, {**asked, **about, **turgors, "tables": records})
         print_line(str(out))
-
-
-def _show(found: dict[str, dict[str, dict[str, dict[str, float]]]]) -> None:
-    for kind in ("elastic", "viscous"):
-        units = next(iter(found.values()))[kind]
-        for unit in units:
-            rows = [
-                [method, *(f"{kinds[kind][unit][name]:.4g}" for name in NAMES)]
-                for method, kinds in found.items()
-            ]
-            title = f"{kind.capitalize()} moduli, {unit} (Poisson: 1)"
-            show_table(title, ["initialisation", *NAMES], rows)
-
-
-def _show_changes(title: str, heading: str, rows: list[ModuliRow], cell: CellParameters) -> None:
-    t = cell.tissue_thickness
-    columns = [heading, "turgor", "l₀/spring", "bulk", "shear", "shear 45°", "young", "visc. shear"]
-    shown = []
-    for row in rows:
-        if row.moduli is None or row.turgor is None:
-            shown.append([f"{row.value:.4g}", *["–"] * (len(columns) - 1)])
-            continue
-        e, v = row.moduli.elastic, row.moduli.viscous
-        solid = (value / t for value in (e.bulk, e.shear, e.shear_45, e.young, v.shear))
-        figures = (row.turgor.mean, row.relative_rest_length or 0.0, *solid)
-        shown.append([f"{row.value:.4g}", *(f"{value:.4g}" for value in figures)])
-    show_table(f"{title}: MPa, MPa µs", columns, shown)
-    for row in rows:
-        if row.trouble:
-            print_error(f"{heading} {row.value:.4g}: {row.trouble}")

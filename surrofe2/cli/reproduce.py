@@ -60,9 +60,8 @@ def reproduce(
     )
     with on_interrupt(f"{out / CURVES} keeps the finished curves of bars"):
         study, paths = reproduce_figure(figure, preset, out, bars, fresh=fresh, stage=progress)
-    if study is not None and study.shown:
-        rows = [list(row) for row in zip(*study.shown.values(), strict=True)]
+    if study is not None:
         title = f"{study.name}: {' '.join(study.title.split())}"
-        show_table(title, list(study.shown), rows)
+        show_table(title, *study.table.for_people())
     for path in paths:
         print_line(f"{path}: there already" if study is None else str(path))

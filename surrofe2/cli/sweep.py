@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.compare import ratio
 from surrofe2.cli.console import on_interrupt, print_line, progress, show_table
 from surrofe2.cli.options import Fresh, RecipeFile, SurrogateFile, Threads
 from surrofe2.recipe import load_recipe
-from surrofe2.report.tolerance_sweep import Sweep
 from surrofe2.workflow.comparison import SWEEP_FILES, parse_tolerances, run_sweep
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.run import change_cache
@@ -50,35 +48,9 @@ def sweep(
             fresh=fresh,
             stage=progress,
         )
-    _show(result)
-    print_line(f"{out}: {' and '.join(SWEEP_FILES)} written")
-
-
-def _show(sweep: Sweep) -> None:
-    """The figures of a sweep as a table."""
-    columns = [
-        "allowed",
-        "stress",
-        "above",
-        "displaced",
-        "hits",
-        "speed-up",
-        "steps",
-    ]
-    rows = [
-        [
-            f"{100 * row.tolerance:g} %",
-            "–" if row.error_99 is None else f"{100 * row.error_99:.2g} %",
-            f"{row.violations} of {row.audited}",
-            f"{100 * row.displacement_error:.2g} %",
-            f"{100 * row.hits:.3g} %",
-            ratio(row.speed_up) + (" (off)" if row.off else ""),
-            f"{100 * row.right_hand_sides:.4g} %",
-        ]
-        for row in sweep.rows
-    ]
-    show_table(f"Against true FE² of {sweep.true_wall_time:.3g} s", columns, rows)
+    show_table(f"Against true FE² of {result.true_wall_time:.3g} s", *result.table.for_people())
     print_line(
-        "allowed: tolerance; stress: error of 99 % of the audited answers, and how many were above "
-        "the tolerance; displaced: largest error of displacement; steps: right-hand sides"
+        "stress error: what 99 % of the audited answers keep, and how many were above the "
+        "tolerance; right-hand sides: of those of true FE²"
     )
+    print_line(f"{out}: {' and '.join(SWEEP_FILES)} written")

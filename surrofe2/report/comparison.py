@@ -9,6 +9,7 @@ from typing import Any
 from surrofe2.displacement_curve import CurveDifference, difference
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.run_folder import RunRecord, StoredRun
+from surrofe2.report.tables import Quantity, Table, percent
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,9 +20,9 @@ class ComparedRun:
         name: the run's folder.
         difference: of the watched displacement, relative to the reference's largest.
         wall_time: seconds of law and macro together; compilation is not in it.
-        audit: of a cached run, the errors its audit found and the tolerance, µN/µm; else None.
         speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
             is None where this run needed none of it.
+        audit: of a cached run, the errors its audit found and the tolerance, µN/µm; else None.
     """
 
     name: str
@@ -34,13 +35,31 @@ class ComparedRun:
     audit: Mapping[str, Any] | None = None
 
 
+QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
+    Quantity("run", "", "", lambda run: run.name),
+    Quantity("largest difference", "", percent("3g"), lambda run: run.difference.largest),
+    Quantity("RMS", "", percent("3g"), lambda run: run.difference.rms),
+    Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
+    Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
+    Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
+    Quantity("fewer RVE solves", "×", ".3g", lambda run: run.speed_up["rve_solves"]),
+    Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Runs against a reference; `reference` is its folder."""
+    """Runs against a reference; `reference` is its folder, `reference_run` what it cost."""
 
     reference: str
     load: Mapping[str, Any]
+    reference_run: ComparedRun
     runs: tuple[ComparedRun, ...]
+
+    @property
+    def table(self) -> Table[ComparedRun]:
+        """What people read of it."""
+        return Table(QUANTITIES, (self.reference_run, *self.runs))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for comparison.json."""
@@ -73,6 +92,7 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
     return Comparison(
         reference=reference.folder.name,
         load=reference.record.recipe["load"],
+        reference_run=_compared(reference, reference),
         runs=tuple(_compared(run, reference) for run in others),
     )
 
@@ -88,6 +108,8 @@ def _check_load(run: StoredRun, reference: StoredRun) -> None:
 
 
 def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
+    cache = run.record.cache
+    costs = {"wall_time": _wall_time, "law_time_per_stress": _law_time, "rve_solves": _rve_solves}
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
@@ -96,39 +118,21 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
         wall_time=run.record.wall_time["total"],
         counts=run.record.counts,
         speed_up={
-            name: _ratio(ours, theirs)
-            for name, theirs, ours in (
-                ("wall_time", *_both(reference, run, _wall_time)),
-                ("law_time_per_stress", *_both(reference, run, _time_per_stress)),
-                ("rve_solves", *_both(reference, run, _rve_solves)),
-            )
+            name: cost(reference.record) / cost(run.record) if cost(run.record) else None
+            for name, cost in costs.items()
         },
-        audit=audit_of(run),
+        audit=None if cache is None else {**cache["audit"], "trust": cache["trust"]},
     )
-
-
-def audit_of(run: StoredRun) -> Mapping[str, Any] | None:
-    """What the audit of a cached run found, with what became of the trust; else None."""
-    cache = run.record.cache
-    return None if cache is None else {**cache["audit"], "trust": cache["trust"]}
-
-
-def _both(reference: StoredRun, run: StoredRun, figure: Any) -> tuple[float, float]:
-    return figure(reference.record), figure(run.record)
 
 
 def _wall_time(record: RunRecord) -> float:
     return record.wall_time["total"]
 
 
-def _time_per_stress(record: RunRecord) -> float:
+def _law_time(record: RunRecord) -> float:
     asked = record.counts.get("stress_points", 0) + record.counts.get("dissipation_points", 0)
     return record.wall_time.get("law", 0.0) / max(asked, 1)
 
 
 def _rve_solves(record: RunRecord) -> float:
     return record.counts.get("rve_solves", 0)
-
-
-def _ratio(ours: float, theirs: float) -> float | None:
-    return theirs / ours if ours else None

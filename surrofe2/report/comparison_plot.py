@@ -1,46 +1,65 @@
-"""The picture of a comparison: displacement curves above, their difference below."""
+"""The picture of a comparison: displacement curves, their difference, audits, and a table."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from surrofe2.io.run_folder import StoredRun
-from surrofe2.report.audit_plot import draw_audits, has_audit
-from surrofe2.report.comparison import ComparedRun, Comparison, order_runs
-from surrofe2.report.pictures import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    new_figure,
-    write_png,
-)
+from surrofe2.report.comparison import Comparison, order_runs
+from surrofe2.report.figures import Curve, Panel, colour_of, draw_panel, new_figure, write_png
 
-_COLOURS = (VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY)
-_DASHES = ("--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+_BINS_A_DECADE = 10
 
 
 def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[StoredRun]) -> None:
     """Draw the compared runs into a PNG."""
     reference, *others = order_runs(runs)
-    figure = new_figure(8.0, 6.6)
-    audited = [run for run in others if has_audit(run)]
-    heights = [3.0, 1.6, *([1.6] if audited else []), 0.32 * (len(others) + 2)]
-    figure.set_figheight(6.6 + (1.9 if audited else 0.0))
+    audits = {k: audit for k, run in enumerate(others) if (audit := _audit_of(run)) is not None}
+    figure = new_figure(8.0, 8.5 if audits else 6.6)
+    heights = [3.0, 1.6, *([1.6] if audits else []), 0.32 * (len(others) + 2)]
     above, below, *middle, table = figure.subplots(len(heights), 1, height_ratios=heights)
+    for axes, panel in zip((above, below), _panels(reference, others), strict=True):
+        draw_panel(axes, panel)
     for axes in middle:
-        draw_audits(axes, audited, [_COLOURS[others.index(run) % len(_COLOURS)] for run in audited])
+        for k, audit in audits.items():
+            _draw_audit(axes, audit, colour_of(k))
     below.sharex(above)
-    _draw_curves(above, reference, others)
-    _draw_differences(below, reference, others)
-    _draw_table(table, reference, comparison)
+    above.tick_params(labelbottom=False)
+    above.set_xlim(reference.curve.t[0], reference.curve.t[-1])
+    above.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(len(runs), 4), frameon=False,
+        borderpad=0.0, handlelength=2.6,
+    )  # fmt: skip
+    below.set_ylim(bottom=0.0)
+    _draw_table(table, comparison)
     figure.suptitle(_title(reference))
     write_png(path, figure)
+
+
+def _panels(reference: StoredRun, others: Sequence[StoredRun]) -> tuple[Panel, Panel]:
+    t, there = reference.curve.t, reference.curve.displacement
+    scale = np.linalg.norm(there, axis=1).max()
+    curves = [Curve("reference", t, there[:, 1], _label(reference, reference), markers=False)]
+    differences = []
+    for run in others:
+        u = run.curve.displacement
+        curves.append(Curve("", run.curve.t, u[:, 1], _label(run, reference), markers=False))
+        apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
+        percent = 100.0 * np.linalg.norm(apart, axis=0) / scale
+        differences.append(Curve("", run.curve.t, percent, markers=False))
+    return (
+        Panel(x_label="", y_label="displacement $u_y$ (µm)", curves=tuple(curves)),
+        Panel(
+            x_label="time $t$ (µs)",
+            y_label="difference (% of\nlargest displacement)",
+            curves=tuple(differences),
+        ),
+    )
 
 
 def _title(reference: StoredRun) -> str:
@@ -54,98 +73,6 @@ def _title(reference: StoredRun) -> str:
     )
 
 
-def _style(k: int) -> dict[str, object]:
-    return {"color": _COLOURS[k % len(_COLOURS)], "linestyle": _DASHES[k % len(_DASHES)]}
-
-
-def _draw_curves(axes, reference: StoredRun, others: Sequence[StoredRun]) -> None:  # type: ignore[no-untyped-def]
-    curve = reference.curve
-    axes.plot(
-        curve.t,
-        curve.displacement[:, 1],
-        color="black",
-        linewidth=2.6,
-        alpha=0.45,
-        label=_label(reference, reference),
-    )
-    for k, run in enumerate(others):
-        axes.plot(
-            run.curve.t,
-            run.curve.displacement[:, 1],
-            linewidth=1.4,
-            label=_label(run, reference),
-            **_style(k),
-        )
-    axes.set_ylabel("displacement $u_y$ (µm)")
-    axes.set_xlim(curve.t[0], curve.t[-1])
-    axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=min(len(others) + 1, 4),
-        frameon=False,
-        borderpad=0.0,
-        handlelength=2.6,
-    )
-    axes.grid(alpha=0.25)
-    axes.tick_params(labelbottom=False)
-
-
-def _draw_differences(axes, reference: StoredRun, others: Sequence[StoredRun]) -> None:  # type: ignore[no-untyped-def]
-    scale = np.linalg.norm(reference.curve.displacement, axis=1).max()
-    for k, run in enumerate(others):
-        distance = np.stack(
-            [
-                run.curve.displacement[:, i]
-                - np.interp(run.curve.t, reference.curve.t, reference.curve.displacement[:, i])
-                for i in range(2)
-            ]
-        )
-        percent = 100.0 * np.linalg.norm(distance, axis=0) / scale
-        axes.plot(run.curve.t, percent, color=_style(k)["color"], linewidth=1.0)
-    axes.set_ylabel("difference (% of\nlargest displacement)")
-    axes.set_xlabel("time $t$ (µs)")
-    axes.set_ylim(bottom=0.0)
-    axes.grid(alpha=0.25)
-
-
-def _draw_table(axes, reference: StoredRun, comparison: Comparison) -> None:  # type: ignore[no-untyped-def]
-    axes.axis("off")
-    counts = reference.record.counts
-    first = (
-        comparison.reference,
-        "–",
-        f"{reference.record.wall_time['total']:.3g} s",
-        "1",
-        f"{counts.get('rve_solves', 0):,}",
-        "–",
-    )
-    table = axes.table(
-        [first, *(_row(run) for run in comparison.runs)],
-        colLabels=["run", "largest difference", "wall time", "speed-up", "RVE solves", "fallbacks"],
-        loc="center",
-        cellLoc="center",
-        edges="horizontal",
-    )
-    table.auto_set_font_size(False)
-    table.set_fontsize(9)
-    table.scale(1.0, 1.25)
-    for entry in table.get_celld().values():
-        entry.set_linewidth(0.5)
-        entry.set_edgecolor("0.6")
-
-
-def _row(run: ComparedRun) -> tuple[str, ...]:
-    speed_up = run.speed_up["wall_time"]
-    return (
-        run.name,
-        f"{100 * run.difference.largest:.2g} %",
-        f"{run.wall_time:.3g} s",
-        f"{speed_up:.3g}×" if speed_up else "–",
-        f"{run.counts.get('rve_solves', 0):,}",
-        f"{run.counts.get('fallbacks', 0):,}" if run.law == "cached" else "–",
-    )
-
-
 def _label(run: StoredRun, reference: StoredRun) -> str:
     """The folder, and what differs from the title's preset and initialisation."""
     record, usual = run.record, reference.record
@@ -155,3 +82,54 @@ def _label(run: StoredRun, reference: StoredRun) -> str:
     if record.initialisation != usual.initialisation:
         notes.append(record.initialisation)
     return f"{run.folder.name} ({', '.join(notes)})" if notes else run.folder.name
+
+
+def _audit_of(run: StoredRun) -> Mapping[str, Any] | None:
+    """What the audit of a cached run found, where any answer was audited and solved."""
+    cache = run.record.cache
+    return cache["audit"] if cache is not None and cache["audit"]["quantiles"] else None
+
+
+def _draw_audit(axes: Axes, audit: Mapping[str, Any], colour: str) -> None:
+    """Share of the audited answers over their error, the tolerance and the 99 % quantile marked."""
+    edges, shares = coarse_histogram(audit["histogram"])
+    axes.stairs(100.0 * shares, edges, color=colour, fill=True, alpha=0.25)
+    axes.stairs(100.0 * shares, edges, color=colour, linewidth=1.0)
+    axes.axvline(audit["quantiles"]["0.99"], color=colour, linewidth=1.0, linestyle=":")
+    tolerance = float(audit["tolerance"])
+    if np.isfinite(tolerance):
+        axes.axvline(tolerance, color=colour, linewidth=1.4, linestyle="--")
+        axes.annotate(
+            f"tolerance: {audit['violations']} of {audit['audited']:,} above",
+            (tolerance, 0.95), xycoords=("data", "axes fraction"), xytext=(-4, 0),
+            textcoords="offset points", ha="right", va="top", rotation=90, fontsize=7,
+            color=colour,
+        )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xlabel("error of the cache's stress found by audits (µN/µm); dotted: 99 % are below")
+    axes.set_ylabel("audited\nanswers (%)")
+    axes.grid(alpha=0.25)
+
+
+def coarse_histogram(histogram: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """(b + 1,) edges and (b,) shares of a stored histogram in ten bins a decade."""
+    fine, counts = np.array(histogram["bins"]), np.array(histogram["counts"], dtype=np.float64)
+    many = histogram["bins_a_decade"] // _BINS_A_DECADE
+    # Fine bin k ends at the smallest edge times 10^(k / bins a decade).
+    coarse = -(-fine // many)
+    first, last = coarse.min(), coarse.max()
+    shares = np.bincount(coarse - first, weights=counts) / counts.sum()
+    powers = np.arange(first - 1, last + 1) / _BINS_A_DECADE
+    return histogram["smallest_edge"] * 10.0**powers, shares
+
+
+def _draw_table(axes: Axes, comparison: Comparison) -> None:
+    axes.axis("off")
+    headings, rows = comparison.table.for_people()
+    table = axes.table(rows, colLabels=headings, loc="center", cellLoc="center", edges="horizontal")
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    table.scale(1.0, 1.25)
+    for entry in table.get_celld().values():
+        entry.set_linewidth(0.5)
+        entry.set_edgecolor("0.6")

@@ -62,10 +62,10 @@ def fit_damped_modes(t: Array, u: Array, count: int = 2) -> DampedFit:
         raise InputError(f"damped fit: t {t.shape} and u {u.shape}; both must be (m,), m ≥ 20")
     if not np.isfinite(u).all() or np.ptp(u) == 0.0:
         raise InputError("damped fit: the curve must be finite and move")
-    modes: Modes = []
+    modes = np.empty((0, 2))
     for _ in range(count):
-        trials = [_refined(t, u, [*modes, (w, 0.0)]) for w in _frequencies(t, u, modes)]
-        modes = min(trials, key=_cost(t, u))
+        trials = [_refined(t, u, np.vstack([modes, (w, 0.0)])) for w in _omegas(t, u, modes)]
+        modes = min(trials, key=lambda trial: _cost(t, u, trial))
     return _summary(t, u, modes)
 
 
@@ -87,51 +87,42 @@ def first_minimum(t: Array, u: Array) -> tuple[float, float]:
     return float(t[k] - b / (2.0 * a)), float(c - b * b / (4.0 * a))
 
 
-Modes = list[tuple[float, float]]
-"""(ω, δ) of each mode, 1/µs."""
+# Modes are (k, 2): ω and δ of each, 1/µs.
 
 
-def _basis(t: Array, modes: Modes) -> Array:
+def _projected(t: Array, u: Array, modes: Array) -> tuple[Array, Array]:
+    """Best coefficients c, a₁, b₁, a₂, … of the modes, and what they leave of u."""
     columns = [np.ones_like(t)]
     for omega, delta in modes:
         decay = np.exp(-delta * t)
         columns += [decay * np.cos(omega * t), decay * np.sin(omega * t)]
-    return np.stack(columns, axis=1)
+    basis = np.stack(columns, axis=1)
+    coefficients = np.asarray(np.linalg.lstsq(basis, u, rcond=None)[0])
+    return coefficients, u - basis @ coefficients
 
 
-def _coefficients(t: Array, u: Array, modes: Modes) -> Array:
-    return np.asarray(np.linalg.lstsq(_basis(t, modes), u, rcond=None)[0])
+def _cost(t: Array, u: Array, modes: Array) -> float:
+    return float(np.sum(_projected(t, u, modes)[1] ** 2))
 
 
-def _residual(t: Array, u: Array, modes: Modes) -> Array:
-    return np.asarray(u - _basis(t, modes) @ _coefficients(t, u, modes))
-
-
-def _cost(t: Array, u: Array):  # type: ignore[no-untyped-def]
-    return lambda modes: float(np.sum(_residual(t, u, modes) ** 2))
-
-
-def _frequencies(t: Array, u: Array, known: Modes) -> list[float]:
+def _omegas(t: Array, u: Array, known: Array) -> Array:
     """ω of the best undamped modes to add to the known ones, a local best each."""
     cycles = np.arange(0.5, min(_HIGHEST, 0.4 * len(t)), 0.25)
     omegas = 2.0 * np.pi * cycles / t[-1]
-    cost = _cost(t, u)
-    costs = np.array([cost([*known, (w, 0.0)]) for w in omegas])
+    costs = np.array([_cost(t, u, np.vstack([known, (w, 0.0)])) for w in omegas])
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     local = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
-    best = local[np.argsort(costs[local])][:_CANDIDATES]
-    return [float(omegas[k]) for k in best]
+    return omegas[local[np.argsort(costs[local])][:_CANDIDATES]]
 
 
-def _refined(t: Array, u: Array, modes: Modes) -> Modes:
+def _refined(t: Array, u: Array, modes: Array) -> Array:
     """Least squares from a guess; frequencies stay positive, growth is bounded."""
     scale = 2.0 * np.pi / t[-1]
-    start = np.array(modes).ravel() / scale
     low = np.tile([0.1, -1.0], len(modes))
     high = np.tile([1.2 * _HIGHEST, 20.0], len(modes))
     solved = least_squares(
-        lambda p: _residual(t, u, _pairs(p * scale)),
-        np.clip(start, low + 1e-6, high - 1e-6),
+        lambda p: _projected(t, u, p.reshape(-1, 2) * scale)[1],
+        np.clip(modes.ravel() / scale, low + 1e-6, high - 1e-6),
         jac="3-point",
         bounds=(low, high),
         xtol=1e-14,
@@ -139,58 +130,45 @@ def _refined(t: Array, u: Array, modes: Modes) -> Modes:
         gtol=1e-14,
         max_nfev=60,
     )
-    return _pairs(solved.x * scale)
+    return np.asarray(solved.x.reshape(-1, 2) * scale)
 
 
-def _pairs(flat: Array) -> Modes:
-    return [(float(w), float(d)) for w, d in flat.reshape(-1, 2)]
+def _summary(t: Array, u: Array, modes: Array) -> DampedFit:
+    coefficients, left = _projected(t, u, modes)
+    amplitudes = np.hypot(coefficients[1::2], coefficients[2::2])
+    first, second = np.argsort(-amplitudes, kind="stable")[:2]
 
+    def mode(k: int) -> Mode:
+        omega, delta = modes[k]
+        period = 2.0 * np.pi / omega
+        return Mode(float(period), float(delta * period), float(amplitudes[k]))
 
-def _summary(t: Array, u: Array, modes: Modes) -> DampedFit:
-    coefficients = _coefficients(t, u, modes)
-    errors = _decrement_errors(t, u, modes)
-    found = [
-        Mode(
-            period=2.0 * np.pi / omega,
-            decrement=2.0 * np.pi * delta / omega,
-            amplitude=float(np.hypot(*coefficients[2 * k + 1 : 2 * k + 3])),
-        )
-        for k, (omega, delta) in enumerate(modes)
-    ]
-    order = sorted(range(len(found)), key=lambda k: -found[k].amplitude)
-    left = _residual(t, u, modes)
     return DampedFit(
         constant=float(coefficients[0]),
-        first=found[order[0]],
-        second=found[order[1]],
+        first=mode(first),
+        second=mode(second),
         residual=float(np.abs(left).max()),
         rms=float(np.sqrt(np.mean(left**2))),
-        decrement_error=float(errors[order[0]]),
+        decrement_error=_decrement_error(t, u, modes, first),
     )
 
 
-def _decrement_errors(t: Array, u: Array, modes: Modes) -> Array:
-    """(m,) standard errors of the decrements 2π δ/ω.
+def _decrement_error(t: Array, u: Array, modes: Array, k: int) -> float:
+    """Standard error of the k-th decrement 2π δ/ω.
 
     The covariance s² (JᵀJ)⁻¹ of (ω, δ), J by central differences of the projected residual, times
     (1 + r)/(1 − r), r the correlation of neighbouring residuals: samples that err alike count less.
     """
-    flat = np.array(modes).ravel()
-    step = 1e-6 / t[-1]
-    slopes = [
-        (_residual(t, u, _pairs(flat + e)) - _residual(t, u, _pairs(flat - e))) / (2.0 * step)
-        for e in step * np.eye(len(flat))
-    ]
-    J = np.stack(slopes, axis=1)
-    left = _residual(t, u, modes)
+    step, left = 1e-6 / t[-1], _projected(t, u, modes)[1]
+    moves = (step * np.eye(modes.size)).reshape(-1, *modes.shape)
+    J = np.stack(
+        [_projected(t, u, modes + e)[1] - _projected(t, u, modes - e)[1] for e in moves], axis=1
+    ) / (2.0 * step)
     power = float(left @ left)
     alike = float(np.clip(left[1:] @ left[:-1] / power, 0.0, 0.999)) if power > 0.0 else 0.0
-    freedom = max(len(t) - 2 * len(flat) - 1, 1)
+    freedom = max(len(t) - 2 * modes.size - 1, 1)
     variance = power / freedom * (1.0 + alike) / (1.0 - alike)
-    covariance = variance * np.linalg.pinv(J.T @ J)
-    errors = []
-    for k, (omega, delta) in enumerate(modes):
-        slope = np.array([-2.0 * np.pi * delta / omega**2, 2.0 * np.pi / omega])
-        part = covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
-        errors.append(np.sqrt(max(slope @ part @ slope, 0.0)))
-    return np.array(errors)
+    part = variance * np.linalg.pinv(J.T @ J)[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+    omega, delta = modes[k]
+    slope = np.array([-2.0 * np.pi * delta / omega**2, 2.0 * np.pi / omega])
+    return float(np.sqrt(max(slope @ part @ slope, 0.0)))

@@ -1,27 +1,27 @@
-"""Drawing the panels of a study into a PNG."""
+"""Figures: panels of curves in one style, and how they become PNG files."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
-from surrofe2.report.pictures import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    new_figure,
-    write_png,
-)
-from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.errors import InputError
+from surrofe2.io.files import replacing
 
+Array = NDArray[np.float64]
+
+# Okabe and Ito's palette, told apart by readers of every colour vision.
+BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
+VERMILION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
 _REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
 # A grid of 41 x 41 points fills a panel of _PANEL_SIZE without gaps.
 _TILE = ((-1.0, -0.62), (1.0, -0.62), (1.0, 0.62), (-1.0, 0.62))
@@ -36,48 +36,118 @@ _STYLES: dict[str, dict[str, Any]] = {
     "direct": {"color": SKY, "linestyle": "-", "marker": "D"},
     "micro-integration": _REFERENCE,
     "tissue": _REFERENCE,
+    "reference": _REFERENCE,
     "stable": _AREA | {"color": BLUE},
     "stable after leaving a bifurcation": _AREA | {"color": ORANGE},
     "no stable state found": _AREA | {"color": PURPLE},
     "solve failed": _AREA | {"color": "black"},
 }
 _OTHER = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+"""Colours of curves without a style of their own, in turn."""
 _TURNS: tuple[dict[str, str], ...] = (
     {"marker": "o", "linestyle": "-"},
     {"marker": "s", "linestyle": "--"},
     {"marker": "^", "linestyle": ":"},
 )
+_DASHES = ("-", "--", "-.", ":")
+"""Of lines without markers, in turn."""
 _PANEL_SIZE = (4.6, 3.1)  # inches
 _LEGEND_HEIGHT = 0.7
 
 
-def write_figure(path: Path, study: Study) -> None:
-    """Draw a study; one legend below all panels."""
-    columns = study.columns
-    rows = -(-len(study.panels) // columns)
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One line of a panel.
+
+    Attributes:
+        name: decides colour, dash and marker, so that a name looks alike in all figures.
+        x, y: (m,) values in the units of the panel's axes; NaN leaves a gap.
+        label: for the legend; empty: the name.
+        markers: whether single points are marked.
+        note: drawn at the end of the line, for example a fitted order.
+    """
+
+    name: str
+    x: Array
+    y: Array
+    label: str = ""
+    markers: bool = True
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
+            raise InputError(
+                f"curve {self.name}: x {np.shape(self.x)} and y {np.shape(self.y)}; both must be "
+                "(m,)"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One pair of axes; labels carry units.
+
+    Attributes:
+        x_ticks: where x is marked, by these numbers; empty: wherever it suits.
+        zero: whether the line y = 0 is drawn and in sight.
+    """
+
+    x_label: str
+    y_label: str
+    curves: tuple[Curve, ...]
+    title: str = ""
+    log_x: bool = False
+    log_y: bool = False
+    x_ticks: tuple[float, ...] = ()
+    zero: bool = False
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of this size in inches, drawn without a screen."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def write_png(path: Path, figure: Figure) -> None:
+    """Write a figure, whole or not at all."""
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=150)
+
+
+def write_figure(path: Path, title: str, panels: Sequence[Panel], columns: int = 1) -> None:
+    """Draw panels, so many in a row, into a PNG; one legend below all of them."""
+    rows = -(-len(panels) // columns)
     width = max(_PANEL_SIZE[0] * columns, 6.4)
     figure = new_figure(width, _PANEL_SIZE[1] * rows + _LEGEND_HEIGHT)
     axes = figure.subplots(rows, columns, squeeze=False)
-    for place, panel in zip(axes.flat, study.panels, strict=False):
-        _draw(place, panel)
-    for place in axes.flat[len(study.panels) :]:
+    for place, panel in zip(axes.flat, panels, strict=False):
+        draw_panel(place, panel)
+    for place in axes.flat[len(panels) :]:
         place.axis("off")
-    figure.suptitle(study.title, fontsize=11)
-    _draw_legend(figure, axes)
+    figure.suptitle(title, fontsize=11)
+    draw_legend(figure, axes.flat)
     write_png(path, figure)
 
 
-def _draw(axes: Axes, panel: Panel) -> None:
-    for k, curve in enumerate(panel.curves):
-        _draw_curve(axes, curve, k)
+def draw_panel(axes: Axes, panel: Panel) -> None:
+    """Draw curves, labels and scales."""
+    others = 0
+    for curve in panel.curves:
+        style = _STYLES.get(curve.name)
+        if style is None:
+            style = _other_style(others, curve.markers)
+            others += 1
+        _draw_curve(axes, curve, style)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     if panel.title:
         axes.set_title(panel.title, fontsize=10)
     if not panel.log_x:
         axes.xaxis.set_major_locator(MaxNLocator(6))
+    elif any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves):
+        axes.set_xscale("symlog", linthresh=1.0, linscale=0.3)
     else:
-        axes.set_xscale("symlog" if _has_zero(panel) else "log", **_linear_part(panel))
+        axes.set_xscale("log")
     if panel.log_y:
         axes.set_yscale("log")
     if panel.x_ticks:
@@ -89,17 +159,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.margins(x=0.03)
 
 
-def _has_zero(panel: Panel) -> bool:
-    return any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves)
-
-
-def _linear_part(panel: Panel) -> dict[str, Any]:
-    return {"linthresh": 1.0, "linscale": 0.3} if _has_zero(panel) else {}
-
-
-def _draw_curve(axes: Axes, curve: Curve, k: int) -> None:
-    style: dict[str, Any] = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none"}
-    style |= _STYLES.get(curve.name, _other_style(k))
+def _draw_curve(axes: Axes, curve: Curve, own: Mapping[str, Any]) -> None:
+    style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **own}
     if not curve.markers:
         style.pop("marker", None)
     axes.plot(curve.x, curve.y, label=curve.label or curve.name, **style)
@@ -115,15 +176,22 @@ def _draw_curve(axes: Axes, curve: Curve, k: int) -> None:
         )
 
 
-def _other_style(k: int) -> dict[str, str]:
+def colour_of(k: int) -> str:
+    """Colour of the k-th curve among those without a style of their own."""
+    return _OTHER[k % len(_OTHER)]
+
+
+def _other_style(k: int, markers: bool) -> dict[str, str]:
     """Colours in turn; where they begin anew, with another marker and dash."""
-    turn = k // len(_OTHER) % len(_TURNS)
-    return {"color": _OTHER[k % len(_OTHER)], **_TURNS[turn]}
+    if not markers:
+        return {"color": colour_of(k), "linestyle": _DASHES[k % len(_DASHES)]}
+    return {"color": colour_of(k), **_TURNS[k // len(_OTHER) % len(_TURNS)]}
 
 
-def _draw_legend(figure: Figure, axes: Any) -> None:
+def draw_legend(figure: Figure, places: Iterable[Axes]) -> None:
+    """One legend below all axes, each label once; none for a single label."""
     found: dict[str, Any] = {}
-    for place in axes.flat:
+    for place in places:
         for handle, label in zip(*place.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)
     if len(found) > 1:

@@ -8,9 +8,8 @@ since what a way leaves out it leaves out of both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,9 +17,10 @@ from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import DampedFit, fit_damped_modes
-from surrofe2.report.study import Curve, Panel, Study
-from surrofe2.studies.bar_comparison import TISSUE, BarRun
-from surrofe2.studies.bar_pieces import MICRO_STEP, Piece
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
+from surrofe2.studies.bar_runs import MICRO_STEP, TISSUE, BarCase, BarRun
 
 METHODS = ("elastic", "constrained-runs", "slow-manifold")
 MESHES = (4, 8, 16)
@@ -29,7 +29,7 @@ TIGHTER = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A way to fit: so many modes, to the samples between two fractions of the curve."""
+    """A way to fit: `modes` damped modes to the samples between two fractions of the curve."""
 
     name: str
     modes: int
@@ -54,157 +54,105 @@ WAYS = (
 """The first is the one of the figures (docs/theory.md, period and decrement)."""
 
 
-def pieces(
+def cases(
     cell: CellParameters,
     preset: str,
-    meshes: tuple[int, ...] = MESHES,
+    meshes: Sequence[int] = MESHES,
     duration: float = 250.0,
-) -> list[Piece]:
+) -> list[BarCase]:
     """The tissue at two steps; each method on each mesh; on all but the finest tolerances × 0.1."""
-    load_case = LoadCase(duration=duration)
-    common: dict[str, Any] = {"cell": cell, "preset": preset, "load_case": load_case}
-    found = [Piece(method=TISSUE, micro_step=MICRO_STEP * k, **common) for k in (1.0, 0.5)]
+    tissue = BarCase(cell=cell, preset=preset, method=TISSUE, load_case=LoadCase(duration=duration))
+    found = [tissue, replace(tissue, micro_step=0.5 * MICRO_STEP)]
     for mesh in sorted(meshes):
         for method in METHODS:
-            one = Piece(method=method, elements=(mesh, mesh), **common)
-            found.append(one)
+            case = replace(tissue, method=method, elements=(mesh, mesh))
+            found.append(case)
             if mesh < max(meshes) or len(meshes) == 1:
-                tight = Piece(
-                    method=method, elements=(mesh, mesh), tolerance_factor=TIGHTER, **common
-                )
-                found.append(tight)
+                found.append(replace(case, tolerance_factor=TIGHTER))
     return found
 
 
 @dataclass(frozen=True, slots=True)
 class Damping:
-    """What a piece's curve says of its damping.
+    """What a run's curve says of its damping: a fit and an excess for each of `WAYS`.
 
-    Attributes:
-        fits: by the name of the way.
-        decrement: by the first way; spread: (lowest, highest) of all ways; error: standard error
-            of the first way's decrement from its residuals.
-        excess: decrement over the tissue's, less 1, %; excess_spread: (lowest, highest).
+    excess: decrement over the tissue's, less 1, %.
     """
 
-    piece: Piece
-    fits: Mapping[str, DampedFit]
-    decrement: float
-    spread: tuple[float, float]
-    error: float
-    excess: float
-    excess_spread: tuple[float, float]
+    case: BarCase
+    fits: tuple[DampedFit, ...]
+    excess: tuple[float, ...]
+
+    @property
+    def decrements(self) -> tuple[float, ...]:
+        """Of the first mode, logarithmic, a period, in each way."""
+        return tuple(fit.first.decrement for fit in self.fits)
 
 
-def dampings(runs: list[tuple[Piece, BarRun]]) -> list[Damping]:
+def dampings(runs: Sequence[BarRun]) -> list[Damping]:
     """Fit all curves in all ways; the first tissue is what all are compared with."""
-    fits = [{way.name: way.fit(run.curve) for way in WAYS} for _, run in runs]
-    reference = next(fit for (piece, _), fit in zip(runs, fits, strict=True) if not piece.elements)
-    return [_damping(piece, fit, reference) for (piece, _), fit in zip(runs, fits, strict=True)]
-
-
-def _damping(
-    piece: Piece, fits: Mapping[str, DampedFit], reference: Mapping[str, DampedFit]
-) -> Damping:
-    decrements = [fits[way.name].first.decrement for way in WAYS]
-    excess = [
-        100.0 * (d / reference[way.name].first.decrement - 1.0)
-        for d, way in zip(decrements, WAYS, strict=True)
+    fits = [(run.fit, *(way.fit(run.curve) for way in WAYS[1:])) for run in runs]
+    there = next(fit for run, fit in zip(runs, fits, strict=True) if run.case.elements is None)
+    return [
+        Damping(
+            run.case,
+            ways,
+            tuple(
+                100.0 * (here.first.decrement / tissue.first.decrement - 1.0)
+                for here, tissue in zip(ways, there, strict=True)
+            ),
+        )
+        for run, ways in zip(runs, fits, strict=True)
     ]
-    return Damping(
-        piece=piece,
-        fits=fits,
-        decrement=decrements[0],
-        spread=(min(decrements), max(decrements)),
-        error=fits[WAYS[0].name].decrement_error,
-        excess=excess[0],
-        excess_spread=(min(excess), max(excess)),
+
+
+def _of_way(k: int) -> tuple[Quantity[Damping], ...]:
+    name = WAYS[k].name
+    return (
+        Quantity(f"period, {name}", "µs", None, lambda row: row.fits[k].first.period),
+        Quantity(f"decrement, {name}", "", None, lambda row: row.decrements[k]),
+        Quantity(f"fit residual, {name}", "µm", None, lambda row: row.fits[k].residual),
     )
 
 
-def describe(found: list[Damping], preset: str, name: str, **settings: Any) -> Study:
+QUANTITIES: tuple[Quantity[Damping], ...] = (
+    Quantity("run", "", "", lambda row: row.case.label),
+    Quantity("period", "µs", ".2f", lambda row: row.fits[0].first.period),
+    Quantity("decrement", "", ".4f", lambda row: row.decrements[0]),
+    Quantity("standard error", "", ".4f", lambda row: row.fits[0].decrement_error),
+    Quantity("lowest of all fits", "", ".4f", lambda row: min(row.decrements)),
+    Quantity("highest of all fits", "", ".4f", lambda row: max(row.decrements)),
+    Quantity("excess over the tissue's", "%", "+.1f", lambda row: row.excess[0]),
+    Quantity("lowest excess", "%", "+.1f", lambda row: min(row.excess)),
+    Quantity("highest excess", "%", "+.1f", lambda row: max(row.excess)),
+    Quantity("fit residual", "µm", ".3f", lambda row: row.fits[0].residual),
+    *(quantity for k in range(len(WAYS)) for quantity in _of_way(k)),
+)
+
+
+def describe(runs: Sequence[BarRun]) -> Study:
     """Excess of the decrement over the tissue's for each run, with the spread over the fits."""
-    of_fe2 = [item for item in found if item.piece.elements is not None]
-    return Study(
-        name=name,
-        title=f"Damping of the bar against the full tissue, preset “{preset}”",
-        panels=(_panel(of_fe2),),
-        columns=1,
-        table=_table(found),
-        results={"runs": [_numbers(item) for item in found]},
-        units={"period": "µs", "decrement": "1, a period", "excess": "%", "residual": "µm"},
-        settings=settings,
-        shown=_shown(found),
-    )
-
-
-def _shown(found: list[Damping]) -> dict[str, list[str]]:
-    first = WAYS[0].name
-    return {
-        "run": [item.piece.label for item in found],
-        "period (µs)": [f"{item.fits[first].first.period:.2f}" for item in found],
-        "decrement": [f"{item.decrement:.4f}" for item in found],
-        "standard error": [f"{item.error:.4f}" for item in found],
-        "all fits": [f"{item.spread[0]:.4f} to {item.spread[1]:.4f}" for item in found],
-        "over the tissue's (%)": [f"{item.excess:+.1f}" for item in found],
-        "all fits (%)": [
-            f"{item.excess_spread[0]:+.1f} to {item.excess_spread[1]:+.1f}" for item in found
-        ],
-        "fit residual (µm)": [f"{item.fits[first].residual:.3f}" for item in found],
-    }
-
-
-def _table(found: list[Damping]) -> dict[str, list[Any]]:
-    first = WAYS[0].name
-    return {
-        "run": [item.piece.label for item in found],
-        "period (µs)": [item.fits[first].first.period for item in found],
-        "decrement": [item.decrement for item in found],
-        "standard error": [item.error for item in found],
-        "lowest of all fits": [item.spread[0] for item in found],
-        "highest of all fits": [item.spread[1] for item in found],
-        "excess (%)": [item.excess for item in found],
-        "lowest excess (%)": [item.excess_spread[0] for item in found],
-        "highest excess (%)": [item.excess_spread[1] for item in found],
-        "fit residual (µm)": [item.fits[first].residual for item in found],
-    }
-
-
-def _numbers(item: Damping) -> dict[str, Any]:
-    return {
-        "run": item.piece.label,
-        "method": item.piece.method,
-        "elements": item.piece.elements,
-        "tolerance_factor": item.piece.tolerance_factor,
-        "micro_step": item.piece.micro_step,
-        "decrement": item.decrement,
-        "standard_error": item.error,
-        "excess": item.excess,
-        "excess_lowest": item.excess_spread[0],
-        "excess_highest": item.excess_spread[1],
-        "fits": {
-            way: {
-                "period": fit.first.period,
-                "decrement": fit.first.decrement,
-                "residual": fit.residual,
-            }
-            for way, fit in item.fits.items()
-        },
-    }
-
-
-def _panel(found: list[Damping]) -> Panel:
+    rows, case = dampings(runs), runs[0].case
     curves = []
     for method in METHODS:
-        mine = [d for d in found if d.piece.method == method and d.piece.tolerance_factor == 1.0]
-        n = np.array([float((d.piece.elements or (0, 0))[0]) for d in mine])
-        excess = np.array([d.excess for d in mine])
+        of_method = [
+            (float(row.case.elements[0]), row.excess[0])
+            for row in rows
+            if row.case.elements and row.case.method == method and row.case.tolerance_factor == 1.0
+        ]
+        n, excess = np.array(of_method).reshape(-1, 2).T
         curves.append(Curve(method, n, excess))
-    return Panel(
+    panel = Panel(
         x_label="elements a side",
         y_label="decrement over the tissue's − 1 (%)",
         curves=tuple(curves),
         log_x=True,
-        x_ticks=tuple(dict.fromkeys(n for curve in curves for n in curve.x)),
+        x_ticks=tuple(dict.fromkeys(float(n) for curve in curves for n in curve.x)),
         zero=True,
+    )
+    return Study(
+        name=f"damping-{case.preset}",
+        title=f"Damping of the bar against the full tissue, preset “{case.preset}”",
+        panels=(panel,),
+        table=Table(QUANTITIES, rows),
     )

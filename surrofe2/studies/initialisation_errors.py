@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS, RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.studies.drives import along, oscillation
@@ -27,13 +29,16 @@ EXPECTED = {"cauchy-born": 0, "elastic": 1, "constrained-runs": 1, "slow-manifol
 
 @dataclass(frozen=True, slots=True)
 class InitialisationErrors:
-    """rate: (k,) largest entry of Ḟ, 1/µs. error: by initialisation, (k,) largest stress error,
-    µN/µm. order: slope of log error over log rate. stress: (k,) largest stress, µN/µm."""
+    """rate: (k,) largest entry of Ḟ, 1/µs. stress: (k,) largest stress, µN/µm. error: by
+    initialisation, (k,) largest stress error, µN/µm."""
 
     rate: Array
-    error: Mapping[str, Array]
-    order: Mapping[str, float]
     stress: Array
+    error: Mapping[str, Array]
+
+    def order(self, name: str) -> float:
+        """Slope of log error over log rate, by least squares."""
+        return float(np.polyfit(np.log(self.rate), np.log(self.error[name]), 1)[0])
 
 
 def initialisation_errors(
@@ -52,33 +57,31 @@ def initialisation_errors(
         progress: called with the fraction that is done.
     """
     laws = {name: RveLaw(cell, initialisation=name) for name in INITIALISATIONS}
-    rows: dict[str, list[float]] = {name: [] for name in laws}
-    rates, scales = [], []
+    errors: dict[str, list[float]] = {name: [] for name in laws}
+    rates, stresses = [], []
     for done, slow in enumerate(slowness):
         path, moments = oscillation(slow), slow * np.array(times)
         exact = integrate_rve(laws["elastic"], path, moments, micro_step)[1:]
         F, F_dot = along(path, moments[1:])
         for name, law in laws.items():
-            rows[name].append(float(np.abs(law.respond(F, F_dot).stress - exact).max()))
+            errors[name].append(float(np.abs(law.respond(F, F_dot).stress - exact).max()))
         rates.append(float(np.abs(along(path, moments)[1]).max()))
-        scales.append(float(np.abs(exact).max()))
+        stresses.append(float(np.abs(exact).max()))
         progress((done + 1) / len(slowness))
-    rate = np.array(rates)
-    error = {name: np.array(values) for name, values in rows.items()}
-    return InitialisationErrors(
-        rate, error, {name: order(rate, e) for name, e in error.items()}, np.array(scales)
-    )
+    error = {name: np.array(values) for name, values in errors.items()}
+    return InitialisationErrors(np.array(rates), np.array(stresses), error)
 
 
-def order(rate: Array, error: Array) -> float:
-    """Slope of log error (k,) over log rate (k,), by least squares."""
-    return float(np.polyfit(np.log(rate), np.log(error), 1)[0])
-
-
-def describe(errors: InitialisationErrors, preset: str, name: str) -> Study:
+def describe(errors: InitialisationErrors, preset: str) -> Study:
     """The log-log figure with its fitted orders."""
+    quantities: tuple[Quantity[str], ...] = (
+        Quantity("initialisation", "", "", lambda method: method),
+        Quantity("order", "", ".3f", errors.order),
+        Quantity("expected order", "", "d", EXPECTED.get),
+        Quantity("largest error", "µN/µm", ".3g", lambda method: float(errors.error[method].max())),
+    )
     curves = tuple(
-        Curve(method, errors.rate, e, f"{method}, order {abs(errors.order[method]):.2f}")
+        Curve(method, errors.rate, e, f"{method}, order {abs(errors.order(method)):.2f}")
         for method, e in errors.error.items()
     )
     panel = Panel(
@@ -89,21 +92,14 @@ def describe(errors: InitialisationErrors, preset: str, name: str) -> Study:
         log_y=True,
     )
     return Study(
-        name=name,
+        name=f"rates-{preset}",
         title="Error of each initialisation against the RVE integrated in time,\n"
         f"oscillating drive slowed by 1, 2, 4, 8; preset “{preset}”",
         panels=(panel,),
-        columns=1,
-        table={
+        table=Table(quantities, tuple(errors.error)),
+        series={
             "rate (1/µs)": errors.rate,
             "largest stress (µN/µm)": errors.stress,
             **{f"error {method} (µN/µm)": e for method, e in errors.error.items()},
         },
-        results={
-            "order": dict(errors.order),
-            "expected_order": EXPECTED,
-            "rate": errors.rate,
-            "error": dict(errors.error),
-        },
-        units={"order": "1", "rate": "1/µs", "error": "µN/µm"},
     )

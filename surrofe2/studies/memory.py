@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.settings import check_settings, setting
@@ -146,14 +148,22 @@ def fading_time(t: Array, difference: Array, part: float) -> float | None:
     return float(t[last + 1]) if last + 1 < len(t) else None
 
 
-def describe(found: Memory, settings: MemorySettings, preset: str, name: str) -> Study:
+QUANTITIES: tuple[Quantity[Memory], ...] = (
+    Quantity("a cache is", "", "", lambda found: "sound" if found.sound else "not sound"),
+    Quantity("largest difference", "µN/µm", ".3g", lambda found: found.largest),
+    Quantity("largest stress", "µN/µm", ".3g", lambda found: found.scale),
+    Quantity("fading time", "µs", ".3g", lambda found: found.fading_time),
+    Quantity("time to hundredth", "µs", ".3g", lambda found: found.time_to_hundredth),
+)
+
+
+def describe(found: Memory, settings: MemorySettings, preset: str) -> Study:
     """The stress of both pasts and the fading difference."""
-    components = (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
-    table = {"t (µs)": found.t}
-    for past, stress in (("steady", found.steady), ("returning", found.returning)):
-        for label, a, b in components:
-            table[f"sigma_{label} {past} (µN/µm)"] = stress[:, a, b]
-    table["difference (µN/µm)"] = found.difference
+    stresses = {
+        f"sigma_{label} {past} (µN/µm)": stress[:, a, b]
+        for past, stress in (("steady", found.steady), ("returning", found.returning))
+        for label, a, b in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
+    }
     panel = Panel(
         x_label="time since both pasts met (µs)",
         y_label="difference of the stresses (µN/µm)",
@@ -161,25 +171,11 @@ def describe(found: Memory, settings: MemorySettings, preset: str, name: str) ->
         log_y=True,
     )
     return Study(
-        name=name,
+        name=f"memory-{preset}",
         title="Two pasts that end in the same $(F, \\dot F)$:\n"
         f"difference of the stresses, preset “{preset}”",
         panels=(panel,),
-        columns=1,
-        table=table,
-        results={
-            "largest_difference": found.largest,
-            "largest_stress": found.scale,
-            "fading_time": found.fading_time,
-            "time_to_hundredth": found.time_to_hundredth,
-            "sound": found.sound,
-            "verdict": found.verdict(settings),
-        },
-        units={"largest_difference": "µN/µm", "largest_stress": "µN/µm", "fading_time": "µs"},
-        settings={
-            key: getattr(settings, key)
-            for key in (
-                "period", "stretch", "shear", "rate", "tolerance", "after", "micro_step"
-            )
-        },
-    )  # fmt: skip
+        table=Table(QUANTITIES, (found,)),
+        series={"t (µs)": found.t, **stresses, "difference (µN/µm)": found.difference},
+        results={"sound": found.sound, "verdict": found.verdict(settings)},
+    )

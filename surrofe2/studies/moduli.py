@@ -12,8 +12,8 @@ All are two-dimensional; divided by the thickness of the tissue they are in MPa 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,58 +28,25 @@ from surrofe2.simd import TILE
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Moduli:
-    """Moduli of one kind. matrix: (3, 3) Voigt, µN/µm (elastic) or µN µs/µm (viscous)."""
-
-    matrix: Array
-
-    @property
-    def bulk(self) -> float:
-        """(C₁₁ + C₁₂)/2."""
-        return float(self.matrix[0, 0] + self.matrix[0, 1]) / 2.0
-
-    @property
-    def shear(self) -> float:
-        """C₆₆, along the walls."""
-        return float(self.matrix[2, 2])
-
-    @property
-    def shear_45(self) -> float:
-        """(C₁₁ − C₁₂)/2, at 45° to the walls."""
-        return float(self.matrix[0, 0] - self.matrix[0, 1]) / 2.0
-
-    @property
-    def young(self) -> float:
-        """C₁₁ − C₁₂²/C₂₂."""
-        C = self.matrix
-        return float(C[0, 0] - C[0, 1] * C[1, 0] / C[1, 1])
-
-    @property
-    def poisson(self) -> float:
-        """C₁₂/C₂₂."""
-        return float(self.matrix[1, 0] / self.matrix[1, 1])
-
-    def to_dict(self) -> dict[str, float]:
-        """By name."""
-        return {
-            "C11": float(self.matrix[0, 0]),
-            "C12": float(self.matrix[0, 1]),
-            "C66": self.shear,
-            "bulk": self.bulk,
-            "shear": self.shear,
-            "shear_45": self.shear_45,
-            "young": self.young,
-            "poisson": self.poisson,
-        }
+MODULI: Mapping[str, Callable[[Array], float]] = {
+    "C11": lambda C: C[0, 0],
+    "C12": lambda C: C[0, 1],
+    "C66": lambda C: C[2, 2],
+    "bulk": lambda C: (C[0, 0] + C[0, 1]) / 2.0,
+    "shear": lambda C: C[2, 2],
+    "shear 45°": lambda C: (C[0, 0] - C[0, 1]) / 2.0,
+    "young": lambda C: C[0, 0] - C[0, 1] * C[1, 0] / C[1, 1],
+    "poisson": lambda C: C[1, 0] / C[1, 1],
+}
+"""Of a matrix (3, 3), by name; all but Poisson's ratio in its unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellModuli:
-    """elastic in µN/µm = N/m, viscous in µN µs/µm, of one initialisation."""
+    """Matrices (3, 3) of one initialisation: elastic in µN/µm = N/m, viscous in µN µs/µm."""
 
-    elastic: Moduli
-    viscous: Moduli
+    elastic: Array
+    viscous: Array
 
 
 def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
@@ -88,13 +55,11 @@ def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
     Raises:
         InputError: the plant cell has no equilibrium at rest.
     """
-    F = np.eye(2)[None]
-    tangents = (
-        RveLaw(cell, initialisation=initialisation).respond(F, 0.0 * F, tangents=True).tangents
-    )
+    F, law = np.eye(2)[None], RveLaw(cell, initialisation=initialisation)
+    tangents = law.respond(F, 0.0 * F, tangents=True).tangents
     if tangents is None or not np.isfinite(tangents.P_by_F).all():
         raise InputError(f"moduli: no equilibrium at rest by initialisation {initialisation}")
-    return CellModuli(Moduli(voigt(tangents.P_by_F[0])), Moduli(voigt(tangents.P_by_F_dot[0])))
+    return CellModuli(voigt(tangents.P_by_F[0]), voigt(tangents.P_by_F_dot[0]))
 
 
 def voigt(tangent: Array) -> Array:
@@ -171,17 +136,3 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
             f"turgor: {pressure} MPa; no fluid mass near {guess:.3g} ng gives it"
         ) from None
     return heavy(float(factor))
-
-
-def to_numbers(cell: CellParameters, moduli: CellModuli) -> dict[str, Any]:
-    """Both kinds in 2D and 3D units."""
-    t = cell.tissue_thickness
-    numbers: dict[str, Any] = {}
-    for kind, unit, value in (
-        ("elastic", "N/m", moduli.elastic),
-        ("viscous", "N/m µs", moduli.viscous),
-    ):
-        flat = value.to_dict()
-        solid = {k: v if k == "poisson" else v / t for k, v in flat.items()}
-        numbers[kind] = {unit: flat, unit.replace("N/m", "MPa"): solid}
-    return numbers

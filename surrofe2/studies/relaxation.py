@@ -7,6 +7,7 @@ the fixed point of constrained runs, which Newton finds to 1e-11 µN.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 from surrofe2.errors import SimulationError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import pack
-from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import iterate
 from surrofe2.rve.newton import SOLVE, newton, stress_at
@@ -165,50 +168,41 @@ _LABELS = {
 }
 
 
-def describe(ways: dict[str, Relaxation], preset: str, name: str) -> Study:
+QUANTITIES: tuple[Quantity[tuple[str, Relaxation]], ...] = (
+    Quantity("method", "", "", lambda row: row[0]),
+    Quantity("iterations to mean force 1", "", "d", lambda row: row[1].first_below(STOP)),
+    Quantity("last iteration", "", "d", lambda row: int(row[1].iterations[-1])),
+    Quantity("last mean force", "µN", ".3g", lambda row: float(row[1].mean_force[-1])),
+    Quantity("last error", "µm and µm/µs", ".3g", lambda row: float(row[1].error[-1])),
+)
+
+
+def describe(ways: dict[str, Relaxation], preset: str) -> Study:
     """Figure 6: error of the state at the left, mean force at the right."""
-    panels = tuple(
-        Panel(
-            x_label="iterations",
-            y_label=label,
-            curves=tuple(_curve(method, ways[method], values) for method in _LABELS),
-            log_x=True,
-            log_y=True,
-        )
-        for label, values in (
-            ("error of the state (µm and µm/µs)", "error"),
-            ("mean particle force (µN)", "mean_force"),
-        )
-    )
+    error, force = "error of the state (µm and µm/µs)", "mean particle force (µN)"
     return Study(
-        name=name,
+        name=f"fig6-{preset}",
         title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$, "
         f"preset “{preset}”",
-        panels=panels,
+        panels=(
+            _panel(error, [_curve(m, ways[m].iterations, ways[m].error) for m in _LABELS]),
+            _panel(force, [_curve(m, ways[m].iterations, ways[m].mean_force) for m in _LABELS]),
+        ),
         columns=2,
-        table={
-            "method": [m for m, way in ways.items() for _ in way.iterations],
+        table=Table(QUANTITIES, tuple(ways.items())),
+        series={
+            "method": [method for method, way in ways.items() for _ in way.iterations],
             "iterations": np.concatenate([way.iterations for way in ways.values()]),
             "mean force (µN)": np.concatenate([way.mean_force for way in ways.values()]),
-            "error of the state (µm and µm/µs)": np.concatenate(
-                [way.error for way in ways.values()]
-            ),
+            error: np.concatenate([way.error for way in ways.values()]),
         },
-        results={
-            method: {
-                "iterations_to_mean_force_1": way.first_below(STOP),
-                "last_iteration": int(way.iterations[-1]),
-                "last_mean_force": float(way.mean_force[-1]),
-                "last_error": float(way.error[-1]),
-            }
-            for method, way in ways.items()
-        },
-        units={"mean_force": "µN", "error": "µm and µm/µs, spectral norm of the state matrix"},
     )
 
 
-def _curve(method: str, way: Relaxation, values: str) -> Curve:
-    y = np.array(getattr(way, values))
-    y[y <= 0.0] = np.nan
-    iterations = way.iterations.astype(np.float64)
-    return Curve(method, iterations, y, _LABELS[method], markers=method == DIRECT)
+def _panel(label: str, curves: Sequence[Curve]) -> Panel:
+    return Panel("iterations", label, tuple(curves), log_x=True, log_y=True)
+
+
+def _curve(method: str, iterations: NDArray[np.int64], values: Array) -> Curve:
+    y = np.where(values > 0.0, values, np.nan)
+    return Curve(method, iterations.astype(float), y, _LABELS[method], markers=method == DIRECT)

@@ -9,24 +9,24 @@ first is taken out by Aitken's extrapolation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Curve, Panel, Study
-from surrofe2.studies.bar_comparison import TISSUE, BarRun, figures
-from surrofe2.studies.bar_pieces import Piece
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
+from surrofe2.studies.bar_runs import COMPARED, TISSUE, BarCase, BarRun, compare_bar
 
 SIZES = (8, 16, 32)
 """Plant cells a side."""
 MESHES = (4, 8, 16)
 """Elements a side."""
-METHODS = ("slow-manifold",)
-QUANTITIES = {"period": "period", "first_minimum": "first minimum", "decrement": "decrement"}
+METHOD = "slow-manifold"
 LIMIT = "mesh limit"
 
 
@@ -43,55 +43,66 @@ def scaled_load_case(n: int, duration: float = 250.0) -> LoadCase:
     )
 
 
-def pieces(
+def cases(
     cell: CellParameters,
     preset: str,
-    sizes: tuple[int, ...] = SIZES,
-    meshes: tuple[int, ...] = MESHES,
-    methods: tuple[str, ...] = METHODS,
+    sizes: Sequence[int] = SIZES,
+    meshes: Sequence[int] = MESHES,
     duration: float = 250.0,
-) -> list[tuple[int, Piece]]:
-    """(plant cells a side, piece) of all runs, cheap ones first."""
+) -> list[BarCase]:
+    """The tissue and FE² on each mesh for each size, cheap ones first."""
     found = []
     for n in sizes:
         load_case = scaled_load_case(n, duration)
-        common: dict[str, Any] = {"cell": cell, "preset": preset, "load_case": load_case}
-        found.append((n, Piece(method=TISSUE, **common)))
-        for mesh in meshes:
-            found += [(n, Piece(method=m, elements=(mesh, mesh), **common)) for m in methods]
+        found.append(BarCase(cell=cell, preset=preset, method=TISSUE, load_case=load_case))
+        found += [
+            BarCase(cell=cell, preset=preset, method=METHOD, load_case=load_case, elements=(m, m))
+            for m in meshes
+        ]
     return found
 
 
-def deviations(runs: Mapping[int, list[BarRun]]) -> list[dict[str, Any]]:
-    """A row for each run: its figures, and how far they are from the tissue's, %.
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A run, or the limit of a bar's runs on finer and finer meshes, which has deviations alone.
 
-    Args:
-        runs: plant cells a side to the runs of that bar, its tissue among them.
+    mesh: elements a side; 0 for the tissue. off: of period, first minimum and decrement from the
+    tissue of the same size, % by name.
     """
+
+    plant_cells: int
+    mesh: int | None
+    run: BarRun | None
+    off: dict[str, float]
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+        return LIMIT if self.run is None else self.run.name
+
+
+def deviations(runs: Sequence[BarRun]) -> list[Row]:
+    """A row for each run, and one for each limit, size by size."""
     rows = []
-    for n, of_size in runs.items():
-        tissue = next(run for run in of_size if run.elements is None)
-        for run in of_size:
-            mesh = 0 if run.elements is None else run.elements[0]
-            rows.append(
-                {"plant_cells": n, "mesh": mesh, "method": run.method} | figures(run, tissue)
-            )
-        for method in {run.method: None for run in of_size if run.elements is not None}:
-            rows += _mesh_limit(n, method, [r for r in rows if r["plant_cells"] == n])
+    for n in dict.fromkeys(run.case.plant_cells[0] for run in runs):
+        of_size = [run for run in runs if run.case.plant_cells[0] == n]
+        tissue = next(run for run in of_size if run.case.elements is None)
+        found = [
+            Row(n, (run.case.elements or (0,))[0], run, dict(compare_bar(run, tissue).off))
+            for run in of_size
+        ]
+        rows += [*found, *_mesh_limit(n, found)]
     return rows
 
 
-def _mesh_limit(n: int, method: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _mesh_limit(n: int, rows: list[Row]) -> list[Row]:
     """The row that the three finest meshes tend to, where they do."""
-    of_method = sorted((r for r in rows if r["method"] == method), key=lambda r: r["mesh"])[-3:]
-    meshes = [row["mesh"] for row in of_method]
+    by_mesh = {row.mesh: row.off for row in rows if row.mesh}
+    meshes = sorted(by_mesh)[-3:]
     if len(meshes) < 3 or any(2 * a != b for a, b in pairwise(meshes)):
         return []
-    limit: dict[str, Any] = {"plant_cells": n, "mesh": LIMIT, "method": method}
-    for key in QUANTITIES:
-        name = f"{key}_deviation_percent"
-        limit[name] = aitken(*(row[name] for row in of_method))
-    return [limit]
+    limit = {each.name: aitken(*(by_mesh[m][each.name] for m in meshes)) for each in COMPARED}
+    return [Row(n, None, None, limit)]
 
 
 def aitken(a: float, b: float, c: float) -> float:
@@ -102,75 +113,59 @@ def aitken(a: float, b: float, c: float) -> float:
     return float(c + second**2 / (first - second))
 
 
-def describe(rows: list[dict[str, Any]], preset: str, name: str, **settings: Any) -> Study:
+def _compared(each: Quantity[BarRun]) -> tuple[Quantity[Row], ...]:
+    """Its value, for people with lengths and times scaled to 16 × 16 plant cells; its deviation."""
+
+    def value(row: Row) -> float | None:
+        return None if row.run is None else each.get(row.run)
+
+    def scaled(row: Row) -> float | None:
+        return None if row.run is None else each.get(row.run) * 16.0 / row.plant_cells
+
+    off: Quantity[Row] = Quantity(
+        f"{each.name} off", "%", "+.2f", lambda row: row.off.get(each.name)
+    )
+    if not each.unit:
+        return Quantity(each.name, "", each.format, value), off
+    shown = Quantity(f"{each.name} × 16/n", each.unit, each.format, scaled)
+    return Quantity(each.name, each.unit, None, value), shown, off
+
+
+QUANTITIES: tuple[Quantity[Row], ...] = (
+    Quantity("plant cells a side", "", "d", lambda row: row.plant_cells),
+    Quantity("run", "", "", lambda row: row.name),
+    *(quantity for each in COMPARED for quantity in _compared(each)),
+    Quantity("fit residual", "µm", None, lambda row: row.run and row.run.fit.residual),
+    Quantity("time", "s", ".0f", lambda row: row.run and row.run.seconds),
+)
+
+
+def describe(runs: Sequence[BarRun]) -> Study:
     """Deviation of period, first minimum and decrement over the number of plant cells a side."""
-    compared = [row for row in rows if row["method"] != TISSUE]
-    methods = list(dict.fromkeys(row["method"] for row in compared))
-    columns = (
-        "plant_cells", "mesh", "method", "first_minimum", "period", "decrement", "fit_residual",
-        *(f"{key}_deviation_percent" for key in QUANTITIES), "seconds",
-    )  # fmt: skip
+    rows, case = deviations(runs), runs[0].case
     return Study(
-        name=name,
-        title=f"FE² against the full tissue as the bar grows\n(strains alike, preset “{preset}”)",
-        panels=tuple(
-            _panel([row for row in compared if row["method"] == method], key, word, method)
-            for method in methods
-            for key, word in QUANTITIES.items()
-        ),
-        columns=len(QUANTITIES),
-        table={column: [row.get(column, float("nan")) for row in rows] for column in columns},
-        results={"rows": rows},
-        units={"first_minimum": "µm", "period": "µs", "decrement": "1, a period"},
-        settings=settings,
-        shown=_shown(rows),
+        name=f"scales-{case.preset}",
+        title="FE² against the full tissue as the bar grows\n"
+        f"(strains alike, preset “{case.preset}”)",
+        panels=tuple(_panel(rows, each.name) for each in COMPARED),
+        columns=len(COMPARED),
+        table=Table(QUANTITIES, rows),
     )
 
 
-def _shown(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Lengths and times scaled to 16 × 16 plant cells, so that bars can be compared."""
-
-    def scaled(row: dict[str, Any], key: str) -> str:
-        return f"{row[key] * 16.0 / row['plant_cells']:.2f}" if key in row else "–"
-
-    def off(row: dict[str, Any], key: str) -> str:
-        value = row.get(f"{key}_deviation_percent")
-        return "–" if value is None or np.isnan(value) else f"{value:+.2f}"
-
-    return {
-        "plant cells": [f"{row['plant_cells']} × {row['plant_cells']}" for row in rows],
-        "run": [_run_of(row) for row in rows],
-        "first minimum × 16/n (µm)": [scaled(row, "first_minimum") for row in rows],
-        "off (%)": [off(row, "first_minimum") for row in rows],
-        "period × 16/n (µs)": [scaled(row, "period") for row in rows],
-        "period off (%)": [off(row, "period") for row in rows],
-        "decrement": [f"{row['decrement']:.4f}" if "decrement" in row else "–" for row in rows],
-        "decrement off (%)": [off(row, "decrement") for row in rows],
-        "time (s)": [f"{row['seconds']:.0f}" if "seconds" in row else "–" for row in rows],
-    }
-
-
-def _run_of(row: dict[str, Any]) -> str:
-    if row["method"] == TISSUE:
-        return "full tissue"
-    where = row["mesh"] if row["mesh"] == LIMIT else f"{row['mesh']} × {row['mesh']}"
-    return f"{row['method']}, {where}"
-
-
-def _panel(rows: list[dict[str, Any]], key: str, word: str, method: str) -> Panel:
+def _panel(rows: list[Row], quantity: str) -> Panel:
     curves = []
-    for mesh in dict.fromkeys(row["mesh"] for row in rows):
-        of_mesh = [row for row in rows if row["mesh"] == mesh]
-        label = LIMIT if mesh == LIMIT else f"{mesh} × {mesh} elements"
-        n = np.array([float(row["plant_cells"]) for row in of_mesh])
-        off = np.array([row[f"{key}_deviation_percent"] for row in of_mesh])
-        curves.append(Curve(label, n, off))
+    for mesh in dict.fromkeys(row.mesh for row in rows if row.off):
+        of_mesh = [row for row in rows if row.mesh == mesh]
+        label = LIMIT if mesh is None else f"{mesh} × {mesh} elements"
+        n = np.array([float(row.plant_cells) for row in of_mesh])
+        curves.append(Curve(label, n, np.array([row.off[quantity] for row in of_mesh])))
     return Panel(
-        title=f"{method}: {word}",
+        title=f"{METHOD}: {quantity}",
         x_label="plant cells a side",
         y_label="FE² over tissue − 1 (%)",
         curves=tuple(curves),
         log_x=True,
-        x_ticks=tuple(dict.fromkeys(float(row["plant_cells"]) for row in rows)),
+        x_ticks=tuple(sorted({float(row.plant_cells) for row in rows})),
         zero=True,
     )

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS, RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.stress_law import Status
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 INTEGRATED = "micro-integration"
 _SETTLED = 0.02
 """Shear from which the integrated line is compared: its start from rest has died away."""
+_COMPONENTS = {"xy": (0, 1), "xx": (0, 0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,20 @@ class ShearSteps:
     shear: Array
     stress: Mapping[str, Array]
     unstable_from: Mapping[str, float | None]
+
+    @property
+    def reference(self) -> str:
+        """What the others are compared with: the integrated line, else elastic equilibrium."""
+        return INTEGRATED if INTEGRATED in self.stress else "elastic"
+
+    @property
+    def compared(self) -> NDArray[np.bool_]:
+        """(m,) where: from `_SETTLED` on if the reference is integrated."""
+        return self.shear >= (_SETTLED if self.reference == INTEGRATED else 0.0)
+
+    def difference(self, method: str) -> Array:
+        """|Δσ| from the reference where it is compared, (k, 2, 2)."""
+        return np.abs(self.stress[method] - self.stress[self.reference])[self.compared]
 
 
 def shear_steps(
@@ -59,9 +75,8 @@ def shear_steps(
     for name in INITIALISATIONS:
         stress[name], trouble[name] = _walk(RveLaw(cell, initialisation=name), shear, rate)
     if rate != 0.0:
-        stress[INTEGRATED] = integrate_rve(
-            RveLaw(cell), steady_shear(rate), shear / rate, micro_step
-        )
+        drive = steady_shear(rate)
+        stress[INTEGRATED] = integrate_rve(RveLaw(cell), drive, shear / rate, micro_step)
     return ShearSteps(rate, shear, stress, trouble)
 
 
@@ -80,37 +95,54 @@ def _walk(law: RveLaw, shear: Array, rate: float) -> tuple[Array, float | None]:
     return np.array(stresses), trouble
 
 
-_COMPONENTS = {"xy": (0, 1), "xx": (0, 0)}
+Row = tuple[ShearSteps, str]
+"""A rate, and a method that is compared there."""
+QUANTITIES: tuple[Quantity[Row], ...] = (
+    Quantity("method", "", "", lambda row: row[1]),
+    Quantity("rate", "1/µs", "g", lambda row: row[0].rate),
+    Quantity("reference", "", "", lambda row: row[0].reference),
+    Quantity(
+        "largest difference",
+        "µN/µm",
+        ".3g",
+        lambda row: float(np.nanmax(row[0].difference(row[1]))),
+    ),
+    Quantity("compared from shear", "", "g", lambda row: float(row[0].shear[row[0].compared][0])),
+    Quantity("unstable from shear", "", "g", lambda row: row[0].unstable_from[row[1]]),
+)
 
 
-def describe(runs: tuple[ShearSteps, ...], preset: str, name: str) -> Study:
-    """Figure 5: σ_xy above, σ_xx below; one column for each rate."""
-    table: dict[str, Any] = {"F_xy (1)": runs[0].shear}
-    for run in runs:
-        for method, stress in run.stress.items():
-            for label, (a, b) in _COMPONENTS.items():
-                table[f"sigma_{label} {method} at rate {run.rate:g} (µN/µm)"] = stress[:, a, b]
-    panels = tuple(
-        _panel(run, label, index) for label, index in _COMPONENTS.items() for run in runs
-    )
-    integrated = [run for run in runs if INTEGRATED in run.stress]
-    panels += tuple(
-        _error_panel(run, label, index)
-        for run in integrated
-        for label, index in _COMPONENTS.items()
-    )
+def describe(runs: Sequence[ShearSteps], preset: str) -> Study:
+    """Figure 5: σ_xy above, σ_xx below; one column for each rate; then the differences."""
+    stresses = {
+        f"sigma_{label} {method} at rate {run.rate:g} (µN/µm)": stress[:, a, b]
+        for run in runs
+        for method, stress in run.stress.items()
+        for label, (a, b) in _COMPONENTS.items()
+    }
+    panels = [_panel(run, label) for label in _COMPONENTS for run in runs]
+    panels += [
+        _error_panel(run, label)
+        for run in runs
+        if INTEGRATED in run.stress
+        for label in _COMPONENTS
+    ]
     return Study(
-        name=name,
+        name=f"fig5-{preset}",
         title=f"Figure 5: stress of one RVE over shear steps, preset “{preset}”",
-        panels=panels,
+        panels=tuple(panels),
         columns=len(runs),
-        table=table,
-        results={"rates": [_numbers(run) for run in runs]},
-        units={"rate": "1/µs", "shear": "1", "largest_difference": "µN/µm"},
+        table=Table(QUANTITIES, [(run, method) for run in runs for method in _others(run)]),
+        series={"F_xy (1)": runs[0].shear, **stresses},
     )
 
 
-def _panel(run: ShearSteps, label: str, index: tuple[int, int]) -> Panel:
+def _others(run: ShearSteps) -> Iterator[str]:
+    return (method for method in run.stress if method != run.reference)
+
+
+def _panel(run: ShearSteps, label: str) -> Panel:
+    a, b = _COMPONENTS[label]
     order = sorted(run.stress, key=lambda method: method != INTEGRATED)
     return Panel(
         title=rf"$\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
@@ -120,7 +152,7 @@ def _panel(run: ShearSteps, label: str, index: tuple[int, int]) -> Panel:
             Curve(
                 method,
                 run.shear,
-                run.stress[method][:, *index],
+                run.stress[method][:, a, b],
                 "integrated in time" if method == INTEGRATED else "",
                 markers=method != INTEGRATED,
             )
@@ -129,14 +161,13 @@ def _panel(run: ShearSteps, label: str, index: tuple[int, int]) -> Panel:
     )
 
 
-def _error_panel(run: ShearSteps, label: str, index: tuple[int, int]) -> Panel:
+def _error_panel(run: ShearSteps, label: str) -> Panel:
     """Difference from the integrated line once its start has died away; lines coincide above."""
-    settled = run.shear >= _SETTLED
+    a, b = _COMPONENTS[label]
     curves = []
-    for method, stress in run.stress.items():
-        if method != INTEGRATED:
-            error = np.abs(stress - run.stress[INTEGRATED])[settled][:, *index]
-            curves.append(Curve(method, run.shear[settled], np.where(error > 0, error, np.nan)))
+    for method in _others(run):
+        error = run.difference(method)[:, a, b]
+        curves.append(Curve(method, run.shear[run.compared], np.where(error > 0, error, np.nan)))
     return Panel(
         title=rf"against integrated, $\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
         x_label="shear $F_{xy}$",
@@ -144,20 +175,3 @@ def _error_panel(run: ShearSteps, label: str, index: tuple[int, int]) -> Panel:
         curves=tuple(curves),
         log_y=True,
     )
-
-
-def _numbers(run: ShearSteps) -> dict[str, Any]:
-    """Largest difference from the integrated line, else from the elastic equilibrium."""
-    reference = INTEGRATED if INTEGRATED in run.stress else "elastic"
-    settled = run.shear >= _SETTLED if reference == INTEGRATED else run.shear >= 0.0
-    return {
-        "rate": run.rate,
-        "reference": reference,
-        "largest_difference": {
-            method: float(np.nanmax(np.abs(stress - run.stress[reference])[settled]))
-            for method, stress in run.stress.items()
-            if method != reference
-        },
-        "compared_from_shear": float(run.shear[settled][0]),
-        "unstable_from_shear": dict(run.unstable_from),
-    }

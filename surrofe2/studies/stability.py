@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Curve, Panel, Study
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.continuation import Walker
 from surrofe2.stress_law import Status
@@ -133,16 +134,31 @@ _AXES = {
 }
 
 
-def describe(found: StabilityMap, preset: str, name: str) -> Study:
-    """The map: one panel for each plane, one row of the table for each deformation."""
+QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
+    Quantity("way", "", "", lambda row: row[0]),
+    Quantity(
+        "stable up to",
+        "largest |F − I|",
+        ".4f",
+        lambda row: WAYS[row[0]][1] if row[1] is None else row[1],
+    ),
+    Quantity(
+        "loses stability", "", lambda lost: "yes" if lost else "no", lambda row: row[1] is not None
+    ),
+)
+
+
+def describe(found: StabilityMap, preset: str) -> Study:
+    """The map: one panel for each plane; the onset along each way."""
     F = np.concatenate([plane[0] for plane in found.planes.values()])
     category = np.concatenate([plane[1] for plane in found.planes.values()])
     return Study(
-        name=name,
+        name=f"stability-{preset}",
         title=f"Stable equilibria of the plant cell at rest, preset “{preset}”",
         panels=tuple(_panel(key, *plane) for key, plane in found.planes.items()),
         columns=2,
-        table={
+        table=Table(QUANTITIES, tuple(found.onset.items())),
+        series={
             "plane": [key for key, plane in found.planes.items() for _ in plane[0]],
             "F_xx (1)": F[:, 0, 0],
             "F_yy (1)": F[:, 1, 1],
@@ -150,33 +166,19 @@ def describe(found: StabilityMap, preset: str, name: str) -> Study:
             "equilibrium": [CATEGORIES[k] for k in category],
         },
         results={
-            "onset": {
-                way: {
-                    "stable_up_to": WAYS[way][1] if onset is None else onset,
-                    "loses_stability": onset is not None,
-                }
-                for way, onset in found.onset.items()
-            },
-            "counts": {key: _counts(plane[1]) for key, plane in found.planes.items()},
+            "counts": {
+                key: {label: int((plane == k).sum()) for k, label in enumerate(CATEGORIES)}
+                for key, (_, plane) in found.planes.items()
+            }
         },
-        units={"stable_up_to": "1, largest entry of |F − I|"},
-        settings={"stretch": STRETCH, "shear": SHEAR},
     )
 
 
 def _panel(key: str, F: Array, category: NDArray[np.int_]) -> Panel:
-    x_label, y_label, index, title = _AXES[key]
-    return Panel(
-        title=title,
-        x_label=x_label,
-        y_label=y_label,
-        curves=tuple(
-            Curve(label, F[category == k, 0, 0], F[category == k][:, *index])
-            for k, label in enumerate(CATEGORIES)
-            if (category == k).any()
-        ),
+    x_label, y_label, (a, b), title = _AXES[key]
+    curves = (
+        Curve(label, F[category == k, 0, 0], F[category == k, a, b])
+        for k, label in enumerate(CATEGORIES)
+        if (category == k).any()
     )
-
-
-def _counts(category: NDArray[np.int_]) -> dict[str, Any]:
-    return {label: int((category == k).sum()) for k, label in enumerate(CATEGORIES)}
+    return Panel(x_label, y_label, tuple(curves), title)

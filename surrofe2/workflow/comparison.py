@@ -13,8 +13,7 @@ from surrofe2.recipe import Recipe
 from surrofe2.report.comparison import Comparison
 from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.comparison_plot import write_comparison_plot
-from surrofe2.report.tolerance_plot import write_sweep_plot
-from surrofe2.report.tolerance_sweep import Sweep, make_sweep
+from surrofe2.report.sweep import Sweep, make_sweep, write_sweep_plot
 from surrofe2.workflow.generate import data_summary, generate_data_set
 from surrofe2.workflow.run import change_cache, run_study, run_summary
 from surrofe2.workflow.run_lifecycle import Stage, silent

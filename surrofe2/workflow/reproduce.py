@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from surrofe2.io.kept_curves import KeptCurves
-from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Study
-from surrofe2.report.study_files import study_is_there, study_paths, write_study
-from surrofe2.rve import INITIALISATIONS
+from surrofe2.report.study import Study, study_is_there, study_paths, write_study
 from surrofe2.studies import (
     bar_comparison,
     damping,
     initialisation_errors,
     relaxation,
+    scale_separation,
     shear_steps,
     stability,
 )
-from surrofe2.studies import scale_separation as scales
-from surrofe2.studies.bar_comparison import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, TISSUE, BarRun
-from surrofe2.studies.bar_pieces import Piece, made
+from surrofe2.studies.bar_runs import BarCase, BarRun, compute_or_read
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 
 CURVES = "curves"
@@ -77,86 +73,49 @@ def reproduce_figure(
     if not fresh and study_is_there(out, name, cell, preset, asked):
         return None, study_paths(out, name)
     if figure in ("fig8", "scales", "damping"):
-        kept = KeptCurves(out / CURVES)
-        study = _of_bars(figure, cell, preset, name, bars, kept, stage)
+        study = _of_bars(figure, cell, preset, bars, KeptCurves(out / CURVES), stage)
     else:
-        study = _of_an_rve(figure, cell, preset, name, stage)
+        study = _of_an_rve(figure, cell, preset, stage)
     return study, write_study(out, study, cell, preset, asked)
 
 
-def _of_an_rve(figure: str, cell: CellParameters, preset: str, name: str, stage: Stage) -> Study:
+def _of_an_rve(figure: str, cell: CellParameters, preset: str, stage: Stage) -> Study:
     if figure == "fig5":
         runs = tuple(shear_steps.shear_steps(cell, rate) for rate in (0.0, 0.01))
-        return shear_steps.describe(runs, preset, name)
+        return shear_steps.describe(runs, preset)
     if figure == "fig6":
-        return relaxation.describe(relaxation.relaxations(cell), preset, name)
+        return relaxation.describe(relaxation.relaxations(cell), preset)
     with stage(figure, 1.0, "parts") as report:
         if figure == "stability":
             found = stability.stability_map(cell, progress=lambda done: report(done, ""))
-            onset = {way: "–" if s is None else f"{s:.4f}" for way, s in found.onset.items()}
-            study = stability.describe(found, preset, name)
-            return _with_table(study, "way", "largest |F - I| that is stable", onset)
+            return stability.describe(found, preset)
         errors = initialisation_errors.initialisation_errors(
             cell, progress=lambda done: report(done, "")
         )
-    order = {method: f"{value:.3f}" for method, value in errors.order.items()}
-    study = initialisation_errors.describe(errors, preset, name)
-    return _with_table(study, "initialisation", "order of the error in the rate", order)
-
-
-def _with_table(study: Study, key: str, value: str, rows: Mapping[str, str]) -> Study:
-    return replace(study, shown={key: list(rows), value: list(rows.values())})
+    return initialisation_errors.describe(errors, preset)
 
 
 def _of_bars(
-    figure: str,
-    cell: CellParameters,
-    preset: str,
-    name: str,
-    bars: Bars,
-    kept: KeptCurves,
-    stage: Stage,
+    figure: str, cell: CellParameters, preset: str, bars: Bars, kept: KeptCurves, stage: Stage
 ) -> Study:
     meshes, duration = bars.meshes_of(figure), bars.duration
     if figure == "scales":
-        planned = scales.pieces(cell, preset, bars.sizes, meshes, duration=duration)
-        runs = make_all([piece for _, piece in planned], kept, stage)
-        of_size: dict[int, list[BarRun]] = {n: [] for n in bars.sizes}
-        for (n, _), run in zip(planned, runs, strict=True):
-            of_size[n].append(run)
-        rows = scales.deviations(of_size)
-        told = {"sizes": bars.sizes, "meshes": meshes, "duration": duration}
-        return scales.describe(rows, preset, name, **told)
+        cases = scale_separation.cases(cell, preset, bars.sizes, meshes, duration)
+        return scale_separation.describe(compute_all(cases, kept, stage))
     if figure == "damping":
-        pieces = damping.pieces(cell, preset, meshes, duration)
-        runs = make_all(pieces, kept, stage)
-        found = damping.dampings(list(zip(pieces, runs, strict=True)))
-        return damping.describe(found, preset, name, meshes=meshes, duration=duration)
-    load = LoadCase(duration=duration)
-    pieces = [Piece(cell=cell, preset=preset, method=TISSUE, load_case=load)] * bars.tissue
-    pieces += [
-        Piece(cell=cell, preset=preset, method=method, load_case=load, elements=(n, n))
-        for n in meshes
-        for method in INITIALISATIONS
-    ]
-    return bar_comparison.describe(
-        tuple(make_all(pieces, kept, stage)),
-        load,
-        preset,
-        name,
-        relative_tolerance=RELATIVE_TOLERANCE,
-        absolute_tolerance=ABSOLUTE_TOLERANCE,
-        duration=duration,
-    )
+        cases = damping.cases(cell, preset, meshes, duration)
+        return damping.describe(compute_all(cases, kept, stage))
+    cases = bar_comparison.cases(cell, preset, meshes, duration, tissue=bars.tissue)
+    return bar_comparison.describe(compute_all(cases, kept, stage))
 
 
-def make_all(pieces: list[Piece], kept: KeptCurves, stage: Stage = silent) -> list[BarRun]:
-    """The runs of all pieces; those whose curves are kept are not computed again."""
+def compute_all(cases: list[BarCase], kept: KeptCurves, stage: Stage = silent) -> list[BarRun]:
+    """The runs of all cases; those whose curves are kept are not computed again."""
     runs = []
-    for k, piece in enumerate(pieces):
-        label = f"{k + 1} of {len(pieces)}: {piece.label}"
-        with stage(label, piece.load_case.duration, "µs") as report:
-            runs.append(made(piece, kept, _reporting(report)))
+    for k, case in enumerate(cases):
+        label = f"{k + 1} of {len(cases)}: {case.label}"
+        with stage(label, case.load_case.duration, "µs") as report:
+            runs.append(compute_or_read(case, kept, _reporting(report)))
     return runs
 
 

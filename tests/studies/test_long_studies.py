@@ -12,9 +12,9 @@ from surrofe2.errors import InputError
 from surrofe2.io.kept_curves import KeptCurves
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import fit_damped_modes
-from surrofe2.studies import bar_pieces, damping, scale_separation
-from surrofe2.studies.bar_comparison import make_bar_run
-from surrofe2.workflow.reproduce import make_all
+from surrofe2.studies import bar_comparison, damping, scale_separation
+from surrofe2.studies.bar_runs import BarCase, make_bar_run
+from surrofe2.workflow.reproduce import compute_all
 
 WATER = CellParameters.preset("water")
 T = np.arange(0.0, 250.25, 0.5)
@@ -45,25 +45,54 @@ def test_aitken_finds_the_limit_of_a_geometric_approach_and_says_where_there_is_
         assert np.isnan(scale_separation.aitken(*none))
 
 
+def case(method, mesh=None, n=16):
+    load = scale_separation.scaled_load_case(n)
+    elements = None if mesh is None else (mesh, mesh)
+    return BarCase(cell=WATER, preset="water", method=method, load_case=load, elements=elements)
+
+
 def test_deviations_are_from_the_tissue_of_the_same_size():
-    runs = {
-        n: [
-            make_bar_run("tissue", None, curve(50.0, 0.04), 1.0),
+    runs = [
+        run
+        for n in (8, 16)
+        for run in (
+            make_bar_run(case("tissue", n=n), curve(50.0, 0.04), 1.0),
             *(
-                make_bar_run("slow-manifold", (m, m), curve(50.0 * (1.0 - off), 0.05), 1.0)
+                make_bar_run(case("slow-manifold", m, n), curve(50.0 * (1.0 - off), 0.05), 1.0)
                 for m, off in ((4, 0.04), (8, 0.01), (16, 0.0025))
             ),
-        ]
-        for n in (8, 16)
-    }
+        )
+    ]
     rows = scale_separation.deviations(runs)
-    assert [row["mesh"] for row in rows[:5]] == [0, 4, 8, 16, scale_separation.LIMIT]
-    off = [row["period_deviation_percent"] for row in rows[1:5]]
+    assert [row.name for row in rows[:5]] == [
+        "full tissue", "slow-manifold 4x4", "slow-manifold 8x8", "slow-manifold 16x16",
+        scale_separation.LIMIT,
+    ]  # fmt: skip
+    off = [row.off["period"] for row in rows[1:5]]
     np.testing.assert_allclose(off, [-4.0, -1.0, -0.25, 0.0], atol=1e-5)
-    assert rows[3]["decrement_deviation_percent"] == pytest.approx(25.0, abs=1e-3)
-    study = scale_separation.describe(rows, "water", "scales")
+    assert rows[3].off["decrement"] == pytest.approx(25.0, abs=1e-3)
+    study = scale_separation.describe(runs)
     assert len(study.panels) == 3
-    assert study.shown["run"][:2] == ["full tissue", "slow-manifold, 4 × 4"]
+    records = study.table.to_records()
+    assert records[4]["period"] is None
+    assert records[1]["first_minimum_16_n"] == 2.0 * records[1]["first_minimum"]
+    assert study.table.units["period_off"] == "%"
+
+
+def test_bars_are_compared_with_the_tissue_where_there_is_one():
+    runs = [
+        make_bar_run(case("tissue"), curve(50.0, 0.04), 1.0),
+        make_bar_run(case("elastic", 4), curve(51.0, 0.05), 1.0),
+    ]
+    study = bar_comparison.describe(runs)
+    headings, texts = study.table.for_people()
+    found = [dict(zip(headings, row, strict=True)) for row in texts]
+    assert [row["run"] for row in found] == ["full tissue", "elastic 4x4"]
+    assert [row["period off (%)"] for row in found] == ["–", "+2.0"]
+    assert [row["decrement off (%)"] for row in found] == ["–", "+25.0"]
+    alone = bar_comparison.describe(runs[1:])
+    assert "period off (%)" not in alone.table.for_people()[0]
+    assert alone.results["full_tissue"] == "not computed"
 
 
 def test_standard_error_is_the_scatter_of_noisy_curves():
@@ -87,50 +116,52 @@ def test_a_third_mode_needs_a_third_mode():
 
 
 def test_damping_is_compared_way_by_way():
-    pieces = [
-        damping.Piece(cell=WATER, preset="water", method="tissue"),
-        damping.Piece(cell=WATER, preset="water", method="elastic", elements=(4, 4)),
-    ]
     runs = [
-        make_bar_run(p.method, p.elements, curve(50.0, d), 1.0)
-        for p, d in zip(pieces, (0.04, 0.06), strict=True)
+        make_bar_run(case("tissue"), curve(50.0, 0.04), 1.0),
+        make_bar_run(case("elastic", 4), curve(50.0, 0.06), 1.0),
     ]
-    tissue, elastic = damping.dampings(list(zip(pieces, runs, strict=True)))
-    assert (tissue.excess, tissue.excess_spread) == (0.0, (0.0, 0.0))
-    assert elastic.decrement == pytest.approx(0.06, rel=1e-5)
-    assert elastic.excess == pytest.approx(50.0, abs=1e-3)
-    assert elastic.spread[0] <= elastic.decrement <= elastic.spread[1]
+    tissue, elastic = damping.dampings(runs)
+    assert set(tissue.excess) == {0.0}
+    assert elastic.decrements[0] == pytest.approx(0.06, rel=1e-5)
+    assert elastic.excess[0] == pytest.approx(50.0, abs=1e-3)
+    assert min(elastic.decrements) <= elastic.decrements[0] <= max(elastic.decrements)
+    assert len(elastic.fits) == len(damping.WAYS)
 
 
-def test_configurations_tell_pieces_apart():
-    found = damping.pieces(WATER, "water")
-    texts = {json.dumps(piece.configuration(), sort_keys=True) for piece in found}
+def test_the_first_way_to_fit_is_that_of_all_figures():
+    run = make_bar_run(case("tissue"), curve(50.0, 0.04, noise=0.01), 1.0)
+    assert damping.WAYS[0].fit(run.curve) == run.fit
+
+
+def test_configurations_tell_cases_apart():
+    found = damping.cases(WATER, "water")
+    texts = {json.dumps(each.configuration(), sort_keys=True) for each in found}
     assert len(texts) == len(found) == 2 + 3 * (2 + 2 + 1)
-    scales = dict(scale_separation.pieces(WATER, "water"))
-    assert len(scales) == 3
-    at_16 = [p for n, p in scale_separation.pieces(WATER, "water") if n == 16]
-    shared = {json.dumps(piece.configuration(), sort_keys=True) for piece in at_16}
+    scales = scale_separation.cases(WATER, "water")
+    assert len(scales) == 3 * (1 + 3)
+    at_16 = [each for each in scales if each.plant_cells == (16, 16)]
+    shared = {json.dumps(each.configuration(), sort_keys=True) for each in at_16}
     assert shared < texts
 
 
 def test_a_stopped_study_goes_on_with_the_curves_it_has(tmp_path, monkeypatch):
-    pieces = [p for _, p in scale_separation.pieces(WATER, "water", (2,), (1, 2))]
+    cases = scale_separation.cases(WATER, "water", (2,), (1, 2))
     computed = []
 
-    def compute(piece, progress=None):
+    def compute(case, progress=None):
         if len(computed) == 2:
             raise KeyboardInterrupt
-        computed.append(piece.name)
-        return make_bar_run(piece.method, piece.elements, curve(50.0, 0.04), 1.0)
+        computed.append(case.name)
+        return make_bar_run(case, curve(50.0, 0.04), 1.0)
 
-    monkeypatch.setattr(bar_pieces.Piece, "compute", compute)
+    monkeypatch.setattr(BarCase, "compute", compute)
     kept = KeptCurves(tmp_path / "curves")
     with pytest.raises(KeyboardInterrupt):
-        make_all(pieces, kept)
-    assert [kept.read(p.name, p.configuration()) is not None for p in pieces] == [True, True, False]
+        compute_all(cases, kept)
+    assert [kept.read(c.name, c.configuration()) is not None for c in cases] == [True, True, False]
     computed.clear()
-    runs = make_all(pieces, kept)
-    assert computed == [pieces[2].name]
+    runs = compute_all(cases, kept)
+    assert computed == [cases[2].name]
     assert len(runs) == 3
 
 
@@ -144,9 +175,7 @@ def test_the_command_writes_figure_and_table(tmp_path):
     assert done.exit_code == 0, done.output
     assert (tmp_path / "scales-water.png").stat().st_size > 10_000
     lines = (tmp_path / "scales-water.md").read_text(encoding="utf-8").splitlines()
-    assert lines[0].startswith("| plant cells | run | first minimum × 16/n (µm) |")
+    assert lines[0].startswith("| plant cells a side | run | first minimum × 16/n (µm) |")
     assert len(lines) == 2 + 4
-    curves = {path: path.stat().st_mtime_ns for path in (tmp_path / "curves").iterdir()}
-    assert len(curves) == 4
-    assert CliRunner().invoke(app, [*arguments, "--fresh"]).exit_code == 0
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "curves").iterdir()} == curves
+    again = CliRunner().invoke(app, [*arguments, "--force"])
+    assert "4 of 4 curves are there already" in again.stdout

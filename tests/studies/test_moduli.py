@@ -6,8 +6,8 @@ import pytest
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw
-from surrofe2.studies.moduli import cell_moduli, to_numbers, turgor, voigt, with_turgor
-from surrofe2.studies.moduli_tables import over_fluid_particles, over_turgor, over_wall_stiffness
+from surrofe2.studies.moduli import MODULI, cell_moduli, turgor, voigt, with_turgor
+from surrofe2.studies.moduli_tables import CHANGES, changed_cells, moduli_tables
 
 CELLS = {name: CellParameters.preset(name) for name in ("printed", "water")}
 
@@ -16,11 +16,11 @@ CELLS = {name: CellParameters.preset(name) for name in ("printed", "water")}
 @pytest.mark.parametrize("initialisation", INITIALISATIONS)
 def test_a_square_cell_has_square_symmetry_and_positive_moduli(preset, initialisation):
     found = cell_moduli(CELLS[preset], initialisation)
-    for moduli in (found.elastic, found.viscous):
-        C, scale = moduli.matrix, np.abs(moduli.matrix).max()
+    for C in (found.elastic, found.viscous):
+        scale = np.abs(C).max()
         assert C[0, 0] == pytest.approx(C[1, 1], abs=1e-9 * scale)
         assert np.abs([C[0, 2], C[1, 2], C[2, 0], C[2, 1]]).max() < 1e-9 * scale
-        assert min(moduli.bulk, moduli.shear, moduli.shear_45, moduli.young) > 0.0
+        assert min(MODULI[name](C) for name in ("bulk", "shear", "shear 45°", "young")) > 0.0
 
 
 @pytest.mark.parametrize("preset", CELLS)
@@ -28,8 +28,8 @@ def test_affine_motion_is_the_stiffest(preset):
     born, elastic, slow = (
         cell_moduli(CELLS[preset], name) for name in ("cauchy-born", "elastic", "slow-manifold")
     )
-    assert np.linalg.eigvalsh(born.elastic.matrix - elastic.elastic.matrix).min() > 0.0
-    assert np.linalg.eigvalsh(elastic.viscous.matrix - slow.viscous.matrix).min() > 0.0
+    assert np.linalg.eigvalsh(born.elastic - elastic.elastic).min() > 0.0
+    assert np.linalg.eigvalsh(elastic.viscous - slow.viscous).min() > 0.0
 
 
 def test_elastic_moduli_are_slopes_of_the_stress():
@@ -37,7 +37,7 @@ def test_elastic_moduli_are_slopes_of_the_stress():
     F = np.eye(2) + step * np.array([np.diag([1.0, 0.0]), np.diag([-1.0, 0.0])])
     up, down = law.respond(F, 0.0 * F).stress
     slope = (up - down) / (2.0 * step)
-    C = cell_moduli(CELLS["water"], "elastic").elastic.matrix
+    C = cell_moduli(CELLS["water"], "elastic").elastic
     np.testing.assert_allclose([slope[0, 0], slope[1, 1]], C[:2, 0], rtol=1e-4, atol=1e-2)
 
 
@@ -49,9 +49,13 @@ def test_voigt_of_an_isotropic_tangent():
 
 
 def test_three_dimensional_moduli_are_per_thickness():
-    found = to_numbers(CELLS["water"], cell_moduli(CELLS["water"], "elastic"))["elastic"]
-    assert found["MPa"]["bulk"] == pytest.approx(found["N/m"]["bulk"] / 10.0)
-    assert found["MPa"]["poisson"] == found["N/m"]["poisson"]
+    cell = CELLS["water"]
+    tables = moduli_tables(cell, {"elastic": cell_moduli(cell, "elastic")})
+    (flat,) = tables["Elastic moduli, N/m"].to_records()
+    (solid,) = tables["Elastic moduli, MPa"].to_records()
+    assert flat["initialisation"] == solid["initialisation"] == "elastic"
+    assert solid["bulk"] == pytest.approx(flat["bulk"] / 10.0)
+    assert solid["poisson"] == pytest.approx(flat["poisson"])
 
 
 def test_turgor_can_be_given_instead_of_mass():
@@ -63,13 +67,32 @@ def test_turgor_can_be_given_instead_of_mass():
         with_turgor(CELLS["water"], -1.0)
 
 
+def changed(preset, name, values):
+    return changed_cells(CELLS[preset], "elastic", CHANGES[name], values)
+
+
 def test_tables():
-    low, high = over_turgor(CELLS["water"], "elastic", (1.0, 1.5))
-    assert high.turgor.mean == pytest.approx(1.5 * low.turgor.mean, rel=1e-8)
-    assert high.moduli.elastic.shear > low.moduli.elastic.shear
-    soft, stiff = over_wall_stiffness(CELLS["printed"], "elastic", (1.0, 1.5))
-    assert stiff.moduli.elastic.bulk > soft.moduli.elastic.bulk
-    same, none = over_fluid_particles(CELLS["water"], "elastic", (4, 6))
-    assert same.moduli.elastic.bulk == cell_moduli(CELLS["water"], "elastic").elastic.bulk
+    factors = [k * turgor(CELLS["water"]).mean for k in (1.0, 1.5)]
+    low, high = changed("water", "turgor", factors).to_records()
+    assert high["mean_turgor"] == pytest.approx(1.5 * low["mean_turgor"], rel=1e-8)
+    assert high["shear"] > low["shear"]
+    stiffness = CELLS["printed"].wall_stiffness
+    soft, stiff = changed("printed", "wall stiffness", (stiffness, 1.5 * stiffness)).to_records()
+    assert stiff["bulk"] > soft["bulk"]
+    table = changed("water", "fluid particles", (4, 6))
+    same, none = table.rows
+    np.testing.assert_array_equal(
+        same.moduli.elastic, cell_moduli(CELLS["water"], "elastic").elastic
+    )
     assert none.moduli is None
-    assert "unstable" in none.trouble
+    assert "no stable equilibrium" in none.trouble
+    headings, texts = table.for_people()
+    assert headings[0] == "fluid particles a side"
+    assert texts[1][1:-1] == ["–"] * (len(headings) - 2)
+
+
+def test_values_of_the_tables_are_around_those_of_the_cell():
+    for name, change in CHANGES.items():
+        values = list(change.values(CELLS["water"]))
+        assert len(values) >= 4, name
+        assert values == sorted(values)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study_files import to_csv, to_record
 from surrofe2.studies import stability
 from surrofe2.studies.stability import CATEGORIES, LEFT, STABLE, WAYS
 
@@ -33,9 +32,11 @@ def test_categories_turn_at_the_onset_and_both_axes_are_alike():
 @pytest.mark.slow
 def test_map_names_every_deformation():
     found = stability.stability_map(WATER, points=3)
-    study = stability.describe(found, "water", "stability-water")
-    assert to_csv(study).count("\n") == 19
-    assert set(study.table["equilibrium"]) <= set(CATEGORIES)
+    study = stability.describe(found, "water")
+    assert study.to_csv().count("\n") == 19
+    assert set(study.series["equilibrium"]) <= set(CATEGORIES)
     assert sum(study.results["counts"]["stretch"].values()) == 9
-    assert study.results["onset"]["simple shear"] == {"stable_up_to": 0.6, "loses_stability": False}
-    assert to_record(study, WATER, "water")["fingerprint"] == WATER.fingerprint
+    onset = {row["way"]: row for row in study.table.to_records()}
+    assert onset["simple shear"] == {
+        "way": "simple shear", "stable_up_to": 0.6, "loses_stability": False
+    }  # fmt: skip

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study_files import to_csv, to_record
-from surrofe2.studies import bar_comparison, initialisation_errors, memory, relaxation, shear_steps
+from surrofe2.studies import initialisation_errors, memory, relaxation, shear_steps
+from surrofe2.studies.bar_runs import BarCase
 
 WATER = CellParameters.preset("water")
 
@@ -24,12 +23,12 @@ def test_at_rate_zero_all_but_cauchy_born_are_the_elastic_equilibrium():
 
 def test_at_a_rate_initialisations_rank_against_the_integrated_line():
     runs = (shear_steps.shear_steps(WATER, steps=4, micro_step=2e-3),)
-    study = shear_steps.describe(runs, "water", "fig5")
-    error = study.results["rates"][0]["largest_difference"]
+    study = shear_steps.describe(runs, "water")
+    error = {row["method"]: row["largest_difference"] for row in study.table.to_records()}
     names = ("slow-manifold", "constrained-runs", "elastic", "cauchy-born")
     assert sorted(error, key=error.get) == list(names)
-    assert to_csv(study).count("\n") == 6
-    assert to_record(study, WATER, "water")["fingerprint"] == WATER.fingerprint
+    assert study.to_csv().count("\n") == 6
+    assert study.to_record()["units"]["largest_difference"] == "µN/µm"
 
 
 def test_orders_in_the_rate():
@@ -37,7 +36,7 @@ def test_orders_in_the_rate():
         WATER, (1.0, 2.0, 4.0), times=(0.0, 8.0, 14.0)
     )
     for name, order in initialisation_errors.EXPECTED.items():
-        assert errors.order[name] == pytest.approx(order, abs=0.1)
+        assert errors.order(name) == pytest.approx(order, abs=0.1)
 
 
 def test_relaxation_reaches_the_fixed_point_elastic_does_not():
@@ -51,7 +50,7 @@ def test_relaxation_reaches_the_fixed_point_elastic_does_not():
     assert runs.mean_force[-1] < 1e-2
     assert runs.error[-1] < 0.5 * elastic.error[-1]  # cut off while it still falls
     assert 100 < runs.first_below(1.0) < 10_000
-    assert len(relaxation.describe(ways, "water", "fig6").table["method"]) > 40
+    assert len(relaxation.describe(ways, "water").series["method"]) > 40
 
 
 def test_pasts_meet_in_F_and_rate_and_the_difference_fades():
@@ -86,7 +85,8 @@ def test_fading_time():
 def test_bar_with_water_has_the_model_s_decrements():
     """docs/theory.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
     for name, decrement in (("elastic", 0.0678), ("slow-manifold", 0.0411)):
-        run = bar_comparison.run_bar(WATER, name, (4, 4), LoadCase())
+        case = BarCase(cell=WATER, preset="water", method=name, elements=(4, 4))
+        run = case.compute()
         assert run.fit.first.period == pytest.approx(49.5, abs=0.05)
         assert run.fit.first.decrement == pytest.approx(decrement, rel=0.01)
         assert run.fit.residual < 0.1

@@ -1,14 +1,20 @@
-"""What a stress tolerance buys: error of displacement, hits and speed over tolerances."""
+"""What a stress tolerance is worth: error of displacement, hits and speed over tolerances."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import nan
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from surrofe2.errors import InputError
 from surrofe2.io.run_folder import StoredRun
 from surrofe2.report.comparison import compare
+from surrofe2.report.figures import Curve, Panel, write_figure
+from surrofe2.report.tables import Quantity, Table, percent
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +46,18 @@ class SweepRow:
     off: bool
 
 
+QUANTITIES: tuple[Quantity[SweepRow], ...] = (
+    Quantity("tolerance", "", percent("g"), lambda row: row.tolerance),
+    Quantity("stress error", "", percent("2g"), lambda row: row.error_99),
+    Quantity("above", "", "", lambda row: f"{row.violations} of {row.audited}"),
+    Quantity("displacement error", "", percent("2g"), lambda row: row.displacement_error),
+    Quantity("hits", "", percent("3g"), lambda row: row.hits),
+    Quantity("speed-up", "×", ".3g", lambda row: row.speed_up),
+    Quantity("right-hand sides", "", percent("4g"), lambda row: row.right_hand_sides),
+    Quantity("switched off", "", "", lambda row: "yes" if row.off else None),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Sweep:
     """Rows by falling tolerance, and what they are of."""
@@ -51,6 +69,11 @@ class Sweep:
     spread: float | None
     true_wall_time: float
     rows: tuple[SweepRow, ...]
+
+    @property
+    def table(self) -> Table[SweepRow]:
+        """What people read of it."""
+        return Table(QUANTITIES, self.rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for sweep.json."""
@@ -104,3 +127,53 @@ def _row(reference: StoredRun, run: StoredRun) -> SweepRow:
         factor=cache["trust"]["factor"],
         off=cache["trust"]["off"],
     )
+
+
+def write_sweep_plot(path: Path, sweep: Sweep) -> None:
+    """Draw stress error, displacement error, hits and speed-up over tolerance into a PNG."""
+    rows = sweep.rows
+    tolerance = 100.0 * np.array([row.tolerance for row in rows])
+
+    def curve(values: Iterable[float | None], label: str = "_", name: str = "") -> Curve:
+        return Curve(name or label, tolerance, np.array(list(values), dtype=np.float64), label)
+
+    def percents(values: Iterable[float | None]) -> list[float]:
+        return [nan if value is None else 100.0 * value for value in values]
+
+    def panel(title: str, y_label: str, *curves: Curve, log_y: bool = False) -> Panel:
+        x_label = "stress tolerance (% of the spread of stress)"
+        return Panel(x_label, y_label, curves, title, log_x=True, log_y=log_y, zero=not log_y)
+
+    panels = (
+        panel(
+            "stress error found by audits",
+            "% of the spread of stress",
+            curve(tolerance, "allowed", "reference"),
+            curve(percents(row.error_99 for row in rows), "99 % of the errors are below"),
+            curve(percents(row.error_largest for row in rows), "largest error"),
+            log_y=True,
+        ),
+        panel(
+            "largest error of displacement",
+            "% of the largest displacement",
+            curve(percents(row.displacement_error for row in rows)),
+            log_y=True,
+        ),
+        panel(
+            "stresses answered by the cache", "hits (%)", curve(percents(row.hits for row in rows))
+        ),
+        panel(
+            "speed-up of the run",
+            "times faster than true FE²",
+            curve([1.0 for _ in rows], f"true FE², {sweep.true_wall_time:.3g} s", "reference"),
+            curve(row.speed_up for row in rows),
+            curve([row.speed_up if row.off else nan for row in rows], "switched off"),
+        ),
+    )
+    load = sweep.load
+    spread = f", spread of stress {sweep.spread:.3g} µN/µm" if sweep.spread else ""
+    title = (
+        f"What a stress tolerance buys: {load['width']:g} × {load['height']:g} µm tissue over "
+        f"{load['duration']:g} µs,\ncell preset “{sweep.preset}”, law {sweep.law}{spread}"
+    )
+    write_figure(path, title, panels, columns=2)

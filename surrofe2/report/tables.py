@@ -1,0 +1,115 @@
+"""Tables: from one list of quantities come the columns for console, CSV, JSON and Markdown."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+Row = TypeVar("Row")
+NONE = "–"
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity(Generic[Row]):
+    """One column of a table.
+
+    Attributes:
+        name: what it is, in words; in JSON with underscores.
+        unit: "" for names, counts and ratios.
+        format: of a value for people, as `format` takes it, or a function; None: in files alone.
+        get: the value of a row: a number, a text, or None where there is none.
+    """
+
+    name: str
+    unit: str
+    format: str | Callable[[Any], str] | None
+    get: Callable[[Row], Any]
+
+    @property
+    def heading(self) -> str:
+        """Name and unit."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def key(self) -> str:
+        """The name in JSON."""
+        return re.sub(r"\W+", "_", self.name).strip("_")
+
+    def text(self, row: Row) -> str:
+        """The value of a row for people."""
+        value = self.get(row)
+        if is_missing(value):
+            return NONE
+        return format(value, self.format or "") if not callable(self.format) else self.format(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Table(Generic[Row]):
+    """Rows and the quantities that are read off each."""
+
+    quantities: Sequence[Quantity[Row]]
+    rows: Sequence[Row]
+
+    def for_people(self) -> tuple[list[str], list[list[str]]]:
+        """(headings, texts row by row) of the columns that are shown and have any value."""
+        shown = [
+            quantity
+            for quantity in self.quantities
+            if quantity.format is not None
+            and not all(is_missing(quantity.get(row)) for row in self.rows)
+        ]
+        texts = [[quantity.text(row) for quantity in shown] for row in self.rows]
+        return [quantity.heading for quantity in shown], texts
+
+    def to_markdown(self) -> str:
+        """What people are shown, figures aligned to the right."""
+        headings, texts = self.for_people()
+        lines = [headings, [":--", *["--:"] * (len(headings) - 1)], *texts]
+        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+    def to_csv(self) -> str:
+        """All quantities; an empty field where there is no value."""
+        rows = ([quantity.get(row) for quantity in self.quantities] for row in self.rows)
+        return to_csv([quantity.heading for quantity in self.quantities], rows)
+
+    def to_records(self) -> list[dict[str, Any]]:
+        """Each row by the keys of the quantities, for JSON."""
+        return [
+            {quantity.key: quantity.get(row) for quantity in self.quantities} for row in self.rows
+        ]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit by key, of the quantities that have one."""
+        return {quantity.key: quantity.unit for quantity in self.quantities if quantity.unit}
+
+
+def to_csv(headings: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """A table with a heading; an empty field where there is no number."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(headings)
+    writer.writerows([_field(value) for value in row] for row in rows)
+    return text.getvalue()
+
+
+def is_missing(value: Any) -> bool:
+    """Whether there is no value: None or not a number."""
+    return value is None or (isinstance(value, float | np.floating) and bool(np.isnan(value)))
+
+
+def percent(digits: str) -> Callable[[float], str]:
+    """A format of shares: percent("2g")(0.123) is "12 %"."""
+    return lambda share: f"{100.0 * share:.{digits}} %"
+
+
+def _field(value: Any) -> str:
+    if isinstance(value, float | np.floating):
+        return repr(float(value)) if np.isfinite(value) else ""
+    return "" if value is None else str(value)
