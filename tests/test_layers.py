@@ -76,8 +76,6 @@ INTROSPECTION = {
     "studies/relaxation.py": "",
     "surrogate/calibration_settings.py": "",
     "surrogate/settings.py": "",
-    "tissue/results.py": "",
-    "tissue/settings.py": "",
     "workflow/generate.py": "",
     "workflow/run_outputs.py": "",
     "workflow/training_data.py": "",

@@ -11,7 +11,7 @@ from surrofe2.compilation import cache_folder
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.checkpoints import read_checkpoint, write_checkpoint
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.rve.reference_state import ReferenceState
+from surrofe2.plant_cell.reference_state import ReferenceState
 
 _OF = "a settled reference state"
 

@@ -13,7 +13,7 @@ from surrofe2.plant_cell.tiles import Constants, Topology
 from surrofe2.simd import TILE
 from surrofe2.tissue.kernels import Body, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
-from surrofe2.tissue.pair_lists import PairLister, PairLists
+from surrofe2.tissue.pair_lists import PairLister
 
 Array = NDArray[np.float64]
 
@@ -55,11 +55,15 @@ class TissueDynamics:
         if held is not None:
             self.free_mass[held] = 0.0
         self.load = np.zeros((tissue.particles, 2)) if load is None else load
+        per_mass = np.zeros(tissue.mass.size)
+        per_mass[tissue.where] = np.divide(
+            1.0, self.free_mass, out=np.zeros(tissue.particles), where=self.free_mass > 0.0
+        )
         periods = np.diag(tissue.size) if tissue.periodic else np.zeros((2, 2))
         self._body = Body(
             lattice=np.ascontiguousarray((np.eye(2) if F is None else np.asarray(F)) @ periods),
             rate=np.ascontiguousarray(F_dot @ periods),
-            per_mass=_per_mass(tissue, self.free_mass),
+            per_mass=per_mass.reshape(tissue.mass.shape),
             load=tissue.to_tiles(self.load),
             retained=1.0,
         )
@@ -80,11 +84,6 @@ class TissueDynamics:
     def listed(self) -> Array:
         """(particles, 2) positions at which the lists in use were made, µm."""
         return self.tissue.to_particles(self._listed)
-
-    @property
-    def lists(self) -> PairLists:
-        """The lists in use."""
-        return self._lists
 
     def place(self, x: Array, v: Array | None = None, listed: Array | None = None) -> None:
         """Put particles at x with velocities v (None: at rest), lists as made at `listed`.
@@ -204,27 +203,19 @@ class TissueDynamics:
         self._watch = Watch(listed, mean, nothing, nothing.copy())
 
 
-def _per_mass(tissue: Tissue, free_mass: Array) -> Array:
-    """(tiles, own, TILE) 1/ng, 0 where held or missing."""
-    per_mass = np.zeros(tissue.mass.size)
-    free = free_mass > 0.0
-    per_mass[tissue.where[free]] = 1.0 / free_mass[free]
-    return per_mass.reshape(tissue.mass.shape)
-
-
 def _fluid_topology(tissue: Tissue) -> Topology:
     """The fluid of one plant cell; its other pair lists are empty."""
-    fluid = range(tissue.walls, tissue.own)
-    pairs = [(i, j) for i in fluid for j in fluid if i < j]
+    fluid = tissue.own - tissue.walls
+    pairs = tissue.walls + np.stack(np.triu_indices(fluid, 1), axis=1)
     none = np.empty((0, 2), dtype=np.int32)
     return Topology(
         bonds=none,
         contacts=none,
-        fluid_pairs=np.array(pairs, dtype=np.int32).reshape(-1, 2),
+        fluid_pairs=pairs.astype(np.int32),
         owner=np.empty(0, dtype=np.int32),
         image_offset=np.empty((0, 2)),
         particles=tissue.own,
         walls=tissue.walls,
-        fluid_start=np.array([0, len(fluid)], dtype=np.int32),
+        fluid_start=np.array([0, fluid], dtype=np.int32),
         fluid_pair_start=np.array([0, len(pairs)], dtype=np.int32),
     )

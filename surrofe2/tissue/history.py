@@ -26,7 +26,7 @@ class TissueState:
     """A run at an output time: all that is needed to carry it on, bit by bit, and its results.
 
     Attributes:
-        rows: output times passed. relaxed, x, v: (particles, 2) the unloaded equilibrium,
+        relaxed, x, v: (particles, 2) the unloaded equilibrium,
             positions and velocities, µm and µm/µs. listed: (particles, 2) positions at which the
             pair lists in use were made.
         elastic: stored energy of the unloaded tissue, pJ.
@@ -36,7 +36,6 @@ class TissueState:
         steps, force_evaluations, list_builds: counts. relaxation_time, run_time: s.
     """
 
-    rows: int
     relaxed: Array
     x: Array
     v: Array
@@ -53,6 +52,11 @@ class TissueState:
     list_builds: int
     relaxation_time: float
     run_time: float
+
+    @property
+    def rows(self) -> int:
+        """Output times passed."""
+        return len(self.watched)
 
     def to_arrays(self) -> dict[str, NDArray]:
         """One array for each field."""
@@ -139,7 +143,6 @@ class Recorder:
         dynamics.counts.clear()
         still = np.zeros((1, *relaxed.shape))
         self.state = TissueState(
-            rows=1,
             relaxed=relaxed,
             x=relaxed,
             v=v,
@@ -185,7 +188,6 @@ class Recorder:
         )
         state = replace(
             before,
-            rows=row + 1,
             x=x,
             v=v,
             listed=dynamics.listed,

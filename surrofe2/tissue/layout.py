@@ -186,21 +186,17 @@ def _particles(
     periodic: bool,
 ) -> tuple[NDArray[np.bool_], Array]:
     """(places, own) whether each particle exists, and its mass."""
-    n, m = cells
     per_side = cell.wall_springs_per_side
     own = 2 * per_side - 1 + cell.fluid_particles_per_side**2
-
-    def present(a: Ints, b: Ints) -> Ints:
-        inside = (column >= 0) & (periodic | ((a >= 0) & (a < n) & (b >= 0) & (b < m)))
-        return inside.astype(np.int64)
-
-    here, left = present(column, row), present(column - 1, row)
-    below, diagonal = present(column, row - 1), present(column - 1, row - 1)
+    present = np.pad(np.ones(cells), 1, mode="wrap" if periodic else "constant")
+    here, left = present[column + 1, row + 1], present[column, row + 1]
+    below, diagonal = present[column + 1, row], present[column, row]
     share = np.empty((len(column), own))
     share[:, 0] = (here + left + below + diagonal) / 4
     share[:, 1:per_side] = ((here + below) / 2)[:, None]
     share[:, per_side : 2 * per_side - 1] = ((here + left) / 2)[:, None]
     share[:, 2 * per_side - 1 :] = has_fluid[:, None]
+    share[column < 0] = 0.0
     mass = share * cell.wall_particle_mass
     mass[:, 2 * per_side - 1 :] = share[:, 2 * per_side - 1 :] * cell.fluid_particle_mass
     return share > 0, mass

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.parameters import CellParameters
 
 Ints = NDArray[np.int64]
-Shift = tuple[int, int]
 
 RINGS = 2
 """Walls of plant cells up to this many columns or rows apart are looked at."""
 _BOND, _ON_LINE, _ELSEWHERE = 0, 1, 2
+_ALONG_X, _ALONG_Y, _NO_LINE = 0, 1, -1
 
 
 class PairKinds(NamedTuple):
@@ -33,9 +33,9 @@ class PairKinds(NamedTuple):
     Attributes:
         i, j: (kinds,) own particles.
         shift: (kinds,) index into `shifts`.
-        shifts: (s, 2) columns and rows.
-        line: (kinds, 2) axis of the wall line that both lie on (0: it runs along x, 1: along y)
-            or −1, and that line's column or row relative to the cell of i.
+        shifts: (s, 2) columns and rows; the first are none.
+        axis: (kinds,) which wall line of the cell of i both lie on: 0 the one along x, 1 the one
+            along y, −1 none.
         bonds, lines: how many kinds are bonds, and how many contacts along one line follow.
     """
 
@@ -43,61 +43,38 @@ class PairKinds(NamedTuple):
     j: Ints
     shift: Ints
     shifts: Ints
-    line: Ints
+    axis: Ints
     bonds: int
     lines: int
 
 
 def make_pair_kinds(cell: CellParameters) -> PairKinds:
     """All pair kinds of a tissue of such square cells."""
-    around = range(-RINGS, RINGS + 1)
-    shifts = [shift for shift in product(around, around) if shift >= (0, 0)]
-    table = np.array(
-        sorted([*_wall_kinds(cell.wall_springs_per_side, shifts), *_fluid_kinds(cell, shifts)])
-    )
-    kind, i, j, shift = np.ascontiguousarray(table[:, :4].T)
-    return PairKinds(
-        i, j, shift, np.array(shifts), table[:, 4:],
-        int((kind == _BOND).sum()), int((kind == _ON_LINE).sum()),
-    )  # fmt: skip
-
-
-def _grid(particle: int, per_side: int) -> tuple[int, int]:
-    """Column and row of a wall particle on the grid of springs of its cell."""
-    return (particle, 0) if particle < per_side else (0, particle - per_side + 1)
-
-
-def _wall_kinds(per_side: int, shifts: list[Shift]) -> list[tuple[int, ...]]:
-    walls = range(2 * per_side - 1)
-    rows: list[tuple[int, ...]] = []
-    for (number, (a, b)), i, j in product(enumerate(shifts), walls, walls):
-        if (a, b) == (0, 0) and j <= i:
-            continue
-        at_i, there = _grid(i, per_side), _grid(j, per_side)
-        at_j = there[0] + a * per_side, there[1] + b * per_side
-        line = _common_line(at_i, at_j, per_side)
-        spring_apart = abs(at_i[0] - at_j[0]) + abs(at_i[1] - at_j[1]) == 1
-        kind = _BOND if spring_apart else _ON_LINE if line[0] >= 0 else _ELSEWHERE
-        rows.append((kind, i, j, number, *line))
-    return rows
-
-
-def _common_line(at_i: tuple[int, int], at_j: tuple[int, int], per_side: int) -> tuple[int, int]:
-    for axis in (0, 1):
-        across = at_i[1 - axis]
-        if across == at_j[1 - axis] and across % per_side == 0:
-            return axis, across // per_side
-    return -1, 0
-
-
-def _fluid_kinds(cell: CellParameters, shifts: list[Shift]) -> list[tuple[int, ...]]:
-    """Fluid with the walls around its cell."""
     per_side = cell.wall_springs_per_side
     walls = 2 * per_side - 1
-    fluid = range(walls, walls + cell.fluid_particles_per_side**2)
-    rows: list[tuple[int, ...]] = []
-    for (a, b), wall in product(product((0, 1), (0, 1)), range(walls)):
-        column, row = _grid(wall, per_side)
-        if column + a * per_side <= per_side and row + b * per_side <= per_side:
-            rows += [(_ELSEWHERE, f, wall, shifts.index((a, b)), -1, 0) for f in fluid]
-    return rows
+    around = range(-RINGS, RINGS + 1)
+    shifts = np.array([shift for shift in product(around, around) if shift >= (0, 0)])
+    along = np.arange(1, per_side)
+    at = np.zeros((walls, 2), dtype=np.int64)  # column and row on the grid of springs
+    at[1:per_side, 0], at[per_side:, 1] = along, along
+
+    number, i, j = np.indices((len(shifts), walls, walls)).reshape(3, -1)
+    number, i, j = np.stack([number, i, j])[:, (number > 0) | (j > i)]
+    there = at[j] + per_side * shifts[number]
+    in_column, in_row = ((at[i] == there) & (at[i] == 0)).T
+    axis = np.where(in_row, _ALONG_X, np.where(in_column, _ALONG_Y, _NO_LINE))
+    kind = np.where(axis == _NO_LINE, _ELSEWHERE, _ON_LINE)
+    kind[abs(there - at[i]).sum(axis=1) == 1] = _BOND
+
+    rim = np.flatnonzero(shifts.min(axis=1) >= 0)
+    around_cell = (at + per_side * shifts[rim, None] <= per_side).all(axis=2)
+    place, wall = np.nonzero(around_cell)
+    fluid = np.arange(walls, walls + cell.fluid_particles_per_side**2)
+    inside = np.repeat(fluid, len(wall))
+    touching = np.array([_ELSEWHERE, 0, 0, 0, _NO_LINE])[:, None] + np.zeros_like(inside)
+    touching[1:4] = inside, np.tile(wall, len(fluid)), np.tile(rim[place], len(fluid))
+
+    table = np.hstack([[kind, i, j, number, axis], touching])
+    kind, i, j, number, axis = np.ascontiguousarray(table[:, np.lexsort(table[3::-1])])
+    bonds, lines = int((kind == _BOND).sum()), int((kind == _ON_LINE).sum())
+    return PairKinds(i, j, number, shifts, axis, bonds, lines)

@@ -157,16 +157,16 @@ def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
 
 def pair_shares(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
     """(tiles, bonds + lines, TILE): 1, ½ on the tissue's boundary, 0 where a particle lacks."""
-    count = kinds.bonds + kinds.lines
+    (n, m), count = tissue.cells, kinds.bonds + kinds.lines
     exists = np.moveaxis(tissue.exists, 1, 2).reshape(-1, tissue.own)
     share = np.zeros((len(tissue.column), count))
     place = np.moveaxis(grid.place, 1, 2).reshape(-1, len(kinds.shifts))
-    for k, (axis, line) in enumerate(kinds.line[:count]):
+    for k in range(count):
         there = place[:, kinds.shift[k]]
         share[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
         if not tissue.periodic:
-            across = (tissue.row if axis == 0 else tissue.column) + line
-            share[(across == 0) | (across == tissue.cells[1 - axis]), k] *= 0.5
+            across, most = (tissue.row, m) if kinds.axis[k] == 0 else (tissue.column, n)
+            share[(across == 0) | (across == most), k] *= 0.5
     return _tiled(share)
 
 

@@ -25,10 +25,10 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.discretisation import N_POINTS
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.rve.reference_state import ReferenceState
-from surrofe2.rve.unit_cell import settle_reference
+from surrofe2.rve.reference_state import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 
