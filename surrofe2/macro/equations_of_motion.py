@@ -32,7 +32,7 @@ class Evaluation:
     Attributes:
         t: µs.
         y: (4 n_free,) displacement u and velocity v of the free nodes, µm and µm/µs.
-        F, F_dot: (n_points, 2, 2); J: (n_points,) det F.
+        F, F_dot: (n_points, 2, 2).
         response: what the stress law answered.
         internal, load: (n_free, 2) internal force and load on the free nodes, µN.
         powers: (2,) internal and load power, pJ/µs.
@@ -43,7 +43,6 @@ class Evaluation:
     y: Array
     F: Array
     F_dot: Array
-    J: Array
     response: StressResponse
     internal: Array
     load: Array
@@ -147,7 +146,7 @@ class EquationsOfMotion:
             return self._failed(t, F, response.status)
         if response.switched is not None:
             return Switched(y, response.switched)
-        now = self._evaluation(t, y, (F, F_dot, J), response)
+        now = self._evaluation(t, y, F, F_dot, response)
         if not np.isfinite(now.internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             return self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
@@ -174,10 +173,10 @@ class EquationsOfMotion:
         law_state: what the law had committed there.
         """
         u, v = y.reshape(2, -1, 2)
-        F, F_dot, J = deformation_gradient(self.discretisation, u, v)
+        F, F_dot, _ = deformation_gradient(self.discretisation, u, v)
         response = StressResponse(stress, np.zeros(len(F), dtype=np.int8), law_state)
         self.law_state = law_state
-        self._start = self._evaluation(t, y, (F, F_dot, J), response)
+        self._start = self._evaluation(t, y, F, F_dot, response)
         return self._start
 
     def restart_step(self, points: NDArray[np.int8]) -> Evaluation | NoStress:
@@ -245,16 +244,15 @@ class EquationsOfMotion:
         return at
 
     def _evaluation(
-        self, t: float, y: Array, motion: tuple[Array, Array, Array], response: StressResponse
+        self, t: float, y: Array, F: Array, F_dot: Array, response: StressResponse
     ) -> Evaluation:
-        """The forces and the rate by a stress; motion: F, Ḟ and det F."""
-        F, F_dot, J = motion
+        """The forces and the rate by a stress."""
         v = y[y.size // 2 :].reshape(-1, 2)
         internal = internal_force(self.discretisation, F, response.stress)
         load = self.amplitude_at(t) * self.discretisation.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
         rate = self._rate(v, load, internal)
-        return Evaluation(t, y, F, F_dot, J, response, internal, load, powers, rate)
+        return Evaluation(t, y, F, F_dot, response, internal, load, powers, rate)
 
     def _rate(self, v: Array, load: Array, internal: Array) -> Array:
         acceleration = self.discretisation.solve_mass(load - internal)

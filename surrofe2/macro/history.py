@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import CENTRE, N_POINTS
+from surrofe2.macro.discretisation import CENTRE, N_POINTS, Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.settings import MacroSettings
@@ -53,6 +53,15 @@ class Frames:
     stress: Array
     F: Array
 
+    @classmethod
+    def of(
+        cls, discretisation: Discretisation, t: float, u: Array, v: Array, F: Array, stress: Array
+    ) -> Frames:
+        """Those of one time, from unknowns (n_free, 2) and values at the points."""
+        mean_stress = element_mean_stress(discretisation, F, stress)
+        fields = discretisation.on_all_nodes(u), discretisation.on_all_nodes(v), mean_stress
+        return cls(np.array([t]), *(field[None] for field in fields), F[None, CENTRE::N_POINTS])
+
     def followed_by(self, other: Frames) -> Frames:
         """Both, one after the other."""
         pairs = zip(astuple(self), astuple(other), strict=True)
@@ -75,7 +84,7 @@ class MacroState:
             energy, internal and load work.
         samples: (s, 2) t and rate of dissipation, µs and pJ/µs, at ends of steps.
         frames: whole fields.
-        lowest, highest: (4, 2, 2) extremes of F, Ḟ, U and RᵀḞ.
+        extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
         nodes, load, amplitude: what the run was of; a resumed run must have the same.
         counts, effort, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
@@ -90,8 +99,7 @@ class MacroState:
     rows: Array
     samples: Array
     frames: Frames
-    lowest: Array
-    highest: Array
+    extremes: Array
     nodes: Array
     load: Array
     amplitude: Array
@@ -162,8 +170,8 @@ class Recorder:
     def begin(self, stepper: Stepper) -> None:
         """Record the state at rest at t = 0."""
         start = stepper.standing.now
-        lowest, highest = np.full((4, 2, 2), np.inf), np.full((4, 2, 2), -np.inf)
-        widen_extremes(lowest, highest, start.F, start.F_dot)
+        extremes = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2)).copy()
+        widen_extremes(extremes, start.F, start.F_dot)
         self._state = MacroState(
             t=start.t,
             y=start.y,
@@ -174,8 +182,7 @@ class Recorder:
             # At rest nothing dissipates.
             samples=np.zeros((1 if self._record_dissipation else 0, 2)),
             frames=self._frame(start),
-            lowest=lowest,
-            highest=highest,
+            extremes=extremes,
             nodes=self._discretisation.nodes,
             load=self._discretisation.load,
             amplitude=self._amplitude,
@@ -199,8 +206,8 @@ class Recorder:
                 samples = np.vstack([samples, [end.t, rate]])
         if self._frames_due(end.t) > self._frames_due(step.start.t):
             frames = frames.followed_by(self._frame(end))
-        lowest, highest = before.lowest.copy(), before.highest.copy()
-        widen_extremes(lowest, highest, end.F, end.F_dot)
+        extremes = before.extremes.copy()
+        widen_extremes(extremes, end.F, end.F_dot)
         self._state = replace(
             before,
             t=end.t,
@@ -211,8 +218,7 @@ class Recorder:
             rows=np.concatenate(rows),
             samples=samples,
             frames=frames,
-            lowest=lowest,
-            highest=highest,
+            extremes=extremes,
             **self._standing(stepper),
         )
         self._equations.is_committing = False
@@ -253,19 +259,12 @@ class Recorder:
         return np.concatenate([[t], self._discretisation.at_watched_point(u), [kinetic], work])
 
     def _frame(self, now: Evaluation) -> Frames:
-        stress = element_mean_stress(self._discretisation, now.J, now.response.stress)
-        return Frames(
-            t=np.array([now.t]),
-            displacement=self._discretisation.on_all_nodes(now.u)[None],
-            velocity=self._discretisation.on_all_nodes(now.v)[None],
-            stress=stress[None],
-            F=now.F[None, CENTRE::N_POINTS],
-        )
+        return Frames.of(self._discretisation, now.t, now.u, now.v, now.F, now.response.stress)
 
 
 @kernel
-def widen_extremes(lowest: Any, highest: Any, F: Any, F_dot: Any) -> None:
-    """Widen `lowest` and `highest`, both (4, 2, 2), by F, Ḟ, U = RᵀF and RᵀḞ of all points.
+def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
+    """Widen (2, 4, 2, 2) lowest and highest values by F, Ḟ, U = RᵀF and RᵀḞ of all points.
 
     R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂.
     """
@@ -284,5 +283,5 @@ def widen_extremes(lowest: Any, highest: Any, F: Any, F_dot: Any) -> None:
         for k in range(4):
             for i in range(2):
                 for j in range(2):
-                    lowest[k, i, j] = min(lowest[k, i, j], values[k, i, j])
-                    highest[k, i, j] = max(highest[k, i, j], values[k, i, j])
+                    extremes[0, k, i, j] = min(extremes[0, k, i, j], values[k, i, j])
+                    extremes[1, k, i, j] = max(extremes[1, k, i, j], values[k, i, j])

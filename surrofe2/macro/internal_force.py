@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.macro.discretisation import CENTRE, N_GAUSS, N_POINTS, Discretisation
+from surrofe2.tensors import det
 
 Array = NDArray[np.float64]
 
@@ -44,13 +45,13 @@ def internal_force(discretisation: Discretisation, F: Array, stress: Array) -> A
     return force
 
 
-def element_mean_stress(discretisation: Discretisation, J: Array, stress: Array) -> Array:
+def element_mean_stress(discretisation: Discretisation, F: Array, stress: Array) -> Array:
     """(n_el, 2, 2) Cauchy stress: mean deviator over the Gauss points by current area, and the
     pressure part of the centre.
     """
     stress = stress.reshape(-1, N_POINTS, 2, 2)
     half_trace = 0.5 * np.einsum("eqii->eq", stress)[:, :, None, None] * np.eye(2)
-    area = (J.reshape(-1, N_POINTS) * discretisation.weights)[:, :N_GAUSS, None, None]
+    area = (det(F).reshape(-1, N_POINTS) * discretisation.weights)[:, :N_GAUSS, None, None]
     deviator = (area * (stress - half_trace)[:, :N_GAUSS]).sum(axis=1) / area.sum(axis=1)
     mean: Array = deviator + half_trace[:, CENTRE]
     return mean

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,9 @@ from scipy.sparse import csc_matrix
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import CENTRE, N_POINTS, Discretisation, make_discretisation
+from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.history import Frames
-from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.tangents import Assembly, factorised, make_assembly
 from surrofe2.stress_law import StressLaw, require_tangents
@@ -122,18 +122,11 @@ def find_rest(
 
 def rest_frames(path: Sequence[Rest]) -> Frames:
     """Whole fields of states of rest, the factor of the load in the place of time."""
-    discretisation = path[0].discretisation
-    displacement = np.stack([discretisation.on_all_nodes(rest.u) for rest in path])
-    stress = [
-        element_mean_stress(discretisation, np.linalg.det(rest.F), rest.stress) for rest in path
-    ]
-    return Frames(
-        t=np.array([rest.factor for rest in path]),
-        displacement=displacement,
-        velocity=np.zeros_like(displacement),
-        stress=np.stack(stress),
-        F=np.stack([rest.F[CENTRE::N_POINTS] for rest in path]),
+    each = (
+        Frames.of(rest.discretisation, rest.factor, rest.u, 0.0 * rest.u, rest.F, rest.stress)
+        for rest in path
     )
+    return reduce(Frames.followed_by, each)
 
 
 @dataclass(frozen=True, slots=True)

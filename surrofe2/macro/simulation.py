@@ -30,15 +30,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class MetRange:
-    """Lowest and highest entry that any point met at the end of any step, each (2, 2).
+    """Lowest and highest entries that any point met at the end of any step, (2, 2, 2) each.
 
     With F = R U: a sampling range over (U, RᵀḞ) that holds these holds the run.
     """
 
-    F: tuple[Array, Array]
-    F_dot: tuple[Array, Array]
-    U: tuple[Array, Array]
-    RT_F_dot: tuple[Array, Array]
+    F: Array
+    F_dot: Array
+    U: Array
+    RT_F_dot: Array
 
     @property
     def stretch(self) -> tuple[float, float]:
@@ -194,7 +194,6 @@ def _make_stepper(
 def _make_run(discretisation: Discretisation, state: MacroState, finished: bool) -> MacroRun:
     """The results that `state` holds."""
     t, *displacement, kinetic, internal, load = state.rows.T
-    low, high = state.lowest, state.highest
     return MacroRun(
         curve=DisplacementCurve(t, np.stack(displacement, axis=1)),
         energies={
@@ -207,7 +206,7 @@ def _make_run(discretisation: Discretisation, state: MacroState, finished: bool)
         nodes=discretisation.nodes,
         quads=discretisation.quads,
         frames=state.frames,
-        met=MetRange(*((low[k], high[k]) for k in range(4))),
+        met=MetRange(*state.extremes.swapaxes(0, 1)),
         wall_time=state.wall_time,
         counts=state.counts,
         effort=state.effort,

@@ -78,9 +78,10 @@ def test_force_kernel_agrees_with_its_twin(rng):
 def test_extremes_kernel_agrees_with_its_twin(rng):
     F = np.eye(2) + rng.uniform(-0.4, 0.4, (50, 2, 2))
     F_dot = rng.normal(size=F.shape)
-    lowest, highest = np.full((4, 2, 2), np.inf), np.full((4, 2, 2), -np.inf)
-    widen_extremes(lowest, highest, F[:20], F_dot[:20])
-    widen_extremes(lowest, highest, F[20:], F_dot[20:])
+    extremes = np.stack([np.full((4, 2, 2), np.inf), np.full((4, 2, 2), -np.inf)])
+    widen_extremes(extremes, F[:20], F_dot[:20])
+    widen_extremes(extremes, F[20:], F_dot[20:])
+    lowest, highest = extremes
     expected_low, expected_high = extremes_twin(F, F_dot)
     np.testing.assert_allclose(lowest, expected_low, atol=1e-12)
     np.testing.assert_allclose(highest, expected_high, atol=1e-12)
@@ -127,7 +128,7 @@ def test_patch_of_distorted_elements_carries_a_homogeneous_deformation(rng):
     n_edges = right.sum() - 1
     np.testing.assert_allclose(side, P[:, 0] * height * (1 - 1 / n_edges), rtol=1e-12)
     np.testing.assert_allclose(
-        element_mean_stress(bar, J, stress), np.broadcast_to(stress[0], (20, 2, 2)), rtol=1e-12
+        element_mean_stress(bar, F, stress), np.broadcast_to(stress[0], (20, 2, 2)), rtol=1e-12
     )
 
 

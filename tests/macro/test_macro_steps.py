@@ -195,7 +195,7 @@ class Oscillator:
         rate = np.array([y[1], -y[0]])
         powers = np.array([3.0 * y[0] ** 2 * y[1], 0.0])
         nothing = np.empty((0, 2, 2))
-        return Evaluation(t, y, *[nothing] * 6, powers, rate)
+        return Evaluation(t, y, *[nothing] * 5, powers, rate)
 
 
 def exact(t):
