@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.macro.equations_of_motion import Evaluation, NoStress, Switched
-from surrofe2.macro.time_stepping import NO_MEMORY, Standing, StepControl, StepResult
+from surrofe2.macro.time_stepping import NO_MEMORY, StepControl, StepResult
 
 Array = NDArray[np.float64]
 
@@ -65,26 +65,25 @@ class DormandPrince:
     control = StepControl(order=5, gain=0.4, largest_growth=10.0, splits_rest=False)
 
     def step(
-        self, start: Standing, t: float, found: Switched | None = None
+        self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
     ) -> StepResult | NoStress | Switched:
         """The step from `start` to time t.
 
         Its work is what the method itself would find were the work two more components of y
         without a say in the error.
         """
-        at = now = start.now
-        h = t - at.t
-        rates, powers = np.empty((STAGES, at.y.size)), np.empty((STAGES, 2))
-        rates[0], powers[0] = at.rate, at.powers
+        h, now = t - start.t, start
+        rates, powers = np.empty((STAGES, start.y.size)), np.empty((STAGES, 2))
+        rates[0], powers[0] = start.rate, start.powers
         for stage in range(1, STAGES):
-            y = at.y + h * (WEIGHTS[stage] @ rates[:stage])
-            trial = self.rhs(at.t + TIMES[stage] * h if stage < STAGES - 2 else t, y)
+            y = start.y + h * (WEIGHTS[stage] @ rates[:stage])
+            trial = self.rhs(start.t + TIMES[stage] * h if stage < STAGES - 2 else t, y)
             if not isinstance(trial, Evaluation):
                 return trial
             now, rates[stage], powers[stage] = trial, trial.rate, trial.powers
-        allowed = self._allowed(np.maximum(abs(at.y), abs(now.y)))
+        allowed = self._allowed(np.maximum(abs(start.y), abs(now.y)))
         return StepResult(
-            start=at,
+            start=start,
             end=now,
             error=_root_mean_square(h * (ERROR @ rates) / allowed),
             mean_power=WEIGHTS[-1] @ powers[:-1],
@@ -93,19 +92,18 @@ class DormandPrince:
             memory=NO_MEMORY,
         )
 
-    def first_length(self, start: Standing, t_end: float) -> float | NoStress | Switched:
+    def first_length(self, start: Evaluation, t_end: float) -> float | NoStress | Switched:
         """Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4."""
-        at = start.now
-        allowed = self._allowed(abs(at.y))
-        size, speed = _root_mean_square(at.y / allowed), _root_mean_square(at.rate / allowed)
+        allowed = self._allowed(abs(start.y))
+        size, speed = _root_mean_square(start.y / allowed), _root_mean_square(start.rate / allowed)
         short = 1e-6 if min(size, speed) < 1e-5 else 0.01 * size / speed
-        short = min(short, t_end - at.t)
-        ahead = self.rhs(at.t + short, at.y + short * at.rate)
+        short = min(short, t_end - start.t)
+        ahead = self.rhs(start.t + short, start.y + short * start.rate)
         if not isinstance(ahead, Evaluation):
             return ahead
-        fastest = max(speed, _root_mean_square((ahead.rate - at.rate) / allowed) / short)
+        fastest = max(speed, _root_mean_square((ahead.rate - start.rate) / allowed) / short)
         length = max(1e-6, 1e-3 * short) if fastest <= 1e-15 else (0.01 / fastest) ** 0.2
-        return min(100.0 * short, length, t_end - at.t)
+        return min(100.0 * short, length, t_end - start.t)
 
     def _allowed(self, size: Array) -> Array:
         return self.absolute_tolerance + self.relative_tolerance * size

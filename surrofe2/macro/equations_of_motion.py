@@ -226,20 +226,14 @@ class EquationsOfMotion:
         if left is not None:
             self.tally.effort["left_bifurcation"] += int(left.sum())
         if acceptance.stress is not None:
-            internal = internal_force(self.discretisation, at.F, acceptance.stress)
-            at = replace(
-                at,
-                response=replace(
-                    at.response,
-                    stress=acceptance.stress,
-                    switched=None,
-                    tangents=None,
-                    left_bifurcation=left,
-                ),
-                internal=internal,
-                powers=np.array([np.vdot(internal, at.v), at.powers[1]]),
-                rate=self._rate(at.v, at.load, internal),
+            response = replace(
+                at.response,
+                stress=acceptance.stress,
+                switched=None,
+                tangents=None,
+                left_bifurcation=left,
             )
+            at = self._evaluation(at.t, at.y, at.F, at.F_dot, response)
         self._start = at
         return at
 
@@ -251,12 +245,9 @@ class EquationsOfMotion:
         internal = internal_force(self.discretisation, F, response.stress)
         load = self.amplitude_at(t) * self.discretisation.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
-        rate = self._rate(v, load, internal)
-        return Evaluation(t, y, F, F_dot, response, internal, load, powers, rate)
-
-    def _rate(self, v: Array, load: Array, internal: Array) -> Array:
         acceleration = self.discretisation.solve_mass(load - internal)
-        return np.concatenate([v.ravel(), acceleration.ravel()])
+        rate = np.concatenate([v.ravel(), acceleration.ravel()])
+        return Evaluation(t, y, F, F_dot, response, internal, load, powers, rate)
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
         started = perf_counter()

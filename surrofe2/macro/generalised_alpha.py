@@ -27,7 +27,7 @@ from scipy.sparse import csc_matrix
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix
-from surrofe2.macro.time_stepping import Standing, StepControl, StepResult
+from surrofe2.macro.time_stepping import StepControl, StepResult
 from surrofe2.stress_law import require_tangents
 
 Array = NDArray[np.float64]
@@ -86,16 +86,16 @@ class _Past:
     rate: Array | None
 
     @classmethod
-    def of(cls, start: Standing) -> _Past:
+    def of(cls, start: Evaluation, memory: Array) -> _Past:
         """From h, a, and the rates at both ends, which are the memory of a step.
 
         Where the law has come to answer by another branch, what was known moves by the jump, so
         that neither the error nor the first guess of the next step takes it for a motion.
         """
-        rate, size = start.now.rate, start.now.y.size
-        if start.memory.size == 0:
-            return cls(1.0, start.now.acceleration, None)
-        h, a, before, then = np.split(start.memory, [1, 1 + size // 2, 1 + size // 2 + size])
+        rate, size = start.rate, start.y.size
+        if memory.size == 0:
+            return cls(1.0, start.acceleration, None)
+        h, a, before, then = np.split(memory, [1, 1 + size // 2, 1 + size // 2 + size])
         jump = rate - then
         return cls(float(h[0]), (a + jump[size // 2 :]).reshape(-1, 2), before + jump)
 
@@ -113,42 +113,41 @@ class GeneralisedAlpha:
         self._mass = mass_matrix(equations.discretisation)
         self._assembly = make_assembly(equations.discretisation)
 
-    def first_length(self, start: Standing, t_end: float) -> float:
+    def first_length(self, start: Evaluation, t_end: float) -> float:
         """So short that the displacement gained is what the tolerance allows."""
-        limit, strongest = 1e-2 * t_end, float(abs(start.now.acceleration).max())
+        limit, strongest = 1e-2 * t_end, float(abs(start.acceleration).max())
         if strongest == 0.0:
             return limit
         return min(limit, float(np.sqrt(10.0 * self._settings.absolute_tolerance / strongest)))
 
     def step(
-        self, start: Standing, t: float, found: Switched | None = None
+        self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
     ) -> StepResult | NoStress | Switched:
         """The step from `start` to time t; its work is second order, by powers linear in time."""
-        now, past = start.now, _Past.of(start)
-        h = t - now.t
+        h, past = t - start.t, _Past.of(start, memory)
         # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
         # end of the step it is carried on straight, or as where the step was restarted.
-        a = now.acceleration + h / past.h * (past.a - now.acceleration)
+        a = start.acceleration + h / past.h * (past.a - start.acceleration)
         guess = a
         if found is not None:
             beta = self.weights.beta
-            known = now.u + h * now.v + h**2 * (0.5 - beta) * a
+            known = start.u + h * start.v + h**2 * (0.5 - beta) * a
             guess = (found.y[: found.y.size // 2].reshape(-1, 2) - known) / (h**2 * beta)
         elif past.rate is not None:
             before = past.rate[past.rate.size // 2 :].reshape(-1, 2)
-            guess = a + h / past.h * (now.acceleration - before)
-        solved = self.solve(now, a, guess, t)
+            guess = a + h / past.h * (start.acceleration - before)
+        solved = self.solve(start, a, guess, t)
         if not isinstance(solved, Solved):
             return solved
         end = solved.now
         return StepResult(
-            start=now,
+            start=start,
             end=end,
-            error=self._error(now, past, solved, h),
-            mean_power=0.5 * (now.powers + end.powers),
+            error=self._error(start, past, solved, h),
+            mean_power=0.5 * (start.powers + end.powers),
             bulge=0.0,
             power_bulge=0.0,
-            memory=np.concatenate([[h], solved.a.ravel(), now.rate, end.rate]),
+            memory=np.concatenate([[h], solved.a.ravel(), start.rate, end.rate]),
         )
 
     def solve(

@@ -59,8 +59,13 @@ class Frames:
     ) -> Frames:
         """Those of one time, from unknowns (n_free, 2) and values at the points."""
         mean_stress = element_mean_stress(discretisation, F, stress)
-        fields = discretisation.on_all_nodes(u), discretisation.on_all_nodes(v), mean_stress
-        return cls(np.array([t]), *(field[None] for field in fields), F[None, CENTRE::N_POINTS])
+        return cls(
+            t=np.array([t]),
+            displacement=discretisation.on_all_nodes(u)[None],
+            velocity=discretisation.on_all_nodes(v)[None],
+            stress=mean_stress[None],
+            F=F[None, CENTRE::N_POINTS],
+        )
 
     def followed_by(self, other: Frames) -> Frames:
         """Both, one after the other."""
@@ -169,14 +174,14 @@ class Recorder:
 
     def begin(self, stepper: Stepper) -> None:
         """Record the state at rest at t = 0."""
-        start = stepper.standing.now
+        start = stepper.now
         extremes = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2)).copy()
         widen_extremes(extremes, start.F, start.F_dot)
         self._state = MacroState(
             t=start.t,
             y=start.y,
             next_step=stepper.next_length,
-            memory=stepper.standing.memory,
+            memory=stepper.memory,
             work=np.zeros(2),
             rows=self._row(start.t, start.y, np.zeros(2))[None],
             # At rest nothing dissipates.
@@ -213,7 +218,7 @@ class Recorder:
             t=end.t,
             y=end.y,
             next_step=stepper.next_length,
-            memory=stepper.standing.memory,
+            memory=stepper.memory,
             work=before.work + step.work(end.t),
             rows=np.concatenate(rows),
             samples=samples,
@@ -233,7 +238,7 @@ class Recorder:
 
     def _standing(self, stepper: Stepper) -> dict[str, Any]:
         """What changes with every step and is not of its motion."""
-        stress = stepper.standing.now.response.stress
+        stress = stepper.now.response.stress
         return {"stress": stress, "law_state": self._equations.law_state, **self._cost()}
 
     def _cost(self) -> dict[str, Any]:

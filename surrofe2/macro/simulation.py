@@ -152,10 +152,10 @@ def simulate(
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
         with threadpool_limits(1, user_api="blas"):
-            while stepper.standing.now.t < load_case.duration:
+            while stepper.now.t < load_case.duration:
                 recorder.record(stepper.advance(), stepper)
                 if progress is not None:
-                    progress(stepper.standing.now.t, load_case.duration)
+                    progress(stepper.now.t, load_case.duration)
                 if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
                     checkpoint(recorder.checkpoint())
                     last_checkpoint = monotonic()

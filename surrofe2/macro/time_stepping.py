@@ -27,19 +27,6 @@ _SMALLEST, _ROUNDING = 1e-10, 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """Where a step begins.
-
-    Attributes:
-        now: the evaluation there.
-        memory: what the method knows of earlier steps; empty if it needs nothing, or at the start.
-    """
-
-    now: Evaluation
-    memory: Array
-
-
-@dataclass(frozen=True, slots=True)
 class StepResult:
     """A complete step; what is integrated from its start, y and the work, is within it
 
@@ -53,7 +40,7 @@ class StepResult:
         error: root mean square of the error of y relative to the tolerances; kept up to 1.
         mean_power: (2,) of the internal force and the load, pJ/µs.
         bulge, power_bulge: b of y, (4 n_free,), and of the work, (2,); 0 if there is none.
-        memory: for the step that begins at its end.
+        memory: for the step that begins at its end; empty where the method needs none.
     """
 
     start: Evaluation
@@ -121,15 +108,16 @@ class Method(Protocol):
     def control(self) -> StepControl:
         """How it chooses its steps."""
 
-    def first_length(self, start: Standing, t_end: float) -> float | NoStress | Switched:
+    def first_length(self, start: Evaluation, t_end: float) -> float | NoStress | Switched:
         """Length of the first step, µs."""
 
     def step(
-        self, start: Standing, t: float, found: Switched | None
+        self, start: Evaluation, memory: Array, t: float, found: Switched | None
     ) -> StepResult | NoStress | Switched:
         """The step from `start` to time t.
 
         Args:
+            memory: what the step before left for this one; empty at the start.
             found: where the same step was restarted before; a guess of its end.
         """
 
@@ -138,7 +126,7 @@ class Stepper:
     """Accepted steps, one after another, from `start` to t_end.
 
     Attributes:
-        standing: where the next step begins.
+        now, memory: where the next step begins, and what the method knows of earlier ones.
         next_length: proposed for the next step, µs; by the method if it is not given.
 
     Raises:
@@ -159,11 +147,11 @@ class Stepper:
         self._largest, self._t_end = settings.largest_step, t_end
         if not isinstance(start, Evaluation):
             raise SimulationError(f"the run cannot start: {start.message}")
-        self.standing = Standing(start, memory)
+        self.now, self.memory = start, memory
         length: float | NoStress | Switched
-        length = next_length or method.first_length(self.standing, t_end)
+        length = next_length or method.first_length(self.now, t_end)
         while isinstance(length, Switched):
-            length = self._restart(length) or method.first_length(self.standing, t_end)
+            length = self._restart(length) or method.first_length(self.now, t_end)
         if isinstance(length, NoStress):
             raise SimulationError(f"the run cannot start: {length.message}")
         self.next_length = min(length, self._largest)
@@ -182,8 +170,8 @@ class Stepper:
         halvings, rejected, found = 0, False, None
         while True:
             t = self._target()
-            length = t - self.standing.now.t
-            trial = self._method.step(self.standing, t, found)
+            length = t - self.now.t
+            trial = self._method.step(self.now, self.memory, t, found)
             found, failure = None, None
             if isinstance(trial, Switched):
                 found, failure = trial, self._restart(trial)
@@ -194,7 +182,7 @@ class Stepper:
                 rejected, self.next_length = True, length * control.ratio(trial.error)
                 if self.next_length < _SMALLEST * self._t_end:
                     raise SimulationError(
-                        f"time integration stopped at t = {self.standing.now.t:.6g} µs: the error "
+                        f"time integration stopped at t = {self.now.t:.6g} µs: the error "
                         "asks for steps below rounding; loosen the tolerances"
                     )
             else:
@@ -207,7 +195,7 @@ class Stepper:
                     # A step cut short to meet the end says nothing against the longer one.
                     longest = max(wanted, self.next_length if t == self._t_end else 0.0)
                     self.next_length = min(self._largest, longest)
-                    self.standing = Standing(start, trial.memory)
+                    self.now, self.memory = start, trial.memory
                     return trial
                 failure = start
             if failure is not None:
@@ -216,16 +204,12 @@ class Stepper:
                     raise SimulationError(
                         f"no time step succeeds after {MAX_HALVINGS} halvings: {failure.message}"
                     )
-                halvings, rejected, found, self.next_length = (
-                    halvings + 1,
-                    False,
-                    None,
-                    0.5 * length,
-                )
+                halvings, rejected, found = halvings + 1, False, None
+                self.next_length = 0.5 * length
 
     def _target(self) -> float:
         """Time to step to."""
-        t = self.standing.now.t
+        t = self.now.t
         left, h = self._t_end - t, min(self.next_length, self._largest)
         h = max(h, _ROUNDING * float(np.spacing(t)))
         if h * (1.0 + 1e-9) >= left:
@@ -237,5 +221,5 @@ class Stepper:
         start = self._equations.restart_step(found.points)
         if isinstance(start, NoStress):
             return start
-        self.standing = Standing(start, self.standing.memory)
+        self.now = start
         return None

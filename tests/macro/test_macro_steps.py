@@ -12,7 +12,7 @@ from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.simulation import make_method
-from surrofe2.macro.time_stepping import NO_MEMORY, Standing, Stepper
+from surrofe2.macro.time_stepping import NO_MEMORY, Stepper
 from surrofe2.stress_law import Status
 from tests.laws import Failing, KelvinVoigt
 from tests.macro.bars import LOAD_CASE, SETTINGS
@@ -207,7 +207,7 @@ def test_dormand_prince_is_of_fifth_order_and_of_fourth_within_a_step():
     method, errors = DormandPrince(Oscillator(), 1.0, 1.0), []
     for h in (0.4, 0.2, 0.1):
         start = Oscillator()(0.5, exact(0.5))
-        step = method.step(Standing(start, NO_MEMORY), 0.5 + h)
+        step = method.step(start, NO_MEMORY, 0.5 + h)
         middle = 0.5 + 0.4 * h
         work = exact(0.5 + h)[0] ** 3 - exact(0.5)[0] ** 3
         errors.append(
@@ -227,11 +227,11 @@ def test_dormand_prince_takes_the_steps_of_scipy():
     tolerance = 1e-6
     reference = RK45(lambda t, y: np.array([y[1], -y[0]]), 0.0, exact(0.0), 9.0, rtol=tolerance)
     method = DormandPrince(Oscillator(), 1e-6, tolerance)
-    standing = Standing(Oscillator()(0.0, exact(0.0)), NO_MEMORY)
-    assert method.first_length(standing, 9.0) == pytest.approx(reference.h_abs, rel=1e-12)
+    start = Oscillator()(0.0, exact(0.0))
+    assert method.first_length(start, 9.0) == pytest.approx(reference.h_abs, rel=1e-12)
     for _ in range(5):
         reference.step()
-        step = method.step(standing, reference.t)
+        step = method.step(start, NO_MEMORY, reference.t)
         np.testing.assert_allclose(step.end.y, reference.y, rtol=1e-14)
         middle = 0.3 * step.start.t + 0.7 * step.end.t
         np.testing.assert_allclose(
@@ -239,4 +239,4 @@ def test_dormand_prince_takes_the_steps_of_scipy():
         )
         growth = reference.h_abs / step.length
         assert growth == pytest.approx(min(10.0, 0.9 * step.error**-0.2), rel=1e-9)
-        standing = Standing(step.end, step.memory)
+        start = step.end
