@@ -71,7 +71,10 @@ class Setting:
         stem = f"{Path(name).stem}{self.pick('', '-quick')}"
         self.out.mkdir(parents=True, exist_ok=True)
         return replace(
-            shipped, path=self.out / name, data_file=f"{stem}.h5", training_file=f"{stem}.pt"
+            shipped,
+            path=self.out / name,
+            data_file=f"{stem}.h5",
+            training_file=f"{stem}.safetensors",
         )
 
     def surrogate(self, preset: str) -> SurrogateLaw:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from surrofe2.cache import CachedLaw
     from surrofe2.displacement_curve import DisplacementCurve
     from surrofe2.errors import Surrofe2Error
+    from surrofe2.io.surrogates import read_surrogate, write_surrogate
     from surrofe2.load_case import LoadCase
     from surrofe2.macro import MacroRun, MacroSettings, simulate
     from surrofe2.plant_cell.parameters import CellParameters
@@ -43,13 +44,15 @@ _HOME = {
     "Status": "stress_law",
     "StressLaw": "stress_law",
     "StressResponse": "stress_law",
-    "StressSamples": "sampling",
+    "StressSamples": "stress_samples",
     "Surrofe2Error": "errors",
     "SurrogateLaw": "surrogate",
     "TrainingSettings": "surrogate",
+    "read_surrogate": "io.surrogates",
     "sample": "sampling",
     "simulate": "macro",
     "train": "surrogate",
+    "write_surrogate": "io.surrogates",
 }
 
 __all__ = [
@@ -68,9 +71,11 @@ __all__ = [
     "Surrofe2Error",
     "SurrogateLaw",
     "TrainingSettings",
+    "read_surrogate",
     "sample",
     "simulate",
     "train",
+    "write_surrogate",
 ]
 
 

@@ -24,8 +24,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_settings, check_value, setting
-from surrofe2.surrogate.calibration_settings import CalibrationSettings
-from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 from surrofe2.units import NONE
 
@@ -71,7 +70,7 @@ class Recipe:
 
     def training_path(self) -> Path:
         """Where the trained surrogate lies."""
-        return self._path_of("training", self.training_file, "trained surrogate (.pt)")
+        return self._path_of("training", self.training_file, "trained surrogate (.safetensors)")
 
     def added_paths(self) -> tuple[Path, ...]:
         """Harvests that training takes in besides the data set."""

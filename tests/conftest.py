@@ -20,7 +20,7 @@ seed = 3
 file = "cells.h5"
 
 [training]
-file = "cells.pt"
+file = "cells.safetensors"
 form = "stress"
 hidden = [4]
 baseline_degree = 2

@@ -33,7 +33,7 @@ from benchmarks.watched_law import RecordingLaw, TimedLaw
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.surrogate.calibration_settings import CalibrationSettings
+from surrofe2.surrogate.settings import CalibrationSettings
 from tests.laws import Learnt, Truth
 
 ROOT = Path(__file__).parents[1]

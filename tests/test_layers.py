@@ -32,11 +32,6 @@ HEAVY = ("torch", "matplotlib")
 
 CIRCLES: tuple[set[str], ...] = (
     {"surrofe2.rve.rve_law", "surrofe2.rve.solve"},
-    {
-        "surrofe2.surrogate.calibration", "surrofe2.surrogate.checkpoint",
-        "surrofe2.surrogate.compiled", "surrofe2.surrogate.error_bound",
-        "surrofe2.surrogate.surrogate_law",
-    },
 )  # fmt: skip
 """Modules that import each other today."""
 
@@ -46,8 +41,7 @@ LONG_FUNCTIONS = {"run"}
 """Functions with more than eight arguments. run: the options of a command."""
 
 LOCAL_IMPORTS = {
-    "cache/audit.py", "compilation.py", "surrogate/calibration.py", "surrogate/checkpoint.py",
-    "surrogate/surrogate_law.py",
+    "cache/audit.py", "compilation.py",
 }  # fmt: skip
 """Files with imports inside functions of more than torch and matplotlib."""
 
@@ -55,9 +49,6 @@ INTROSPECTION = {
     "__init__.py": "public names are imported when they are asked for",
     "surrogate/__init__.py": "public names are imported when they are asked for",
     "simd.py": "instructions of llvmlite by name",
-    "surrogate/lanes.py": "instructions of llvmlite by name",
-    "surrogate/training.py": "types of torch by name",
-    "surrogate/checkpoint.py": "types of torch by name",
     "cli/__init__.py": "commands are imported when they are called; streams of other programs",
     "cache/audit.py": "",
     "cache/cost.py": "",
@@ -74,8 +65,6 @@ INTROSPECTION = {
     "settings.py": "",
     "studies/memory.py": "",
     "studies/relaxation.py": "",
-    "surrogate/calibration_settings.py": "",
-    "surrogate/settings.py": "",
     "workflow/generate.py": "",
     "workflow/run_outputs.py": "",
     "workflow/training_data.py": "",

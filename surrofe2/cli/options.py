@@ -15,7 +15,8 @@ RecipeFile = Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's 
 RunFolder = Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")]
 JsonFile = Annotated[Path | None, typer.Option(metavar="FILE", help="All numbers as JSON.")]
 SurrogateFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Surrogate (.pt); default: the recipe's.")
+    Path | None,
+    typer.Option(metavar="FILE", help="Surrogate file; default: the recipe's."),
 ]
 Preset = Annotated[
     Literal["printed", "water"], typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")

@@ -31,11 +31,11 @@ def refine(
 
     Runs through the cache, collects the states that the surrogate did not know well enough, asks
     RVEs there and around, trains again, and so on until a run has no unknown state and its audit
-    holds. DIR receives refine.json (the table of rounds) and surrogate.pt.
+    holds. DIR receives refine.json (the table of rounds) and surrogate.safetensors.
 
     Example: [bold]surrofe2 refine data/bending-bar-triple-load.toml[/bold]
 
-    Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.pt --out out/run[/bold]
+    Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.safetensors[/bold]
     """
     study = load_recipe(recipe)
     folder = out or Path("out") / f"refine-{recipe.stem}"

@@ -1,10 +1,11 @@
 """A learnt stress law: samples in, `SurrogateLaw` out.
 
-Reading order: `settings`, `components` (what is learnt), `network`, `training_task`, `training`,
-`held_out_errors`, `surrogate_law`, `checkpoint`; where it may be trusted: `domain`,
-`calibration`, `trust_features`; and for speed `packing`, `compiled`, `compiled_frame`,
-`compiled_network`, `polynomials`, `error_bound`, `lanes`, `vector_tanh`. torch is imported when it
-is first needed, so that recipes can be checked without it.
+Reading order: `settings`, `features` (what is learnt), `network`, `piola`, `training_task`,
+`training`; where it may be trusted: `domain`, `domain_fit`, `error_bound`, `deformation_paths`,
+`calibration`; and for speed `network_arrays`, `polynomial`, `tanh`, `compiled_frame`,
+`compiled_network`, `compiled_bound`, `compiled_lookup`, all put together in `surrogate_law`. Only
+`network`, `training_task` and `training` import torch, so `train` is imported when it is first
+asked for.
 """
 
 from __future__ import annotations

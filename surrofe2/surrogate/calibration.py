@@ -1,4 +1,4 @@
-"""A bound of the surrogate's error by split conformal prediction over paths.
+"""Calibrates the bound of a surrogate's error: split conformal prediction over paths.
 
 The local scale s(F, Ḟ) > 0 is fitted to errors on some paths; on n others of each kind the score
 of a path is the largest error/s at its states within the domain, infinite where the true law has
@@ -22,27 +22,23 @@ Vovk, Gammerman, Shafer, *Algorithmic learning in a random world*, 2005; Lei et 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.optimize import linprog
+from scipy.special import bdtr
 
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.sampling import SamplingRange
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.deformation_paths import DeformationPaths
-from surrofe2.surrogate.domain import fit_domain
-from surrofe2.surrogate.trust_features import even_rows, products, scale_table, scaled_inputs
+from surrofe2.surrogate.domain import products, scaled_inputs
+from surrofe2.surrogate.domain_fit import fit_domain
+from surrofe2.surrogate.error_bound import Calibration, even_rows, local_scale, scale_table
+from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.tensors import stress_error, stress_spread
-
-if TYPE_CHECKING:
-    from torch.nn import Module
-
-    from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 Array = NDArray[np.float64]
 
@@ -60,47 +56,6 @@ class Truth:
     paths: DeformationPaths
     stress: Array
     status: NDArray[np.int8]
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Calibration:
-    """A local scale, its quantile, and where they come from.
-
-    Attributes:
-        scale: (k,) coefficients ≥ 0 of `trust_features.scale_table`, µN/µm.
-        quantile: q; infinite where no bound can be given.
-        share: nominal share α of paths that may break the bound.
-        kinds: by kind of path, `paths`, `states` within the domain, and their own `quantile`.
-        stress_spread: of the data's stress, µN/µm.
-        data_fingerprint: of the samples that were trained on.
-        subject: fingerprint of the weights and the range that were calibrated.
-        settings: of the paths, for the record.
-    """
-
-    scale: Array
-    quantile: float
-    share: float
-    kinds: Mapping[str, Mapping[str, float]]
-    stress_spread: float
-    data_fingerprint: str
-    subject: str
-    settings: Mapping[str, Any]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, lists and dictionaries, for files."""
-        kinds = {kind: dict(figures) for kind, figures in self.kinds.items()}
-        plain = {**asdict(self), "kinds": kinds, "settings": dict(self.settings)}
-        return {**plain, "scale": self.scale.tolist()}
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> Calibration:
-        """What `to_dict` gave; a ValueError, KeyError or TypeError where it is damaged."""
-        scale = np.array(content["scale"], dtype=np.float64)
-        if scale.shape != (len(scale_table()),) or not (scale >= 0.0).all():
-            raise ValueError("calibration: not a scale")
-        if not content["quantile"] >= 0.0:
-            raise ValueError("calibration: not a quantile")
-        return cls(**{**content, "scale": scale})
 
 
 def calibrate(
@@ -146,7 +101,7 @@ def calibrate(
         kinds=kinds,
         stress_spread=spread,
         data_fingerprint=law.data_fingerprint,
-        subject=subject(law.network, law.range),
+        subject=law.network.fingerprint(law.range),
         settings=dict(settings or {}),
     )
     return replace(law, calibration=calibration)
@@ -164,10 +119,9 @@ def conformal_quantile(scores: Array, share: float) -> float:
     rank = int(np.ceil((count + 1) * (1.0 - share) - 1e-9))
     if rank > count:
         return np.inf
-    above = int(binom.ppf(_DOUBT, count, share))
-    if binom.cdf(above, count, share) > _DOUBT:
-        above -= 1
-    return float(np.sort(scores)[max(rank, count - max(above, 0)) - 1])
+    likely = bdtr(np.arange(count + 1.0), count, share)  # that so many or fewer scores are above
+    above = max(int((likely <= _DOUBT).sum()) - 1, 0)
+    return float(np.sort(scores)[max(rank, count - above) - 1])
 
 
 def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:
@@ -181,22 +135,6 @@ def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.boo
     known = inside & (truth.status == 0)
     error[known] = stress_error(answer[known], truth.stress[known])
     return error, inside
-
-
-def local_scale(scale: Array, x: Array) -> Array:
-    """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""
-    values: Array = products(even_rows(x), scale_table()) @ scale
-    return values
-
-
-def subject(network: Module, range: SamplingRange) -> str:
-    """16 hexadecimal digits of what a calibration holds for: all weights, and the range."""
-    digest = hashlib.sha256(repr(range).encode())
-    for name, values in sorted(network.state_dict().items()):
-        array = values.detach().cpu().contiguous().numpy()
-        digest.update(f"{name} {array.dtype} {array.shape}".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()[:16]
 
 
 def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
@@ -240,8 +178,6 @@ def _smallest_cover(cost: Array, basis: Array, error: Array, least: Array) -> Ar
 
     Only few states bind, so those that the solution violates most are added until none is left.
     """
-    from scipy.optimize import linprog  # here, because it takes long to import
-
     kept = np.argsort(error)[-_MOST_ADDED:]
     while True:
         bounds = [(low, None) for low in least]

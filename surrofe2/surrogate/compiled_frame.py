@@ -1,89 +1,121 @@
-"""What the compiled pass does before and after the network; layout and names as in `compiled`.
+"""What the compiled pass does before and after the network: rotations, inputs, Cauchy stress.
 
-The rotation is taken out of a block of points and their inputs are scaled; the answer is turned to
-Cauchy stress and the rotation put back. Rows of the frame: 0 to 3 F, then A = RᵀḞ; 4 to 7 Ḟ; 8, 9
-cos and sin of R; 10 to 12 U₁₁, U₁₂, U₂₂; 13 to 16 components of the stress, then σ.
+Points are taken in blocks of `TILES` tiles of `TILE` points; every quantity is a row of a block,
+(TILES, TILE), and each operation is one of SIMD values of `surrofe2.simd`. Rows of the frame of a
+block: components of F and Ḟ, cos and sin of R, U, A = RᵀḞ, whether the point is within the range
+(1 or 0), and the stress.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from surrofe2.compilation import kernel
-from surrofe2.surrogate.lanes import BLOCK
+from surrofe2.simd import TILE, load, root, store, where_less
 from surrofe2.tensors import INPUTS
 
-FRAME_ROWS = 17
-_ONE = INPUTS  # row of x that holds ones
+TILES = 5
+BLOCK = TILES * TILE
+"""Points of a block."""
+
+F11, F12, F21, F22, V11, V12, V21, V22 = range(8)  # V: Ḟ
+COS, SIN, U11, U12, U22, A11, A12, A21, A22, INSIDE, S11, S12, S21, S22 = range(8, 22)
+FRAME_ROWS = 22
+ONE = INPUTS
+"""Row of scaled inputs that holds ones."""
 
 
 @kernel
 def read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
-    """Rows 0 to 3: F, rows 4 to 7: Ḟ; behind the last point it is repeated."""
+    """The rows of F and Ḟ; behind the last point it is repeated."""
     for p in range(BLOCK):
         point = min(start + p, F.shape[0] - 1)
-        for i in range(2):
-            for j in range(2):
-                frame[2 * i + j, p] = F[point, i, j]
-                frame[4 + 2 * i + j, p] = F_dot[point, i, j]
+        t, lane = p // TILE, p % TILE
+        frame[F11, t, lane], frame[F12, t, lane] = F[point, 0, 0], F[point, 0, 1]
+        frame[F21, t, lane], frame[F22, t, lane] = F[point, 1, 0], F[point, 1, 1]
+        frame[V11, t, lane], frame[V12, t, lane] = F_dot[point, 0, 0], F_dot[point, 0, 1]
+        frame[V21, t, lane], frame[V22, t, lane] = F_dot[point, 1, 0], F_dot[point, 1, 1]
 
 
 @kernel
 def take_rotation_out(frame):  # type: ignore[no-untyped-def]
-    """Rows 8, 9: cos and sin of R; rows 10 to 12: U₁₁, U₁₂, U₂₂; rows 0 to 3: A = RᵀḞ."""
-    for p in range(BLOCK):
-        xx, xy, yx, yy = frame[0, p], frame[1, p], frame[2, p], frame[3, p]
+    """The rows of R, U and A from those of F and Ḟ."""
+    for t in range(TILES):
+        xx, xy = load(frame, F11, t), load(frame, F12, t)
+        yx, yy = load(frame, F21, t), load(frame, F22, t)
         along, across = xx + yy, yx - xy
-        length = 1.0 / np.sqrt(along * along + across * across)
+        length = 1.0 / root(along * along + across * across)
         c, s = along * length, across * length
-        frame[8, p] = c
-        frame[9, p] = s
-        frame[10, p] = c * xx + s * yx
-        frame[11, p] = c * xy + s * yy
-        frame[12, p] = c * yy - s * xy
-        vxx, vxy, vyx, vyy = frame[4, p], frame[5, p], frame[6, p], frame[7, p]
-        frame[0, p] = c * vxx + s * vyx
-        frame[1, p] = c * vxy + s * vyy
-        frame[2, p] = c * vyx - s * vxx
-        frame[3, p] = c * vyy - s * vxy
+        store(c, frame, COS, t)
+        store(s, frame, SIN, t)
+        store(c * xx + s * yx, frame, U11, t)
+        store(c * xy + s * yy, frame, U12, t)
+        store(c * yy - s * xy, frame, U22, t)
+        xx, xy = load(frame, V11, t), load(frame, V12, t)
+        yx, yy = load(frame, V21, t), load(frame, V22, t)
+        store(c * xx + s * yx, frame, A11, t)
+        store(c * xy + s * yy, frame, A12, t)
+        store(c * yx - s * xx, frame, A21, t)
+        store(c * yy - s * xy, frame, A22, t)
+
+
+@kernel
+def set_inside(frame, bounds):  # type: ignore[no-untyped-def]
+    """Set `INSIDE` to 1 where low < U₁₁, U₂₂ < high, |U₁₂| < shear and |A| < rate, else 0.
+
+    bounds: (4,) low, high, shear, rate. What is not a number is outside.
+    """
+    low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
+    for t in range(TILES):
+        inside = where_less(low, load(frame, U11, t), 1.0, 0.0)
+        inside = where_less(load(frame, U11, t), high, inside, 0.0)
+        inside = where_less(low, load(frame, U22, t), inside, 0.0)
+        inside = where_less(load(frame, U22, t), high, inside, 0.0)
+        inside = _where_within(load(frame, U12, t), shear, inside)
+        for row in range(A11, A22 + 1):
+            inside = _where_within(load(frame, row, t), rate, inside)
+        store(inside, frame, INSIDE, t)
+
+
+@kernel
+def _where_within(value, bound, inside):  # type: ignore[no-untyped-def]
+    return where_less(-bound, value, where_less(value, bound, inside, 0.0), 0.0)
 
 
 @kernel
 def scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
-    """The inputs of `tensors`, scaled, and a row of ones."""
-    for p in range(BLOCK):
-        x[0, p] = ((frame[10, p] - 1.0) + (frame[12, p] - 1.0)) * factor[0]
-        x[1, p] = (frame[10, p] - frame[12, p]) * factor[1]
-        x[2, p] = 2.0 * frame[11, p] * factor[2]
-        x[3, p] = (frame[0, p] + frame[3, p]) * factor[3]
-        x[4, p] = (frame[0, p] - frame[3, p]) * factor[4]
-        x[5, p] = (frame[1, p] + frame[2, p]) * factor[5]
-        x[6, p] = (frame[2, p] - frame[1, p]) * factor[6]
-        x[_ONE, p] = 1.0
+    """The inputs of `tensors`, scaled, (7, TILES, TILE), and a row of ones."""
+    for t in range(TILES):
+        u11, u22 = load(frame, U11, t), load(frame, U22, t)
+        a11, a12 = load(frame, A11, t), load(frame, A12, t)
+        a21, a22 = load(frame, A21, t), load(frame, A22, t)
+        store(((u11 - 1.0) + (u22 - 1.0)) * factor[0], x, 0, t)
+        store((u11 - u22) * factor[1], x, 1, t)
+        store(load(frame, U12, t) * (2.0 * factor[2]), x, 2, t)
+        store((a11 + a22) * factor[3], x, 3, t)
+        store((a11 - a22) * factor[4], x, 4, t)
+        store((a12 + a21) * factor[5], x, 5, t)
+        store((a21 - a12) * factor[6], x, 6, t)
+        store(1.0, x, ONE, t)
 
 
 @kernel
-def turn_to_cauchy(y, frame):  # type: ignore[no-untyped-def]
-    """Rows 13 to 16: components of S = P̂ U/det U."""
-    for p in range(BLOCK):
-        t, d, g = frame[10, p] + frame[12, p], frame[10, p] - frame[12, p], 2.0 * frame[11, p]
-        factor = 2.0 / (t * t - d * d - g * g)
-        frame[13, p] = factor * (t * y[0, p] + d * y[1, p] + g * y[2, p])
-        frame[14, p] = factor * (d * y[0, p] + t * y[1, p] - g * y[3, p])
-        frame[15, p] = factor * (g * y[0, p] + t * y[2, p] + d * y[3, p])
-        frame[16, p] = factor * (t * y[3, p] - g * y[1, p] + d * y[2, p])
+def set_stress(y, frame):  # type: ignore[no-untyped-def]
+    """The rows of σ from the components of P̂ in rows 0 to 3 of y.
 
-
-@kernel
-def put_rotation_back(frame):  # type: ignore[no-untyped-def]
-    """Rows 13 to 16: σ₁₁, σ₁₂, σ₂₁, σ₂₂; R turns (difference, shear) by twice its angle."""
-    for p in range(BLOCK):
-        c, s = frame[8, p], frame[9, p]
-        c2, s2 = c * c - s * s, 2.0 * c * s
-        total, spin = frame[13, p], frame[16, p]
-        difference = c2 * frame[14, p] - s2 * frame[15, p]
-        shear = s2 * frame[14, p] + c2 * frame[15, p]
-        frame[13, p] = 0.5 * (total + difference)
-        frame[14, p] = 0.5 * (shear - spin)
-        frame[15, p] = 0.5 * (shear + spin)
-        frame[16, p] = 0.5 * (total - difference)
+    S = P̂ U/det U; R turns its difference and shear by twice its angle.
+    """
+    for t in range(TILES):
+        u11, u22 = load(frame, U11, t), load(frame, U22, t)
+        n, d, g = u11 + u22, u11 - u22, 2.0 * load(frame, U12, t)
+        total, difference, shear, spin = load(y, 0, t), load(y, 1, t), load(y, 2, t), load(y, 3, t)
+        factor = 1.0 / (n * n - d * d - g * g)
+        s = factor * (n * total + d * difference + g * shear)
+        by_d = factor * (d * total + n * difference - g * spin)
+        by_g = factor * (g * total + n * shear + d * spin)
+        w = factor * (n * spin - g * difference + d * shear)
+        cos, sin = load(frame, COS, t), load(frame, SIN, t)
+        c2, s2 = cos * cos - sin * sin, 2.0 * cos * sin
+        turned_d, turned_g = c2 * by_d - s2 * by_g, s2 * by_d + c2 * by_g
+        store(s + turned_d, frame, S11, t)
+        store(turned_g - w, frame, S12, t)
+        store(turned_g + w, frame, S21, t)
+        store(s - turned_d, frame, S22, t)

@@ -1,122 +1,293 @@
-"""The tanh networks of a surrogate in compiled code; layout and names as in `compiled`.
+"""The networks of a surrogate in compiled code: value, and slopes along some of the inputs.
 
-Rows of a layer are computed four at a time, so sizes are padded with zeros to multiples of four.
+Layout and names as in `compiled_frame`. What is differentiated by the first K inputs has the input
+as first axis: (K, rows, TILES, TILE); a value alone is the same with K = 0. Rows of a layer are
+computed four at a time, so sizes are padded with zeros to multiples of four.
 """
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.surrogate.lanes import BLOCK, LANES, filled, load, store
-from surrofe2.surrogate.vector_tanh import fill_tanh
+from surrofe2.simd import TILE, load, spread, store
+from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES, U11, U12, U22
+from surrofe2.surrogate.features import STRETCH
+from surrofe2.surrogate.polynomial import ROWS, add_polynomial
+from surrofe2.surrogate.tanh import fill_tanh
+from surrofe2.tensors import INPUTS
+
+BIOT = 4
+"""Components of P̂; behind them stand the symmetric ones of its elastic part."""
+COMPONENTS = BIOT + STRETCH
 
 
-@kernel
-def network_factors(x, weights, layers, total):  # type: ignore[no-untyped-def]
-    """Fill the rows of the factors of the terms (factors, BLOCK), summed over the members.
+class Room(NamedTuple):
+    """What a block is worked out in, used again for the next.
 
-    x: (8, BLOCK) scaled inputs. layers: (2, units, BLOCK) room for the largest layers.
+    x: (8, …) scaled inputs and ones; y: (7, …) components; products: (rows, TILE) of polynomials;
+    layers: (2, units, …) of the factors; hidden: (all units, …) of the energy, back: (2, units, …);
+    the others, with K before, are their slopes.
     """
-    sizes = weights.sizes
-    total[:] = 0.0
-    for member in range(weights.weights.shape[0]):
-        _set_invariants(x, weights.invariants, layers[0, : sizes[0]])
-        first, first_bias = 0, 0
-        for layer in range(1, sizes.shape[0]):
-            rows, columns = sizes[layer], sizes[layer - 1]
-            size = rows * columns
-            matrix = weights.weights[member, first : first + size].reshape(rows, columns)
-            bias = weights.biases[member, first_bias : first_bias + rows]
-            target = layers[layer % 2, :rows]
-            apply_layer(matrix, bias, layers[(layer - 1) % 2], target)
-            if layer + 1 < sizes.shape[0]:
-                fill_tanh(target)
-            first += size
-            first_bias += rows
-        answer = layers[(sizes.shape[0] - 1) % 2]
-        for row in range(sizes[-1]):
-            for p in range(BLOCK):
-                total[row, p] += answer[row, p]
+
+    x: Any
+    y: Any
+    y_slopes: Any
+    products: Any
+    layers: Any
+    layer_slopes: Any
+    hidden: Any
+    hidden_slopes: Any
+    back: Any
+    back_slopes: Any
 
 
 @kernel
-def _set_invariants(x, invariants, rows):  # type: ignore[no-untyped-def]
-    """Rows of what the network reads, and zeros behind them."""
-    for k in range(invariants.shape[0]):
-        a, b, c = invariants[k]
-        for p in range(BLOCK):
-            rows[k, p] = x[a, p] * x[b, p] * x[c, p]
-    rows[invariants.shape[0] :] = 0.0
+def make_room(arrays, slope_polynomial, inputs):  # type: ignore[no-untyped-def]
+    """Room for values and for slopes along so many inputs, 0 or 7; see `NetworkArrays`.
+
+    slope_polynomial: where there are no slopes, the arrays once more.
+    """
+    stretches = min(inputs, STRETCH)
+    made = max(arrays.made.shape[0], slope_polynomial.made.shape[0])
+    widest, widest_energy = arrays.sizes.max(), arrays.energy_sizes.max()
+    units = arrays.energy_sizes.sum()
+    return Room(
+        np.empty((INPUTS + 1, TILES, TILE)),
+        np.empty((COMPONENTS, TILES, TILE)),
+        np.empty((inputs, COMPONENTS, TILES, TILE)),
+        np.empty((ROWS + made, TILE)),
+        np.empty((2, widest, TILES, TILE)),
+        np.empty((2, inputs, widest, TILES, TILE)),
+        np.empty((units, TILES, TILE)),
+        np.empty((stretches, units, TILES, TILE)),
+        np.empty((2, widest_energy, TILES, TILE)),
+        np.empty((2, stretches, widest_energy, TILES, TILE)),
+    )
 
 
 @kernel
-def energy_slope(x, weights):  # type: ignore[no-untyped-def]
-    """Rows of ∂W by the invariants of U (4, BLOCK), summed over the members: forward and back."""
-    sizes = weights.energy_sizes
-    total = np.zeros((sizes[0], BLOCK), dtype=x.dtype)
-    none = np.zeros(sizes.max(), dtype=x.dtype)
-    for member in range(weights.energy_weights.shape[0]):
-        hidden = np.zeros((sizes[:-1].sum(), BLOCK), dtype=x.dtype)
-        for k in range(3):
-            for p in range(BLOCK):
-                hidden[k, p] = x[k, p] * x[k, p] if weights.powers[k] == 2 else x[k, p]
-        begin, first, first_bias = 0, 0, 0
-        for layer in range(1, sizes.shape[0] - 1):
-            rows, columns = sizes[layer], sizes[layer - 1]
-            matrix = weights.energy_weights[member, first : first + rows * columns].reshape(
-                rows, columns
-            )
-            end = begin + columns
-            bias = weights.energy_biases[member, first_bias : first_bias + rows]
-            apply_layer(matrix, bias, hidden[begin:end], hidden[end : end + rows])
-            fill_tanh(hidden[end : end + rows])
-            begin = end
-            first += rows * columns
-            first_bias += rows
-        last = weights.energy_weights[member, first : first + sizes[-2]]
-        back = np.empty((sizes[-2], BLOCK), dtype=x.dtype)
-        for row in range(sizes[-2]):
-            for p in range(BLOCK):
-                back[row, p] = last[row]
-        for layer in range(sizes.shape[0] - 2, 0, -1):
-            rows, columns = sizes[layer], sizes[layer - 1]
-            for row in range(rows):
-                for p in range(BLOCK):
-                    h = hidden[begin + row, p]
-                    back[row, p] *= 1.0 - h * h
-            first -= rows * columns
-            matrix = weights.energy_turned[member, first : first + rows * columns].reshape(
-                columns, rows
-            )
-            before = np.empty((columns, BLOCK), dtype=x.dtype)
-            apply_layer(matrix, none, back, before)
-            back = before
-            begin -= columns
-        for row in range(sizes[0]):
-            for p in range(BLOCK):
-                total[row, p] += back[row, p]
-    return total
+def evaluate_network(frame, arrays, room):  # type: ignore[no-untyped-def]
+    """Rows 0 to 3 of y, the components of P̂, and their slopes by scaled inputs, from x.
+
+    The slopes begin with those of the polynomial, see `set_polynomial_slopes`.
+    """
+    room.y[:] = 0.0
+    _add_terms(arrays, room, evaluate_factors(arrays, room))
+    add_polynomial(room.x, arrays, room.products, room.y)
+    if arrays.powers[0]:
+        _add_elastic(frame, arrays, room, evaluate_energy_slope(arrays, room))
+
+
+@kernel
+def set_polynomial_slopes(slope_polynomial, room):  # type: ignore[no-untyped-def]
+    """Set the slopes of y to those of the polynomial."""
+    room.y_slopes[:] = 0.0
+    flat = room.y_slopes.reshape(INPUTS * COMPONENTS, TILES, TILE)
+    add_polynomial(room.x, slope_polynomial, room.products, flat)
+
+
+@kernel
+def evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
+    """Fill layers[last] with the factors of the terms, and their slopes; returns last."""
+    x, layers, slopes = room.x, room.layers, room.layer_slopes
+    layers[0, arrays.invariants.shape[0] : arrays.sizes[0]] = 0.0
+    if slopes.shape[1]:
+        slopes[0] = 0.0
+    for row in range(arrays.invariants.shape[0]):
+        a, b, c = arrays.invariants[row]
+        for t in range(TILES):
+            first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
+            store(first * second * third, layers, 0, row, t)
+            _add_slope(slopes, 0, a, row, t, second * third)
+            _add_slope(slopes, 0, b, row, t, first * third)
+            _add_slope(slopes, 0, c, row, t, first * second)
+    first_weight, first_bias = 0, 0
+    none = np.zeros(arrays.sizes.max())
+    last = arrays.sizes.shape[0] - 1
+    for layer in range(1, last + 1):
+        rows, columns = arrays.sizes[layer], arrays.sizes[layer - 1]
+        end = first_weight + rows * columns
+        matrix = arrays.weights[first_weight:end].reshape(rows, columns)
+        before, after = (layer - 1) % 2, layer % 2
+        bias = arrays.biases[first_bias : first_bias + rows]
+        apply_layer(matrix, bias, layers[before], layers[after])
+        if layer < last:
+            fill_tanh(layers[after, :rows].reshape(rows * BLOCK))
+        for k in range(slopes.shape[1]):
+            apply_layer(matrix, none, slopes[before, k], slopes[after, k])
+            if layer < last:
+                _times_tanh_slope(layers[after], slopes[after, k], rows)
+        first_weight = end
+        first_bias += rows
+    return last % 2
+
+
+@kernel
+def _add_slope(slopes, layer, k, row, t, value):  # type: ignore[no-untyped-def]
+    if k < slopes.shape[1]:
+        store(load(slopes, layer, k, row, t) + value, slopes, layer, k, row, t)
+
+
+@kernel
+def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
+    """Multiply slopes (rows, …) by 1 − tanh²."""
+    for row in range(rows):
+        for t in range(TILES):
+            h = load(tanh, row, t)
+            store((1.0 - h * h) * load(slopes, row, t), slopes, row, t)
+
+
+@kernel
+def _add_terms(arrays, room, last):  # type: ignore[no-untyped-def]
+    """Add (factor − factor at rest) × product of each term to its component."""
+    x, y, y_slopes = room.x, room.y, room.y_slopes
+    inputs = y_slopes.shape[0]
+    for term in range(arrays.terms.shape[0]):
+        a, b, c, component = arrays.terms[term]
+        scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
+        for t in range(TILES):
+            first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
+            factor = (load(room.layers, last, term, t) - at_rest) * scale
+            product = first * second * third
+            store(load(y, component, t) + factor * product, y, component, t)
+            for k in range(inputs):
+                slope = load(room.layer_slopes, last, k, term, t) * (product * scale)
+                store(load(y_slopes, k, component, t) + slope, y_slopes, k, component, t)
+            if inputs:
+                _add_to(y_slopes, a, component, t, factor * second * third)
+                _add_to(y_slopes, b, component, t, factor * first * third)
+                _add_to(y_slopes, c, component, t, factor * first * second)
+
+
+@kernel
+def _add_to(slopes, k, component, t, value):  # type: ignore[no-untyped-def]
+    if k < slopes.shape[0]:
+        store(load(slopes, k, component, t) + value, slopes, k, component, t)
+
+
+@kernel
+def evaluate_energy_slope(arrays, room):  # type: ignore[no-untyped-def]
+    """Fill back[last] with ∂W by the invariants of U, and its slopes by s, d, g; returns last.
+
+    Forward through the layers and back, with both differentiated.
+    """
+    x, sizes = room.x, arrays.energy_sizes
+    hidden, hidden_slopes, back, back_slopes = (
+        room.hidden,
+        room.hidden_slopes,
+        room.back,
+        room.back_slopes,
+    )
+    stretches = hidden_slopes.shape[0]
+    hidden[: sizes[0]] = 0.0
+    hidden_slopes[:, : sizes[0]] = 0.0
+    for k in range(STRETCH):
+        for t in range(TILES):
+            one, value = load(x, ONE, t), load(x, k, t)
+            squared = arrays.powers[k] == 2
+            store(value * value if squared else value, hidden, k, t)
+            if stretches:
+                store(value + value if squared else one, hidden_slopes, k, k, t)
+    none = np.zeros(sizes.max())
+    last = sizes.shape[0] - 1
+    begin, first_weight, first_bias = 0, 0, 0
+    for layer in range(1, last):
+        rows, columns = sizes[layer], sizes[layer - 1]
+        matrix = arrays.energy_weights[first_weight : first_weight + rows * columns].reshape(
+            rows, columns
+        )
+        middle = begin + columns
+        bias = arrays.energy_biases[first_bias : first_bias + rows]
+        apply_layer(matrix, bias, hidden[begin:], hidden[middle:])
+        fill_tanh(hidden[middle : middle + rows].reshape(rows * BLOCK))
+        for k in range(stretches):
+            apply_layer(matrix, none, hidden_slopes[k, begin:], hidden_slopes[k, middle:])
+            _times_tanh_slope(hidden[middle:], hidden_slopes[k, middle:], rows)
+        begin = middle
+        first_weight += rows * columns
+        first_bias += rows
+    now = 0
+    for row in range(sizes[last - 1]):
+        for t in range(TILES):
+            store(spread(arrays.energy_weights[first_weight + row]), back, now, row, t)
+            for k in range(stretches):
+                store(0.0, back_slopes, now, k, row, t)
+    for layer in range(last - 1, 0, -1):
+        rows, columns = sizes[layer], sizes[layer - 1]
+        for row in range(rows):
+            for t in range(TILES):
+                h, value = load(hidden, begin + row, t), load(back, now, row, t)
+                slope = 1.0 - h * h
+                for k in range(stretches):
+                    by_h = (h + h) * load(hidden_slopes, k, begin + row, t) * value
+                    outer = slope * load(back_slopes, now, k, row, t)
+                    store(outer - by_h, back_slopes, now, k, row, t)
+                store(value * slope, back, now, row, t)
+        first_weight -= rows * columns
+        end = first_weight + rows * columns
+        matrix = arrays.energy_turned[first_weight:end].reshape(columns, rows)
+        apply_layer(matrix, none, back[now], back[1 - now])
+        for k in range(stretches):
+            apply_layer(matrix, none, back_slopes[now, k], back_slopes[1 - now, k])
+        now = 1 - now
+        begin -= columns
+    return now
+
+
+@kernel
+def _add_elastic(frame, arrays, room, last):  # type: ignore[no-untyped-def]
+    """Add 2 ∂W/∂(s, d, g), and the spin that makes the Cauchy stress of these symmetric."""
+    x, y, y_slopes = room.x, room.y, room.y_slopes
+    stretches = room.back_slopes.shape[1]
+    for k in range(STRETCH):
+        factor, at_rest = arrays.energy_factor[k], arrays.energy_at_rest[k]
+        squared = arrays.powers[k] == 2
+        for t in range(TILES):
+            inner = (load(x, k, t) + load(x, k, t) if squared else load(x, ONE, t)) * factor
+            slope = load(room.back, last, k, t) - at_rest
+            store(load(y, BIOT + k, t) + slope * inner, y, BIOT + k, t)
+            for j in range(stretches):
+                change = load(room.back_slopes, last, j, k, t) * inner
+                if squared and j == k:
+                    change = change + slope * (2.0 * factor)
+                _add_to(y_slopes, j, BIOT + k, t, change)
+    for t in range(TILES):
+        n = load(frame, U11, t) + load(frame, U22, t)
+        d, g = load(frame, U11, t) - load(frame, U22, t), 2.0 * load(frame, U12, t)
+        by_d, by_g = load(y, BIOT + 1, t), load(y, BIOT + 2, t)
+        spin = (by_d * g - by_g * d) / n
+        for k in range(STRETCH):
+            store(load(y, k, t) + load(y, BIOT + k, t), y, k, t)
+        store(load(y, 3, t) + spin, y, 3, t)
+        for j in range(stretches):
+            for k in range(STRETCH):
+                _add_to(y_slopes, j, k, t, load(y_slopes, j, BIOT + k, t))
+            dd, dg = load(y_slopes, j, BIOT + 1, t), load(y_slopes, j, BIOT + 2, t)
+            _add_to(y_slopes, j, 3, t, (dd * g - dg * d) / n)
+        if stretches:
+            widths = arrays.input_factor
+            _add_to(y_slopes, 0, 3, t, -spin / (n * widths[0]))
+            _add_to(y_slopes, 1, 3, t, -by_g / (n * widths[1]))
+            _add_to(y_slopes, 2, 3, t, by_d / (n * widths[2]))
 
 
 @kernel
 def apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
-    """target = matrix source + bias, (rows, BLOCK); four rows at a time stay in registers."""
-    for p in range(0, BLOCK, LANES):
+    """target = matrix source + bias, (rows, …); four rows at a time stay in registers."""
+    for t in range(TILES):
         for j in range(0, matrix.shape[0], 4):
-            a, b, c, d = (
-                filled(bias[j]),
-                filled(bias[j + 1]),
-                filled(bias[j + 2]),
-                filled(bias[j + 3]),
-            )
+            a, b = spread(bias[j]), spread(bias[j + 1])
+            c, d = spread(bias[j + 2]), spread(bias[j + 3])
             for k in range(matrix.shape[1]):
-                row = load(source, k, p)
-                a = a + filled(matrix[j, k]) * row
-                b = b + filled(matrix[j + 1, k]) * row
-                c = c + filled(matrix[j + 2, k]) * row
-                d = d + filled(matrix[j + 3, k]) * row
-            store(target, j, p, a)
-            store(target, j + 1, p, b)
-            store(target, j + 2, p, c)
-            store(target, j + 3, p, d)
+                row = load(source, k, t)
+                a += matrix[j, k] * row
+                b += matrix[j + 1, k] * row
+                c += matrix[j + 2, k] * row
+                d += matrix[j + 3, k] * row
+            store(a, target, j, t)
+            store(b, target, j + 1, t)
+            store(c, target, j + 2, t)
+            store(d, target, j + 3, t)

@@ -1,52 +1,42 @@
 """Where the data are: the set of (F, Ḟ) in which a surrogate may be asked.
 
-Not a box around the samples but what they reach, in the scaled inputs of `trust_features`:
+Not a box around the samples but what they reach, in the inputs of `tensors`, scaled to within ±1
+over the sampling range:
 
 - half-spaces ±f_i ≤ h and ±f_i ± f_j ≤ h for every pair of features, each pushed out to the
   farthest valid sample. Features are the inputs themselves, or under D4 the sums s and S, the
-  moduli of the others and the products dD and gG, which tell loading from unloading;
+  moduli of the others and the products dD and gG, which tell loading from unloading: all
+  invariants, for the group flips the signs of (d, g, D, G) or of (g, G, W);
 - where samples failed (no convergence, no stable equilibrium): one more half-space in products
-  of the inputs to degree 4 (logistic regression of failure), moved in until every failed sample
-  is outside, and further by what failures it had not seen fell short in cross-validation.
+  of the inputs to degree 4, the cliff, beyond which every failed sample lies.
 
-So every failed sample is outside, and few failures that are not among the samples are inside.
-What lies between valid samples is taken to be valid.
+What lies between valid samples is taken to be valid. `domain_fit` finds it.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from itertools import combinations, product
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.sampling import SLACK
-from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.trust_features import (
-    Table,
-    cliff_table,
-    feature_scale,
-    has_square_symmetry,
-    products,
-    scaled_inputs,
-    sum_of_products,
-    with_one,
-)
-from surrofe2.tensors import INPUTS
+from surrofe2.square_symmetry import SUM, parity
+from surrofe2.tensors import INPUTS, to_inputs
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Table = NDArray[np.int64]
 
-_SUMS = (0, 3)
+SUMS = (0, 3)
+"""Inputs that have no sign under D4."""
 _COUPLED = ((1, 4), (2, 5))
 FEATURES = INPUTS + len(_COUPLED)
-_FOLDS = 5
-_MARGIN = 0.5  # of the logarithm of the odds of failure, on top of what cross-validation wants
-_RIDGE = 1e-4
-_NEWTON_STEPS = 30
-_CONVERGED = 1e-6
+_FACTORS = 4  # of every product in a table
+_STRETCHES = (0, 1, 2)
+_CUBIC, _QUARTIC = 3, 4
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,7 +48,7 @@ class Domain:
         square: whether features are invariant under D4.
         pairs: (m, 2) features of a half-space; signs: (m, 2) of each, 0 for a feature alone;
             limits: (m,) sign·feature + sign·feature ≤ limit.
-        cliff: (k,) coefficients of `trust_features.cliff_table`; failure lies where their sum is
+        cliff: (k,) coefficients of `cliff_table`; failure lies where their sum is
             positive. Empty where no sample failed.
     """
 
@@ -76,136 +66,91 @@ class Domain:
 
     def holds(self, x: Array) -> Bools:
         """The same for scaled inputs (n, 7)."""
-        reach = _reach(features(x, self.square), self.pairs, self.signs)
+        reach = reach_of(features(x, self.square), self.pairs, self.signs)
         inside: Bools = np.asarray((reach <= self.limits).all(axis=1))
         if len(self.cliff):
-            inside &= cliff_height(x, self.square, self.cliff) <= 0.0
+            height = products(with_one(x), cliff_table(self.square)) @ self.cliff
+            inside &= height <= 0.0
         return inside
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for files."""
+    def to_tensors(self) -> dict[str, NDArray[Any]]:
+        """All arrays by name, for files; `square` is that of the plant cell."""
         return {
-            key: value if isinstance(value, bool) else np.asarray(value).tolist()
-            for key, value in asdict(self).items()
+            "scale": self.scale,
+            "pairs": self.pairs,
+            "signs": self.signs,
+            "limits": self.limits,
+            "cliff": self.cliff,
         }
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Domain:
-        """What `to_dict` gave; a ValueError, KeyError or TypeError where it is damaged."""
-        pairs = np.array(content["pairs"], dtype=np.int64).reshape(-1, 2)
+    def from_tensors(cls, square: bool, tensors: Mapping[str, NDArray[Any]]) -> Domain:
+        """What `to_tensors` gave; a ValueError or KeyError where it is damaged."""
+        pairs = tensors["pairs"].reshape(-1, 2)
         if pairs.size and not 0 <= pairs.min() <= pairs.max() < FEATURES:
             raise ValueError("domain: pairs beyond the features")
-        signs = np.array(content["signs"], dtype=np.float64).reshape(len(pairs), 2)
+        signs = tensors["signs"].reshape(len(pairs), 2)
         if not np.isin(signs, (-1.0, 0.0, 1.0)).all():
             raise ValueError("domain: signs that are not -1, 0 or 1")
-        square = bool(content["square"])
-        cliff = np.array(content["cliff"], dtype=np.float64)
+        cliff = tensors["cliff"]
         if len(cliff) not in (0, len(cliff_table(square))):
             raise ValueError("domain: cliff of another length")
         return cls(
-            scale=np.array(content["scale"], dtype=np.float64).reshape(INPUTS),
+            scale=tensors["scale"].reshape(INPUTS),
             square=square,
             pairs=pairs,
             signs=signs,
-            limits=np.array(content["limits"], dtype=np.float64).reshape(len(pairs)),
+            limits=tensors["limits"].reshape(len(pairs)),
             cliff=cliff,
         )
-
-
-def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
-    """The domain of the valid samples, without the failed ones and those beyond a bifurcation.
-
-    Args:
-        failed: F and F_dot (n, 2, 2) of more points that have no stress.
-    """
-    square = has_square_symmetry(samples.cell)
-    scale = feature_scale(samples.range)
-    x = scaled_inputs(samples.F, samples.F_dot, scale)
-    known = samples.status == 0
-    if samples.left_bifurcation is not None:
-        known &= ~samples.left_bifurcation
-    good, bad = x[known], x[~known]
-    if failed is not None:
-        bad = np.concatenate([bad, scaled_inputs(*failed, scale)])
-    pairs, signs = _directions(square)
-    at_rest = np.zeros((1, INPUTS))  # σ(I, 0) = 0 is exact
-    reach = _reach(features(np.concatenate([good, at_rest]), square), pairs, signs)
-    cliff = _fit_cliff(good, bad, square) if len(bad) else np.empty(0)
-    return Domain(scale, square, pairs, signs, reach.max(axis=0) + SLACK, cliff)
 
 
 def features(x: Array, square: bool) -> Array:
     """(n, 9) inputs, under D4 the moduli of all but the sums, and the products dD and gG."""
     own = x.copy()
     if square:
-        folded = [k for k in np.arange(INPUTS).tolist() if k not in _SUMS]
+        folded = [k for k in np.arange(INPUTS).tolist() if k not in SUMS]
         own[:, folded] = np.abs(x[:, folded])
     return np.column_stack([own, *(x[:, i] * x[:, j] for i, j in _COUPLED)])
 
 
-def cliff_height(x: Array, square: bool, cliff: Array) -> Array:
-    """(n,) positive beyond the cliff, where RVEs are taken to fail."""
-    return sum_of_products(with_one(x), cliff_table(square), cliff)
-
-
-def _directions(square: bool) -> tuple[Table, Array]:
-    """Features (m, 2) and signs (m, 2) of all half-spaces."""
-
-    def ways(feature: int) -> tuple[float, ...]:
-        folded = square and feature < INPUTS and feature not in _SUMS
-        return (1.0,) if folded else (1.0, -1.0)
-
-    single = [((k, k), (sign, 0.0)) for k in np.arange(FEATURES).tolist() for sign in ways(k)]
-    double = [
-        (pair, signs)
-        for pair in combinations(np.arange(INPUTS).tolist(), 2)
-        for signs in product(*map(ways, pair))
-    ]
-    pairs, signs = zip(*single, *double, strict=True)
-    return np.array(pairs), np.array(signs)
-
-
-def _reach(values: Array, pairs: Table, signs: Array) -> Array:
-    """(n, m) how far points are in each direction."""
+def reach_of(values: Array, pairs: Table, signs: Array) -> Array:
+    """(n, m) how far points with such features are in each direction."""
     reach: Array = (values[:, pairs] * signs).sum(axis=2)
     return reach
 
 
-def _fit_cliff(good: Array, bad: Array, square: bool) -> Array:
-    """Coefficients (k,) of the cliff; every point of `bad` is beyond it."""
-    table = cliff_table(square)
-    basis_good, basis_bad = (products(with_one(x), table) for x in (good, bad))
-    coefficients = _logistic(basis_good, basis_bad)
-    shortfall = 0.0
-    for fold in np.arange(_FOLDS):
-        unseen = np.arange(len(bad)) % _FOLDS == fold
-        if not unseen.any() or unseen.all():
-            continue
-        others = _logistic(basis_good, basis_bad[~unseen])
-        edge = (basis_bad[~unseen] @ others).min()
-        shortfall = max(shortfall, edge - (basis_bad[unseen] @ others).min())
-    edge = (basis_bad @ coefficients).min()
-    margin = shortfall + _MARGIN
-    coefficients[0] -= edge - margin
-    return coefficients
+def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
+    """(n, 7) scaled components of U − I and RᵀḞ."""
+    scaled: Array = to_inputs(F, F_dot)[0] / scale
+    return scaled
 
 
-def _logistic(good: Array, bad: Array) -> Array:
-    """Ridge logistic regression of failure, both classes with the same weight, by Newton.
+def with_one(x: Array) -> Array:
+    """(n, 8) inputs and, behind them, 1: what `cliff_table` counts in."""
+    return np.concatenate([x, np.ones((len(x), 1))], axis=1)
 
-    good, bad: (n, k) basis functions. Returns their coefficients (k,).
+
+def products(rows: Array, table: Table) -> Array:
+    """(n, k) Π rows[:, table[k]]; a table (k, 4) of column numbers."""
+    values: Array = rows[:, table].prod(axis=2)
+    return values
+
+
+def cliff_table(square: bool) -> Table:
+    """Products of inputs that tell where equilibrium is lost: 1, to degree 4 in U, 2 with A.
+
+    Under D4 only those that it leaves alone.
     """
-    basis = np.concatenate([good, bad])
-    label = np.repeat([-1.0, 1.0], [len(good), len(bad)])
-    weight = np.repeat([0.5 / max(len(good), 1), 0.5 / len(bad)], [len(good), len(bad)])
-    coefficients = np.zeros(basis.shape[1])
-    for _ in np.arange(_NEWTON_STEPS):
-        doubt = 1.0 / (1.0 + np.exp(np.clip(label * (basis @ coefficients), -30.0, 30.0)))
-        gradient = _RIDGE * coefficients - basis.T @ (weight * doubt * label)
-        curvature = (basis * (weight * doubt * (1.0 - doubt))[:, None]).T @ basis
-        curvature[np.diag_indices_from(curvature)] += _RIDGE
-        step = np.linalg.solve(curvature, gradient)
-        coefficients = coefficients - step
-        if np.abs(step).max() <= _CONVERGED * np.abs(coefficients).max():
-            break
-    return coefficients
+    found: list[tuple[int, ...]] = [()]
+    for degree in np.arange(1, _QUARTIC + 1):
+        for product in combinations_with_replacement(np.arange(INPUTS).tolist(), int(degree)):
+            only_U = all(factor in _STRETCHES for factor in product)
+            if (only_U or degree < _CUBIC) and (not square or parity(product) == SUM):
+                found.append(product)
+    return padded_table(found)
+
+
+def padded_table(found: Sequence[tuple[int, ...]]) -> Table:
+    """(k, 4) products of columns, filled up with the column of ones."""
+    return np.array([product + (INPUTS,) * (_FACTORS - len(product)) for product in found])

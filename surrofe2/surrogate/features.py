@@ -9,7 +9,6 @@ Forms of the stress, P̂ = RᵀP (see `network`):
 
     stress      all of P̂ from terms; with D4, P̂(I, 0) = 0 by what is subtracted
     energy      ∂W/∂U from an energy of U, and terms each of which has a factor of A
-    potentials  ∂W/∂U, and ½ A : K(U) : A, whose terms come in pairs that share a factor
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from surrofe2.sampling import SamplingRange, half_widths
 from surrofe2.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
 from surrofe2.tensors import INPUTS
 
-FORMS = ("energy", "stress", "potentials")
+FORMS = ("energy", "stress")
 SYMMETRIES = ("D4", "none")
 
 Product = tuple[int, ...]
@@ -57,38 +56,23 @@ VISCOUS_COVARIANTS: tuple[Product, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
-    """A product of inputs in one component, times the factor of that number."""
-
-    product: Product
-    component: int
-    factor: int
-
-
-@dataclass(frozen=True, slots=True)
 class Features:
     """What a network of one form and symmetry is made of.
 
     Attributes:
         invariants: what the network reads.
-        terms: what its outputs multiply; those with an empty product are factor − factor at rest
-            under D4.
-        factors: number of its outputs.
+        terms: product and component of what each of its outputs multiplies; those with an empty
+            product are factor − factor at rest.
         powers: of s, d, g in the three invariants of U that the energy reads; empty: no energy.
         monomials: of the baseline in P̂, each with its component.
         energy_monomials: of the baseline's energy.
     """
 
     invariants: tuple[Product, ...]
-    terms: tuple[Term, ...]
+    terms: tuple[tuple[Product, int], ...]
     powers: tuple[int, ...]
     monomials: tuple[tuple[Product, int], ...]
     energy_monomials: tuple[Product, ...]
-
-    @property
-    def factors(self) -> int:
-        """Number of factors the terms ask for."""
-        return 1 + max(term.factor for term in self.terms)
 
 
 def input_scale(range: SamplingRange) -> NDArray[np.float64]:
@@ -111,61 +95,26 @@ def make_features(form: str, symmetry: str, degree: int) -> Features:
         raise InputError(f"training.form: {form!r}; it must be one of {', '.join(FORMS)}")
     if symmetry not in SYMMETRIES:
         raise InputError(f"symmetry: {symmetry!r}; it must be one of {', '.join(SYMMETRIES)}")
-    square = symmetry == "D4"
-    invariants = INVARIANTS if square else tuple((k,) for k in range(INPUTS))
-    if form == "potentials":
-        invariants = tuple(product for product in invariants if max(product) < STRETCH)
-    make_terms = {"stress": _all_terms, "energy": _rate_terms, "potentials": _paired_terms}[form]
-    powers = () if form == "stress" else ((1, 2, 2) if square else (1, 1, 1))
+    square, elastic = symmetry == "D4", form == "energy"
+    if square:
+        products = VISCOUS_COVARIANTS if elastic else COVARIANTS
+        terms = tuple((product, parity(product)) for product in products)
+    else:
+        factors: tuple[Product, ...] = tuple((rate,) for rate in _RATES) if elastic else ((),)
+        terms = tuple((product, component) for component in _COMPONENTS for product in factors)
     return Features(
-        invariants=invariants,
-        terms=make_terms(square),
-        powers=powers,
-        monomials=_monomials(form, square, degree),
-        energy_monomials=_energy_monomials(square, degree + 1) if powers and degree else (),
+        invariants=INVARIANTS if square else tuple((k,) for k in range(INPUTS)),
+        terms=terms,
+        powers=((1, 2, 2) if square else (1, 1, 1)) if elastic else (),
+        monomials=_monomials(elastic, square, degree),
+        energy_monomials=_energy_monomials(square, degree + 1) if elastic and degree else (),
     )
 
 
-def _all_terms(square: bool) -> tuple[Term, ...]:
-    products = (
-        [(product, parity(product)) for product in COVARIANTS]
-        if square
-        else [((), component) for component in _COMPONENTS]
-    )
-    return tuple(Term(*item, factor) for factor, item in enumerate(products))
-
-
-def _rate_terms(square: bool) -> tuple[Term, ...]:
-    products = (
-        [(product, parity(product)) for product in VISCOUS_COVARIANTS]
-        if square
-        else [((rate,), component) for component in _COMPONENTS for rate in _RATES]
-    )
-    return tuple(Term(*item, factor) for factor, item in enumerate(products))
-
-
-def _paired_terms(square: bool) -> tuple[Term, ...]:
-    """K_ab b in component a and K_ab a in component b, one factor for both."""
-    terms = []
-    for factor, (a, b) in enumerate(combinations_with_replacement(_COMPONENTS, 2)):
-        between = _of_parity(parity((_RATES[a], _RATES[b]))) if square else ()
-        terms.append(Term((*between, _RATES[b]), a, factor))
-        if a != b:
-            terms.append(Term((*between, _RATES[a]), b, factor))
-    return tuple(terms)
-
-
-def _of_parity(component: int) -> Product:
-    """The least product of s, d, g with the sign of a component."""
-    return {SUM: (), DIFFERENCE: (_d,), SHEAR: (_g,), SPIN: (_d, _g)}[component]
-
-
-def _monomials(form: str, square: bool, degree: int) -> tuple[tuple[Product, int], ...]:
+def _monomials(elastic: bool, square: bool, degree: int) -> tuple[tuple[Product, int], ...]:
     kept = monomials(degree)
-    if form != "stress":
+    if elastic:
         kept = tuple(product for product in kept if product[-1] >= STRETCH)
-    if form == "potentials":  # of the least degree alone K has its symmetry, and only with D4
-        kept = tuple(product for product in kept if len(product) == 1 and square)
     if square:
         return tuple((product, parity(product)) for product in kept)
     return tuple((product, k) for product in kept for k in _COMPONENTS)
@@ -177,3 +126,11 @@ def _energy_monomials(square: bool, degree: int) -> tuple[Product, ...]:
     if not square:
         return tuple(products)
     return tuple(p for p in products if p.count(_d) % 2 == p.count(_g) % 2 == 0)
+
+
+def differentiated(product: Product) -> list[tuple[int, float, Product]]:
+    """(input, number, product left) of each derivative of a product that is not 0."""
+    return [
+        (k, float(product.count(k)), product[: product.index(k)] + product[product.index(k) + 1 :])
+        for k in sorted(set(product))
+    ]

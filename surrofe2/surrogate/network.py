@@ -1,28 +1,30 @@
-"""The network: P̂ = RᵀP over the stretch U and the rate A = RᵀḞ, symmetric by construction.
+"""The network in torch: P̂ = RᵀP over the stretch U and the rate A = RᵀḞ, symmetric by construction.
 
     P̂ = ∂W/∂U-like part + Σ_t f_t(i(x)) m_t(x) + baseline
 
 x: scaled inputs of `tensors`. The first part has the symmetric (Biot) components
 ∂W/∂(s, d, g) of an energy W(U), a function of C = U² as well, and the spin that makes the Cauchy
 stress symmetric, so that P = ∂W/∂F. The second is what depends on rate: one tanh network gives
-the factors f of all terms m from invariants i (see `features`). In forms with an energy every m
+the factors f of all terms m from invariants i (see `features`). In the form with an energy every m
 has a factor of A, so P̂(U, 0) = R ∂W/∂F exactly. The baseline is of the same make with
 polynomials, fitted first by least squares; of degree 1 it is a linear Kelvin–Voigt law.
 W for the square cell is a function of s, d², g², hence of tr C, (C₁₁ − C₂₂)² and C₁₂².
 
-σ = P Fᵀ/det F. Every term is smooth, no sector is sorted into. An ensemble has several networks
-over one baseline and answers with their mean.
+σ = P Fᵀ/det F. Every term is smooth, no sector is sorted into. Needed for training alone: a trained
+network leaves as `NetworkParameters`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import warnings
+from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
-from surrofe2.surrogate.features import STRETCH, Features, Product, make_features
+from surrofe2.surrogate.features import STRETCH, Product, differentiated, make_features
+from surrofe2.surrogate.network_arrays import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tensors import INPUTS
 
@@ -59,21 +61,10 @@ class TanhNetwork(torch.nn.Module):
             back = (back * slope) @ layer.weight
         return back
 
-
-class Member(torch.nn.Module):
-    """One network of the ensemble: factors of the terms and, in forms with an energy, W."""
-
-    factors: TanhNetwork
-    energy: TanhNetwork | None
-
-    def __init__(self, features: Features, settings: TrainingSettings, seed: int) -> None:
-        super().__init__()
-        generator = torch.Generator().manual_seed(seed)
-        sizes = (len(features.invariants), *settings.hidden, features.factors)
-        self.factors = TanhNetwork(sizes, generator)
-        self.energy = None
-        if features.powers:
-            self.energy = TanhNetwork((STRETCH, *settings.energy_hidden, 1), generator)
+    def to_arrays(self) -> tuple[Any, ...]:
+        """(matrix, bias) of each layer, copied."""
+        values = [parameter.detach().numpy().copy() for parameter in self.layers.parameters()]
+        return tuple(zip(values[::2], values[1::2], strict=True))
 
 
 class Shapes(NamedTuple):
@@ -91,7 +82,7 @@ class StressNetwork(torch.nn.Module):
     """P̂(x) for inputs (n, 7) of `tensors.to_inputs`; output (n, 4) in µN/µm.
 
     Args:
-        settings: form, degree of the baseline, sizes and number of networks, seed.
+        settings: form, degree of the baseline, sizes of the networks, seed.
         symmetry: of the plant cell's arrangement, "D4" or "none".
     """
 
@@ -100,55 +91,84 @@ class StressNetwork(torch.nn.Module):
     energy_scale: torch.Tensor
     coefficients: torch.Tensor
     energy_coefficients: torch.Tensor
-    resting: torch.Tensor
-    factor_of: torch.Tensor
-    owner: torch.Tensor
+    at_rest: torch.Tensor
+    component_of: torch.Tensor
 
     def __init__(self, settings: TrainingSettings, symmetry: str = "D4") -> None:
         super().__init__()
-        self.symmetry = symmetry
+        self.settings, self.symmetry = settings, symmetry
         self.features = make_features(settings.form, symmetry, settings.baseline_degree)
-        self.members = torch.nn.ModuleList(
-            Member(self.features, settings, settings.seed + k) for k in range(settings.members)
-        )
+        terms = self.features.terms
+        generator = torch.Generator().manual_seed(settings.seed)
+        sizes = (len(self.features.invariants), *settings.hidden, len(terms))
+        self.factors = TanhNetwork(sizes, generator)
+        self.energy: TanhNetwork | None = None
+        if self.features.powers:
+            self.energy = TanhNetwork((STRETCH, *settings.energy_hidden, 1), generator)
         for name, size in (("input_scale", INPUTS), ("output_scale", 4), ("energy_scale", 1)):
             self.register_buffer(name, torch.ones(size, dtype=torch.float64))
-        for name, products_ in (
-            ("coefficients", self.features.monomials),
-            ("energy_coefficients", self.features.energy_monomials),
+        for name, size in (
+            ("coefficients", len(self.features.monomials)),
+            ("energy_coefficients", len(self.features.energy_monomials)),
         ):
-            self.register_buffer(name, torch.zeros(len(products_), dtype=torch.float64))
-        for name, matrix in _incidence(self.features).items():
-            self.register_buffer(name, matrix, persistent=False)
+            self.register_buffer(name, torch.zeros(size, dtype=torch.float64))
+        # of each term: whether its factor at rest is subtracted, and its component, as 0 and 1
+        at_rest = torch.tensor([float(not product) for product, _ in terms], dtype=torch.float64)
+        self.register_buffer("at_rest", at_rest, persistent=False)
+        component_of = torch.nn.functional.one_hot(torch.tensor([k for _, k in terms]), 4)
+        self.register_buffer("component_of", component_of.double(), persistent=False)
 
-    @property
-    def ensemble(self) -> list[Member]:
-        """The members, as what they are."""
-        return [member for member in self.members if isinstance(member, Member)]
+    @classmethod
+    def of(cls, parameters: NetworkParameters, settings: TrainingSettings) -> StressNetwork:
+        """The network with these weights; `settings` are those it was trained by."""
+        network = cls(settings, parameters.symmetry)
+        arrays = parameters.to_tensors()
+        with torch.no_grad():
+            for name, buffer in network.named_buffers():
+                if name in arrays:
+                    buffer.copy_(torch.from_numpy(arrays[name]))
+            for part, layers in (("factors", parameters.factors), ("energy", parameters.energy)):
+                for k, (matrix, bias) in enumerate(layers):
+                    layer = f"{part}.layers.{k}"
+                    network.get_parameter(f"{layer}.weight").copy_(torch.from_numpy(matrix))
+                    network.get_parameter(f"{layer}.bias").copy_(torch.from_numpy(bias))
+        return network
+
+    def to_parameters(self) -> NetworkParameters:
+        """All that the network is, as arrays."""
+        return NetworkParameters(
+            form=self.settings.form,
+            symmetry=self.symmetry,
+            degree=self.settings.baseline_degree,
+            input_scale=self.input_scale.numpy().copy(),
+            output_scale=self.output_scale.numpy().copy(),
+            energy_scale=self.energy_scale.numpy().copy(),
+            coefficients=self.coefficients.numpy().copy(),
+            energy_coefficients=self.energy_coefficients.numpy().copy(),
+            factors=self.factors.to_arrays(),
+            energy=() if self.energy is None else self.energy.to_arrays(),
+        )
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Components of P̂ (n, 4), µN/µm."""
         x = inputs / self.input_scale
-        shapes = self.shapes(x)
-        total = sum(self.correction(member, shapes) for member in self.ensemble)
-        return self.baseline(x) + total / len(self.members)
+        return self.baseline(x) + self.correction(self.shapes(x))
 
     def shapes(self, x: torch.Tensor) -> Shapes:
         """All that `correction` needs of scaled inputs (n, 7)."""
         f = self.features
-        terms = [term.product for term in f.terms]
+        terms = [product for product, _ in f.terms]
         return Shapes(products(x, f.invariants), products(x, terms), x[:, :STRETCH])
 
-    def correction(self, member: Member, shapes: Shapes) -> torch.Tensor:
-        """What one network adds to the baseline (n, 4), µN/µm."""
-        factors = member.factors(shapes.invariants)
-        if self.resting.any():
-            factors = factors - self.resting * member.factors(
-                self.resting.new_zeros(1, len(self.features.invariants))
-            )
-        P = (factors @ self.factor_of) * shapes.terms @ self.owner * self.output_scale
-        if member.energy is not None:
-            slope = self._energy_slope(member.energy, shapes.stretch)
+    def correction(self, shapes: Shapes) -> torch.Tensor:
+        """What the networks add to the baseline (n, 4), µN/µm."""
+        factors = self.factors(shapes.invariants)
+        if self.at_rest.any():
+            rest = self.at_rest.new_zeros(1, len(self.features.invariants))
+            factors = factors - self.at_rest * self.factors(rest)
+        P = factors * shapes.terms @ self.component_of * self.output_scale
+        if self.energy is not None:
+            slope = self._energy_slope(self.energy, shapes.stretch)
             P = P + self.elastic(self.energy_scale * slope, shapes.stretch)
         return P
 
@@ -177,8 +197,40 @@ class StressNetwork(torch.nn.Module):
             shapes = products(x, [product for product, _ in f.monomials])
             values = values.index_add(1, owner, shapes * self.coefficients)
         if f.energy_monomials:
-            values = values + self.elastic(self._polynomial_slope(x), x[:, :STRETCH])
+            monomial, variable, shapes = self._energy_derivatives(x)
+            weighted = shapes * self.energy_coefficients[monomial]
+            slope = x.new_zeros(len(x), STRETCH).index_add(1, variable, weighted)
+            values = values + self.elastic(slope, x[:, :STRETCH])
         return values
+
+    def baseline_columns(self, x: torch.Tensor) -> torch.Tensor:
+        """(n, 4, m): what a unit of each coefficient, those of the energy first, adds to P̂."""
+        f = self.features
+        count = len(f.energy_monomials)
+        slopes = x.new_zeros(len(x), STRETCH * count)
+        if f.energy_monomials:
+            monomial, variable, shapes = self._energy_derivatives(x)
+            slopes = slopes.index_add(1, STRETCH * monomial + variable, shapes)
+        repeated = x[:, :STRETCH].repeat_interleave(count, dim=0)
+        elastic = self.elastic(slopes.reshape(-1, STRETCH), repeated).reshape(len(x), count, 4)
+        rest = x.new_zeros(len(x), len(f.monomials), 4)
+        if f.monomials:
+            component = torch.nn.functional.one_hot(torch.tensor([k for _, k in f.monomials]), 4)
+            rest = component * products(x, [product for product, _ in f.monomials])[:, :, None]
+        return torch.cat([elastic, rest], dim=1).transpose(1, 2)
+
+    def _energy_derivatives(
+        self, x: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Which energy monomial (m,), by which of s, d, g (m,), and the derivatives (n, m)."""
+        parts = [
+            (k, variable, number, left)
+            for k, product in enumerate(self.features.energy_monomials)
+            for variable, number, left in differentiated(product)
+        ]
+        monomial, variable, numbers, left_over = zip(*parts, strict=True)
+        values = products(x, left_over) * x.new_tensor(numbers)
+        return torch.tensor(monomial), torch.tensor(variable), values
 
     def _energy_slope(self, energy: TanhNetwork, stretch: torch.Tensor) -> torch.Tensor:
         """∂W/∂(s, d, g) (n, 3) of the energy network, less what it is at rest."""
@@ -186,30 +238,6 @@ class StressNetwork(torch.nn.Module):
         back = energy.gradient(torch.where(squared, stretch**2, stretch))
         back = back - ~squared * energy.gradient(stretch.new_zeros(1, STRETCH))
         return back * torch.where(squared, 2.0 * stretch, torch.ones_like(stretch))
-
-    def _polynomial_slope(self, x: torch.Tensor) -> torch.Tensor:
-        owner, coefficient, shapes = slope_table(self.features.energy_monomials)
-        weights = self.energy_coefficients[[k for k, _ in coefficient]] * x.new_tensor(
-            [number for _, number in coefficient]
-        )
-        return x.new_zeros(len(x), STRETCH).index_add(
-            1, torch.tensor(owner), products(x, shapes) * weights
-        )
-
-
-def slope_table(
-    monomials: Iterable[Product],
-) -> tuple[list[int], list[tuple[int, float]], list[Product]]:
-    """Derivatives of monomials of s, d, g: (by which, (monomial, factor), product) of each."""
-    owner, coefficient, shapes = [], [], []
-    for k, product in enumerate(monomials):
-        for variable in sorted(set(product)):
-            left = list(product)
-            left.remove(variable)
-            owner.append(variable)
-            coefficient.append((k, float(product.count(variable))))
-            shapes.append(tuple(left))
-    return owner, coefficient, shapes
 
 
 def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:
@@ -224,14 +252,9 @@ def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:
     return torch.stack([column(product) for product in factors], dim=1)
 
 
-def _incidence(features: Features) -> dict[str, torch.Tensor]:
-    """As matrices of 0 and 1: whether a factor is subtracted at rest, which term has which factor
-    and belongs to which component."""
-    count = len(features.terms)
-    resting = torch.zeros(features.factors, dtype=torch.float64)
-    factor_of = torch.zeros(features.factors, count, dtype=torch.float64)
-    owner = torch.zeros(count, 4, dtype=torch.float64)
-    for k, term in enumerate(features.terms):
-        factor_of[term.factor, k] = owner[k, term.component] = 1.0
-        resting[term.factor] = float(not term.product)
-    return {"resting": resting, "factor_of": factor_of, "owner": owner}
+def along(function: Callable[..., Any], at: tuple[Any, ...], direction: tuple[Any, ...]) -> Any:
+    """(function(*at), its derivative along a direction), by forward differentiation."""
+    with warnings.catch_warnings():
+        # torch's own first call of jvp goes through what torch has since deprecated
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return torch.func.jvp(function, at, direction)

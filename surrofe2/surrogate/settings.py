@@ -1,4 +1,4 @@
-"""How a surrogate is trained."""
+"""How a surrogate is trained, and how the bound of its error is calibrated."""
 
 from __future__ import annotations
 
@@ -6,89 +6,78 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from surrofe2.errors import InputError
+from surrofe2.settings import check_settings, setting
 from surrofe2.surrogate.features import FORMS
-
-PRECISIONS = ("float64", "float32")
-_INTEGERS = {
-    "baseline_degree": (0, 5),
-    "members": (1, 16),
-    "iterations": (0, 1_000_000),
-    "history": (1, 10_000),
-    "checkpoint_interval": (1, 1_000_000),
-    "seed": (0, 2**63 - 1),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """Shape of the surrogate and effort of its training.
+    """Shape of the surrogate and effort of its training, by full-batch L-BFGS.
 
-    Attributes:
-        hidden: number of tanh units in each hidden layer of the rate-dependent part.
-        energy_hidden: the same of the energy.
-        form: "stress": one network for all of it, the most accurate for its cost; "energy":
-            elastic stress from an energy, and a part that vanishes with Ḟ; "potentials": as
-            "energy", the viscous stress linear in Ḟ and from a dissipation potential too
-            (elastic and slow manifold only).
-        members: networks of the ensemble, whose mean is the answer; 1: no ensemble.
-        tangent_weight: of the squared error of tangents in the loss, where the samples have
-            them; 0: stress alone.
-        baseline_degree: degree of the fitted polynomial that the network corrects; 1: a linear
-            Kelvin–Voigt law; 0: none.
-        precision: of the stored weights and of inference; training is always in float64.
-        held_out: share of the samples kept from training, on which the errors are measured.
-        iterations: of the full-batch quasi-Newton method (L-BFGS).
-        history: pairs of steps and gradients that L-BFGS keeps.
-        checkpoint_interval: iterations between two checkpoints.
-        seed: of the initial weights and of the choice of held-out samples.
+    Forms: "stress", one network for all of it, the most accurate for its cost; "energy", elastic
+    stress from an energy, and a part that vanishes with Ḟ. The network corrects a polynomial; of
+    degree 1 that is a linear Kelvin–Voigt law.
     """
 
-    hidden: tuple[int, ...] = (24, 24)
-    energy_hidden: tuple[int, ...] = (16, 16)
-    form: str = "stress"
-    members: int = 1
-    tangent_weight: float = 0.1
-    baseline_degree: int = 3
-    precision: str = "float64"
-    held_out: float = 0.1
-    iterations: int = 1000
-    history: int = 100
-    checkpoint_interval: int = 100
-    seed: int = 0
+    hidden: tuple[int, ...] = setting(
+        (24, 24), "tanh units in each hidden layer of the rate-dependent part", least=1, most=1024
+    )
+    energy_hidden: tuple[int, ...] = setting((16, 16), "the same of the energy", least=1, most=1024)
+    form: str = setting("stress", "of the stress", one_of=FORMS)
+    tangent_weight: float = setting(
+        0.1, "of the squared error of tangents in the loss, where samples have them", least=0.0
+    )
+    baseline_degree: int = setting(3, "of the polynomial; 0: none", least=0, most=5)
+    held_out: float = setting(
+        0.1, "share of the samples on which errors are measured", above=0.0, below=1.0
+    )
+    iterations: int = setting(1000, "of L-BFGS", least=0, most=1_000_000)
+    history: int = setting(100, "pairs of steps and gradients it keeps", least=1, most=10_000)
+    checkpoint_interval: int = setting(
+        100, "iterations between two checkpoints", least=1, most=1_000_000
+    )
+    seed: int = setting(0, "of initial weights and held-out samples", least=0, most=2**63 - 1)
 
     def __post_init__(self) -> None:
-        for name in ("hidden", "energy_hidden"):
-            object.__setattr__(self, name, _sizes(name, getattr(self, name)))
-        if self.form not in FORMS:
-            raise InputError(f"training.form: {self.form!r}; it must be one of {', '.join(FORMS)}")
-        weight = self.tangent_weight
-        number = isinstance(weight, int | float) and not isinstance(weight, bool)
-        if not number or not 0.0 <= weight < float("inf"):
-            raise InputError(
-                f"training.tangent_weight: {weight!r}; it must be a number of at least 0"
-            )
-        if self.precision not in PRECISIONS:
-            raise InputError(
-                f"training.precision: {self.precision!r}; it must be one of {', '.join(PRECISIONS)}"
-            )
-        if not isinstance(self.held_out, float) or not 0.0 < self.held_out < 1.0:
-            raise InputError(f"training.held_out: {self.held_out!r}; it must be between 0 and 1")
-        for name, (least, most) in _INTEGERS.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-                raise InputError(
-                    f"training.{name}: {value!r}; it must be an integer from {least} to {most}"
-                )
+        check_settings(self, "training")
+        for name, sizes in (("hidden", self.hidden), ("energy_hidden", self.energy_hidden)):
+            if not sizes:
+                raise InputError(f"training.{name}: []; it must be a list of at least one size")
 
     def to_dict(self) -> dict[str, Any]:
         """All fields by name, for files."""
         return asdict(self)
 
 
-def _sizes(name: str, value: Any) -> tuple[int, ...]:
-    allowed = isinstance(value, tuple | list) and len(value) >= 1
-    if not allowed or not all(type(size) is int and 1 <= size <= 1024 for size in value):
-        raise InputError(
-            f"training.{name}: {value!r}; it must be a list of layer sizes from 1 to 1024"
-        )
-    return tuple(value)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSettings:
+    """Number and kind of the paths along which the true stress is asked.
+
+    A third as many again of each kind shape the local scale, which the others then calibrate.
+    Each kind that is used needs at least 1/share − 1 paths.
+    """
+
+    walks: int = setting(500, "random walks in the sampling range", least=0)
+    states: int = setting(2000, "single random states of it", least=0)
+    runs: int = setting(
+        100, "short runs of the bar under random loads; all points are one path", least=0
+    )
+    length: int = setting(24, "states taken along a walk; along a run a third as many", least=1)
+    share: float = setting(
+        0.01, "of new paths on which the bound may break, the nominal share", above=0.0, below=1.0
+    )
+    seed: int = setting(2, "of the paths", least=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "calibration")
+        needed = 1.0 / self.share - 1.0
+        for name, count in (("walks", self.walks), ("states", self.states), ("runs", self.runs)):
+            if 0 < count < needed * (1.0 - 1e-9):
+                raise InputError(
+                    f"calibration.{name}: {count}; it must be 0 or at least {needed:.4g}, "
+                    f"1/share − 1, for a share of {self.share:g}"
+                )
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields by name, for files."""
+        return asdict(self)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
@@ -21,26 +19,16 @@ from surrofe2.stress_law import (
     Tangents,
     check_deformation,
 )
-from surrofe2.surrogate.calibration import Calibration, subject
-from surrofe2.surrogate.compiled import evaluate_trusted, status_and_bound, without_rest
-from surrofe2.surrogate.compiled_slopes import evaluate_slopes
+from surrofe2.surrogate.compiled_bound import BoundArrays
+from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
 from surrofe2.surrogate.domain import Domain
-from surrofe2.surrogate.error_bound import Trust, pack_trust
-from surrofe2.surrogate.network import StressNetwork
-from surrofe2.surrogate.packing import Weights, pack
+from surrofe2.surrogate.error_bound import Calibration
+from surrofe2.surrogate.network_arrays import NetworkArrays, NetworkParameters, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
+from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import to_inputs
 
 Array = NDArray[np.float64]
-
-
-def package_version() -> str:
-    """Version of the installed surrofe2."""
-    try:
-        return version("surrofe2")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,7 +52,7 @@ class SurrogateLaw:
         calibration: of the bound of the error, valid for these very weights and this range.
     """
 
-    network: StressNetwork
+    network: NetworkParameters
     cell: CellParameters
     initialisation: str
     range: SamplingRange
@@ -72,34 +60,16 @@ class SurrogateLaw:
     errors: Mapping[str, Any]
     data_fingerprint: str
     rest_length: float | None = None
-    version: str = field(default_factory=package_version)
+    version: str = "unknown"
     domain: Domain | None = None
     calibration: Calibration | None = None
-    _weights: Weights = field(init=False, repr=False)
-    _trust: Trust = field(init=False, repr=False)
+    _arrays: NetworkArrays = field(init=False, repr=False)
+    _bounds: BoundArrays = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        weights = pack(self.network, self.range)
-        object.__setattr__(self, "_weights", without_rest(weights, self.network.features))
+        object.__setattr__(self, "_arrays", NetworkArrays.of(self.network, self.range))
         calibration = self.calibration if self.is_calibrated else None
-        object.__setattr__(self, "_trust", pack_trust(self.domain, calibration))
-
-    @classmethod
-    def load(cls, path: str | Path) -> SurrogateLaw:
-        """The surrogate in a file written by `save`.
-
-        Raises:
-            FileError: missing, truncated, foreign or altered; code in the file is never run.
-        """
-        from surrofe2.surrogate.checkpoint import read_surrogate
-
-        return read_surrogate(Path(path))
-
-    def save(self, path: str | Path) -> None:
-        """Write to a file, whole or not at all; a FileError where that fails."""
-        from surrofe2.surrogate.checkpoint import write_surrogate
-
-        write_surrogate(self, Path(path))
+        object.__setattr__(self, "_bounds", BoundArrays.of(self.domain, calibration))
 
     @property
     def density(self) -> float:
@@ -113,16 +83,16 @@ class SurrogateLaw:
 
     @property
     def has_bound(self) -> bool:
-        """Always: without a calibration it is infinite, and no finite tolerance trusts it."""
+        """Always: it is infinite where nothing was calibrated."""
         return True
 
     @property
     def learns(self) -> bool:
-        """Never: it is trained beforehand."""
+        """Never: a surrogate is trained anew."""
         return False
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Nothing: see `learns`."""
+        """Nothing is learnt."""
 
     def to_arrays(self) -> dict[str, NDArray]:
         """Nothing that a run could have changed."""
@@ -152,7 +122,7 @@ class SurrogateLaw:
 
         F, F_dot: contiguous float64 (n, 2, 2), det F > 0.
         """
-        return to_tangents(F, F_dot, *evaluate_slopes(F, F_dot, self._weights))
+        return to_tangents(F, F_dot, *self._slopes(F, F_dot))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Nothing is left to check or to commit."""
@@ -167,7 +137,9 @@ class SurrogateLaw:
     def is_calibrated(self) -> bool:
         """Whether the bound was calibrated for these very weights and this range."""
         calibration = self.calibration
-        return calibration is not None and calibration.subject == subject(self.network, self.range)
+        return calibration is not None and calibration.subject == self.network.fingerprint(
+            self.range
+        )
 
     @property
     def stress_spread(self) -> float:
@@ -197,7 +169,7 @@ class SurrogateLaw:
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        return evaluate_trusted(F, F_dot, self._weights, self._trust, tolerance)
+        return lookup(F, F_dot, self._arrays, self._bounds, tolerance)
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
@@ -206,13 +178,16 @@ class SurrogateLaw:
 
         That the network's answer is finite is not tested.
         """
-        return status_and_bound(F, F_dot, self._weights, self._trust, tolerance)
+        return status_and_bound(F, F_dot, self._arrays, self._bounds, tolerance)
 
-    def reference(self, F: Array, F_dot: Array) -> Array:
-        """Stress (n, 2, 2) by the torch network, in range or not: the twin of `lookup`."""
+    def extrapolate(self, F: Array, F_dot: Array) -> Array:
+        """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""
         F, F_dot = check_deformation(F, F_dot)
-        inputs, _ = to_inputs(F, F_dot)
-        with torch.no_grad():
-            precision = self.network.input_scale.dtype
-            components = self.network(torch.as_tensor(inputs, dtype=precision))
-        return to_cauchy(F, components.double().numpy())
+        return to_cauchy(F, self._slopes(F, F_dot)[0])
+
+    def _slopes(self, F: Array, F_dot: Array) -> tuple[Array, Array]:
+        return evaluate_slopes(F, F_dot, self._arrays, self._slope_polynomial)
+
+    @cached_property
+    def _slope_polynomial(self) -> Polynomial:
+        return slope_polynomial(self.network)

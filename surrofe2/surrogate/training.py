@@ -8,30 +8,53 @@ gradients do not in the same time.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.square_symmetry import COMPONENTS
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.domain import fit_domain
+from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.features import input_scale
-from surrofe2.surrogate.held_out_errors import measure_errors
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-from surrofe2.surrogate.training_task import Task, fit_baseline_to, make_task, read_data, set_scales
-from surrofe2.surrogate.trust_features import has_square_symmetry
+from surrofe2.surrogate.training_task import Task, fit_baseline, make_task, read_data, set_scales
+from surrofe2.tensors import rotation, to_components, transpose
 
-Progress = Callable[[int, int, dict[str, float]], None]
-Checkpoint = Callable[[dict[str, Any]], None]
+Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 20
 _ITERATIONS_A_ROUND = 20
+_ROUNDING = 1e-12  # of the largest spread: less is no spread
+_LISTS = ("old_dirs", "old_stps", "ro")  # of the optimiser: one entry a kept step
+_NUMBERS = ("func_evals", "n_iter", "t", "H_diag", "prev_loss")
+_VECTORS = ("d", "prev_flat_grad")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TrainingState:
+    """An interrupted training, to be carried on.
+
+    Attributes:
+        identity: fingerprint of the samples and the settings, as text.
+        iterations: done.
+        arrays: weights of the network and state of the optimiser, by name.
+    """
+
+    identity: Mapping[str, str]
+    iterations: int
+    arrays: Mapping[str, Array]
+
+
+Progress = Callable[[int, int, dict[str, float]], None]
+Checkpoint = Callable[[TrainingState], None]
 
 
 def train(
@@ -40,7 +63,7 @@ def train(
     *,
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
-    resume: dict[str, Any] | None = None,
+    resume: TrainingState | None = None,
     symmetry: str | None = None,
 ) -> SurrogateLaw:
     """Fit a surrogate to the valid samples; the same seed and threads give the same surrogate.
@@ -48,18 +71,15 @@ def train(
     Args:
         progress: called with (iterations done, iterations in all, figures), among the figures
             `loss` (training) and `held_out_rms`, both relative to the spread of stress.
-        checkpoint: called now and then, and when interrupted by the keyboard, with a state of
-            tensors and plain data that `torch.load(…, weights_only=True)` reads back.
-        resume: such a state, to carry on from.
+        checkpoint: called now and then, and when interrupted by the keyboard.
+        resume: a state that `checkpoint` was given, to carry on from.
         symmetry: "D4" or "none"; None: that of the plant cell's arrangement.
 
     Raises:
-        InputError: fewer than `LEAST_SAMPLES` valid samples, or form "potentials" for constrained
-            runs.
+        InputError: fewer than `LEAST_SAMPLES` valid samples.
         MismatchError: the state to resume is of other samples or settings.
         SimulationError: the loss is not finite.
     """
-    _check_form(settings, samples.initialisation)
     valid = samples.valid
     count = len(valid.F)
     if count < LEAST_SAMPLES:
@@ -67,20 +87,21 @@ def train(
     order = np.random.default_rng(settings.seed).permutation(count)
     kept_out = max(2, round(settings.held_out * count))
     held_out, fitted = order[:kept_out], order[kept_out:]
-    identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
 
     data = read_data(valid, settings)
-    symmetry = symmetry or ("D4" if has_square_symmetry(samples.cell) else "none")
-    network = StressNetwork(settings, symmetry)
+    square = samples.cell.symmetry == "D4"
+    network = StressNetwork(settings, symmetry or ("D4" if square else "none"))
     network.input_scale.copy_(torch.from_numpy(input_scale(valid.range)))
-    fit_baseline_to(network, data.at(fitted), settings)
+    fit_baseline(network, data.at(fitted), settings)
     task, test = (make_task(network, data.at(part), settings) for part in (fitted, held_out))
     set_scales(network, task)
-    _minimise(network, task, test, settings, identity, progress, checkpoint, resume)
+    identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
+    minimisation = _Minimisation(network, settings, identity)
+    done = 0 if resume is None else minimisation.restore(resume)
+    minimisation.run(task, test, done, progress, checkpoint)
 
-    network = network.to(getattr(torch, settings.precision))
     law = SurrogateLaw(
-        network=network,
+        network=network.to_parameters(),
         cell=samples.cell,
         initialisation=samples.initialisation,
         range=samples.range,
@@ -88,97 +109,72 @@ def train(
         errors={},
         data_fingerprint=samples.fingerprint,
         rest_length=samples.rest_length,
+        version=_package_version(),
         domain=fit_domain(samples),
     )
     return replace(law, errors=measure_errors(law, valid.at(held_out)))
 
 
-def _check_form(settings: TrainingSettings, initialisation: str) -> None:
-    if settings.form == "potentials" and initialisation == "constrained-runs":
-        raise InputError(
-            "training.form: potentials; the viscous tangent of constrained-runs is not symmetric, "
-            "so no dissipation potential has it; use form energy"
+def _package_version() -> str:
+    try:
+        return version("surrofe2")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+class _Minimisation:
+    """L-BFGS on the weights of a network."""
+
+    def __init__(
+        self, network: StressNetwork, settings: TrainingSettings, identity: Mapping[str, str]
+    ) -> None:
+        self.network, self.settings, self.identity = network, settings, identity
+        self.parameters = list(network.parameters())
+        self.optimiser = torch.optim.LBFGS(
+            self.parameters,
+            history_size=settings.history,
+            line_search_fn="strong_wolfe",
+            tolerance_grad=0.0,
+            tolerance_change=0.0,
         )
 
-
-def _minimise(
-    network: StressNetwork,
-    task: Task,
-    test: Task,
-    settings: TrainingSettings,
-    identity: dict[str, str],
-    progress: Progress | None,
-    checkpoint: Checkpoint | None,
-    resume: dict[str, Any] | None,
-) -> None:
-    first, done, optimiser = 0, 0, None
-    if resume is not None:
-        first, done, optimiser = _restore(network, settings, identity, resume)
-    for k in range(first, settings.members):
-        optimiser = optimiser or _make_optimiser(network, k, settings)
-        run = _Run(network, k, optimiser, identity)
-        done = run.minimise(task, test, settings, done, progress, checkpoint)
-        done, optimiser = 0, None
-
-
-def _make_optimiser(network: StressNetwork, k: int, settings: TrainingSettings) -> Any:
-    return torch.optim.LBFGS(
-        network.members[k].parameters(),
-        history_size=settings.history,
-        line_search_fn="strong_wolfe",
-        tolerance_grad=0.0,
-        tolerance_change=0.0,
-    )
-
-
-@dataclass(frozen=True)
-class _Run:
-    """The training of one network of the ensemble."""
-
-    network: StressNetwork
-    number: int
-    optimiser: torch.optim.LBFGS
-    identity: dict[str, str]
-
-    def minimise(
+    def run(
         self,
         task: Task,
         test: Task,
-        settings: TrainingSettings,
         done: int,
         progress: Progress | None,
         checkpoint: Checkpoint | None,
-    ) -> int:
-        """Iterate until the settings' number or until nothing is gained; the iterations done."""
-        member = self.network.ensemble[self.number]
+    ) -> None:
+        """Iterate until the settings' number or until nothing is gained."""
         # the first steps of L-BFGS want a loss of order 1
         scale = 1.0 / float((task.weight * self.network.output_scale**2).max())
 
         def loss_and_gradient() -> torch.Tensor:
             self.optimiser.zero_grad()
-            loss = scale * task.loss(self.network, member)
+            loss = scale * task.loss(self.network)
             loss.backward()
             return loss
 
-        before = self.number * settings.iterations
+        most = self.settings.iterations
         state = self.snapshot(done)
         best = np.inf
         try:
-            while done < settings.iterations:
-                count = min(_ITERATIONS_A_ROUND, settings.iterations - done)
+            while done < most:
+                count = min(_ITERATIONS_A_ROUND, most - done)
                 self.optimiser.param_groups[0].update(max_iter=count, max_eval=4 * count)
                 self.optimiser.step(loss_and_gradient)
                 done += count
                 figures, loss = self.figures(task, test)
                 if not np.isfinite(loss):
                     raise SimulationError(
-                        f"training: the loss is not finite after {before + done} iterations; "
+                        f"training: the loss is not finite after {done} iterations; "
                         "try another seed"
                     )
                 if progress is not None:
-                    progress(before + done, settings.members * settings.iterations, figures)
+                    progress(done, most, figures)
                 state = self.snapshot(done)
-                if checkpoint is not None and done % settings.checkpoint_interval < count:
+                if checkpoint is not None and done % self.settings.checkpoint_interval < count:
                     checkpoint(state)
                 if loss >= best:
                     break
@@ -187,42 +183,77 @@ class _Run:
             if checkpoint is not None:
                 checkpoint(state)
             raise
-        return done
 
     def figures(self, task: Task, test: Task) -> tuple[dict[str, float], float]:
         """Errors of stress for the eye, and the loss that is minimised."""
-        member = self.network.ensemble[self.number]
         with torch.no_grad():
-            loss = float(task.loss(self.network, member))
-            fitted, held_out = (
-                float(part.stress_loss(self.network, member)) ** 0.5 for part in (task, test)
-            )
+            loss = float(task.loss(self.network))
+            fitted, held_out = (float(t.stress_loss(self.network)) ** 0.5 for t in (task, test))
         return {"loss": fitted, "held_out_rms": held_out}, loss
 
-    def snapshot(self, done: int) -> dict[str, Any]:
+    def snapshot(self, done: int) -> TrainingState:
         """All that is needed to carry on after so many iterations."""
-        parts = {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
-        return {
-            **self.identity,
-            "member": self.number,
-            "iterations": done,
-            **copy.deepcopy(parts),
-        }
+        found = {f"network.{k}": v.numpy().copy() for k, v in self.network.state_dict().items()}
+        state = self.optimiser.state[self.parameters[0]]
+        for name in _LISTS if state else ():
+            entries = state[name]
+            found[f"optimiser.{name}"] = torch.stack(entries).numpy() if entries else np.empty(0)
+        for name in (*_NUMBERS, *_VECTORS) if state else ():
+            values = torch.as_tensor(state[name], dtype=torch.float64)
+            found[f"optimiser.{name}"] = values.numpy().copy()
+        return TrainingState(self.identity, done, found)
+
+    def restore(self, state: TrainingState) -> int:
+        """Put back what `snapshot` gave; the iterations that were done."""
+        for name, value in self.identity.items():
+            if state.identity.get(name) != value:
+                raise MismatchError(
+                    f"training: the state to resume has {name} {state.identity.get(name)}, "
+                    f"not {value}"
+                )
+        parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}}
+        for name, array in state.arrays.items():
+            part, key = name.split(".", 1)
+            parts[part][key] = torch.from_numpy(np.array(array))
+        self.network.load_state_dict(parts["network"])
+        found = parts["optimiser"]
+        for name in _LISTS if found else ():
+            found[name] = list(found[name])
+        for name in _NUMBERS if found else ():
+            found[name] = found[name].item()
+        for name in ("func_evals", "n_iter") if found else ():
+            found[name] = int(found[name])
+        self.optimiser.state[self.parameters[0]].update(found)
+        return state.iterations
 
 
-def _restore(
-    network: StressNetwork,
-    settings: TrainingSettings,
-    identity: dict[str, str],
-    state: dict[str, Any],
-) -> tuple[int, int, Any]:
-    for name, value in identity.items():
-        if state.get(name) != value:
-            raise MismatchError(
-                f"training: the state to resume has {name} {state.get(name)}, not {value}"
-            )
-    number = int(state["member"])
-    network.load_state_dict(state["network"])
-    optimiser = _make_optimiser(network, number, settings)
-    optimiser.load_state_dict(state["optimiser"])
-    return number, int(state["iterations"]), optimiser
+def measure_errors(law: SurrogateLaw, samples: StressSamples) -> dict[str, Any]:
+    """Errors of a surrogate on samples, by component of S and of σ.
+
+    Returns:
+        `points`, and by component `spread` (standard deviation over the samples, µN/µm), `rms`
+        and `worst` (relative to the spread).
+    """
+    R = rotation(samples.F)
+    answer = law.extrapolate(samples.F, samples.F_dot)
+    exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
+    spread = exact.std(axis=0)
+    largest = max(spread.max(), np.finfo(float).tiny)
+    scale = np.where(spread > _ROUNDING * largest, spread, largest)
+    error = np.abs(found - exact) / scale
+    names = (*COMPONENTS, "xx", "xy", "yx", "yy")
+    figures = {
+        "spread": spread,
+        "rms": np.sqrt((error**2).mean(axis=0)),
+        "worst": error.max(axis=0),
+    }
+    named = {
+        key: {name: float(value) for name, value in zip(names, values, strict=True)}
+        for key, values in figures.items()
+    }
+    return {"points": len(R), **named}
+
+
+def _all_components(stress: Array, R: Array) -> Array:
+    rotated = to_components(transpose(R) @ stress @ R)
+    return np.concatenate([rotated, stress.reshape(-1, 4)], axis=1)

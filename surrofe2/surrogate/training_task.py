@@ -1,6 +1,9 @@
-"""What a network is trained on: what its baseline leaves of stress and slopes, and their weights.
+"""What a network is trained on: its polynomial baseline, and a `Task` of what that leaves.
 
-A `Task` holds it as tensors, one row a sample, and gives the loss of a network.
+The baseline is fitted to stress, and to tangents where there are any, by linear least squares: the
+normal equations are accumulated over blocks of samples; directions that the samples do not see (a
+range of zero width) get 0, as the solution of least norm has it. A `Task` holds the rest as
+tensors, one row a sample, and gives the loss of a network.
 """
 
 from __future__ import annotations
@@ -12,16 +15,16 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.baseline import fit_baseline
 from surrofe2.surrogate.features import STRETCH, input_scale
-from surrofe2.surrogate.network import Member, Shapes, StressNetwork
-from surrofe2.surrogate.network_slopes import along
+from surrofe2.surrogate.network import Shapes, StressNetwork, along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tensors import INPUTS, to_inputs
 
 _OUTLIER = 8.0  # times the median of what the baseline leaves of a slope: of no use for training
 _LEAST_SPREAD = 0.1  # a component of less than this share of the largest counts as one of it
+_BLOCK = 1024  # samples
+_LEAST_EIGENVALUE = 1e-13
 
 
 @dataclass(frozen=True)
@@ -67,12 +70,12 @@ class Task:
     slope: torch.Tensor | None = None
     slope_weight: torch.Tensor | float = 0.0
 
-    def loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
+    def loss(self, network: StressNetwork) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes."""
         if self.moving is None:
-            return self._mean_square(network.correction(member, self.shapes) - self.target)
+            return self._mean_square(network.correction(self.shapes) - self.target)
         found, slope = along(
-            lambda *shapes: network.correction(member, Shapes(*shapes)), self.shapes, self.moving
+            lambda *shapes: network.correction(Shapes(*shapes)), self.shapes, self.moving
         )
         by_stress = self._mean_square(found - self.target)
         return by_stress + (self.slope_weight * self._squares(slope - self.slope)).mean()
@@ -84,15 +87,55 @@ class Task:
         cauchy = torch.matmul(self.to_cauchy, error[:, :, None])[:, :, 0]
         return cauchy**2 * self.weight
 
-    def stress_loss(self, network: StressNetwork, member: Member) -> torch.Tensor:
+    def stress_loss(self, network: StressNetwork) -> torch.Tensor:
         """The mean square error of stress alone."""
-        return replace(self, moving=None).loss(network, member)
+        return replace(self, moving=None).loss(network)
 
 
-def fit_baseline_to(network: StressNetwork, data: Data, settings: TrainingSettings) -> None:
-    """Set the polynomial of the network, each component relative to its spread."""
+def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings) -> None:
+    """Set the coefficients of the network's baseline, each component relative to its spread."""
+    cut = len(network.energy_coefficients)
+    size = cut + len(network.coefficients)
+    if not size:
+        return
     weight = 1.0 / _spread(data.target) ** 2
-    fit_baseline(network, data.x, data.target, weight, data.slopes, settings.tangent_weight)
+    gram, right = np.zeros((size, size)), np.zeros(size)
+    owner = np.array([component for _, component in network.features.monomials], dtype=int)
+    owned = [np.append(np.arange(cut), cut + np.flatnonzero(owner == k)) for k in range(4)]
+    for start in range(0, len(data.x), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        x = data.x[block]
+        parts = [(network.baseline_columns(x), data.target[block])]
+        if data.slopes is not None and settings.tangent_weight > 0.0:
+            parts += _sloped(network, x, data.slopes[block], settings.tangent_weight**0.5)
+        for matrix, values in parts:
+            for k, own in enumerate(owned):
+                A = matrix[:, k, own].numpy()
+                gram[np.ix_(own, own)] += float(weight[k]) * (A.T @ A)
+                right[own] += float(weight[k]) * (A.T @ values[:, k].numpy())
+    solution = torch.from_numpy(_solve(gram, right))
+    network.energy_coefficients.copy_(solution[:cut])
+    network.coefficients.copy_(solution[cut:])
+
+
+def _sloped(
+    network: StressNetwork, x: torch.Tensor, slopes: torch.Tensor, root: float
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    parts = []
+    for k in range(x.shape[1]):
+        direction = torch.zeros_like(x)
+        direction[:, k] = root
+        slope = along(network.baseline_columns, (x,), (direction,))[1]
+        parts.append((slope, root * slopes[:, :, k]))
+    return parts
+
+
+def _solve(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
+    kept = values > _LEAST_EIGENVALUE * values.max()
+    V = vectors[:, kept]
+    return (V @ ((V.T @ (right / scale)) / values[kept])) / scale
 
 
 def _spread(target: torch.Tensor) -> torch.Tensor:

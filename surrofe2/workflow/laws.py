@@ -20,6 +20,7 @@ from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.io.reference_states import read_reference, reference_path, write_reference
 from surrofe2.io.run_folder import file_fingerprint
+from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
@@ -30,7 +31,6 @@ from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.reference_state import settle_reference
 from surrofe2.stress_law import StressLaw
-from surrofe2.surrogate import SurrogateLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
@@ -90,7 +90,7 @@ def choose_law(
         law = CachedLaw(table, rve, recipe.cache, keep)
         return ChosenLaw(law, (rve,), _record_of(tables), table)
     path = surrogate_file or recipe.training_path()
-    surrogate = SurrogateLaw.load(path)
+    surrogate = read_surrogate(path)
     record: dict[str, Any] = {
         "file": path.name,
         "fingerprint": file_fingerprint(path),

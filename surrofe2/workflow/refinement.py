@@ -17,6 +17,7 @@ from surrofe2.errors import SimulationError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import check_same, read_json, replacing, reported, write_json
 from surrofe2.io.harvest import Harvest, HarvestHeader, HarvestWriter, read_harvest
+from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
 from surrofe2.stress_law import StressLaw
@@ -34,7 +35,7 @@ from surrofe2.workflow.training_data import with_harvests
 
 Array = NDArray[np.float64]
 
-ROUNDS, SURROGATE = "refine.json", "surrogate.pt"
+ROUNDS, SURROGATE = "refine.json", "surrogate.safetensors"
 _NEW, _STARTED = "new.h5", "round.json"
 FALLBACK, AUDIT, NEIGHBOUR, WIDENED = 0, 1, 2, 3
 AUDIT_QUANTILE = 0.99
@@ -91,7 +92,7 @@ def refine_surrogate(
     The first round runs on the recipe's surrogate, which is made where it is not there. Each
     later one was trained anew on the recipe's data set and everything sampled since; where states
     left the range, the range of the surrogate is the least box that holds them too. The last
-    surrogate is `out`/surrogate.pt.
+    surrogate is `out`/surrogate.safetensors.
 
     Args:
         rounds: how many at most.
@@ -193,7 +194,7 @@ def _surrogate(
         samples = with_harvests(read_data_set(recipe.data_path()), recipe.added_paths(), recipe)
         if not path.exists():
             path.write_bytes(recipe.training_path().read_bytes())
-        return SurrogateLaw.load(path), samples
+        return read_surrogate(path), samples
     samples = with_harvests(
         read_data_set(recipe.data_path()),
         [*recipe.added_paths(), *(out / f"round-{j}" / _NEW for j in range(k))],
@@ -211,8 +212,8 @@ def _surrogate(
         with stage(f"round {k}: calibrate", 1.0, "of the paths") as report:
             wider = replace(recipe, range=samples.range)
             surrogate = calibrate_surrogate(wider, surrogate, samples, report)
-        surrogate.save(path)
-    return SurrogateLaw.load(path), samples
+        write_surrogate(surrogate, path)
+    return read_surrogate(path), samples
 
 
 def _make_first(recipe: Recipe, stage: Stage) -> None:

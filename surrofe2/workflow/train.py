@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from surrofe2.errors import FileError, MismatchError
+from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.files import START_OVER, check_same, replacing, reported
+from surrofe2.io.files import START_OVER, check_same, reported
+from surrofe2.io.surrogates import (
+    read_surrogate,
+    read_training,
+    write_surrogate,
+    write_training,
+)
 from surrofe2.recipe import Recipe
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate import SurrogateLaw, train
+from surrofe2.surrogate.surrogate_law import SurrogateLaw
+from surrofe2.surrogate.training import TrainingState, train
 from surrofe2.workflow.calibrate import bound_summary, calibrate_surrogate
 from surrofe2.workflow.run_lifecycle import Stage, silent
 from surrofe2.workflow.training_data import with_harvests
@@ -51,7 +57,7 @@ def train_surrogate(
     samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
     surrogate = None
     if path.exists() and not fresh:
-        surrogate = SurrogateLaw.load(path)
+        surrogate = read_surrogate(path)
         _check_surrogate(recipe, surrogate, samples)
         if surrogate.is_calibrated:
             return Trained(path, surrogate, True, bound_summary(surrogate, samples))
@@ -61,29 +67,31 @@ def train_surrogate(
         surrogate = _train(recipe, samples, fresh, stage)
     with stage("calibrate", 1.0, "of the paths") as report:
         surrogate = calibrate_surrogate(recipe, surrogate, samples, report)
-    surrogate.save(path)
+    write_surrogate(surrogate, path)
     return Trained(path, surrogate, False, bound_summary(surrogate, samples))
 
 
 def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) -> SurrogateLaw:
     """A surrogate without a bound, in the recipe's file."""
     path = recipe.training_path()
-    unfinished = path.with_suffix(".unfinished.pt")
+    unfinished = path.with_suffix(".unfinished.safetensors")
     if fresh:
         unfinished.unlink(missing_ok=True)
-    state = _read_state(unfinished) if unfinished.exists() else None
+    state = TrainingState(*read_training(unfinished)) if unfinished.exists() else None
     with stage("train", recipe.training.iterations, "iterations") as report:
         try:
             surrogate = train(
                 samples,
                 recipe.training,
                 progress=lambda i, n, figures: report(i, training_note(figures)),
-                checkpoint=lambda state: _write_state(unfinished, state),
+                checkpoint=lambda state: write_training(
+                    unfinished, state.identity, state.iterations, state.arrays
+                ),
                 resume=state,
             )
         except MismatchError as error:
             raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None
-    surrogate.save(path)
+    write_surrogate(surrogate, path)
     unfinished.unlink(missing_ok=True)
     return surrogate
 
@@ -114,25 +122,6 @@ def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSam
         here["calibration"] = recipe.calibration.to_dict()
         there["calibration"] = dict(surrogate.calibration.settings)
     check_same(path, here, there)
-
-
-def _write_state(path: Path, state: Mapping[str, Any]) -> None:
-    import torch
-
-    with replacing(path) as partial:
-        torch.save(dict(state), partial)
-
-
-def _read_state(path: Path) -> dict[str, Any]:
-    import torch
-
-    try:
-        state = torch.load(path, weights_only=True)
-    except Exception:  # bytes from anywhere fail in torch's reader in ways it does not list
-        state = None
-    if not isinstance(state, dict):
-        raise FileError(f"{path}: not an unfinished training; {START_OVER}")
-    return state
 
 
 def training_note(figures: Mapping[str, float]) -> str:

@@ -25,7 +25,7 @@ def test_run_through_the_surrogate(invoke, recipe_path, tmp_path, law):
     done = invoke("run", recipe_path, "--law", law, "--out", tmp_path / law, "--tolerance", "0.1")
     assert done.exit_code == 0, done.output
     record = read_record(tmp_path / law)
-    assert record.surrogate["file"] == "cells.pt"
+    assert record.surrogate["file"] == "cells.safetensors"
     assert len(record.surrogate["fingerprint"]) == 16
     assert record.surrogate["errors"]["points"] == 4
     if law == "cached":
@@ -70,8 +70,8 @@ def test_surrogate_for_other_cell_parameters(invoke, recipe_path, changed_recipe
     refused = invoke("run", recipe_path, "--law", law, "--out", tmp_path / law)
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {recipe_path.parent / 'cells.pt'}: trained for cell.viscosity = 0.1, the recipe "
-        "has 0.2; train a surrogate for this recipe\n"
+        f"error: {recipe_path.parent / 'cells.safetensors'}: trained for cell.viscosity = 0.1, "
+        "the recipe has 0.2; train a surrogate for this recipe\n"
     )
     assert not (tmp_path / law).exists()
 
@@ -84,8 +84,8 @@ def test_surrogate_for_another_initialisation(invoke, recipe_path, tmp_path):
     )  # fmt: skip
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {recipe_path.parent / 'cells.pt'}: trained for initialisation constrained-runs, "
-        "the run has elastic; train a surrogate for this recipe\n"
+        f"error: {recipe_path.parent / 'cells.safetensors'}: trained for initialisation "
+        "constrained-runs, the run has elastic; train a surrogate for this recipe\n"
     )
 
 
@@ -93,7 +93,8 @@ def test_missing_surrogate(invoke, recipe_path, tmp_path):
     refused = invoke("run", recipe_path, "--law", "cached", "--out", tmp_path / "cached")
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {recipe_path.parent / 'cells.pt'}: cannot be read: No such file or directory\n"
+        f"error: {recipe_path.parent / 'cells.safetensors'}: cannot be read: "
+        "No such file or directory\n"
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from surrofe2 import simulate
 from surrofe2.errors import SimulationError
-from surrofe2.surrogate import SurrogateLaw
+from surrofe2.io.surrogates import read_surrogate
 from surrofe2.workflow import calibrate as calibrating
 from tests.laws import SoftLaw
 
@@ -18,7 +18,7 @@ AT_REST = np.eye(2)[None], np.zeros((1, 2, 2))
 
 @pytest.fixture
 def surrogate_path(recipe_path):
-    return recipe_path.parent / "cells.pt"
+    return recipe_path.parent / "cells.safetensors"
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +32,7 @@ def test_train_calibrates_and_says_what_it_found(invoke, recipe_path, surrogate_
     line = next(line for line in done.stdout.splitlines() if line.startswith("bound: "))
     assert "% of the spread of stress at the centre" in line
     assert line.endswith("at the edge, 38 paths, nominal share 10 %")
-    surrogate = SurrogateLaw.load(surrogate_path)
+    surrogate = read_surrogate(surrogate_path)
     assert surrogate.is_calibrated
     assert np.isfinite(surrogate.error_bound(*AT_REST)).all()
     calibration = surrogate.calibration
@@ -50,7 +50,7 @@ def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):
         ("length = 6", "length = 7"),
     ):
         assert invoke("train", changed_recipe(*change), "--fresh").exit_code == 0
-        bounds.append(SurrogateLaw.load(surrogate_path).calibration.to_dict())
+        bounds.append(read_surrogate(surrogate_path).calibration.to_dict())
     assert bounds[0] == bounds[1]
     assert bounds[0] != bounds[2]
 
@@ -68,14 +68,14 @@ def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monk
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
     assert f"go on with: surrofe2 train {recipe_path}\n" in stopped.stderr
-    fresh = SurrogateLaw.load(surrogate_path)
+    fresh = read_surrogate(surrogate_path)
     assert not fresh.is_calibrated
     trainings = []
     monkeypatch.setattr("surrofe2.workflow.train.train", lambda *_: trainings.append(1))
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
     assert not trainings
-    assert SurrogateLaw.load(surrogate_path).is_calibrated
+    assert read_surrogate(surrogate_path).is_calibrated
 
 
 def test_a_true_law_that_fails_everywhere_leaves_no_bound(
@@ -90,12 +90,12 @@ def test_a_true_law_that_fails_everywhere_leaves_no_bound(
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
     assert "bound: none, because the RVE has no stress on too many paths" in done.stdout
-    assert np.isinf(SurrogateLaw.load(surrogate_path).error_bound(*AT_REST)).all()
+    assert np.isinf(read_surrogate(surrogate_path).error_bound(*AT_REST)).all()
 
 
 def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invoke, recipe_path):
     assert invoke("train", recipe_path).exit_code == 0
-    surrogate = SurrogateLaw.load(recipe.training_path())
+    surrogate = read_surrogate(recipe.training_path())
     load = replace(recipe.load, body_force=(0.0, -50.0))
     met = calibrating._states_met(load, surrogate, recipe.macro)
     assert all(surrogate.in_range(F, F_dot).all() for F, F_dot in met)

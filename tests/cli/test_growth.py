@@ -9,8 +9,8 @@ import pytest
 
 from surrofe2.io.harvest import read_harvest
 from surrofe2.io.run_folder import read_record
+from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import read_table
-from surrofe2.surrogate import SurrogateLaw
 from tests.laws import SoftLaw, SquareLaw, square_stress
 
 
@@ -153,18 +153,18 @@ def test_a_table_behind_the_network_takes_what_it_may_not_answer(
 
 @pytest.mark.usefixtures("_trained")
 def test_a_harvest_is_added_to_the_training_data(invoke, first, recipe_path, changed_recipe):
-    surrogate = recipe_path.parent / "cells.pt"
-    before = SurrogateLaw.load(surrogate)
+    surrogate = recipe_path.parent / "cells.safetensors"
+    before = read_surrogate(surrogate)
     harvest = first / "harvest.h5"
     done = invoke("train", recipe_path, "--fresh", "--add", harvest)
     assert done.exit_code == 0, done.output
-    after = SurrogateLaw.load(surrogate)
+    after = read_surrogate(surrogate)
     assert after.data_fingerprint != before.data_fingerprint
     assert after.errors["points"] > before.errors["points"]
     assert after.range == before.range
     changed_recipe('file = "cells.h5"', f'file = "cells.h5"\nadd = ["{harvest}"]')
     assert invoke("train", recipe_path, "--fresh").exit_code == 0
-    assert SurrogateLaw.load(surrogate).data_fingerprint == after.data_fingerprint
+    assert read_surrogate(surrogate).data_fingerprint == after.data_fingerprint
 
 
 @pytest.mark.usefixtures("_trained")
@@ -199,9 +199,8 @@ def test_refine_teaches_what_a_run_meets(invoke, leaving_recipe, tmp_path):
     low, high = (row["range"] for row in (rows[0], rows[1]))
     assert high != low
     assert high["rate"] >= low["rate"]
-    assert (
-        SurrogateLaw.load(out / "surrogate.pt").range.to_dict()["rate"] == rows[-1]["range"]["rate"]
-    )
+    last = read_surrogate(out / "surrogate.safetensors")
+    assert last.range.to_dict()["rate"] == rows[-1]["range"]["rate"]
     for word in ("round", "hits", "unknown", "held-out", "audit", "settled"):
         assert word in done.stdout
     law = SoftLaw()

@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 
 from surrofe2.io.files import START_OVER
-from surrofe2.surrogate import SurrogateLaw, training
+from surrofe2.io.surrogates import read_surrogate
+from surrofe2.surrogate import training
 from tests.laws import SoftLaw
 
 
 @pytest.fixture
 def surrogate_path(recipe_path):
-    return recipe_path.parent / "cells.pt"
+    return recipe_path.parent / "cells.safetensors"
 
 
 @pytest.fixture
@@ -27,9 +28,9 @@ def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogat
     assert done.exit_code == 0, done.output
     assert "Held-out errors, 4 samples" in done.stdout
     assert done.stdout.splitlines()[-1].startswith(f"{surrogate_path}: held-out errors up to ")
-    surrogate = SurrogateLaw.load(surrogate_path)
+    surrogate = read_surrogate(surrogate_path)
     assert (surrogate.cell, surrogate.range) == (recipe.cell, recipe.range)
-    assert sorted(path.name for path in surrogate_path.parent.glob("*.pt")) == ["cells.pt"]
+    assert list(surrogate_path.parent.glob("*.safetensors")) == [surrogate_path]
 
 
 @pytest.mark.usefixtures("_data_set")
@@ -65,7 +66,7 @@ def test_a_surrogate_of_other_settings_is_refused_unless_fresh(
 
 @pytest.mark.usefixtures("_data_set")
 def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypatch):
-    figures, rounds = training._Run.figures, []
+    figures, rounds = training._Minimisation.figures, []
 
     def interrupt_second(*arguments):
         rounds.append(1)
@@ -73,13 +74,13 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
             raise KeyboardInterrupt
         return figures(*arguments)
 
-    monkeypatch.setattr(training._Run, "figures", interrupt_second)
+    monkeypatch.setattr(training._Minimisation, "figures", interrupt_second)
     stopped = invoke("train", recipe_path)
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == (
         f"interrupted: the iterations so far are kept; go on with: surrofe2 train {recipe_path}"
     )
-    unfinished = surrogate_path.with_suffix(".unfinished.pt")
+    unfinished = surrogate_path.with_suffix(".unfinished.safetensors")
     assert unfinished.exists()
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
@@ -89,11 +90,14 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
 
 @pytest.mark.usefixtures("_data_set")
 def test_foreign_unfinished_training(invoke, recipe_path, surrogate_path):
-    unfinished = surrogate_path.with_suffix(".unfinished.pt")
+    unfinished = surrogate_path.with_suffix(".unfinished.safetensors")
     unfinished.write_bytes(b"foreign")
     refused = invoke("train", recipe_path)
     assert refused.exit_code == 1
-    assert refused.stderr == (f"error: {unfinished}: not an unfinished training; {START_OVER}\n")
+    assert refused.stderr == (
+        f"error: {unfinished}: not a surrofe2 unfinished training, or truncated; train it anew "
+        "with: surrofe2 train RECIPE --fresh\n"
+    )
 
 
 @pytest.mark.usefixtures("_data_set")

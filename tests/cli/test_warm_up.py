@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.macro import MacroSettings
-from surrofe2.surrogate.compiled import MANY
+from surrofe2.surrogate.compiled_lookup import MANY
 from surrofe2.workflow import laws
 from tests.laws import SoftLaw
 

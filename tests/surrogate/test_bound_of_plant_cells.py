@@ -16,13 +16,13 @@ from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
-from surrofe2.surrogate.calibration_settings import CalibrationSettings
 from surrofe2.surrogate.deformation_paths import (
     WatchedLaw,
     random_states,
     random_walks,
     true_stress,
 )
+from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.tensors import stress_error
 from surrofe2.workflow.calibrate import calibrate_surrogate
 

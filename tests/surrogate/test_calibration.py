@@ -1,21 +1,20 @@
 """The bound holds on fresh paths, and planted faults show."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from surrofe2.errors import FileError, InputError
+from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status
-from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration import Truth, calibrate, conformal_quantile, errors_along
-from surrofe2.surrogate.calibration_settings import CalibrationSettings
 from surrofe2.surrogate.deformation_paths import random_states, random_walks
+from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.tensors import stress_error, stress_spread
 from tests.laws import RANGE, lattice_stress
+from tests.surrogate.torch_twin import read_parts, write_parts
 
 SHARE = 0.01
 
@@ -107,53 +106,61 @@ def test_spread_without_calibration_is_that_of_held_out_samples(law, calibrated)
 
 
 def test_through_its_file(calibrated, tmp_path):
-    calibrated.save(tmp_path / "a.pt")
-    loaded = SurrogateLaw.load(tmp_path / "a.pt")
+    write_surrogate(calibrated, tmp_path / "a.safetensors")
+    loaded = read_surrogate(tmp_path / "a.safetensors")
     F, F_dot = random_states(RANGE, 1000, seed=3).states
     assert np.array_equal(loaded.error_bound(F, F_dot), calibrated.error_bound(F, F_dot))
     assert loaded.is_calibrated
     assert loaded.calibration.to_dict() == calibrated.calibration.to_dict()
 
 
-def test_a_file_from_before_there_were_bounds(calibrated, tmp_path):
-    calibrated.save(tmp_path / "a.pt")
-    content = torch.load(tmp_path / "a.pt", weights_only=True)
-    del content["domain"], content["calibration"]
-    torch.save(content, tmp_path / "a.pt")
-    loaded = SurrogateLaw.load(tmp_path / "a.pt")
+def test_a_file_without_domain_and_bound(calibrated, tmp_path):
+    write_surrogate(replace(calibrated, domain=None, calibration=None), tmp_path / "a.safetensors")
+    loaded = read_surrogate(tmp_path / "a.safetensors")
     F, F_dot = random_states(RANGE, 100, seed=3).states
     assert np.isinf(loaded.error_bound(F, F_dot)).all()
     assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
 
 
+def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):
+    kinds = {"walks": {"paths": 9, "states": 90, "quantile": np.inf}}
+    unknown = replace(calibrated.calibration, quantile=np.inf, kinds=kinds)
+    write_surrogate(replace(calibrated, calibration=unknown), tmp_path / "a.safetensors")
+    loaded = read_surrogate(tmp_path / "a.safetensors").calibration
+    assert loaded.quantile == loaded.kinds["walks"]["quantile"] == np.inf
+
+
 @pytest.mark.parametrize(
-    ("part", "key", "value"),
-    [
-        ("calibration", "scale", [1.0]),
-        ("calibration", "quantile", float("nan")),
-        ("calibration", "share", None),
-        ("domain", "pairs", [[0, 99]]),
-    ],
+    ("key", "value"), [("scale", [1.0]), ("quantile", float("nan")), ("share", None)]
 )
-def test_damaged_entries_are_refused(calibrated, tmp_path, part, key, value):
-    calibrated.save(tmp_path / "a.pt")
-    content = torch.load(tmp_path / "a.pt", weights_only=True)
+def test_a_damaged_bound_is_refused(calibrated, tmp_path, key, value):
+    path = tmp_path / "a.safetensors"
+    write_surrogate(calibrated, path)
+    content, tensors = read_parts(path)
     if value is None:
-        del content[part][key]
+        del content["calibration"][key]
     else:
-        content[part][key] = value
-    torch.save(content, tmp_path / "a.pt")
+        content["calibration"][key] = value
+    write_parts(path, content, tensors)
     with pytest.raises(FileError, match="missing or damaged entries"):
-        SurrogateLaw.load(tmp_path / "a.pt")
+        read_surrogate(path)
+
+
+def test_a_damaged_domain_is_refused(calibrated, tmp_path):
+    path = tmp_path / "a.safetensors"
+    write_surrogate(calibrated, path)
+    content, tensors = read_parts(path)
+    write_parts(path, content, {**tensors, "domain.pairs": np.array([[0, 99]])})
+    with pytest.raises(FileError, match="missing or damaged entries"):
+        read_surrogate(path)
 
 
 def corrupted(law, factor=1.001):
     """The largest weight of the last layer is off by a factor."""
-    network = copy.deepcopy(law.network)
-    weights = [values for values in network.parameters() if values.ndim == 2][-1]
-    with torch.no_grad():
-        weights.view(-1)[weights.abs().argmax()] *= factor
-    return replace(law, network=network)
+    *inner, (matrix, bias) = law.network.factors
+    matrix = matrix.copy()
+    matrix.flat[np.abs(matrix).argmax()] *= factor
+    return replace(law, network=replace(law.network, factors=(*inner, (matrix, bias))))
 
 
 def test_a_weight_corrupted_after_calibration_takes_the_bound_away(calibrated):

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains, sample
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate import domain as domains
 from surrofe2.surrogate.deformation_paths import random_states
-from surrofe2.surrogate.domain import Domain, fit_domain
+from surrofe2.surrogate.domain import Domain
+from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.tensors import to_inputs
 from tests.laws import CELL, RANGE, lattice_samples
 from tests.surrogate.failing_samples import G, buckles, samples_that_fail
@@ -96,9 +97,10 @@ def test_rotation_and_D4_make_no_difference(fails):
         assert np.array_equal(domain.contains(left @ F @ g, left @ F_dot @ g), inside)
 
 
-def test_without_symmetry_only_rotation_is_used(monkeypatch):
-    monkeypatch.setattr(domains, "has_square_symmetry", lambda cell: False)
+def test_without_symmetry_only_rotation_is_used():
     samples = samples_that_fail(lambda x: (x[:, 2] > 0.05) | (x[:, 1] < -0.1), 1500)
+    irregular = CellParameters.preset("printed", arrangement="voronoi", cells=9)
+    samples = replace(samples, cell=irregular)
     domain = fit_domain(samples)
     inside = domain.contains(samples.F, samples.F_dot)
     assert not domain.square
@@ -118,15 +120,16 @@ def test_what_is_not_a_number_is_outside():
             assert not domain.contains(F, F_dot).any()
 
 
-def test_through_plain_numbers():
+def test_through_tensors():
     samples = samples_that_fail(buckles, 800)
     domain = fit_domain(samples)
-    again = Domain.from_dict(domain.to_dict())
+    tensors = domain.to_tensors()
+    again = Domain.from_tensors(domain.square, tensors)
     F, F_dot = random_states(RANGE, 2000, seed=3).states
     assert np.array_equal(domain.contains(F, F_dot), again.contains(F, F_dot))
     for key, value in (("pairs", [[0, 9]]), ("cliff", [1.0]), ("scale", [1.0]), ("limits", [])):
         with pytest.raises(ValueError, match=r"domain|reshape|shape"):
-            Domain.from_dict({**domain.to_dict(), key: value})
+            Domain.from_tensors(domain.square, {**tensors, key: np.array(value)})
 
 
 def test_a_range_of_no_width_in_some_directions():

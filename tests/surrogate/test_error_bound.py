@@ -7,11 +7,11 @@ import pytest
 
 from surrofe2.sampling import contains
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.calibration import Calibration, local_scale, subject
-from surrofe2.surrogate.compiled import MANY
+from surrofe2.surrogate.compiled_lookup import MANY
 from surrofe2.surrogate.deformation_paths import random_states
-from surrofe2.surrogate.domain import fit_domain
-from surrofe2.surrogate.trust_features import scale_table, scaled_inputs
+from surrofe2.surrogate.domain import scaled_inputs
+from surrofe2.surrogate.domain_fit import fit_domain
+from surrofe2.surrogate.error_bound import Calibration, local_scale, scale_table
 from tests.laws import RANGE
 from tests.surrogate.failing_samples import G, buckles, samples_that_fail
 
@@ -28,7 +28,7 @@ def trusted(law):
         kinds={},
         stress_spread=10.0,
         data_fingerprint=law.data_fingerprint,
-        subject=subject(law.network, law.range),
+        subject=law.network.fingerprint(law.range),
         settings={},
     )
     domain = fit_domain(samples_that_fail(buckles, 2000))

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
-from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
+from surrofe2.surrogate import TrainingSettings, train
 from tests.laws import (
     CELL,
     RANGE,
@@ -59,8 +60,8 @@ def test_rests_without_stress_and_turns_with_the_frame(law):
 
 
 def test_a_file_gives_it_back(law, tmp_path):
-    law.save(tmp_path / "law.pt")
-    again = SurrogateLaw.load(tmp_path / "law.pt")
+    write_surrogate(law, tmp_path / "law.safetensors")
+    again = read_surrogate(tmp_path / "law.safetensors")
     assert again.network.symmetry == "none"
     assert again.range == RANGE
     F, F_dot = sample(WELL_INSIDE, 20, seed=2)

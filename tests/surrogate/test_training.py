@@ -1,6 +1,5 @@
 """Accuracy on data never seen, determinism, and interrupted training."""
 
-import io
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +7,10 @@ import pytest
 import torch
 
 from surrofe2.errors import InputError, MismatchError
+from surrofe2.io.surrogates import read_training, write_training
 from surrofe2.sampling import sample
 from surrofe2.surrogate import TrainingSettings, train
-from surrofe2.surrogate.held_out_errors import measure_errors
+from surrofe2.surrogate.training import TrainingState, measure_errors
 from tests.laws import (
     CELL,
     RANGE,
@@ -110,7 +110,7 @@ def test_failed_samples_are_left_out(few):
     assert law.errors["rms"]["sum"] < 0.05
 
 
-def test_interrupted_training_carries_on_as_if_it_had_not_been(few):
+def test_interrupted_training_carries_on_as_if_it_had_not_been(few, tmp_path):
     states, figures = [], []
 
     def interrupt(done, total, found):
@@ -122,12 +122,11 @@ def test_interrupted_training_carries_on_as_if_it_had_not_been(few):
         train(few, SMALL, progress=interrupt, checkpoint=states.append)
     assert [done for done, _, _ in figures] == [20, 40]
     assert figures[1][2]["loss"] < figures[0][2]["loss"] < 1.0
-    assert [state["iterations"] for state in states] == [20, 20]
+    assert [state.iterations for state in states] == [20, 20]
 
-    stored = io.BytesIO()
-    torch.save(states[-1], stored)
-    stored.seek(0)
-    state = torch.load(stored, weights_only=True)
+    path = tmp_path / "unfinished.safetensors"
+    write_training(path, states[-1].identity, states[-1].iterations, states[-1].arrays)
+    state = TrainingState(*read_training(path))
     F, F_dot = sample(WELL_INSIDE, 20, seed=0)
     resumed = train(few, SMALL, resume=state).respond(F, F_dot).stress
     assert np.array_equal(resumed, train(few, SMALL).respond(F, F_dot).stress)
@@ -173,7 +172,7 @@ def test_global_random_state_and_precision_are_left_alone(few):
         ({"hidden": ()}, "training.hidden"),
         ({"hidden": (0, 4)}, "training.hidden"),
         ({"hidden": 64}, "training.hidden"),
-        ({"precision": "float16"}, "training.precision: 'float16'; it must be one of float64"),
+        ({"form": "potentials"}, "training.form: 'potentials'; it must be one of energy, stress"),
         ({"held_out": 0.0}, "training.held_out: 0.0; it must be between 0 and 1"),
         ({"held_out": float("nan")}, "training.held_out"),
         ({"iterations": -1}, "training.iterations"),

@@ -1,4 +1,4 @@
-"""Many polynomials of few variables at once, in few multiplications.
+"""Polynomials of the seven inputs, many at once, in few multiplications.
 
 Monomials of a component are gathered by a common factor, their head; what is left of each, its
 tail, is at most a product of two inputs:
@@ -14,24 +14,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
+from surrofe2.simd import load, spread, store
+from surrofe2.surrogate.compiled_frame import ONE, TILES
 from surrofe2.surrogate.features import Product
-from surrofe2.surrogate.lanes import BLOCK, LANES, filled, load, store
 from surrofe2.tensors import INPUTS
 
-_ONE = INPUTS  # row of x that holds ones
+Array = NDArray[np.float64]
+
 ROWS = INPUTS + 1
 _TAIL = 2  # inputs of a tail, at most
 _WIDTH = 4  # groups that are summed at a time
 
 
-class Polynomials(NamedTuple):
-    """Polynomials as the arrays their kernel reads; p: their precision.
+class Polynomial(NamedTuple):
+    """Polynomials of several components as the arrays their kernel reads.
 
     Rows are numbered: inputs, ones, and then the products made.
 
@@ -41,14 +43,14 @@ class Polynomials(NamedTuple):
             of coefficient 0.
         begins: (q + 1,) int64 first tail of each four groups.
         tails: (t,) int64 row of each tail.
-        tail_coefficients: (t, 4) p, of each tail in each of its four groups.
+        tail_coefficients: (t, 4) of each tail in each of its four groups.
     """
 
     made: NDArray[np.int64]
     heads: NDArray[np.int64]
     begins: NDArray[np.int64]
     tails: NDArray[np.int64]
-    tail_coefficients: NDArray[Any]
+    tail_coefficients: Array
 
 
 class _Group(NamedTuple):
@@ -56,15 +58,13 @@ class _Group(NamedTuple):
 
     head: Product
     component: int
-    tails: dict[Product, Any]
+    tails: dict[Product, float]
 
 
-def make_polynomials(
-    products: Iterable[tuple[Product, int]], coefficients: NDArray[Any]
-) -> Polynomials:
+def make_polynomial(products: Iterable[tuple[Product, int]], coefficients: Array) -> Polynomial:
     """Polynomials from (sorted product, component) of each coefficient."""
     rows: dict[Product, int] = {(k,): k for k in np.arange(INPUTS).tolist()}
-    rows[()] = _ONE
+    rows[()] = ONE
     made: list[tuple[int, int]] = []
 
     def row(product: Product) -> int:
@@ -74,7 +74,7 @@ def make_polynomials(
             made.append(pair)
         return rows[product]
 
-    wanted: dict[int, dict[Product, Any]] = {}
+    wanted: dict[int, dict[Product, float]] = {}
     for (product, component), value in zip(products, coefficients, strict=True):
         monomials = wanted.setdefault(component, {})
         monomials[product] = monomials.get(product, 0.0) + value
@@ -82,19 +82,19 @@ def make_polynomials(
     heads, begins, tails, values = [], [0], [], []
     for four in _in_fours(groups):
         heads += [(row(group.head), group.component) for group in four]
-        heads += [(_ONE, 0)] * (_WIDTH - len(four))
+        heads += [(ONE, 0)] * (_WIDTH - len(four))
         shared = sorted(set().union(*(group.tails for group in four)))
         tails += [row(tail) for tail in shared]
         for tail in shared:
             of_four = [group.tails.get(tail, 0.0) for group in four]
             values.append(of_four + [0.0] * (_WIDTH - len(four)))
         begins.append(len(tails))
-    return Polynomials(
+    return Polynomial(
         np.array(made, dtype=np.int64).reshape(-1, 2),
         np.array(heads, dtype=np.int64).reshape(-1, 2),
         np.array(begins, dtype=np.int64),
         np.array(tails, dtype=np.int64),
-        np.array(values, dtype=coefficients.dtype).reshape(-1, _WIDTH),
+        np.array(values, dtype=np.float64).reshape(-1, _WIDTH),
     )
 
 
@@ -112,7 +112,7 @@ def _in_fours(groups: list[_Group]) -> Iterator[list[_Group]]:
         yield four
 
 
-def _groups(component: int, monomials: dict[Product, Any]) -> Iterator[_Group]:
+def _groups(component: int, monomials: dict[Product, float]) -> Iterator[_Group]:
     """Every monomial of a component in one group."""
     left = set(monomials)
     degree = max(len(product) for product in left)
@@ -134,36 +134,33 @@ def _groups(component: int, monomials: dict[Product, Any]) -> Iterator[_Group]:
 
 
 @kernel
-def add_polynomials(x, polynomials, rows, y):  # type: ignore[no-untyped-def]
-    """Add to the rows of y (components, BLOCK) at inputs x (8, BLOCK), the last row ones.
+def add_polynomial(x, polynomial, rows, y):  # type: ignore[no-untyped-def]
+    """Add to the rows of y (components, TILES, TILE) at inputs x (8, TILES, TILE).
 
-    polynomials: anything with the attributes of `Polynomials`. rows: (`ROWS` + m, LANES) room
-    for the products made.
+    The last row of x are ones. rows: (`ROWS` + m, TILE) room for the products made.
     """
-    made, heads, begins = polynomials.made, polynomials.heads, polynomials.begins
-    tails, coefficients = polynomials.tails, polynomials.tail_coefficients
-    for p in range(0, BLOCK, LANES):
+    made, begins = polynomial.made, polynomial.begins
+    tails, coefficients = polynomial.tails, polynomial.tail_coefficients
+    for t in range(TILES):
         for k in range(ROWS):
-            store(rows, k, 0, load(x, k, p))
+            store(load(x, k, t), rows, k)
         for k in range(made.shape[0]):
-            product = load(rows, made[k, 0], 0) * load(rows, made[k, 1], 0)
-            store(rows, ROWS + k, 0, product)
+            store(load(rows, made[k, 0]) * load(rows, made[k, 1]), rows, ROWS + k)
         for four in range(begins.shape[0] - 1):
-            a = filled(x.dtype.type(0.0))
-            b, c, d = a, a, a
+            a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
             for k in range(begins[four], begins[four + 1]):
-                tail = load(rows, tails[k], 0)
-                a = a + filled(coefficients[k, 0]) * tail
-                b = b + filled(coefficients[k, 1]) * tail
-                c = c + filled(coefficients[k, 2]) * tail
-                d = d + filled(coefficients[k, 3]) * tail
-            _add_to(y, heads, 4 * four, rows, p, a)
-            _add_to(y, heads, 4 * four + 1, rows, p, b)
-            _add_to(y, heads, 4 * four + 2, rows, p, c)
-            _add_to(y, heads, 4 * four + 3, rows, p, d)
+                tail = load(rows, tails[k])
+                a += coefficients[k, 0] * tail
+                b += coefficients[k, 1] * tail
+                c += coefficients[k, 2] * tail
+                d += coefficients[k, 3] * tail
+            _add_group(polynomial.heads, 4 * four, rows, a, y, t)
+            _add_group(polynomial.heads, 4 * four + 1, rows, b, y, t)
+            _add_group(polynomial.heads, 4 * four + 2, rows, c, y, t)
+            _add_group(polynomial.heads, 4 * four + 3, rows, d, y, t)
 
 
 @kernel
-def _add_to(y, heads, group, rows, p, inner):  # type: ignore[no-untyped-def]
+def _add_group(heads, group, rows, inner, y, t):  # type: ignore[no-untyped-def]
     head, component = heads[group]
-    store(y, component, p, load(y, component, p) + inner * load(rows, head, 0))
+    store(load(y, component, t) + inner * load(rows, head), y, component, t)

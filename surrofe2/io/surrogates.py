@@ -1,0 +1,158 @@
+"""Surrogates and interrupted trainings in safetensors files: arrays, and JSON in the metadata.
+
+The metadata hold a SHA-256 of the whole file, in which its own digits are zeros, so that a flipped
+bit anywhere is seen when the file is read. Nothing in a file is ever executed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from surrofe2 import units
+from surrofe2.errors import FileError
+from surrofe2.io.files import plain, replacing, reported
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
+from surrofe2.surrogate.domain import Domain
+from surrofe2.surrogate.error_bound import Calibration
+from surrofe2.surrogate.network_arrays import NetworkParameters
+from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.surrogate.surrogate_law import SurrogateLaw
+
+SCHEMA, TRAINING_SCHEMA = "surrofe2-surrogate", "surrofe2-unfinished-training"
+SCHEMA_VERSION = 3  # 1 and 2 were stored by torch
+_UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
+_NO_DIGEST = b"0" * 64
+_DIGEST = re.compile(rb'\\"sha256\\": \\"([0-9a-f]{64})\\"')
+_ANEW = "train it anew with: surrofe2 train RECIPE --fresh"
+_ZIP = b"PK\x03\x04"  # how files of torch begin
+
+Tensors = dict[str, NDArray[Any]]
+
+
+def write_surrogate(law: SurrogateLaw, path: Path) -> None:
+    """Write a surrogate, whole or not at all; a FileError where that fails."""
+    tensors: Tensors = {f"network.{k}": v for k, v in law.network.to_tensors().items()}
+    if law.domain is not None:
+        tensors |= {f"domain.{name}": array for name, array in law.domain.to_tensors().items()}
+    n = law.network
+    content = {
+        "version": law.version,
+        "units": _UNITS,
+        "network": {"form": n.form, "symmetry": n.symmetry, "degree": n.degree},
+        "settings": law.settings.to_dict(),
+        "range": law.range.to_dict(),
+        "cell": law.cell.to_dict(),
+        "cell_fingerprint": law.cell.fingerprint,
+        "initialisation": law.initialisation,
+        "rest_length": law.rest_length,
+        "data_fingerprint": law.data_fingerprint,
+        "errors": law.errors,
+        "domain": None if law.domain is None else {"square": law.domain.square},
+        "calibration": None if law.calibration is None else law.calibration.to_dict(),
+    }
+    _write(path, SCHEMA, content, tensors)
+
+
+def read_surrogate(path: str | Path) -> SurrogateLaw:
+    """Read a surrogate.
+
+    Raises:
+        FileError: missing, truncated, foreign, altered, or of an older version.
+    """
+    path = Path(path)
+    content, tensors = _read(path, SCHEMA, "surrogate")
+    try:
+        cell = CellParameters(**content["cell"])
+        domain, calibration = content["domain"], content["calibration"]
+        law = SurrogateLaw(
+            network=NetworkParameters.from_tensors(
+                **content["network"], tensors=_part(tensors, "network")
+            ),
+            cell=cell,
+            initialisation=content["initialisation"],
+            range=SamplingRange(**content["range"]),
+            settings=TrainingSettings(**content["settings"]),
+            errors=content["errors"],
+            data_fingerprint=content["data_fingerprint"],
+            rest_length=content["rest_length"],
+            version=content["version"],
+            domain=domain and Domain.from_tensors(domain["square"], _part(tensors, "domain")),
+            calibration=calibration and Calibration.from_dict(calibration),
+        )
+        fingerprint = content["cell_fingerprint"]
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise FileError(
+            f"{path}: a surrofe2 surrogate with missing or damaged entries; {_ANEW}"
+        ) from None
+    if cell.fingerprint != fingerprint:
+        raise FileError(
+            f"{path}: its cell parameters give fingerprint {cell.fingerprint}, but it was "
+            f"trained for {fingerprint}; {_ANEW}"
+        )
+    return law
+
+
+def write_training(
+    path: Path, identity: Mapping[str, str], iterations: int, arrays: Mapping[str, NDArray[Any]]
+) -> None:
+    """Write an interrupted training, see `surrogate.training.TrainingState`."""
+    content = {"identity": dict(identity), "iterations": iterations}
+    _write(path, TRAINING_SCHEMA, content, dict(arrays))
+
+
+def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
+    """(identity, iterations, arrays) of an interrupted training, or a FileError."""
+    content, tensors = _read(path, TRAINING_SCHEMA, "unfinished training")
+    return content["identity"], content["iterations"], tensors
+
+
+def _part(tensors: Tensors, name: str) -> Tensors:
+    """The tensors called name.…, by what follows."""
+    start = f"{name}."
+    return {key.removeprefix(start): v for key, v in tensors.items() if key.startswith(start)}
+
+
+def _write(path: Path, schema: str, content: Mapping[str, Any], tensors: Tensors) -> None:
+    head = {"sha256": _NO_DIGEST.decode(), "schema": schema, "schema_version": SCHEMA_VERSION}
+    text = json.dumps(head | plain(content), ensure_ascii=False)
+    arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
+    stored = save(arrays, metadata={"surrofe2": text})
+    digest = hashlib.sha256(stored).hexdigest().encode()
+    with replacing(path) as partial:
+        partial.write_bytes(stored.replace(_NO_DIGEST, digest, 1))
+
+
+def _read(path: Path, schema: str, name: str) -> tuple[dict[str, Any], Tensors]:
+    with reported(path, "read"):
+        stored = path.read_bytes()
+    if stored.startswith(_ZIP):
+        raise FileError(f"{path}: a surrogate of an older surrofe2, stored by torch; {_ANEW}")
+    found = _DIGEST.search(stored)
+    if found is None:
+        raise FileError(f"{path}: not a surrofe2 {name}, or truncated; {_ANEW}")
+    begin, end = found.span(1)
+    if hashlib.sha256(stored[:begin] + _NO_DIGEST + stored[end:]).hexdigest() != found[1].decode():
+        raise FileError(f"{path}: a damaged or truncated {name}, see its SHA-256; {_ANEW}")
+    try:
+        length = int.from_bytes(stored[:8], "little")
+        content = json.loads(json.loads(stored[8 : 8 + length])["__metadata__"]["surrofe2"])
+        tensors = load(stored)
+    except (SafetensorError, ValueError, KeyError, TypeError):
+        raise FileError(f"{path}: not a surrofe2 {name}; {_ANEW}") from None
+    if content.get("schema") != schema or content.get("schema_version") != SCHEMA_VERSION:
+        found_schema = f"{content.get('schema')} {content.get('schema_version')}"
+        raise FileError(
+            f"{path}: {found_schema}; this surrofe2 reads {schema} {SCHEMA_VERSION} as {name}"
+        )
+    return content, tensors

@@ -1,0 +1,165 @@
+"""Domain and error bound in the compiled pass; layout and names as in `compiled_frame`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.compilation import kernel
+from surrofe2.simd import TILE, load, spread, store, where_less
+from surrofe2.stress_law import Status
+from surrofe2.surrogate.compiled_frame import TILES, scale_inputs
+from surrofe2.surrogate.domain import FEATURES, Domain, cliff_table
+from surrofe2.surrogate.error_bound import COMPRESSION, NORM, Calibration, scale_table
+from surrofe2.tensors import INPUTS
+
+_ROWS = NORM + 1
+_SIDES = 2 * FEATURES + 1
+_HEIGHT, _BEYOND, _BOUND = _ROWS + _SIDES, _ROWS + _SIDES + 1, _ROWS + _SIDES + 2
+BOUND_ROWS = _BOUND + 1
+"""Rows that `apply_bound` works in."""
+_NOT_TRUSTED, _OUT_OF_RANGE = int(Status.NOT_TRUSTED), int(Status.OUT_OF_RANGE)
+_FACTORS = 4  # of each product
+
+
+class BoundArrays(NamedTuple):
+    """Domain and bound as the arrays their kernel reads.
+
+    Attributes:
+        factor: (7,) 1/scale of the inputs.
+        square: (1,) int64, 1 where moduli are taken.
+        sides: (m, 2) int64, the two features of each half-space: 0 to 8, 9 more for the negative,
+            18 for none; limits: (m,) of their sum; m is even.
+        cliff_table: (k, 4) int64; cliff: (k,) float64.
+        bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
+    """
+
+    factor: NDArray[np.float64]
+    square: NDArray[np.int64]
+    sides: NDArray[np.int64]
+    limits: NDArray[np.float64]
+    cliff_table: NDArray[np.int64]
+    cliff: NDArray[np.float64]
+    bound_table: NDArray[np.int64]
+    bound: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, domain: Domain | None, calibration: Calibration | None) -> BoundArrays:
+        """The arrays of a domain (None: everywhere) and a bound (None: infinite)."""
+        sides, limits = np.empty((0, 2), dtype=np.int64), np.empty(0)
+        table, cliff = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
+        bound_table, bound = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
+        factor, square = np.ones(INPUTS), False
+        if domain is not None:
+            sides, limits = _half_spaces(domain)
+            factor, square = 1.0 / domain.scale, domain.square
+            if len(domain.cliff):
+                table, cliff = cliff_table(square), domain.cliff
+            if calibration is not None and np.isfinite(calibration.quantile):
+                used = calibration.scale > 0.0
+                bound_table = scale_table()[used]
+                bound = calibration.quantile * calibration.scale[used]
+        flag = np.array([int(square)])
+        return cls(factor, flag, sides, limits, table, cliff, bound_table, bound)
+
+
+def _half_spaces(domain: Domain) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Sides and limits; where their number is odd, with a half-space that holds everything."""
+    sides = np.where(domain.signs < 0.0, domain.pairs + FEATURES, domain.pairs)
+    sides[domain.signs == 0.0] = 2 * FEATURES
+    odd = len(sides) % 2
+    return (
+        np.concatenate([sides, np.full((odd, 2), 2 * FEATURES)]),
+        np.concatenate([domain.limits, np.full(odd, np.inf)]),
+    )
+
+
+@kernel
+def apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: ignore[no-untyped-def]
+    """Write the bound, and the status outside the domain or where the bound is too large.
+
+    room: (`BOUND_ROWS`, TILES, TILE). status: what the range test gave.
+    """
+    x, features = room[:_ROWS], room[_ROWS : _ROWS + _SIDES]
+    scale_inputs(frame, arrays.factor, x)
+    room[_HEIGHT] = 0.0 if arrays.cliff.shape[0] else -1.0
+    _add_products(arrays.cliff_table, arrays.cliff, x, room, _HEIGHT)
+    _set_features(x, arrays.square[0] == 1, features)
+    _test_half_spaces(features, arrays, room)
+    _square_rows(x)
+    room[_BOUND] = 0.0
+    _add_products(arrays.bound_table, arrays.bound, x, room, _BOUND)
+    known = arrays.bound.shape[0] > 0
+    for p in range(min(TILES * TILE, status.shape[0] - start)):
+        point, t, lane = start + p, p // TILE, p % TILE
+        value = room[_BOUND, t, lane] if known else np.inf
+        code = status[point]
+        if code == 0 and not (room[_BEYOND, t, lane] <= 0.0 and room[_HEIGHT, t, lane] <= 0.0):
+            code = _OUT_OF_RANGE
+        if code == 0 and not value <= tolerance:
+            code = _NOT_TRUSTED
+        bound[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
+        status[point] = code
+
+
+@kernel
+def _set_features(x, square, features):  # type: ignore[no-untyped-def]
+    """Rows 0 to 8: the features of `domain`; 9 to 17: negatives of what has a sign; 18: zeros."""
+    for t in range(TILES):
+        for k in range(FEATURES):
+            one = load(x, k if k < INPUTS else k - 6, t)
+            if k >= INPUTS:
+                one = one * load(x, k - 3, t)  # dD and gG
+            other = -one
+            if square and k < INPUTS and k != 0 and k != 3:
+                one = _larger(one, other)
+            store(one, features, k, t)
+            store(other, features, FEATURES + k, t)
+        store(0.0, features, 2 * FEATURES, t)
+
+
+@kernel
+def _larger(one, other):  # type: ignore[no-untyped-def]
+    """`one` in lanes where it is greater, else `other`."""
+    return where_less(other, one, one, other)
+
+
+@kernel
+def _test_half_spaces(features, arrays, room):  # type: ignore[no-untyped-def]
+    """How far each point is beyond the half-space that it violates most, 0 where within all."""
+    sides, limits = arrays.sides, arrays.limits
+    for t in range(TILES):
+        most, other = spread(0.0), spread(0.0)
+        for k in range(0, limits.shape[0], 2):  # two at a time, as one has to wait for the last
+            over = load(features, sides[k, 0], t) + load(features, sides[k, 1], t) - limits[k]
+            most = _larger(over, most)
+            over = load(features, sides[k + 1, 0], t) + load(features, sides[k + 1, 1], t)
+            other = _larger(over - limits[k + 1], other)
+        store(_larger(other, most), room, _BEYOND, t)
+
+
+@kernel
+def _square_rows(x):  # type: ignore[no-untyped-def]
+    """Rows 0 to 6 squared, row 8: the square of s where negative, row 9: the mean square."""
+    for t in range(TILES):
+        low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
+        store(low * low, x, COMPRESSION, t)
+        total = spread(0.0)
+        for k in range(INPUTS):
+            square = load(x, k, t) * load(x, k, t)
+            store(square, x, k, t)
+            total += square
+        store(total * (1.0 / INPUTS), x, NORM, t)
+
+
+@kernel
+def _add_products(table, coefficients, x, room, row):  # type: ignore[no-untyped-def]
+    for t in range(TILES):
+        total = load(room, row, t)
+        for k in range(table.shape[0]):
+            a, b, c, d = table[k]
+            product = (load(x, a, t) * load(x, b, t)) * (load(x, c, t) * load(x, d, t))
+            total += coefficients[k] * product
+        store(total, room, row, t)

@@ -1,0 +1,45 @@
+"""The torch network as the twin of what is compiled, and surrogate files taken apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from surrofe2.io import surrogates
+from surrofe2.surrogate.network import StressNetwork, along
+from surrofe2.surrogate.piola import to_cauchy
+from surrofe2.tensors import INPUTS, to_inputs
+
+
+def torch_stress(law, F, F_dot):
+    """Stress (n, 2, 2) of a surrogate by its torch network, in range or not."""
+    return network_stress(StressNetwork.of(law.network, law.settings), F, F_dot)
+
+
+def network_stress(network, F, F_dot):
+    """Stress (n, 2, 2) of a torch network."""
+    with torch.no_grad():
+        return to_cauchy(F, network(torch.from_numpy(to_inputs(F, F_dot)[0])).numpy())
+
+
+def differentiate(network, inputs):
+    """(P̂ (n, 4) µN/µm, its slopes (n, 4, 7)) at inputs (n, 7), by forward differentiation."""
+    count = len(inputs)
+    at = torch.from_numpy(inputs).repeat_interleave(INPUTS, dim=0)
+    units = torch.eye(INPUTS, dtype=at.dtype).repeat(count, 1)
+    with torch.no_grad():
+        P, slope = along(network, (at,), (units,))
+    values, slopes = (part.numpy().reshape(count, INPUTS, 4) for part in (P, slope))
+    return values[:, 0].copy(), np.swapaxes(slopes, 1, 2)
+
+
+def read_parts(path):
+    """(content, tensors) of a surrogate's file."""
+    return surrogates._read(path, surrogates.SCHEMA, "surrogate")
+
+
+def write_parts(path, content, tensors):
+    """A file of these parts, with the right SHA-256."""
+    own = ("sha256", "schema", "schema_version")
+    content = {key: value for key, value in content.items() if key not in own}
+    surrogates._write(path, surrogates.SCHEMA, content, tensors)

@@ -1,0 +1,33 @@
+"""What trains surrogates is imported by training alone: torch, scikit-learn and scipy.stats."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "sklearn", "scipy.stats")
+
+
+def heavy_imports(code, *arguments):
+    """Which of the heavy libraries a fresh process has imported after running code."""
+    code += f"\nimport sys; print(*[name for name in {HEAVY} if name in sys.modules], sep=',')"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.splitlines()[-1]
+
+
+def test_training_imports_them():
+    assert heavy_imports("import surrofe2.surrogate.training") == "torch,sklearn,scipy.stats"
+
+
+@pytest.mark.parametrize(
+    "module", ["io.surrogates", "surrogate.surrogate_law", "sampling", "cache", "workflow.laws"]
+)
+def test_what_a_cached_run_needs_does_not(module):
+    assert heavy_imports(f"import surrofe2.{module}") == ""
