@@ -41,6 +41,6 @@ def memory(
         print_line(f"{out / name}.json: there already")
         return
     found = measure(cell, settings)
-    for path in write_study(out, describe(found, settings, preset), cell, preset, asked):
+    for path in write_study(out, describe(found, preset), cell, preset, asked):
         print_line(str(path))
-    print_line(found.verdict(settings))
+    print_line(found.verdict)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -37,8 +37,8 @@ class ComparedRun:
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("run", "", "", lambda run: run.name),
-    Quantity("largest difference", "", percent("3g"), lambda run: run.difference.largest),
-    Quantity("RMS", "", percent("3g"), lambda run: run.difference.rms),
+    Quantity("largest difference", "", percent(".3g"), lambda run: run.difference.largest),
+    Quantity("RMS", "", percent(".3g"), lambda run: run.difference.rms),
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
@@ -87,29 +87,25 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
         InputError: fewer than two runs.
     """
     reference, *others = order_runs(runs)
+    load = reference.record.recipe["load"]
     for run in others:
-        _check_load(run, reference)
+        here = run.record.recipe["load"]
+        for key in {**load, **here}:
+            if here.get(key) != load.get(key):
+                raise MismatchError(
+                    f"{run.folder}: load.{key} is {here.get(key)}, in {reference.folder} "
+                    f"{load.get(key)}; compare runs of one load case"
+                )
     return Comparison(
         reference=reference.folder.name,
-        load=reference.record.recipe["load"],
+        load=load,
         reference_run=_compared(reference, reference),
         runs=tuple(_compared(run, reference) for run in others),
     )
 
 
-def _check_load(run: StoredRun, reference: StoredRun) -> None:
-    here, there = run.record.recipe["load"], reference.record.recipe["load"]
-    for key in {**there, **here}:
-        if here.get(key) != there.get(key):
-            raise MismatchError(
-                f"{run.folder}: load.{key} is {here.get(key)}, in {reference.folder} "
-                f"{there.get(key)}; compare runs of one load case"
-            )
-
-
 def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
     cache = run.record.cache
-    costs = {"wall_time": _wall_time, "law_time_per_stress": _law_time, "rve_solves": _rve_solves}
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
@@ -119,14 +115,10 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
         counts=run.record.counts,
         speed_up={
             name: cost(reference.record) / cost(run.record) if cost(run.record) else None
-            for name, cost in costs.items()
+            for name, cost in _COSTS.items()
         },
         audit=None if cache is None else {**cache["audit"], "trust": cache["trust"]},
     )
-
-
-def _wall_time(record: RunRecord) -> float:
-    return record.wall_time["total"]
 
 
 def _law_time(record: RunRecord) -> float:
@@ -134,5 +126,8 @@ def _law_time(record: RunRecord) -> float:
     return record.wall_time.get("law", 0.0) / max(asked, 1)
 
 
-def _rve_solves(record: RunRecord) -> float:
-    return record.counts.get("rve_solves", 0)
+_COSTS: Mapping[str, Callable[[RunRecord], float]] = {
+    "wall_time": lambda record: record.wall_time["total"],
+    "law_time_per_stress": _law_time,
+    "rve_solves": lambda record: record.counts.get("rve_solves", 0),
+}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +47,12 @@ class SweepRow:
 
 QUANTITIES: tuple[Quantity[SweepRow], ...] = (
     Quantity("tolerance", "", percent("g"), lambda row: row.tolerance),
-    Quantity("stress error", "", percent("2g"), lambda row: row.error_99),
+    Quantity("stress error", "", percent(".2g"), lambda row: row.error_99),
     Quantity("above", "", "", lambda row: f"{row.violations} of {row.audited}"),
-    Quantity("displacement error", "", percent("2g"), lambda row: row.displacement_error),
-    Quantity("hits", "", percent("3g"), lambda row: row.hits),
+    Quantity("displacement error", "", percent(".2g"), lambda row: row.displacement_error),
+    Quantity("hits", "", percent(".3g"), lambda row: row.hits),
     Quantity("speed-up", "×", ".3g", lambda row: row.speed_up),
-    Quantity("right-hand sides", "", percent("4g"), lambda row: row.right_hand_sides),
+    Quantity("right-hand sides", "", percent(".4g"), lambda row: row.right_hand_sides),
     Quantity("switched off", "", "", lambda row: "yes" if row.off else None),
 )
 
@@ -66,7 +65,6 @@ class Sweep:
     preset: str
     reference: str
     load: Mapping[str, Any]
-    spread: float | None
     true_wall_time: float
     rows: tuple[SweepRow, ...]
 
@@ -87,9 +85,6 @@ def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
         InputError: a run is not by a cached law.
         MismatchError: the runs are of different load cases.
     """
-    for run in runs:
-        if run.record.cache is None:
-            raise InputError(f"{run.folder}: law {run.record.law} has no cache; sweep cached runs")
     rows = sorted((_row(reference, run) for run in runs), key=lambda row: -row.tolerance)
     record = reference.record
     return Sweep(
@@ -97,21 +92,16 @@ def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
         preset=record.recipe["cell"]["preset"],
         reference=reference.folder.name,
         load=record.recipe["load"],
-        spread=_cache(runs[0])["tolerance"]["spread"],
         true_wall_time=record.wall_time["total"],
         rows=tuple(rows),
     )
 
 
-def _cache(run: StoredRun) -> Mapping[str, Any]:
-    cache = run.record.cache
-    assert cache is not None
-    return cache
-
-
 def _row(reference: StoredRun, run: StoredRun) -> SweepRow:
+    cache, counts = run.record.cache, run.record.counts
+    if cache is None:
+        raise InputError(f"{run.folder}: law {run.record.law} has no cache; sweep cached runs")
     (compared,) = compare([reference, run]).runs
-    cache, counts = _cache(run), run.record.counts
     audit, spread = cache["audit"], cache["tolerance"]["spread"]
     known = audit["quantiles"] and spread
     return SweepRow(
@@ -131,14 +121,11 @@ def _row(reference: StoredRun, run: StoredRun) -> SweepRow:
 
 def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     """Draw stress error, displacement error, hits and speed-up over tolerance into a PNG."""
-    rows = sweep.rows
-    tolerance = 100.0 * np.array([row.tolerance for row in rows])
+    tolerance = 100.0 * np.array([row.tolerance for row in sweep.rows])
 
-    def curve(values: Iterable[float | None], label: str = "_", name: str = "") -> Curve:
-        return Curve(name or label, tolerance, np.array(list(values), dtype=np.float64), label)
-
-    def percents(values: Iterable[float | None]) -> list[float]:
-        return [nan if value is None else 100.0 * value for value in values]
+    def curve(get: Callable[[SweepRow], float | None], label: str = "_", name: str = "") -> Curve:
+        values = np.array([get(row) for row in sweep.rows], dtype=np.float64)  # None: NaN
+        return Curve(name or label, tolerance, values, label)
 
     def panel(title: str, y_label: str, *curves: Curve, log_y: bool = False) -> Panel:
         x_label = "stress tolerance (% of the spread of stress)"
@@ -147,33 +134,30 @@ def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     panels = (
         panel(
             "stress error found by audits",
-            "% of the spread of stress",
-            curve(tolerance, "allowed", "reference"),
-            curve(percents(row.error_99 for row in rows), "99 % of the errors are below"),
-            curve(percents(row.error_largest for row in rows), "largest error"),
+            "relative to the spread of stress",
+            curve(lambda row: row.tolerance, "allowed", "reference"),
+            curve(lambda row: row.error_99, "99 % of the errors are below"),
+            curve(lambda row: row.error_largest, "largest error"),
             log_y=True,
         ),
         panel(
             "largest error of displacement",
-            "% of the largest displacement",
-            curve(percents(row.displacement_error for row in rows)),
+            "relative to the largest displacement",
+            curve(lambda row: row.displacement_error),
             log_y=True,
         ),
-        panel(
-            "stresses answered by the cache", "hits (%)", curve(percents(row.hits for row in rows))
-        ),
+        panel("stresses answered by the cache", "hits (%)", curve(lambda row: 100.0 * row.hits)),
         panel(
             "speed-up of the run",
             "times faster than true FE²",
-            curve([1.0 for _ in rows], f"true FE², {sweep.true_wall_time:.3g} s", "reference"),
-            curve(row.speed_up for row in rows),
-            curve([row.speed_up if row.off else nan for row in rows], "switched off"),
+            curve(lambda row: 1.0, f"true FE², {sweep.true_wall_time:.3g} s", "reference"),
+            curve(lambda row: row.speed_up),
+            curve(lambda row: row.speed_up if row.off else None, "switched off"),
         ),
     )
     load = sweep.load
-    spread = f", spread of stress {sweep.spread:.3g} µN/µm" if sweep.spread else ""
     title = (
         f"What a stress tolerance buys: {load['width']:g} × {load['height']:g} µm tissue over "
-        f"{load['duration']:g} µs,\ncell preset “{sweep.preset}”, law {sweep.law}{spread}"
+        f"{load['duration']:g} µs,\ncell preset “{sweep.preset}”, law {sweep.law}"
     )
     write_figure(path, title, panels, columns=2)

@@ -104,9 +104,9 @@ def is_missing(value: Any) -> bool:
     return value is None or (isinstance(value, float | np.floating) and bool(np.isnan(value)))
 
 
-def percent(digits: str) -> Callable[[float], str]:
-    """A format of shares: percent("2g")(0.123) is "12 %"."""
-    return lambda share: f"{100.0 * share:.{digits}} %"
+def percent(spec: str) -> Callable[[float], str]:
+    """A format of shares: percent(".2g")(0.123) is "12 %"."""
+    return lambda share: f"{100.0 * share:{spec}} %"
 
 
 def _field(value: Any) -> str:

@@ -19,7 +19,7 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.settings import check_settings, setting
-from surrofe2.studies.drives import Path
+from surrofe2.studies.drives import Path, steady_shear
 from surrofe2.units import RATE, TIME
 
 Array = NDArray[np.float64]
@@ -57,62 +57,76 @@ class Memory:
     Attributes:
         t: (m,) µs from where the pasts meet.
         steady, returning: (m, 2, 2) stress of either past, µN/µm.
-        difference: (m,) Frobenius norm of their difference, µN/µm.
-        largest: its largest value. scale: largest norm of the stress.
-        fading_time, time_to_hundredth: µs after which the difference stays below 1/e and 1 % of
-            `largest`; None where it does not within the time watched.
-        sound: the verdict.
     """
 
+    settings: MemorySettings
     t: Array
     steady: Array
     returning: Array
-    difference: Array
-    largest: float
-    scale: float
-    fading_time: float | None
-    time_to_hundredth: float | None
-    sound: bool
 
-    def verdict(self, settings: MemorySettings) -> str:
+    @property
+    def difference(self) -> Array:
+        """(m,) Frobenius norm of the difference of the stresses, µN/µm."""
+        return np.linalg.norm(self.returning - self.steady, axis=(1, 2))
+
+    @property
+    def largest(self) -> float:
+        """Largest difference, µN/µm."""
+        return float(self.difference.max())
+
+    @property
+    def scale(self) -> float:
+        """Largest norm of the stress, µN/µm."""
+        return float(np.linalg.norm(self.steady, axis=(1, 2)).max())
+
+    @property
+    def fading_time(self) -> float | None:
+        """µs after which the difference stays below 1/e of its largest value; None: never."""
+        return fading_time(self.t, self.difference, np.exp(-1.0))
+
+    @property
+    def sound(self) -> bool:
+        """Whether the difference is small and fades fast against the period."""
+        fading, forgotten = self.fading_time, self.largest <= _NOISE * self.scale
+        short = forgotten or (fading is not None and fading <= _SHORT * self.settings.period)
+        return self.largest <= self.settings.tolerance * self.scale and short
+
+    @property
+    def verdict(self) -> str:
         """One sentence on whether a cache on (F, Ḟ) is sound."""
+        period, after = self.settings.period, self.settings.after
+        fading = self.fading_time
+        fades = (
+            f"is not below 1/e after {after:g} µs"
+            if fading is None
+            else f"falls to 1/e within {fading:.2g} µs"
+        )
         part = 100.0 * self.largest / self.scale
-        if self.fading_time is None:
-            fades = f"is not below 1/e after {settings.after:g} µs"
-        else:
-            fades = f"falls to 1/e within {self.fading_time:.2g} µs"
         found = f"the past makes up to {part:.2g} % of the stress and {fades}"
         if self.sound:
             return (
                 f"sound: a cache on (F, Ḟ) holds for this cell: {found}, against motions of "
-                f"{settings.period:g} µs"
+                f"{period:g} µs"
             )
         return (
-            f"not sound: do not cache on (F, Ḟ) for this cell at periods of {settings.period:g} "
-            f"µs: {found}"
+            f"not sound: do not cache on (F, Ḟ) for this cell at periods of {period:g} µs: {found}"
         )
 
 
 def steady_past(settings: MemorySettings) -> Path:
     """F = I + Ḟ t at all times."""
-    F_dot = np.array([[0.0, settings.rate], [0.0, 0.0]])
-    return lambda t: (np.eye(2) + t * F_dot, F_dot)
+    return steady_shear(settings.rate)
 
 
 def returning_past(settings: MemorySettings) -> Path:
     """The same, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
-    omega = 2.0 * np.pi / settings.period
-    away = np.array([[settings.stretch, settings.shear], [0.0, 0.0]])
-    steady = steady_past(settings)
+    omega, steady = 2.0 * np.pi / settings.period, steady_past(settings)
+    away = 0.5 * np.array([[settings.stretch, settings.shear], [0.0, 0.0]])
 
     def path(t: float) -> tuple[Array, Array]:
         F, F_dot = steady(t)
-        if t >= 0.0:
-            return F, F_dot
-        return (
-            F + 0.5 * (1.0 - np.cos(omega * t)) * away,
-            F_dot + 0.5 * omega * np.sin(omega * t) * away,
-        )
+        angle = omega * min(t, 0.0)
+        return F + (1.0 - np.cos(angle)) * away, F_dot + omega * np.sin(angle) * away
 
     return path
 
@@ -120,23 +134,13 @@ def returning_past(settings: MemorySettings) -> Path:
 def memory(cell: CellParameters, settings: MemorySettings | None = None) -> Memory:
     """Integrate both pasts, one and a half periods before they meet, and watch them after."""
     settings = settings or MemorySettings()
-    law = RveLaw(cell)
-    t = np.linspace(0.0, settings.after, 201)
+    law, t = RveLaw(cell), np.linspace(0.0, settings.after, 201)
     times = np.concatenate([[-1.5 * settings.period], t])
     steady, returning = (
         integrate_rve(law, past(settings), times, settings.micro_step)[1:]
         for past in (steady_past, returning_past)
     )
-    difference = np.linalg.norm(returning - steady, axis=(1, 2))
-    scale = float(np.linalg.norm(steady, axis=(1, 2)).max())
-    largest = float(difference.max())
-    fading = fading_time(t, difference, np.exp(-1.0))
-    forgotten = largest <= _NOISE * scale
-    short = forgotten or (fading is not None and fading <= _SHORT * settings.period)
-    return Memory(
-        t, steady, returning, difference, largest, scale, fading,
-        fading_time(t, difference, 0.01), largest <= settings.tolerance * scale and short,
-    )  # fmt: skip
+    return Memory(settings, t, steady, returning)
 
 
 def fading_time(t: Array, difference: Array, part: float) -> float | None:
@@ -153,11 +157,14 @@ QUANTITIES: tuple[Quantity[Memory], ...] = (
     Quantity("largest difference", "µN/µm", ".3g", lambda found: found.largest),
     Quantity("largest stress", "µN/µm", ".3g", lambda found: found.scale),
     Quantity("fading time", "µs", ".3g", lambda found: found.fading_time),
-    Quantity("time to hundredth", "µs", ".3g", lambda found: found.time_to_hundredth),
+    Quantity(
+        "time to hundredth", "µs", ".3g", lambda found: fading_time(found.t, found.difference, 0.01)
+    ),
+    Quantity("verdict", "", None, lambda found: found.verdict),
 )
 
 
-def describe(found: Memory, settings: MemorySettings, preset: str) -> Study:
+def describe(found: Memory, preset: str) -> Study:
     """The stress of both pasts and the fading difference."""
     stresses = {
         f"sigma_{label} {past} (µN/µm)": stress[:, a, b]
@@ -177,5 +184,4 @@ def describe(found: Memory, settings: MemorySettings, preset: str) -> Study:
         panels=(panel,),
         table=Table(QUANTITIES, (found,)),
         series={"t (µs)": found.t, **stresses, "difference (µN/µm)": found.difference},
-        results={"sound": found.sound, "verdict": found.verdict(settings)},
     )

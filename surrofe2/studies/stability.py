@@ -47,15 +47,24 @@ _CHUNK, _MARCH, _CLOSE = 128, 2.5e-3, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class StabilityMap:
-    """What became of RVEs at rest.
+class Plane:
+    """Deformations and what became of RVEs there: F (m, 2, 2) and index into `CATEGORIES` (m,).
 
-    Attributes:
-        planes: by name, F (m, 2, 2) and category (m,), an index into `CATEGORIES`.
-        onset: by way, how far the reference branch is stable; None: all the way.
+    y_label: of the entry (0, 1) or (1, 1) of F that varies with F_xx.
     """
 
-    planes: Mapping[str, tuple[Array, NDArray[np.int_]]]
+    title: str
+    y_label: str
+    y_index: tuple[int, int]
+    F: Array
+    category: NDArray[np.int_]
+
+
+@dataclass(frozen=True, slots=True)
+class StabilityMap:
+    """Planes by name, and by way how far the reference branch is stable; None: all the way."""
+
+    planes: Mapping[str, Plane]
     onset: Mapping[str, float | None]
 
 
@@ -63,18 +72,22 @@ def stability_map(
     cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
 ) -> StabilityMap:
     """Both planes on points × points deformations each; progress is told the share done."""
-    planes = _planes(points)
-    total, done = sum(len(F) for F in planes.values()), 0
-    found = {}
-    for name, F in planes.items():
-        parts = []
+    total = 2 * points**2
+    planes, done = {}, 0
+    for name, title, y_label, index, span in (
+        ("stretch", "no shear", "stretch $F_{yy}$", (1, 1), STRETCH),
+        ("shear", "$F_{yy}$ = 1", "shear $F_{xy}$", (0, 1), SHEAR),
+    ):
+        F = np.tile(np.eye(2), (points, points, 1, 1))
+        F[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
+        F[:, :, *index] = np.linspace(*span, points)
+        F, parts = F.reshape(-1, 2, 2), []
         for first in range(0, len(F), _CHUNK):
             parts.append(categories(cell, F[first : first + _CHUNK]))
             done += len(parts[-1])
             progress(done / total)
-        found[name] = (F, np.concatenate(parts))
-    onset = {way: find_onset(cell, *WAYS[way]) for way in WAYS}
-    return StabilityMap(found, onset)
+        planes[name] = Plane(title, y_label, index, F, np.concatenate(parts))
+    return StabilityMap(planes, {way: find_onset(cell, *WAYS[way]) for way in WAYS})
 
 
 def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:
@@ -112,28 +125,6 @@ def find_onset(
     return None
 
 
-def _planes(points: int) -> dict[str, Array]:
-    stretch = np.linspace(*STRETCH, points)
-    x, y = (grid.ravel() for grid in np.meshgrid(stretch, stretch, indexing="ij"))
-    sx, shear = (
-        grid.ravel() for grid in np.meshgrid(stretch, np.linspace(*SHEAR, points), indexing="ij")
-    )
-    return {
-        "stretch": _tensors(x, y, 0.0 * x),
-        "shear": _tensors(sx, 1.0 + 0.0 * sx, shear),
-    }
-
-
-def _tensors(xx: Array, yy: Array, xy: Array) -> Array:
-    return np.stack([xx, xy, 0.0 * xx, yy], axis=1).reshape(-1, 2, 2)
-
-
-_AXES = {
-    "stretch": ("stretch $F_{xx}$", "stretch $F_{yy}$", (1, 1), "no shear"),
-    "shear": ("stretch $F_{xx}$", "shear $F_{xy}$", (0, 1), "$F_{yy}$ = 1"),
-}
-
-
 QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
     Quantity("way", "", "", lambda row: row[0]),
     Quantity(
@@ -150,35 +141,34 @@ QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
 
 def describe(found: StabilityMap, preset: str) -> Study:
     """The map: one panel for each plane; the onset along each way."""
-    F = np.concatenate([plane[0] for plane in found.planes.values()])
-    category = np.concatenate([plane[1] for plane in found.planes.values()])
+    planes = found.planes.values()
+    F = np.concatenate([plane.F for plane in planes])
+    category = np.concatenate([plane.category for plane in planes])
+    counts = {
+        key: {label: int((plane.category == k).sum()) for k, label in enumerate(CATEGORIES)}
+        for key, plane in found.planes.items()
+    }
     return Study(
         name=f"stability-{preset}",
         title=f"Stable equilibria of the plant cell at rest, preset “{preset}”",
-        panels=tuple(_panel(key, *plane) for key, plane in found.planes.items()),
+        panels=tuple(_panel(plane) for plane in planes),
         columns=2,
         table=Table(QUANTITIES, tuple(found.onset.items())),
         series={
-            "plane": [key for key, plane in found.planes.items() for _ in plane[0]],
+            "plane": [key for key, plane in found.planes.items() for _ in plane.F],
             "F_xx (1)": F[:, 0, 0],
             "F_yy (1)": F[:, 1, 1],
             "F_xy (1)": F[:, 0, 1],
             "equilibrium": [CATEGORIES[k] for k in category],
         },
-        results={
-            "counts": {
-                key: {label: int((plane == k).sum()) for k, label in enumerate(CATEGORIES)}
-                for key, (_, plane) in found.planes.items()
-            }
-        },
+        results={"counts": counts},
     )
 
 
-def _panel(key: str, F: Array, category: NDArray[np.int_]) -> Panel:
-    x_label, y_label, (a, b), title = _AXES[key]
+def _panel(plane: Plane) -> Panel:
     curves = (
-        Curve(label, F[category == k, 0, 0], F[category == k, a, b])
-        for k, label in enumerate(CATEGORIES)
-        if (category == k).any()
+        Curve(CATEGORIES[k], plane.F[chosen, 0, 0], plane.F[chosen][:, *plane.y_index])
+        for k in range(len(CATEGORIES))
+        if (chosen := plane.category == k).any()
     )
-    return Panel(x_label, y_label, tuple(curves), title)
+    return Panel("stretch $F_{xx}$", plane.y_label, tuple(curves), plane.title)

@@ -66,14 +66,14 @@ def test_pasts_meet_in_F_and_rate_and_the_difference_fades():
     found = memory.memory(WATER, settings)
     assert 0.0 < found.difference[-1] < 0.1 * found.largest
     assert found.sound
-    assert found.verdict(settings).startswith("sound")
+    assert found.verdict.startswith("sound")
 
 
 def test_verdict_turns_where_the_past_matters():
     settings = memory.MemorySettings(after=1.0, tolerance=1e-6, micro_step=2e-3)
     found = memory.memory(WATER, settings)
     assert not found.sound
-    assert found.verdict(settings).startswith("not sound")
+    assert found.verdict.startswith("not sound")
 
 
 def test_fading_time():
