@@ -121,14 +121,14 @@ def _row(reference: StoredRun, run: StoredRun) -> SweepRow:
 
 def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     """Draw stress error, displacement error, hits and speed-up over tolerance into a PNG."""
-    tolerance = 100.0 * np.array([row.tolerance for row in sweep.rows])
+    tolerance = np.array([row.tolerance for row in sweep.rows])
 
     def curve(get: Callable[[SweepRow], float | None], label: str = "_", name: str = "") -> Curve:
         values = np.array([get(row) for row in sweep.rows], dtype=np.float64)  # None: NaN
         return Curve(name or label, tolerance, values, label)
 
     def panel(title: str, y_label: str, *curves: Curve, log_y: bool = False) -> Panel:
-        x_label = "stress tolerance (% of the spread of stress)"
+        x_label = "stress tolerance (relative to the spread of stress)"
         return Panel(x_label, y_label, curves, title, log_x=True, log_y=log_y, zero=not log_y)
 
     panels = (
@@ -142,7 +142,7 @@ def write_sweep_plot(path: Path, sweep: Sweep) -> None:
         ),
         panel(
             "largest error of displacement",
-            "relative to the largest displacement",
+            "relative to the largest",
             curve(lambda row: row.displacement_error),
             log_y=True,
         ),
