@@ -23,6 +23,7 @@ NAMES = (
     "tissue",
     "trust",
     "macro_overhead",
+    "table_learning",
     "inference",
     "data_set",
     "start_up",

@@ -22,6 +22,7 @@ from benchmarks import (
     linear_cost,
     macro_overhead,
     paper_scheme,
+    table_learning,
     tissue,
     trust,
 )
@@ -121,7 +122,9 @@ def test_plain_and_lane_forces_are_those_of_the_twin(setting):
     assert max(errors) < 1e-12
 
 
-@pytest.mark.parametrize("module", [macro_overhead, inference, initialisations, linear_cost])
+@pytest.mark.parametrize(
+    "module", [macro_overhead, inference, initialisations, linear_cost, table_learning]
+)
 def test_a_piece_gives_well_formed_rows(module, setting):
     rows = module.run(setting)
     assert rows

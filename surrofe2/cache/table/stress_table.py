@@ -182,8 +182,8 @@ class StressTable:
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
         self.size = len(records.centre)
-        self._records = Records(*(np.array(part) for part in records))
-        self._tree = make_tree(records.centre, records.extent, self.tolerance)
+        self._make_room(records, self.size)
+        self._tree = make_tree(records.centre, records.extent, self.tolerance, 2 * self.size)
 
     def to_arrays(self) -> dict[str, NDArray]:
         """Records and counts, for `from_arrays`."""
@@ -199,14 +199,18 @@ class StressTable:
         """Append records in place; room is doubled where there is none."""
         size = self.size + len(new.centre)
         if size > len(self._records.centre):
-            known, room = self.records, 2 * max(size, 32)
-            self._records = Records(*(np.empty((room, *part.shape[1:])) for part in new))
-            for mine, theirs in zip(self._records, known, strict=True):
-                mine[: self.size] = theirs
+            self._make_room(self.records, size)
         for mine, theirs in zip(self._records, new, strict=True):
             mine[self.size : size] = theirs
         self._tree = insert(self._tree, self._records.centre, self._records.extent, size)
         self.size = size
+
+    def _make_room(self, known: Records, size: int) -> None:
+        """Arrays with room for twice `size` records, of which these are the first."""
+        room = 2 * max(size, 32)
+        self._records = Records(*(np.empty((room, *part.shape[1:])) for part in known))
+        for mine, theirs in zip(self._records, known, strict=True):
+            mine[: len(theirs)] = theirs
 
     def _count(self, changes: Mapping[str, int]) -> None:
         for name, count in changes.items():
