@@ -31,9 +31,13 @@ class Column:
 
 
 def create_arrays(
-    path: Path, columns: Mapping[str, Column], room: int, attributes: Mapping[str, Any]
+    path: Path,
+    columns: Mapping[str, Column],
+    room: int,
+    attributes: Mapping[str, Any],
+    fixed: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Lay out arrays without rows, whole or not at all."""
+    """Lay out arrays without rows, and arrays that stay as they are, whole or not at all."""
     with replacing(path) as partial, h5py.File(partial, "w") as file:
         for name, column in columns.items():
             made = _lay_out(file, name, (room, *column.shape), column.kind)
@@ -41,6 +45,8 @@ def create_arrays(
             if column.meaning is not None:
                 told = column.meaning
                 made.attrs["meaning"] = told if isinstance(told, str) else json.dumps(told)
+        for name, values in (fixed or {}).items():
+            file[name] = values
         file["completed"] = np.int64(0)
         file.attrs.update(attributes)
 

@@ -17,7 +17,9 @@ from surrofe2.errors import FileError, InputError
 from surrofe2.io.append_arrays import Column, append_rows, completed, create_arrays
 from surrofe2.io.files import check_same, flat, opened_hdf5, plain, replacing
 from surrofe2.io.provenance import check_schema, stamp, stored_cell, stored_range
+from surrofe2.io.reference_states import attached
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, StressResponse, describe
 from surrofe2.stress_samples import TANGENTS, StressSamples
@@ -43,8 +45,8 @@ _TANGENT_COLUMNS = {
 class DataSetHeader:
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
-    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and `rest_length` (of the
-    walls, µm) are carried along and not compared.
+    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and the `reference` state of
+    the RVEs are carried along and not compared.
     """
 
     cell: CellParameters
@@ -55,7 +57,7 @@ class DataSetHeader:
     chunk: int
     version: str
     recipe: Mapping[str, Any]
-    rest_length: float | None = None
+    reference: ReferenceState | None = None
     tangents: bool = False
 
     def compared(self) -> dict[str, Any]:
@@ -130,7 +132,7 @@ def writing_data_set(
     """
     if not path.exists() or fresh:
         columns = _COLUMNS | (_TANGENT_COLUMNS if header.tangents else {})
-        create_arrays(path, columns, header.count, _attributes(header))
+        create_arrays(path, columns, header.count, _attributes(header), _fixed(header))
     with opened_hdf5(path, "r") as file:
         check_schema(path, file, SCHEMA, SCHEMA_VERSION)
         there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
@@ -148,10 +150,14 @@ def _attributes(header: DataSetHeader) -> dict[str, Any]:
         "count": header.count,
         "seed": header.seed,
     }
-    if header.rest_length is not None:
-        given["rest_length"] = header.rest_length
+    if header.reference is not None:
+        given["rest_length"] = header.reference.rest_length
     initialisation = str(header.rve["initialisation"])
     return stamp(SCHEMA, SCHEMA_VERSION, header.cell, initialisation, header.recipe) | given
+
+
+def _fixed(header: DataSetHeader) -> dict[str, np.ndarray]:
+    return {} if header.reference is None else attached(header.reference)
 
 
 def finish_data_set(path: Path) -> None:

@@ -71,7 +71,7 @@ def generate_data_set(
         chunk=chunk,
         version=version("surrofe2"),
         recipe=recipe.to_dict(),
-        rest_length=law.rest_length if isinstance(law, RveLaw) else None,
+        reference=law.reference if isinstance(law, RveLaw) else None,
         tangents=settings.tangents,
     )
     with writing_data_set(path, header, fresh=fresh) as data:

@@ -18,14 +18,18 @@ from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spr
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
-from surrofe2.io.reference_states import read_reference, reference_path, write_reference
+from surrofe2.io.reference_states import (
+    read_attached,
+    read_reference,
+    reference_path,
+    write_reference,
+)
 from surrofe2.io.run_folder import file_fingerprint
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.discretisation import N_POINTS
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
@@ -34,22 +38,38 @@ from surrofe2.stress_law import StressLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
+_AT_REST = 1e-6
+"""Largest stress of an undeformed RVE, µN/µm."""
 
 
 def true_law(recipe: Recipe) -> RveLaw:
     """The RVEs of a recipe, around their kept reference state."""
-    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe.cell))
+    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe))
 
 
-def kept_reference(cell: CellParameters) -> ReferenceState:
-    """The settled reference state of a cell; settled and kept where no command did so yet."""
+def kept_reference(recipe: Recipe) -> ReferenceState:
+    """The settled reference state of a recipe's cell.
+
+    From the cache folder, where the first command puts it, else from the data set, else settled.
+    """
+    cell = recipe.cell
     path = reference_path(cell)
     known = read_reference(path, cell)
-    if known is None:
+    if known is not None:
+        return known
+    if recipe.data_file is not None:
+        known = read_attached(recipe.data_path(), cell)
+    if known is None or not _is_at_rest(RveLaw(cell, reference=known)):
         known = settle_reference(cell)
-        with suppress(FileError):  # a folder that cannot be written keeps nothing
-            write_reference(path, known)
+    with suppress(FileError):  # a folder that cannot be written keeps nothing
+        write_reference(path, known)
     return known
+
+
+def _is_at_rest(law: RveLaw) -> bool:
+    """Whether a reference that other sources may have settled is free of stress by these."""
+    answer = law.respond(np.eye(2)[None], np.zeros((1, 2, 2)))
+    return not answer.status.any() and bool(np.abs(answer.stress).max() < _AT_REST)
 
 
 @dataclass(frozen=True, slots=True)

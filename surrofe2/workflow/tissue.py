@@ -68,7 +68,7 @@ def run_tissue(
         if current.is_finished:
             return current.record
         arrays = current.last_state()
-        reference = kept_reference(recipe.cell)
+        reference = kept_reference(recipe)
         compilation = _warm_up(make_tissue(recipe.cell, reference, cells))
         done = simulate_tissue(
             recipe.load,

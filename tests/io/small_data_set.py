@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange, sample
 from tests.laws import SoftLaw
 
@@ -17,7 +20,7 @@ HEADER = DataSetHeader(
     chunk=8,
     version="0.1.0",
     recipe={"recipe": "recipe.toml"},
-    rest_length=1.5,
+    reference=ReferenceState(CellParameters().fingerprint, np.eye(2), np.eye(2), 1.5),
 )
 
 
