@@ -18,13 +18,12 @@ from matplotlib.figure import Figure
 
 from benchmarks.timing import side_by_side, threads
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
-from surrofe2.plant_cell.block_pattern import Pattern, factorisation_work
-from surrofe2.plant_cell.pair_lists import make_patches
+from surrofe2.plant_cell.block_pattern import Pattern, factorisation_work, make_pattern
+from surrofe2.plant_cell.pair_lists import interacting_groups, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-from surrofe2.rve.linear import factorise, solve_factorised
-from surrofe2.rve.reference_state import SAME_ENERGY, Equilibria, equilibria_in, make_topologies
-from surrofe2.rve.sparse_linear import factorise_sparse, solve_sparse
+from surrofe2.rve.block_lu import factorise, solve
+from surrofe2.rve.reference_state import SAME_ENERGY, Equilibria, equilibria_in
 from surrofe2.simd import TILE
 
 SHOWN = (("square", 1), ("square", 9), ("hexagon", 9), ("voronoi", 9))
@@ -114,32 +113,36 @@ def cauchy_born(preset: str, arrangement: str, cells: int) -> dict[str, float]:
 
 
 def factorisations(repeats: int) -> list[dict[str, Any]]:
-    """Seconds of one factorisation and one solution of a tile, dense and sparse, one thread."""
+    """Seconds of one factorisation and one solution of a tile, in one group and in several."""
     rows = []
     for arrangement, cells in LADDER:
         cell = CellParameters(arrangement=arrangement, cells=cells)
         made = make_arrangement(cell)
         patches = make_patches(cell, start_positions(cell), made.tessellation.lattice)
-        pattern = make_topologies(cell, patches, sparse=True)[0]
+        sparse = make_pattern(*interacting_groups(made, patches[-1]))
+        dense = make_pattern(np.zeros(made.particles, dtype=np.int32), [])
         unknowns = 2 * made.particles - 2
         rng = np.random.default_rng(1)
-        dense = rng.normal(size=(unknowns, unknowns, TILE))
-        dense[np.arange(unknowns), np.arange(unknowns)] -= 50.0 * np.sqrt(unknowns)
-        sparse = _dominant(pattern, rng, 50.0 * np.sqrt(unknowns))
-        lu = [dense.copy(), sparse.copy()]
+        patterns = (dense, sparse)
+        sources = [_dominant(pattern, rng, 50.0 * np.sqrt(unknowns)) for pattern in patterns]
+        lu = [source.copy() for source in sources]
 
-        def renew(lu: list[np.ndarray], k: int, pattern: Any, source: np.ndarray) -> None:
-            lu[k][:] = source
-            factorise(lu[k]) if k == 0 else factorise_sparse(lu[k], pattern)
+        def renew(lu: np.ndarray, pattern: Pattern, source: np.ndarray) -> None:
+            lu[:] = source
+            factorise(lu, pattern, False)
 
-        tasks = [partial(renew, lu, k, pattern, m) for k, m in enumerate((dense, sparse))]
-        renewed = side_by_side(tasks, repeats)
+        renewed = side_by_side(
+            [partial(renew, *k) for k in zip(lu, patterns, sources, strict=True)], repeats
+        )
         right = rng.normal(size=(unknowns, TILE))
-        kept = [m.astype(np.float32) for m in lu]
+
+        def solved_by(kept: np.ndarray, pattern: Pattern, right: np.ndarray) -> None:
+            solve(kept, right.copy(), pattern)
+
         solved = side_by_side(
             [
-                lambda kept=kept, right=right: solve_factorised(kept[0], right.copy()),
-                lambda kept=kept, right=right, p=pattern: solve_sparse(kept[1], right.copy(), p),
+                partial(solved_by, m.astype(np.float32), p, right)
+                for m, p in zip(lu, patterns, strict=True)
             ],
             3 * repeats,
         )
@@ -148,8 +151,8 @@ def factorisations(repeats: int) -> list[dict[str, Any]]:
                 "arrangement": arrangement,
                 "cells": cells,
                 "particles": made.particles,
-                "work": factorisation_work(pattern) / (unknowns**3 / 3.0),
-                "memory": pattern.size / unknowns**2,
+                "work": factorisation_work(sparse) / (unknowns**3 / 3.0),
+                "memory": sparse.size / unknowns**2,
                 "factorise": [min(t.samples) for t in renewed],
                 "solve": [min(t.samples) for t in solved],
             }
@@ -163,9 +166,10 @@ def _dominant(pattern: Pattern, rng: np.random.Generator, least: float) -> np.nd
     values = rng.normal(size=(pattern.size, TILE))
     for i in range(1, len(pattern.group)):
         g = pattern.group[i]
-        at = pattern.row_start[i] + pattern.offset[g, g] + 2 * pattern.place[i]
+        column, width = pattern.column[i], pattern.width[g]
+        at = pattern.start[g] + column * width + pattern.offset[g, g] + column
         values[at] -= least
-        values[at + pattern.width[g] + 1] -= least
+        values[at + width + 1] -= least
     return values
 
 

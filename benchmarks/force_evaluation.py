@@ -37,7 +37,7 @@ def _evaluate(setting: Setting, reach: int) -> list[Row]:
     tiles = (z, pack(F), pack(rate), topology, unit.constants)
     lanes, scalar = side_by_side(
         [
-            partial(repeat_evaluation, times, *tiles, unit.area, in_lanes),
+            partial(repeat_evaluation, times, *tiles, in_lanes),
             partial(
                 repeat_plain_evaluation, times, plain_z, F, rate, topology, unit.constants,
                 unit.area, one_by_one,
@@ -89,7 +89,7 @@ def _beside_numpy(setting: Setting) -> list[Row]:
     twin = Twin(rve(PRESET).cell, rve(PRESET).rest_length)
     times = setting.pick(200, 20)
     forces = np.empty_like(z)
-    arguments = (z, pack(F), pack(rate), unit.topologies[0], unit.constants, unit.area, forces)
+    arguments = (z, pack(F), pack(rate), unit.topologies[0], unit.constants, forces)
     lanes, numpy_twin = side_by_side(
         [
             partial(repeat_evaluation, times, *arguments),

@@ -11,15 +11,10 @@ import numpy as np
 
 from benchmarks.plain_forces import evaluate_plainly, make_plain_workspace
 from surrofe2.compilation import compiled
-from surrofe2.plant_cell.forces import fold_images
+from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.rve.particle_state import (
-    evaluate,
-    local_forces,
-    make_workspace,
-    map_affine,
-    set_images,
-)
+from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.rve.particle_state import Drive, evaluate, map_affine, set_images
 from surrofe2.simd import TILE
 
 loop = compiled(cache=False)
@@ -27,7 +22,7 @@ loop = compiled(cache=False)
 
 @loop
 def repeat_evaluation(
-    times: int, z: Any, F: Any, rate: Any, topology: Any, c: Any, area: float, forces: Any
+    times: int, z: Any, F: Any, rate: Any, topology: Any, c: Any, forces: Any
 ) -> None:
     """All that a solver asks for: images, x = F z, forces, stress, mean force."""
     own = topology.particles
@@ -36,7 +31,7 @@ def repeat_evaluation(
     for _ in range(times):
         for t in range(z.shape[0]):
             work.z[:, :own] = z[t]
-            evaluate(work, F[t], rate[t], topology, c, area, stress, residual)
+            evaluate(work, Drive(F[t], rate[t]), topology, c, stress, residual)
             forces[t] = work.f[:, :own]
 
 
@@ -70,7 +65,7 @@ def repeat_plain_evaluation(
 def repeat_jacobian(
     times: int, z: Any, F: Any, rate: Any, L: Any, topology: Any, c: Any, jacobian: Any
 ) -> None:
-    """∂f/∂x of every tile into jacobian (tiles, 2n, 2n, TILE)."""
+    """∂f/∂x of every tile, without the held particle, into jacobian (tiles, size, TILE)."""
     own = topology.particles
     work = make_workspace(topology)
     columns = np.empty((0, 8, TILE))
@@ -80,7 +75,7 @@ def repeat_jacobian(
             set_images(work.z, topology)
             map_affine(F[t], work.z, work.x)
             map_affine(rate[t], work.z, work.v)
-            force_jacobian(work.x, work.v, L[t], work.z, topology, c, jacobian[t], columns)
+            force_jacobian(work, L[t], topology, c, jacobian[t], columns)
 
 
 @loop
@@ -98,7 +93,7 @@ def central_differences(
                 for sign in (1.0, -1.0):
                     work.z[:, :own] = z[t]
                     work.z[:, i] += sign * step * inverse[t, :, axis]
-                    evaluate(work, F[t], rate[t], topology, c, 1.0, stress, residual)
+                    evaluate(work, Drive(F[t], rate[t]), topology, c, stress, residual)
                     for j in range(own):
                         for b in range(2):
                             change = sign * work.f[b, j] / (2.0 * step)

@@ -1,1 +1,6 @@
-"""surrofe2."""
+"""Plant cells of particles: parameters, arrangements, pair lists, pair laws and their kernels.
+
+In reading order: `parameters`; `tessellation`, `arrangement`, `pair_lists` (who interacts with
+whom); `wall`, `contact`, `fluid`, `sph_kernel` (pair laws); `tiles` (how arrays lie); `pairs`,
+`forces`; `block_pattern`, `jacobian`, `force_derivatives`.
+"""

@@ -1,7 +1,7 @@
 """Derivatives of particle forces along given directions, without a matrix.
 
 - `add_force_gradients`: how a weighted sum of forces Σ_k φ_k·f_k changes with x and with v.
-- `add_elastic_forces_and_rates`: elastic forces f and ḟ = ∂f/∂x · v.
+- `elastic_forces_and_rates`: elastic forces f and ḟ = ∂f/∂x · v.
 - `add_stiffness_rates`: K̇ u, the change of the elastic stiffness K = ∂f/∂x along v, times u.
 
 By pairs Σ_k φ_k·f_k is −Σ ρ·f(r, w) with ρ = φ_j − φ_i, so each pair gives (∂f/∂r)ᵀ ρ and
@@ -31,7 +31,7 @@ import numpy as np
 from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import fluid_specific_volume
-from surrofe2.plant_cell.jacobian import add_to, central_gradient
+from surrofe2.plant_cell.jacobian import add_at, central_gradient
 from surrofe2.plant_cell.pairs import add_pair, central_elastic, central_slopes, difference, pair_at
 from surrofe2.plant_cell.sph_kernel import spline, spline_bend, spline_slope, spline_third
 from surrofe2.simd import TILE, load, spread, store
@@ -56,10 +56,10 @@ def add_field_pair(fields, m, i, j, fx, fy):
 
 
 @kernel
-def _add_central_gradients(x, v, weights, by_x, by_v, pairs, is_bond, c):
+def _add_central_gradients(work, weights, by_x, by_v, pairs, is_bond, c):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         tension, by_length, by_rate = central_slopes(pair, is_bond, c)
         xx, xy, yx, yy = central_gradient(pair, tension, by_length, by_rate)
         nx, ny = pair.nx, pair.ny
@@ -71,15 +71,16 @@ def _add_central_gradients(x, v, weights, by_x, by_v, pairs, is_bond, c):
 
 
 @kernel
-def _add_fluid_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume):
+def _add_fluid_gradients(work, weights, by_x, by_v, topology, c):
     pairs, first = topology.fluid_pairs, topology.walls
     h = c.smoothing_length
-    fluid_specific_volume(x, topology, c, slope, volume)
+    slope, volume = work.slope, work.volume
+    fluid_specific_volume(work.x, topology, c, slope, volume)
     by_volume = np.zeros((FIELDS, volume.shape[0], TILE))
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
         steep, volume_i, volume_j = load(slope, k), load(volume, p), load(volume, q)
         a, b = fluid_coefficients(steep, volume_i, volume_j, c)
@@ -93,21 +94,22 @@ def _add_fluid_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume):
             bent = da * with_r + db * with_w
             add_field_pair(by_x, m, i, j, a * px + bent * nx, a * py + bent * ny)
             add_field_pair(by_v, m, i, j, b * px, b * py)
-            add_to(by_volume, m, p, -(ai * with_r + bi * with_w))
-            add_to(by_volume, m, q, -(aj * with_r + bj * with_w))
-    _add_through_density(x, by_x, by_volume, topology, c, slope, volume)
+            add_at(by_volume, m, p, -(ai * with_r + bi * with_w))
+            add_at(by_volume, m, q, -(aj * with_r + bj * with_w))
+    _add_through_density(work, by_x, by_volume, topology, c)
 
 
 @kernel
-def _add_through_density(x, by_x, by_volume, topology, c, slope, volume):
+def _add_through_density(work, by_x, by_volume, topology, c):
     pairs, first = topology.fluid_pairs, topology.walls
+    slope, volume = work.slope, work.volume
     for m in range(FIELDS):
         for p in range(volume.shape[0]):
             here = load(volume, p)
             store(-here * here * load(by_volume, m, p), by_volume, m, p)
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        rx, ry = difference(x, i, j)
+        rx, ry = difference(work.x, i, j)
         weight = c.fluid_mass * load(slope, k)
         for m in range(FIELDS):
             both = weight * (load(by_volume, m, i - first) + load(by_volume, m, j - first))
@@ -115,32 +117,32 @@ def _add_through_density(x, by_x, by_volume, topology, c, slope, volume):
 
 
 @kernel
-def add_force_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume):
+def add_force_gradients(work, weights, by_x, by_v, topology, c):
     """Add the slopes of Σ_k φ_k·f_k with x to by_x and with v to by_v, for four φ in `weights`.
 
-    x, v: (2, local, TILE) µm, µm/µs; weights, by_x, by_v: (4, 2, local, TILE).
-    Scratch: slope (pairs, TILE), volume (fluid, TILE).
+    At work.x and work.v; weights, by_x, by_v: (4, 2, local, TILE).
     """
-    _add_central_gradients(x, v, weights, by_x, by_v, topology.bonds, True, c)
-    _add_central_gradients(x, v, weights, by_x, by_v, topology.contacts, False, c)
-    _add_fluid_gradients(x, v, weights, by_x, by_v, topology, c, slope, volume)
+    _add_central_gradients(work, weights, by_x, by_v, topology.bonds, True, c)
+    _add_central_gradients(work, weights, by_x, by_v, topology.contacts, False, c)
+    _add_fluid_gradients(work, weights, by_x, by_v, topology, c)
 
 
 @kernel
-def _add_central_rates(x, v, f, f_rate, pairs, is_bond, c):
+def _add_central_rates(work, f_rate, pairs, is_bond, c):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         tension, by_length, _ = central_elastic(pair, is_bond, c)
         over = tension * pair.inverse
         along = (by_length - over) * pair.rate * pair.inverse
-        add_pair(f, i, j, over * pair.rx, over * pair.ry)
+        add_pair(work.f, i, j, over * pair.rx, over * pair.ry)
         gx, gy = along * pair.rx + over * pair.wx, along * pair.ry + over * pair.wy
         add_pair(f_rate, i, j, gx, gy)
 
 
 @kernel
-def _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
+def _add_fluid_rates(work, f_rate, volume_rate, topology, c):
+    slope, volume = work.slope, work.volume
     pairs, first = topology.fluid_pairs, topology.walls
     h = c.smoothing_length
     own = c.fluid_mass * spline(spread(0.0), h)
@@ -150,7 +152,7 @@ def _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         s = pair.length * (1.0 / h)
         fall = spline_slope(s, h)
         store(fall * pair.inverse, slope, k)
@@ -168,11 +170,11 @@ def _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         steep = load(slope, k)
         volumes = strength * (load(volume, p) + load(volume, q))
         a = steep * volumes
-        add_pair(f, i, j, a * pair.rx, a * pair.ry)
+        add_pair(work.f, i, j, a * pair.rx, a * pair.ry)
         bend = spline_bend(steep, pair.length, pair.inverse, h)
         a_rate = bend * pair.rate * volumes + steep * strength * (
             load(volume_rate, p) + load(volume_rate, q)
@@ -182,22 +184,23 @@ def _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
 
 
 @kernel
-def add_elastic_forces_and_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate):
-    """Add the elastic forces at x to f (µN) and their rate along v to f_rate (µN/µs).
+def elastic_forces_and_rates(work, f_rate, volume_rate, topology, c):
+    """The elastic forces at work.x in work.f (µN), and their rate along work.v in f_rate (µN/µs).
 
-    x, v, f, f_rate: (2, local, TILE). Scratch: slope (pairs, TILE), volume and volume_rate
-    (fluid, TILE).
+    f_rate: (2, local, TILE), not folded either. Scratch: volume_rate (fluid, TILE).
     """
-    _add_central_rates(x, v, f, f_rate, topology.bonds, True, c)
-    _add_central_rates(x, v, f, f_rate, topology.contacts, False, c)
-    _add_fluid_rates(x, v, f, f_rate, topology, c, slope, volume, volume_rate)
+    work.f[:] = 0.0
+    f_rate[:] = 0.0
+    _add_central_rates(work, f_rate, topology.bonds, True, c)
+    _add_central_rates(work, f_rate, topology.contacts, False, c)
+    _add_fluid_rates(work, f_rate, volume_rate, topology, c)
 
 
 @kernel
-def _add_central_stiffness_rates(x, v, u, f, pairs, is_bond, c):
+def _add_central_stiffness_rates(work, u, f, pairs, is_bond, c):
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         tension, by_length, bend = central_elastic(pair, is_bond, c)
         nx, ny, inverse, rate = pair.nx, pair.ny, pair.inverse, pair.rate
         b = by_length - tension * inverse
@@ -214,16 +217,17 @@ def _add_central_stiffness_rates(x, v, u, f, pairs, is_bond, c):
 
 
 @kernel
-def _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both):
+def _set_volume_changes(work, u, topology, c, rate, change, both):
     """V̇ in `rate` (fluid, TILE), δV and δV̇ in `change` and `both` (4, fluid, TILE); V = 1/ρ."""
     pairs, first = topology.fluid_pairs, topology.walls
     h, mass = c.smoothing_length, c.fluid_mass
-    fluid_specific_volume(x, topology, c, slope, volume)
+    slope, volume = work.slope, work.volume
+    fluid_specific_volume(work.x, topology, c, slope, volume)
     rate[:], change[:], both[:] = 0.0, 0.0, 0.0
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         rx, ry, wx, wy = pair.rx, pair.ry, pair.wx, pair.wy
         steep = load(slope, k)
         bend = spline_bend(steep, pair.length, pair.inverse, h)
@@ -235,11 +239,11 @@ def _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both)
             px, py = field_difference(u, m, i, j)
             stretch = rx * px + ry * py
             density = mass * steep * stretch
-            add_to(change, m, p, density)
-            add_to(change, m, q, density)
+            add_at(change, m, p, density)
+            add_at(change, m, q, density)
             density = mass * (bend * pair.inverse * stretch * along + steep * (px * wx + py * wy))
-            add_to(both, m, p, density)
-            add_to(both, m, q, density)
+            add_at(both, m, p, density)
+            add_at(both, m, q, density)
     for p in range(volume.shape[0]):
         here = load(volume, p)
         falls = -here * here
@@ -252,17 +256,18 @@ def _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both)
 
 
 @kernel
-def _add_fluid_stiffness_rates(x, v, u, f, topology, c, slope, volume):
+def _add_fluid_stiffness_rates(work, u, f, topology, c):
+    slope, volume = work.slope, work.volume
     pairs, first = topology.fluid_pairs, topology.walls
     h, strength = c.smoothing_length, c.fluid_mass * c.fluid_mass * c.sound_speed_squared
     rate = np.empty_like(volume)
     change = np.empty((FIELDS, volume.shape[0], TILE))
     both = np.empty_like(change)
-    _set_volume_changes(x, v, u, topology, c, slope, volume, rate, change, both)
+    _set_volume_changes(work, u, topology, c, rate, change, both)
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
         inverse, speed = pair.inverse, pair.rate
         steep = strength * load(slope, k)
@@ -288,12 +293,11 @@ def _add_fluid_stiffness_rates(x, v, u, f, topology, c, slope, volume):
 
 
 @kernel
-def add_stiffness_rates(x, v, u, f, topology, c, slope, volume):
-    """Add K̇ u to f for four fields u, with K̇ the rate of the elastic stiffness along v.
+def add_stiffness_rates(work, u, f, topology, c):
+    """Add K̇ u to f for four fields u, with K̇ the rate of the elastic stiffness along work.v.
 
-    x, v: (2, local, TILE) µm, µm/µs; u, f: (4, 2, local, TILE). Scratch: slope (pairs, TILE),
-    volume (fluid, TILE).
+    At work.x; u, f: (4, 2, local, TILE).
     """
-    _add_central_stiffness_rates(x, v, u, f, topology.bonds, True, c)
-    _add_central_stiffness_rates(x, v, u, f, topology.contacts, False, c)
-    _add_fluid_stiffness_rates(x, v, u, f, topology, c, slope, volume)
+    _add_central_stiffness_rates(work, u, f, topology.bonds, True, c)
+    _add_central_stiffness_rates(work, u, f, topology.contacts, False, c)
+    _add_fluid_stiffness_rates(work, u, f, topology, c)

@@ -78,11 +78,12 @@ def fluid_specific_volume(x, topology, c, slope, volume):
 
 
 @kernel
-def add_forces(x, v, f, topology, c, slope, volume):
-    """Add all forces on local particles to f."""
-    add_central_forces(x, v, f, topology.bonds, None, True, c)
-    add_central_forces(x, v, f, topology.contacts, None, False, c)
-    add_fluid_forces(x, v, f, topology, c, slope, volume)
+def local_forces(work, topology, c):
+    """work.f at work.x and work.v: forces on own particles and, not yet folded, on images."""
+    work.f[:] = 0.0
+    add_central_forces(work.x, work.v, work.f, topology.bonds, None, True, c)
+    add_central_forces(work.x, work.v, work.f, topology.contacts, None, False, c)
+    add_fluid_forces(work.x, work.v, work.f, topology, c, work.slope, work.volume)
 
 
 @kernel

@@ -3,15 +3,15 @@
 With r = F Z and w = Ḟ Z for every pair (Z: material distance, images included), the force on i is
 f(r, w), and with positions moved by δx at fixed (F, Ḟ), velocities follow as L δx, L = Ḟ F⁻¹::
 
-    δf = (∂f/∂r + ∂f/∂w L) δr                        `jacobian`
+    δf = (∂f/∂r + ∂f/∂w L) δr                        `matrix`
     δf = ∂f/∂r δF Z + ∂f/∂w δḞ Z  at fixed Z         `columns`
 
 The fluid's density couples all fluid of a cell: δf += (∂f/∂ρ)(∂ρ/∂x) δx.
 
-Layout (`lanes` last)::
+Layout, lanes last::
 
-    jacobian[2 i + a, 2 j + b, lane] = ∂f_ia/∂x_jb     i, j: own particles
-    load[2 i + a, 2 b + c, lane]     = ∂f_ia/∂F_bc,    load[2 i + a, 4 + 2 b + c, lane]: ∂/∂Ḟ_bc
+    matrix                           ∂f_ia/∂x_jb of own particles but the held one, see `Pattern`
+    columns[2 i + a, 2 b + c, lane]  ∂f_ia/∂F_bc;    columns[2 i + a, 4 + 2 b + c, lane]: ∂/∂Ḟ_bc
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.block_pattern import add_block, add_fluid_product, add_product, clear
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.pairs import central_slopes, difference, pair_at
@@ -39,32 +38,52 @@ def central_gradient(pair, tension, by_length, by_rate):
 
 
 @pair_law
-def add_to(array, row, column, value):
+def add_to(array, row, value):
+    """array[row] += value."""
+    store(load(array, row) + value, array, row)
+
+
+@pair_law
+def add_at(array, row, column, value):
     """array[row, column] += value."""
     store(load(array, row, column) + value, array, row, column)
 
 
+@kernel
+def add_block(matrix, topology, i, j, xx, xy, yx, yy):
+    """Add a 2 × 2 block at particles (i, j), unless one of them is held."""
+    g, h = topology.group[i], topology.group[j]
+    if g >= 0 and h >= 0:
+        width, at = topology.width[g], topology.offset[g, h] + topology.column[j]
+        upper = topology.start[g] + topology.column[i] * width + at
+        lower = upper + width
+        add_to(matrix, upper, xx)
+        add_to(matrix, upper + 1, xy)
+        add_to(matrix, lower, yx)
+        add_to(matrix, lower + 1, yy)
+
+
 @pair_law
-def add_pair_jacobian(jacobian, L, i, j, rr, rw):
+def add_pair_jacobian(matrix, topology, L, i, j, rr, rw):
     """Spread ∂f/∂r = rr and ∂f/∂w = rw, each (xx, xy, yx, yy), over own particles i and j."""
     lxx, lxy, lyx, lyy = load(L, 0, 0), load(L, 0, 1), load(L, 1, 0), load(L, 1, 1)
     xx = rr[0] + rw[0] * lxx + rw[1] * lyx
     xy = rr[1] + rw[0] * lxy + rw[1] * lyy
     yx = rr[2] + rw[2] * lxx + rw[3] * lyx
     yy = rr[3] + rw[2] * lxy + rw[3] * lyy
-    add_block(jacobian, i, j, xx, xy, yx, yy)
-    add_block(jacobian, j, i, xx, xy, yx, yy)
-    add_block(jacobian, i, i, -xx, -xy, -yx, -yy)
-    add_block(jacobian, j, j, -xx, -xy, -yx, -yy)
+    add_block(matrix, topology, i, j, xx, xy, yx, yy)
+    add_block(matrix, topology, j, i, xx, xy, yx, yy)
+    add_block(matrix, topology, i, i, -xx, -xy, -yx, -yy)
+    add_block(matrix, topology, j, j, -xx, -xy, -yx, -yy)
 
 
 @pair_law
 def add_load(columns, row, column, kx, ky, zx, zy):
     """Add (kx, ky) ⊗ (zx, zy) to four columns of a row."""
-    add_to(columns, row, column, kx * zx)
-    add_to(columns, row, column + 1, kx * zy)
-    add_to(columns, row, column + 2, ky * zx)
-    add_to(columns, row, column + 3, ky * zy)
+    add_at(columns, row, column, kx * zx)
+    add_at(columns, row, column + 1, kx * zy)
+    add_at(columns, row, column + 2, ky * zx)
+    add_at(columns, row, column + 3, ky * zy)
 
 
 @pair_law
@@ -82,33 +101,25 @@ def add_pair_load(columns, Z, i, j, j_own, rr, rw):
 
 
 @kernel
-def _add_central(x, v, L, Z, pairs, is_bond, topology, c, jacobian, columns):
+def _add_central(work, L, pairs, is_bond, topology, c, matrix, columns):
     own = topology.particles
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         j_own = j if j < own else topology.owner[j - own]
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         tension, by_length, by_rate = central_slopes(pair, is_bond, c)
         rr = central_gradient(pair, tension, by_length, by_rate)
         nx, ny = pair.nx, pair.ny
         cross = by_rate * nx * ny
         rw = (by_rate * nx * nx, cross, cross, by_rate * ny * ny)
-        add_pair_jacobian(jacobian, L, i, j_own, rr, rw)
+        add_pair_jacobian(matrix, topology, L, i, j_own, rr, rw)
         if columns.shape[0] > 0:
-            add_pair_load(columns, Z, i, j, j_own, rr, rw)
+            add_pair_load(columns, work.z, i, j, j_own, rr, rw)
 
 
 @kernel
-def _add_fluid(x, v, L, Z, topology, c, jacobian, columns):
-    fluid = topology.particles - topology.walls
-    slope, volume = np.empty((topology.fluid_pairs.shape[0], TILE)), np.empty((fluid, TILE))
-    fluid_specific_volume(x, topology, c, slope, volume)
-    for cell in range(topology.fluid_start.shape[0] - 1):
-        _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, columns)
-
-
-@kernel
-def _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, columns):
+def _add_fluid(cell, work, L, topology, c, matrix, columns):
+    """Pressure and viscous forces of one plant cell, work.slope and work.volume given."""
     pairs, first = topology.fluid_pairs, topology.walls + topology.fluid_start[cell]
     fluid = topology.fluid_start[cell + 1] - topology.fluid_start[cell]
     h = c.smoothing_length
@@ -118,17 +129,17 @@ def _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, column
     for k in range(topology.fluid_pair_start[cell], topology.fluid_pair_start[cell + 1]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
-        pair = pair_at(x, v, i, j)
+        pair = pair_at(work.x, work.v, i, j)
         rx, ry, wx, wy, nx, ny = pair.rx, pair.ry, pair.wx, pair.wy, pair.nx, pair.ny
-        steep = load(slope, k)
-        volume_i, volume_j = load(volume, i - topology.walls), load(volume, j - topology.walls)
+        steep, volume_i = load(work.slope, k), load(work.volume, i - topology.walls)
+        volume_j = load(work.volume, j - topology.walls)
         a, b = fluid_coefficients(steep, volume_i, volume_j, c)
         bend = spline_bend(steep, pair.length, pair.inverse, h)
         da, db = fluid_coefficients(bend, volume_i, volume_j, c)
         ux, uy = da * rx + db * wx, da * ry + db * wy
         rr = (a + ux * nx, ux * ny, uy * nx, a + uy * ny)
         rw = (b, spread(0.0), spread(0.0), b)
-        add_pair_jacobian(jacobian, L, i, j, rr, rw)
+        add_pair_jacobian(matrix, topology, L, i, j, rr, rw)
 
         a, b = fluid_volume_slopes(steep, volume_j, c)
         gx = -volume_i * volume_i * (a * rx + b * wx)
@@ -142,43 +153,63 @@ def _add_fluid_of(cell, x, v, L, Z, topology, c, slope, volume, jacobian, column
         add_pair_row(density_by_x, p, 2 * p, 2 * q, gx, gy)
         add_pair_row(density_by_x, q, 2 * p, 2 * q, gx, gy)
         if columns.shape[0] > 0:
-            zx, zy = difference(Z, i, j)
-            add_pair_load(columns, Z, i, j, j, rr, rw)
+            zx, zy = difference(work.z, i, j)
+            add_pair_load(columns, work.z, i, j, j, rr, rw)
             add_load(density_by_load, p, 0, gx, gy, zx, zy)
             add_load(density_by_load, q, 0, gx, gy, zx, zy)
-    add_fluid_product(by_density, density_by_x, jacobian, first)
+    g = topology.group[first]
+    width, column = topology.width[g], topology.column[first]
+    at = topology.start[g] + column * width + topology.offset[g, g] + column
+    add_product(by_density, density_by_x, matrix, at, width)
     if columns.shape[0] > 0:
-        add_product(by_density, density_by_load, columns, 2 * first, 0)
+        rows = columns.reshape(-1, TILE)
+        add_product(by_density, density_by_load, rows, 8 * 2 * first, 8)
 
 
 @pair_law
 def add_pair_column(array, row_i, row_j, column, gx, gy):
     """(gx, gy) on the rows of i, its negative on those of j."""
-    add_to(array, row_i, column, gx)
-    add_to(array, row_i + 1, column, gy)
-    add_to(array, row_j, column, -gx)
-    add_to(array, row_j + 1, column, -gy)
+    add_at(array, row_i, column, gx)
+    add_at(array, row_i + 1, column, gy)
+    add_at(array, row_j, column, -gx)
+    add_at(array, row_j + 1, column, -gy)
 
 
 @pair_law
 def add_pair_row(array, row, column_i, column_j, gx, gy):
     """(gx, gy) on the columns of j, its negative on those of i."""
-    add_to(array, row, column_j, gx)
-    add_to(array, row, column_j + 1, gy)
-    add_to(array, row, column_i, -gx)
-    add_to(array, row, column_i + 1, -gy)
+    add_at(array, row, column_j, gx)
+    add_at(array, row, column_j + 1, gy)
+    add_at(array, row, column_i, -gx)
+    add_at(array, row, column_i + 1, -gy)
 
 
 @kernel
-def force_jacobian(x, v, L, Z, topology, c, jacobian, columns):
-    """Fill jacobian, (2n, 2n, TILE) or `Blocks`, and columns (2n, 8, TILE) at local x, v, Z.
+def add_product(left, right, values, at, width):
+    """values[at + m · width + n] += Σ_s left[m, s] right[s, n], an even number of n."""
+    for m in range(left.shape[0]):
+        row = at + m * width
+        for n in range(0, right.shape[1], 2):
+            even, odd = load(values, row + n), load(values, row + n + 1)
+            for s in range(left.shape[1]):
+                factor = load(left, m, s)
+                even += factor * load(right, s, n)
+                odd += factor * load(right, s, n + 1)
+            store(even, values, row + n)
+            store(odd, values, row + n + 1)
 
-    x, v, Z: (2, local, TILE).
+
+@kernel
+def force_jacobian(work, L, topology, c, matrix, columns):
+    """Fill matrix (size, TILE) and columns (2n, 8, TILE) at local work.x, work.v, work.z.
+
     L: (2, 2, TILE) velocity gradient that velocities follow; zero, with v = 0, for the elastic
-    Hessian, whose negative `jacobian` then is. `columns` may have no rows: not wanted.
+    Hessian, whose negative `matrix` then is. `columns` may have no rows: not wanted.
     """
-    clear(jacobian)
+    matrix[:] = 0.0
     columns[:] = 0.0
-    _add_central(x, v, L, Z, topology.bonds, True, topology, c, jacobian, columns)
-    _add_central(x, v, L, Z, topology.contacts, False, topology, c, jacobian, columns)
-    _add_fluid(x, v, L, Z, topology, c, jacobian, columns)
+    _add_central(work, L, topology.bonds, True, topology, c, matrix, columns)
+    _add_central(work, L, topology.contacts, False, topology, c, matrix, columns)
+    fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
+    for cell in range(topology.fluid_start.shape[0] - 1):
+        _add_fluid(cell, work, L, topology, c, matrix, columns)

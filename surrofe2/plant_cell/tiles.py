@@ -15,10 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.block_pattern import Pattern
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.block_pattern import Pattern, make_pattern
 from surrofe2.plant_cell.pair_lists import Patch
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.simd import TILE
+
+Reals = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 
 class Constants(NamedTuple):
@@ -37,47 +41,77 @@ class Constants(NamedTuple):
 
 
 class Topology(NamedTuple):
-    """Pair lists of a `Patch` for kernels; its matrices are dense.
+    """Pair lists of a `Patch`.
 
     fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid and pairs begin.
     """
 
-    bonds: NDArray[np.int32]
-    contacts: NDArray[np.int32]
-    fluid_pairs: NDArray[np.int32]
-    owner: NDArray[np.int32]
-    image_offset: NDArray[np.float64]
+    bonds: Ints
+    contacts: Ints
+    fluid_pairs: Ints
+    owner: Ints
+    image_offset: Reals
     particles: int
     walls: int
-    fluid_start: NDArray[np.int32]
-    fluid_pair_start: NDArray[np.int32]
+    fluid_start: Ints
+    fluid_pair_start: Ints
 
 
-class SparseTopology(NamedTuple):
-    """A `Topology` and the `Pattern` of its matrices in one: numba takes no tuple of tuples."""
+class RveTopology(NamedTuple):
+    """A `Topology`, its area and the `Pattern` of its matrices: numba takes no tuple of tuples.
 
-    bonds: NDArray[np.int32]
-    contacts: NDArray[np.int32]
-    fluid_pairs: NDArray[np.int32]
-    owner: NDArray[np.int32]
-    image_offset: NDArray[np.float64]
+    area: of the reference, µm².
+    """
+
+    bonds: Ints
+    contacts: Ints
+    fluid_pairs: Ints
+    owner: Ints
+    image_offset: Reals
     particles: int
     walls: int
-    fluid_start: NDArray[np.int32]
-    fluid_pair_start: NDArray[np.int32]
-    group: NDArray[np.int32]
-    place: NDArray[np.int32]
-    row_start: NDArray[np.int64]
-    first: NDArray[np.int32]
-    width: NDArray[np.int32]
-    offset: NDArray[np.int32]
-    start: NDArray[np.int64]
-    lower: NDArray[np.int32]
-    lower_start: NDArray[np.int32]
-    upper: NDArray[np.int32]
-    upper_start: NDArray[np.int32]
-    unknown: NDArray[np.int32]
+    fluid_start: Ints
+    fluid_pair_start: Ints
+    area: float
+    group: Ints
+    column: Ints
+    first: Ints
+    width: Ints
+    start: Ints
+    offset: Ints
+    lower: Ints
+    lower_start: Ints
+    upper: Ints
+    upper_start: Ints
     size: int
+
+
+class Workspace(NamedTuple):
+    """Scratch of one tile: local material positions z, x, v, f (2, local, TILE), and its fluid.
+
+    slope: (pairs, TILE) W′/|r| of fluid pairs; volume: (fluid, TILE) 1/ρ.
+    """
+
+    z: Reals
+    x: Reals
+    v: Reals
+    f: Reals
+    slope: Reals
+    volume: Reals
+
+
+@kernel
+def make_workspace(topology):
+    """Uninitialised scratch for one tile."""
+    local = topology.particles + topology.owner.shape[0]
+    return Workspace(
+        np.empty((2, local, TILE)),
+        np.empty((2, local, TILE)),
+        np.empty((2, local, TILE)),
+        np.empty((2, local, TILE)),
+        np.empty((topology.fluid_pairs.shape[0], TILE)),
+        np.empty((topology.particles - topology.walls, TILE)),
+    )
 
 
 def make_constants(cell: CellParameters, rest_length: float) -> Constants:
@@ -97,25 +131,24 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
     )
 
 
-def make_topology(patch: Patch) -> Topology:
-    """Kernel form of a patch, with dense matrices."""
+def make_topology(patch: Patch, pattern: Pattern | None = None) -> RveTopology:
+    """Kernel form of a patch; matrices are dense, one group of all particles, unless it is said."""
     counts = np.diff(patch.fluid_start).astype(np.int64)
-    return Topology(
-        bonds=patch.bonds,
-        contacts=patch.contacts,
-        fluid_pairs=patch.fluid_pairs,
-        owner=patch.owner,
-        image_offset=np.ascontiguousarray(patch.shift @ patch.lattice.T),
+    contiguous = np.ascontiguousarray  # kernels are compiled for one layout
+    lists = Topology(
+        bonds=contiguous(patch.bonds),
+        contacts=contiguous(patch.contacts),
+        fluid_pairs=contiguous(patch.fluid_pairs),
+        owner=contiguous(patch.owner),
+        image_offset=contiguous(patch.shift @ patch.lattice.T),
         particles=patch.particles,
         walls=patch.walls,
-        fluid_start=patch.fluid_start,
+        fluid_start=contiguous(patch.fluid_start),
         fluid_pair_start=np.append(0, np.cumsum(counts * (counts - 1) // 2)).astype(np.int32),
     )
-
-
-def make_sparse(topology: Topology, pattern: Pattern) -> SparseTopology:
-    """The same with sparse matrices."""
-    return SparseTopology(**topology._asdict(), **pattern._asdict())
+    if pattern is None:
+        pattern = make_pattern(np.zeros(patch.particles, dtype=np.int32), [])
+    return RveTopology(**lists._asdict(), area=patch.area, **pattern._asdict())
 
 
 def tiles_for(points: int) -> int:

@@ -7,64 +7,62 @@ and Q = 0 in (71), and the corner is shifted back to the origin at rest.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.rve.particle_state import (
-    copy_particles,
-    keep_lane,
-    make_workspace,
-    measure,
-)
+from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.rve.particle_state import answer_of, copy_particles, drive_of, keep_lane, measure
 from surrofe2.simd import TILE, load, store
 
 
-@parallel_kernel
-def iterate(F, rate, x, v, mass, topology, c, area, dt, stop, limit, stress, residual, iterations):
-    """Iterate x, v (tiles, 2, own, TILE) in place until the mean force is below `stop` (µN).
+class Stepping(NamedTuple):
+    """Euler steps of dt, µs, until the mean force is below `stop`, µN, at most `limit`."""
 
-    iterations (tiles, TILE): Euler steps taken, or −1 where `limit` was reached; residual
-    (tiles, 1, TILE): mean force at the end.
-    """
+    dt: float
+    stop: float
+    limit: int
+
+
+@parallel_kernel
+def iterate(drive, x, v, mass, topology, c, stepping, answer):
+    """Iterate x, v (tiles, 2, own, TILE) in place; iterations: Euler steps, −1 at the limit."""
     for t in numba.prange(x.shape[0]):
-        iterate_tile(
-            F[t], rate[t], x[t], v[t], mass, topology, c, area, dt, stop, limit, stress[t],
-            residual[t], iterations[t],
-        )  # fmt: skip
+        iterate_tile(t, drive, x, v, mass, topology, c, stepping, answer)
 
 
 @kernel
-def iterate_tile(
-    F, rate, x_own, v_own, mass, topology, c, area, dt, stop, limit, stress, residual, iterations
-):
-    """`iterate` for one tile, arrays without their first axis."""
-    own = topology.particles
+def iterate_tile(t, drives, positions, velocities, mass, topology, c, stepping, answers):
+    """`iterate` for tile t."""
+    drive, x, v, answer = drive_of(drives, t), positions[t], velocities[t], answer_of(answers, t)
+    F, rate, dt, stop = drive.F, drive.rate, stepping.dt, stepping.stop
     work = make_workspace(topology)
     sigma, mean = np.empty((2, 2, TILE)), np.empty((1, TILE))
     rescale = _rescaling(F, rate, dt)
-    copy_particles(x_own, work.x)
-    copy_particles(v_own, work.v)
+    copy_particles(x, work.x)
+    copy_particles(v, work.v)
     done = np.zeros(TILE, dtype=np.bool_)
-    for count in range(limit + 1):
+    for count in range(stepping.limit + 1):
         _set_moving_images(F, rate, work.x, work.v, topology)
-        measure(work, F, topology, c, area, sigma, mean)
+        measure(work, F, topology, c, sigma, mean)
         open_lanes = 0
         for k in range(TILE):
             if done[k]:
                 continue
-            if mean[0, k] < stop or not mean[0, k] < np.inf or count == limit:
+            if mean[0, k] < stop or not mean[0, k] < np.inf or count == stepping.limit:
                 done[k] = True
-                iterations[k] = count if mean[0, k] < stop else -1
-                residual[0, k] = mean[0, k]
-                keep_lane(sigma, k, stress)
-                keep_lane(work.x, k, x_own)
-                keep_lane(work.v, k, v_own)
+                answer.iterations[k] = count if mean[0, k] < stop else -1
+                answer.residual[0, k] = mean[0, k]
+                keep_lane(sigma, k, answer.stress)
+                keep_lane(work.x, k, x)
+                keep_lane(work.v, k, v)
             else:
                 open_lanes += 1
         if open_lanes == 0:
             break
-        _euler_step(work, mass, rescale, own, dt)
+        _euler_step(work, mass, rescale, topology.particles, dt)
 
 
 @kernel

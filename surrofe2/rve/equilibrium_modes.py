@@ -15,29 +15,20 @@ import numpy as np
 
 from surrofe2.compilation import kernel
 from surrofe2.plant_cell.force_derivatives import add_stiffness_rates
-from surrofe2.rve.linear_columns import COLUMNS
-from surrofe2.rve.newton import move, set_jacobian
+from surrofe2.rve.block_lu import COLUMNS, factorise, solve_columns, solved_columns
+from surrofe2.rve.newton import move, set_elastic_jacobian
 from surrofe2.rve.particle_state import map_affine
-from surrofe2.rve.system_solves import solve_columns
-from surrofe2.rve.systems import factorise_elastic
 from surrofe2.simd import TILE, load, store
 
 
 @kernel
 def equilibrium_modes(work, F, topology, c, matrices):
     """modes (4, 2, own, TILE) = ∂z_el/∂F_m; leaves the factorised elastic Jacobian behind."""
-    own = topology.particles
     map_affine(F, work.z, work.x)
-    work.v[:] = 0.0
-    still = np.zeros((2, 2, TILE))
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    factorise_elastic(matrices, topology)
-    steps = np.empty((COLUMNS, 2 * own - 2, TILE))
-    modes = np.zeros((COLUMNS, 2, own, TILE))
-    for m in range(COLUMNS):
-        for i in range(2 * own - 2):
-            store(-load(matrices.columns, i + 2, m), steps, m, i)
-    solve_columns(matrices.free, steps, topology)
+    set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.columns)
+    factorise(matrices.matrix, topology, True)
+    steps = solved_columns(matrices, 0, topology)
+    modes = np.zeros((COLUMNS, 2, topology.particles, TILE))
     for m in range(COLUMNS):
         move(steps[m], F, modes[m])
     return modes
@@ -72,11 +63,10 @@ def set_velocities(z, y, F, rate, topology, v):
 def unit_velocities(z, modes, F, topology):
     """V (4, 2, local, TILE) = ∂x_el/∂F_m, images included."""
     velocities = np.empty((COLUMNS, 2, z.shape[1], TILE))
-    unit = np.zeros((2, 2, TILE))
+    unit = np.zeros((COLUMNS, 2, 2, TILE))
     for m in range(COLUMNS):
-        unit[:] = 0.0
-        unit[m // 2, m % 2] = 1.0
-        set_velocities(z, modes[m], F, unit, topology, velocities[m])
+        unit[m, m // 2, m % 2] = 1.0
+        set_velocities(z, modes[m], F, unit[m], topology, velocities[m])
     return velocities
 
 
@@ -84,10 +74,10 @@ def unit_velocities(z, modes, F, topology):
 def velocity_slopes(work, units, topology, c, lu):
     """(4, 2, local, TILE) = ∂v/∂F_m at work.x of v = Σ Ḟ_n V_n in work.v; lu of K."""
     slopes, rates = np.zeros_like(units), np.zeros_like(units)
-    add_stiffness_rates(work.x, work.v, units, rates, topology, c, work.slope, work.volume)
+    add_stiffness_rates(work, units, rates, topology, c)
     steps = np.empty((COLUMNS, 2 * topology.particles - 2, TILE))
     fold_columns(rates, topology, steps)
-    solve_columns(lu, steps, topology)
+    solve_columns(lu, steps, topology, False)
     subtract_columns(steps, topology, slopes)
     return slopes
 

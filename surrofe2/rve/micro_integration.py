@@ -15,17 +15,12 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.plant_cell.forces import fold_images
-from surrofe2.plant_cell.tiles import pack
-from surrofe2.rve.particle_state import (
-    cauchy_stress,
-    local_forces,
-    make_workspace,
-    map_affine,
-)
+from surrofe2.plant_cell.forces import fold_images, local_forces
+from surrofe2.plant_cell.tiles import make_workspace, pack
+from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine, place
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.solve import covered_by
-from surrofe2.simd import TILE
+from surrofe2.simd import TILE, load, store
 
 Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]
@@ -53,13 +48,12 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
     if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not micro_step > 0.0:
         raise InputError("micro-integration: times must increase and micro_step be positive")
     unit = law.unit_cell
-    start = RveLaw(law.cell, initialisation="elastic").respond(
-        path(times[0])[0][None], np.zeros((1, 2, 2))
-    )
+    X, mass, pairs = law.rest_state(1).z[0], unit.patches[0].mass, unit.topologies[-1]
     F, F_dot = path(times[0])
-    z = start.state.z[0]
-    u = np.einsum("ab,bpl->apl", F, z - unit.position.T[..., None])
-    w = np.einsum("ab,bpl->apl", F_dot, z - unit.position.T[..., None])
+    elastic = RveLaw(law.cell, initialisation="elastic", reference=law.reference)
+    z = elastic.respond(F[None], np.zeros((1, 2, 2))).state.z[0]
+    u = np.einsum("ab,bpl->apl", F, z - X)
+    w = np.einsum("ab,bpl->apl", F_dot, z - X)
     stresses = [_stress(law, u, w, F, F_dot)]
     for begin, end in pairwise(times):
         steps = int(np.ceil((end - begin) / micro_step))
@@ -68,11 +62,8 @@ def integrate_rve(law: RveLaw, path: Path, times: Array, micro_step: float = 1e-
             count = min(_CHUNK, steps - first)
             halves = begin + dt * (first + 0.5 * np.arange(2 * count + 1))
             frames = [path(float(t)) for t in halves]
-            _integrate(
-                u, w, _lanes([f[0] for f in frames]), _lanes([f[1] for f in frames]), dt,
-                np.ascontiguousarray(unit.position.T), unit.patches[0].mass,
-                unit.topologies[-1], unit.constants,
-            )  # fmt: skip
+            drive = Drive(_lanes([f[0] for f in frames]), _lanes([f[1] for f in frames]))
+            _integrate(u, w, drive, dt, X, mass, pairs, unit.constants)
         if not np.isfinite(u).all():
             raise SimulationError(
                 f"micro-integration: particles flew apart before t = {end} µs; take a shorter "
@@ -88,73 +79,61 @@ def _lanes(tensors: list[Array]) -> Array:
 
 
 def _stress(law: RveLaw, u: Array, w: Array, F: Array, F_dot: Array) -> Array:
-    unit = law.unit_cell
+    unit, X, drive = law.unit_cell, law.rest_state(1).z[0], Drive(*_lanes([F, F_dot]))
     stress = np.empty((2, 2, TILE))
-    tensors = _lanes([F, F_dot])
-    X = np.ascontiguousarray(unit.position.T)
-    _stress_of(
-        u, w, tensors[0], tensors[1], X, unit.topologies[-1], unit.constants, unit.area, stress
-    )
-    z = X[..., None] + np.einsum("ab,bpl->apl", np.linalg.inv(F), u)
-    covered = covered_by(unit, -1, pack(F[None]), z[None])
-    if not covered.all():
+    _stress_of(u, w, drive, X, unit.topologies[-1], unit.constants, stress)
+    z = X + np.einsum("ab,bpl->apl", np.linalg.inv(F), u)
+    if not covered_by(unit, -1, pack(F[None]), z[None]).all():
         raise SimulationError("micro-integration: particles moved beyond the pair lists")
     return stress[..., 0].copy()
 
 
 @kernel
-def _place(u, w, F, rate, X, topology, work):
-    """Local x = F Z + u and v = Ḟ Z + w, Z the reference with images."""
+def _place(u, w, drive, X, topology, work):
+    """Local x = F X + u and v = Ḟ X + w; images move as their owners do."""
     own = topology.particles
+    place(work, X, drive.F, topology)
+    map_affine(drive.rate, work.z, work.v)
     for i in range(work.z.shape[1]):
         k = i if i < own else topology.owner[i - own]
         for axis in range(2):
-            offset = 0.0 if i < own else topology.image_offset[i - own, axis]
-            for lane in range(TILE):
-                work.z[axis, i, lane] = X[axis, k] + offset
-    map_affine(F, work.z, work.x)
-    map_affine(rate, work.z, work.v)
-    for i in range(work.z.shape[1]):
-        k = i if i < own else topology.owner[i - own]
-        for axis in range(2):
-            for lane in range(TILE):
-                work.x[axis, i, lane] += u[axis, k, lane]
-                work.v[axis, i, lane] += w[axis, k, lane]
+            store(load(work.x, axis, i) + load(u, axis, k), work.x, axis, i)
+            store(load(work.v, axis, i) + load(w, axis, k), work.v, axis, i)
 
 
 @kernel
-def _stress_of(u, w, F, rate, X, topology, c, area, stress):
+def _stress_of(u, w, drive, X, topology, c, stress):
     work = make_workspace(topology)
-    _place(u, w, F, rate, X, topology, work)
+    _place(u, w, drive, X, topology, work)
     local_forces(work, topology, c)
-    cauchy_stress(work.x, work.f, F, area, stress)
+    cauchy_stress(work.x, work.f, drive.F, topology.area, stress)
 
 
 @kernel
-def _accelerations(u, w, F, rate, X, mass, topology, c, work, a):
-    _place(u, w, F, rate, X, topology, work)
+def _accelerations(u, w, drive, X, mass, topology, c, work, a):
+    _place(u, w, drive, X, topology, work)
     local_forces(work, topology, c)
     fold_images(work.f, topology)
     for i in range(topology.particles):
         for axis in range(2):
-            for lane in range(TILE):
-                a[axis, i, lane] = work.f[axis, i, lane] / mass[i]
+            store(load(work.f, axis, i) / mass[i], a, axis, i)
 
 
 @kernel
-def _integrate(u, w, F, rate, dt, X, mass, topology, c):
+def _integrate(u, w, drive, dt, X, mass, topology, c):
     """Classical Runge–Kutta steps of u¹ and u̇¹; F and rate at every half step."""
     work = make_workspace(topology)
     a1, a2, a3, a4 = np.empty_like(u), np.empty_like(u), np.empty_like(u), np.empty_like(u)
     half = 0.5 * dt
-    for step in range((F.shape[0] - 1) // 2):
-        k = 2 * step
-        _accelerations(u, w, F[k], rate[k], X, mass, topology, c, work, a1)
+    for step in range((drive.F.shape[0] - 1) // 2):
+        first, middle = drive_of(drive, 2 * step), drive_of(drive, 2 * step + 1)
+        last = drive_of(drive, 2 * step + 2)
+        _accelerations(u, w, first, X, mass, topology, c, work, a1)
         w2 = w + half * a1
-        _accelerations(u + half * w, w2, F[k + 1], rate[k + 1], X, mass, topology, c, work, a2)
+        _accelerations(u + half * w, w2, middle, X, mass, topology, c, work, a2)
         w3 = w + half * a2
-        _accelerations(u + half * w2, w3, F[k + 1], rate[k + 1], X, mass, topology, c, work, a3)
+        _accelerations(u + half * w2, w3, middle, X, mass, topology, c, work, a3)
         w4 = w + dt * a3
-        _accelerations(u + dt * w3, w4, F[k + 2], rate[k + 2], X, mass, topology, c, work, a4)
+        _accelerations(u + dt * w3, w4, last, X, mass, topology, c, work, a4)
         u += dt / 6.0 * (w + 2.0 * w2 + 2.0 * w3 + w4)
         w += dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)

@@ -9,7 +9,7 @@ iterations (TILE,) 0 marks a lane still under way, −1 one that was given up.
 
 Kept per point, besides material positions z at (F, Ḟ): the LU factors of the force Jacobian in
 single precision (they only precondition; the residual is double), and the slopes ∂z/∂(F, Ḟ)
-(they only predict), both taken at the last factorisation, see `factors`.
+(they only predict), both taken at the last factorisation, see `rve_state`.
 """
 
 from __future__ import annotations
@@ -22,37 +22,48 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.plant_cell.tiles import Constants
-from surrofe2.rve.factors import Factors
+from surrofe2.plant_cell.tiles import Constants, RveTopology, make_workspace
+from surrofe2.rve.block_lu import (
+    COLUMNS,
+    factorise,
+    has_negative_pivots,
+    make_matrices,
+    solve,
+    solved_columns,
+)
 from surrofe2.rve.particle_state import (
+    Drive,
+    answer_of,
     copy_particles,
+    drive_of,
+    empty_answer,
     evaluate,
     keep_lane,
-    make_workspace,
     map_affine,
     measure,
     place_images,
     set_images,
 )
-from surrofe2.rve.system_solves import solve
-from surrofe2.rve.systems import (
-    AnyTopology,
-    check_definite,
-    factorise_free,
-    keep_factors,
-    kept_factors,
-    make_matrices,
-)
+from surrofe2.rve.rve_state import Factors, keep_factors, kept_factors
 from surrofe2.simd import TILE, load, store
 
-NEWTON_LIMIT = 40
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+CHORD_LIMIT, NEWTON_LIMIT = 10, 40
+CONTRACTION = 0.5
+"""`chord` gives a point up where the mean force does not fall by this factor."""
 LONGEST_STEP = 0.4
 """Longest Newton step of a particle, µm; contacts stiffen over r/7."""
 
+SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
+"""What `newton` does with a tile; each does what the one before does, too."""
+
 
 @kernel
-def predict(z, F, rate, at_F, at_rate, slopes, there):
-    """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`."""
+def predict(z, drive, before, slopes, there):
+    """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`, z known at `before`."""
+    F, rate, at_F, at_rate = drive.F, drive.rate, before.F, before.rate
     f0, f1 = load(F, 0, 0) - load(at_F, 0, 0), load(F, 0, 1) - load(at_F, 0, 1)
     f2, f3 = load(F, 1, 0) - load(at_F, 1, 0), load(F, 1, 1) - load(at_F, 1, 1)
     r0, r1 = load(rate, 0, 0) - load(at_rate, 0, 0), load(rate, 0, 1) - load(at_rate, 0, 1)
@@ -140,195 +151,181 @@ def limit_step(step):
 
 
 @kernel
-def set_jacobian(work, F, rate, topology, c, jacobian, columns):
+def set_jacobian(work, drive, topology, c, matrix, columns):
     """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
-    L = np.empty((2, 2, TILE))
+    F, rate, L = drive.F, drive.rate, np.empty((2, 2, TILE))
     xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
     per_det = 1.0 / (xx * yy - xy * yx)
     for i in range(2):
         rx, ry = load(rate, i, 0), load(rate, i, 1)
         store((rx * yy - ry * yx) * per_det, L, i, 0)
         store((ry * xx - rx * xy) * per_det, L, i, 1)
-    force_jacobian(work.x, work.v, L, work.z, topology, c, jacobian, columns)
+    force_jacobian(work, L, topology, c, matrix, columns)
 
 
 @kernel
-def newton_loop(
-    work, matrices, F, rate, is_affine, topology, c, area, tolerance, stress, iterations
-):
+def set_elastic_jacobian(work, F, topology, c, matrix, columns):
+    """The Jacobian at local z, x with dashpots off; work.v becomes zero."""
+    work.v[:] = 0.0
+    set_jacobian(work, Drive(F, np.zeros((2, 2, TILE))), topology, c, matrix, columns)
+
+
+@kernel
+def newton_loop(work, matrices, drive, is_affine, topology, c, tolerance, answer):
     """Newton's method with limited steps from work.z, in lanes with iterations ≤ 0.
 
-    Velocities are rate z if `is_affine`, else what work.v holds; then rate is 0.
+    Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
     """
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    before = np.empty(TILE)
+    before, iterations = np.full(TILE, np.inf), answer.iterations
     for k in range(TILE):
-        before[k], iterations[k] = np.inf, max(iterations[k], 0)
+        iterations[k] = max(iterations[k], 0)
     for count in range(1, NEWTON_LIMIT + 1):
-        place_images(work, F, topology)
+        place_images(work, drive.F, topology)
         if is_affine:
-            map_affine(rate, work.z, work.v)
-        measure(work, F, topology, c, area, sigma, residual)
+            map_affine(drive.rate, work.z, work.v)
+        measure(work, drive.F, topology, c, sigma, residual)
         left = settle(
-            residual, before, np.inf, tolerance, count, NEWTON_LIMIT, sigma, stress, iterations
-        )
+            residual, before, np.inf, tolerance, count, NEWTON_LIMIT, sigma, answer.stress,
+            iterations,
+        )  # fmt: skip
         if left == 0:
             break
-        set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.no_columns)
-        factorise_free(matrices, topology)
+        set_jacobian(work, drive, topology, c, matrices.matrix, matrices.no_columns)
+        factorise(matrices.matrix, topology, False)
         set_residual(work.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
+        solve(matrices.matrix, matrices.step, topology)
         limit_step(matrices.step)
         hold(matrices.step, iterations)
-        move(matrices.step, F, work.z)
-
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
-CHORD_LIMIT = 10
-CONTRACTION = 0.5
-"""`chord` gives a point up where the mean force does not fall by this factor."""
-
-SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
-"""What `newton` does with a tile; each does what the one before does, too."""
+        move(matrices.step, drive.F, work.z)
 
 
 @parallel_kernel
-def chord(F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stress, iterations):
-    """Solve from z, known at (at_F, at_rate), in place; all (tiles, …, TILE).
+def chord(drive, z, before, factors, topology, c, tolerance, answer):
+    """Solve in place from z (tiles, 2, n, TILE), known at `before`, where iterations are 0.
 
     factors (tiles,): addresses of the kept factors, which are read only.
-    iterations (tiles, TILE): 0 where to solve, −1 where not; becomes the number of force
-    evaluations used, or −1 where the point did not converge.
     """
     for t in numba.prange(z.shape[0]):
-        chord_tile(
-            F[t], rate[t], z[t], at_F[t], at_rate[t], factors[t], topology, c, area, tolerance,
-            stress[t], iterations[t],
-        )  # fmt: skip
+        chord_tile(t, drive, z, before, factors, topology, c, tolerance, answer)
 
 
 @kernel
-def chord_tile(
-    F, rate, z, at_F, at_rate, factors, topology, c, area, tolerance, stress, iterations
-):
-    """`chord` for one tile, arrays without their first axis."""
+def chord_tile(t, drives, tiles, at, factors, topology, c, tolerance, answers):
+    """`chord` for tile t."""
+    drive, z, answer = drive_of(drives, t), tiles[t], answer_of(answers, t)
+    iterations = answer.iterations
     if iterations.max() < 0:
         return
     work, free = make_workspace(topology), 2 * topology.particles - 2
-    lu, slopes = kept_factors(factors, topology)
+    lu, slopes = kept_factors(factors[t], topology)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     before, step = np.full(TILE, np.inf), np.empty((free, TILE))
-    predict(z, F, rate, at_F, at_rate, slopes, work.z)
+    predict(z, drive, drive_of(at, t), slopes, work.z)
     for count in range(1, CHORD_LIMIT + 1):
-        evaluate(work, F, rate, topology, c, area, sigma, residual)
+        evaluate(work, drive, topology, c, sigma, residual)
         left = settle(
-            residual, before, CONTRACTION, tolerance, count, CHORD_LIMIT, sigma, stress, iterations
-        )
+            residual, before, CONTRACTION, tolerance, count, CHORD_LIMIT, sigma, answer.stress,
+            iterations,
+        )  # fmt: skip
         if left == 0:
             break
-        correct(lu, work.f, step, iterations, F, work.z, topology)
+        correct(lu, work.f, step, iterations, drive.F, work.z, topology)
     for k in range(TILE):
         if iterations[k] > 0:
             keep_lane(work.z, k, z)
 
 
 @parallel_kernel
-def newton(F, rate, z, factors, task, topology, c, area, tolerance, stress, iterations, stable):
+def newton(drive, z, factors, task, topology, c, tolerance, answer):
     """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
 
-    - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0, which becomes
-      the number of force evaluations, or −1.
+    - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
     - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
-    - CHECK: stable (tiles, TILE), whether the elastic Hessian at z, dashpots off, is positive
-      definite.
+    - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
     """
     for t in numba.prange(z.shape[0]):
-        newton_tile(
-            F[t], rate[t], z[t], factors[t], task[t], topology, c, area, tolerance, stress[t],
-            iterations[t], stable[t],
-        )  # fmt: skip
+        newton_tile(t, drive, z, factors, task, topology, c, tolerance, answer)
+
+
+@kernel
+def newton_tile(t, drives, tiles, factors, task, topology, c, tolerance, answers):
+    """`newton` for tile t."""
+    if task[t] == SKIP:
+        return
+    drive, z, answer = drive_of(drives, t), tiles[t], answer_of(answers, t)
+    work, matrices = make_workspace(topology), make_matrices(topology)
+    copy_particles(z, work.z)
+    if task[t] >= SOLVE:
+        newton_loop(work, matrices, drive, True, topology, c, tolerance, answer)
+        copy_particles(work.z, z)
+    set_images(work.z, topology)
+    if task[t] >= RENEW:
+        lu, slopes = kept_factors(factors[t], topology)
+        _refactorise(work, matrices, drive, topology, c, lu, slopes)
+    check_stable(work, matrices, drive.F, topology, c, answer.stable)
 
 
 def solve_tiles(kernel: Any, *arguments: Any) -> None:
     """`chord` or `newton`; a single tile without threads, which take longer to start."""
-    if len(arguments[0]) > 1:
+    if len(arguments[1]) > 1:
         kernel(*arguments)
     else:
-        one = chord_tile if kernel is chord else newton_tile
-        one(*(part[0] if isinstance(part, np.ndarray) else part for part in arguments))
+        (chord_tile if kernel is chord else newton_tile)(0, *arguments)
 
 
 def renew(
-    F: Array, rate: Array, z: Array, factors: Factors, wanted: Flags, topology: AnyTopology,
-    c: Constants, stable: Flags,
-) -> None:  # fmt: skip
-    """Check stability of every tile; write the factors of the `wanted` (tiles,) ones."""
-    nothing = np.empty((len(z), 2, 2, TILE)), np.empty((len(z), TILE), dtype=np.int32)
+    drive: Drive, z: Array, factors: Factors, wanted: Flags, topology: RveTopology, c: Constants
+) -> Flags:
+    """Write the factors of the `wanted` (tiles,) tiles; (tiles, TILE) whether z is stable."""
+    answer = empty_answer(len(z))
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
-    solve_tiles(newton, F, rate, z, factors.address, task, topology, c, 1.0, 0.0, *nothing, stable)
+    solve_tiles(newton, drive, z, factors.address, task, topology, c, 0.0, answer)
+    return answer.stable
 
 
 @kernel
-def newton_tile(
-    F, rate, z, factors, task, topology, c, area, tolerance, stress, iterations, stable
-):
-    """`newton` for one tile, arrays without their first axis."""
-    if task == SKIP:
-        return
-    work, matrices = make_workspace(topology), make_matrices(topology)
-    copy_particles(z, work.z)
-    if task >= SOLVE:
-        newton_loop(work, matrices, F, rate, True, topology, c, area, tolerance, stress, iterations)
-        copy_particles(work.z, z)
-    set_images(work.z, topology)
-    if task >= RENEW:
-        lu, slopes = kept_factors(factors, topology)
-        _refactorise(work, matrices, F, rate, topology, c, lu, slopes)
-    check_stable(work, matrices, F, topology, c, stable)
-
-
-@kernel
-def _refactorise(work, matrices, F, rate, topology, c, lu, slopes):
+def _refactorise(work, matrices, drive, topology, c, lu, slopes):
     """Fill lu and slopes of a tile at work.z, images set."""
-    map_affine(F, work.z, work.x)
-    map_affine(rate, work.z, work.v)
-    set_jacobian(work, F, rate, topology, c, matrices.jacobian, matrices.columns)
-    factorise_free(matrices, topology)
-    keep_factors(matrices.free, lu, topology)
-    step = matrices.step
+    map_affine(drive.F, work.z, work.x)
+    map_affine(drive.rate, work.z, work.v)
+    set_jacobian(work, drive, topology, c, matrices.matrix, matrices.columns)
+    factorise(matrices.matrix, topology, False)
+    keep_factors(matrices.matrix, lu)
+    for first in (0, COLUMNS):
+        keep_slopes(solved_columns(matrices, first, topology), drive.F, slopes, first)
+
+
+@kernel
+def keep_slopes(steps, F, slopes, first):
+    """slopes[:, first:first + 4] = F⁻¹ steps, of four steps (4, free, TILE)."""
     xx, xy, yx, yy = load(F, 0, 0), load(F, 0, 1), load(F, 1, 0), load(F, 1, 1)
     per_det = 1.0 / (xx * yy - xy * yx)
-    for m in range(8):
-        for i in range(step.shape[0]):
-            store(-load(matrices.columns, i + 2, m), step, i)
-        solve(matrices.free, step, topology)
-        for i in range(0, step.shape[0], 2):
-            dx, dy = load(step, i), load(step, i + 1)
-            store((yy * dx - xy * dy) * per_det, slopes, i, m)
-            store((xx * dy - yx * dx) * per_det, slopes, i + 1, m)
+    for m in range(COLUMNS):
+        for i in range(0, steps.shape[1], 2):
+            dx, dy = load(steps, m, i), load(steps, m, i + 1)
+            store((yy * dx - xy * dy) * per_det, slopes, i, first + m)
+            store((xx * dy - yx * dx) * per_det, slopes, i + 1, first + m)
 
 
 @kernel
 def check_stable(work, matrices, F, topology, c, stable):
     """stable (TILE,): whether the elastic Hessian at work.z is positive definite."""
     map_affine(F, work.z, work.x)
-    work.v[:] = 0.0
-    still = np.zeros((2, 2, TILE))
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    check_definite(matrices, topology, stable)
+    set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.no_columns)
+    factorise(matrices.matrix, topology, True)
+    has_negative_pivots(matrices.matrix, topology, stable)
 
 
 @parallel_kernel
-def stress_at(F, rate, z, topology, c, area, stress, residual):
-    """Stress and mean force (tiles, 1, TILE) at given z with affine velocities, all tiles."""
+def stress_at(drive, z, topology, c, answer):
+    """Stress and mean force at given z with affine velocities, all tiles."""
     for t in numba.prange(z.shape[0]):
-        _stress_tile(F[t], rate[t], z[t], topology, c, area, stress[t], residual[t])
+        _stress_tile(t, drive, z, topology, c, answer)
 
 
 @kernel
-def _stress_tile(F, rate, z, topology, c, area, stress, residual):
+def _stress_tile(t, drive, z, topology, c, answer):
     work = make_workspace(topology)
-    copy_particles(z, work.z)
-    evaluate(work, F, rate, topology, c, area, stress, residual)
+    copy_particles(z[t], work.z)
+    evaluate(work, drive_of(drive, t), topology, c, answer.stress[t], answer.residual[t])

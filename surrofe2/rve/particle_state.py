@@ -1,4 +1,4 @@
-"""Evaluating the particles of RVEs that follow (F, Ḟ): forces, residual, stress.
+"""Particles of RVEs that follow (F, Ḟ): positions, forces, residual, stress, reach of pair lists.
 
 Unknowns are material positions z, so that x = F z moves along with F, and velocities v = Ḟ z are
 affine: v = L x. z of particle 0, a wall corner, stays at the origin.
@@ -8,37 +8,59 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
-from surrofe2.plant_cell.forces import add_forces, fold_images
+from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
+from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.simd import TILE, load, root, spread, store
 
+Array = NDArray[np.float64]
 
-class Workspace(NamedTuple):
-    """Scratch of one tile: local material positions z, x, v, f (2, local, TILE), and fluid."""
 
-    z: NDArray[np.float64]
-    x: NDArray[np.float64]
-    v: NDArray[np.float64]
-    f: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    volume: NDArray[np.float64]
+class Drive(NamedTuple):
+    """F and Ḟ (the rate that particles feel) of all tiles, (tiles, 2, 2, TILE)."""
+
+    F: Array
+    rate: Array
+
+
+class Answer(NamedTuple):
+    """What a solver says of all tiles.
+
+    stress: (tiles, 2, 2, TILE) µN/µm. residual: (tiles, 1, TILE) mean force, µN.
+    iterations: (tiles, TILE) evaluations of forces used; 0: to be solved, −1: not converged.
+    stable: (tiles, TILE) whether the elastic Hessian is positive definite.
+    """
+
+    stress: Array
+    residual: Array
+    iterations: NDArray[np.int32]
+    stable: NDArray[np.bool_]
+
+
+def empty_answer(tiles: int) -> Answer:
+    """Nothing solved, no stress, and all stable."""
+    return Answer(
+        stress=np.full((tiles, 2, 2, TILE), np.nan),
+        residual=np.empty((tiles, 1, TILE)),
+        iterations=np.zeros((tiles, TILE), dtype=np.int32),
+        stable=np.ones((tiles, TILE), dtype=np.bool_),
+    )
 
 
 @kernel
-def make_workspace(topology):
-    """Uninitialised scratch for one tile."""
-    local = topology.particles + topology.owner.shape[0]
-    return Workspace(
-        np.empty((2, local, TILE)),
-        np.empty((2, local, TILE)),
-        np.empty((2, local, TILE)),
-        np.empty((2, local, TILE)),
-        np.empty((topology.fluid_pairs.shape[0], TILE)),
-        np.empty((topology.particles - topology.walls, TILE)),
-    )
+def drive_of(drive, t):
+    """The `Drive` of tile t."""
+    return Drive(drive.F[t], drive.rate[t])
+
+
+@kernel
+def answer_of(answer, t):
+    """The `Answer` of tile t."""
+    return Answer(answer.stress[t], answer.residual[t], answer.iterations[t], answer.stable[t])
 
 
 @kernel
@@ -92,13 +114,6 @@ def place(work, z, F, topology):
 
 
 @kernel
-def local_forces(work, topology, c):
-    """Forces on own particles and, not yet folded, on images."""
-    work.f[:] = 0.0
-    add_forces(work.x, work.v, work.f, topology, c, work.slope, work.volume)
-
-
-@kernel
 def cauchy_stress(x, f, F, area, stress):
     """Virial stress (eq. 57b) from unfolded local forces: σ = −1/V Σ_k f_k ⊗ x_k, µN/µm.
 
@@ -132,25 +147,39 @@ def mean_force(f, own, residual):
 
 
 @kernel
-def measure(work, F, topology, c, area, stress, residual):
+def measure(work, F, topology, c, stress, residual):
     """Forces (folded), stress and mean force at work.x and work.v."""
     local_forces(work, topology, c)
-    cauchy_stress(work.x, work.f, F, area, stress)
+    cauchy_stress(work.x, work.f, F, topology.area, stress)
     fold_images(work.f, topology)
     mean_force(work.f, topology.particles, residual)
 
 
 @kernel
-def evaluate(work, F, rate, topology, c, area, stress, residual):
+def evaluate(work, drive, topology, c, stress, residual):
     """`measure` at work.z with affine velocities v = rate z."""
-    place_images(work, F, topology)
-    map_affine(rate, work.z, work.v)
-    measure(work, F, topology, c, area, stress, residual)
+    place_images(work, drive.F, topology)
+    map_affine(drive.rate, work.z, work.v)
+    measure(work, drive.F, topology, c, stress, residual)
+
+
+@parallel_kernel
+def energies(F, z, topology, c, energy):
+    """Elastic energy (tiles, 1, TILE) of every cell at z (tiles, 2, n, TILE), pJ."""
+    for t in numba.prange(z.shape[0]):
+        _energy_tile(F[t], z[t], topology, c, energy[t])
+
+
+@kernel
+def _energy_tile(F, z, topology, c, energy):
+    work = make_workspace(topology)
+    place(work, z, F, topology)
+    elastic_energy(work.x, topology, c, energy)
 
 
 @kernel
 def list_covers(F, z, reference, reach, cutoff, covered):
-    """covered (tiles, TILE): whether no pair beyond the list's reach can be within the cut-off.
+    """covered (tiles, TILE): whether no pair farther than `reach` can be within the cut-off.
 
     Unlisted pairs have |Z| > reach in the reference (n, 2). With particles at most d from there
     in material coordinates, |r| ≥ s_min(F) (reach − 2 d).
@@ -166,3 +195,19 @@ def list_covers(F, z, reference, reach, cutoff, covered):
             d, e = F[t, 1, 0, lane], F[t, 1, 1, lane]
             smallest = 0.5 * (np.hypot(a + e, b - d) - np.hypot(a - e, b + d))
             covered[t, lane] = smallest * (reach - 2.0 * np.sqrt(farthest)) >= cutoff
+
+
+@kernel
+def pairs_apart(F, z, pairs, offset, cutoff, apart):
+    """apart (tiles, TILE): whether all pairs i, j (k, 2) are; j is `offset` (k, 2) off."""
+    apart[:] = True
+    for t in range(z.shape[0]):
+        for k in range(pairs.shape[0]):
+            i, j = pairs[k, 0], pairs[k, 1]
+            for lane in range(TILE):
+                rx = z[t, 0, j, lane] + offset[k, 0] - z[t, 0, i, lane]
+                ry = z[t, 1, j, lane] + offset[k, 1] - z[t, 1, i, lane]
+                px = F[t, 0, 0, lane] * rx + F[t, 0, 1, lane] * ry
+                py = F[t, 1, 0, lane] * rx + F[t, 1, 1, lane] * ry
+                if px * px + py * py < cutoff * cutoff:
+                    apart[t, lane] = False

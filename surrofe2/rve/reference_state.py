@@ -17,26 +17,24 @@ import numpy as np
 import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to be settled
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
-from surrofe2.plant_cell.block_pattern import make_pattern
-from surrofe2.plant_cell.forces import elastic_energy
+from surrofe2.plant_cell.block_pattern import make_pattern, sparse_pays
 from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, interacting_groups, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import (
     Constants,
+    RveTopology,
     make_constants,
-    make_sparse,
     make_topology,
     pack,
     unpack,
 )
-from surrofe2.rve.constrained_runs import iterate_tile
+from surrofe2.rve.constrained_runs import Stepping, iterate_tile
 from surrofe2.rve.newton import SOLVE, newton, solve_tiles
-from surrofe2.rve.particle_state import map_affine, set_images
-from surrofe2.rve.systems import AnyTopology, empty_factors, sparse_pays
+from surrofe2.rve.particle_state import Drive, empty_answer, energies
+from surrofe2.rve.rve_state import Factors
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
@@ -79,13 +77,11 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
 
 def make_topologies(
     cell: CellParameters, patches: tuple[Patch, ...], *, sparse: bool | None = None
-) -> tuple[AnyTopology, ...]:
+) -> tuple[RveTopology, ...]:
     """Pair lists for kernels; matrices sparse where that pays, unless it is said."""
     pattern = make_pattern(*interacting_groups(make_arrangement(cell), patches[-1]))
-    dense = tuple(make_topology(patch) for patch in patches)
-    if sparse or (sparse is None and sparse_pays(pattern)):
-        return tuple(make_sparse(topology, pattern) for topology in dense)
-    return dense
+    in_groups = sparse or (sparse is None and sparse_pays(pattern))
+    return tuple(make_topology(patch, pattern if in_groups else None) for patch in patches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,32 +120,25 @@ def equilibria_in(
     patches = make_patches(cell, settled[0], lattice, WHOLE_CELLS)
     unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
     (topology,) = make_topologies(cell, patches)
-    return relax(topology, constants, patches[0].area, np.swapaxes(settled, 1, 2), unit)
+    return relax(topology, constants, np.swapaxes(settled, 1, 2), unit)
 
 
-def relax(
-    topology: AnyTopology, constants: Constants, area: float, starts: Array, F: Array
-) -> Equilibria:
+def relax(topology: RveTopology, constants: Constants, starts: Array, F: Array) -> Equilibria:
     """Elastic equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n)."""
     points = len(starts)
     z, tensors = pack(starts), pack(F)
-    tiles, factors = len(z), empty_factors(topology, len(z))
-    stress = np.full((tiles, 2, 2, TILE), np.nan)
-    iterations = np.zeros((tiles, TILE), dtype=np.int32)
-    stable, energy = np.zeros((tiles, TILE), dtype=np.bool_), np.empty((tiles, 1, TILE))
-    solve_tiles(
-        newton, tensors, np.zeros_like(tensors), z, factors.address,
-        np.full(tiles, SOLVE, dtype=np.int8), topology, constants, area, RELAXED, stress,
-        iterations, stable,
-    )  # fmt: skip
-    _energies(tensors, z, topology, constants, energy)
-    found = unpack(iterations, points) > 0
+    factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
+    drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(len(z), SOLVE, dtype=np.int8)
+    solve_tiles(newton, drive, z, factors.address, task, topology, constants, RELAXED, answer)
+    energy = np.empty((len(z), 1, TILE))
+    energies(tensors, z, topology, constants, energy)
+    found = unpack(answer.iterations, points) > 0
     return Equilibria(
         unpack(z, points),
-        unpack(stress, points),
+        unpack(answer.stress, points),
         np.where(found, unpack(energy, points)[:, 0], np.nan),
         found,
-        found & unpack(stable, points),
+        found & unpack(answer.stable, points),
     )
 
 
@@ -174,20 +163,17 @@ def _settled(cell: CellParameters, lattice: Array, constants: Constants, starts:
     patches = make_patches(cell, starts[0], lattice, WHOLE_CELLS)
     (topology,) = make_topologies(cell, patches)
     x = np.ascontiguousarray(np.moveaxis(pack(starts), 2, 1))
-    unit = np.ascontiguousarray(np.broadcast_to(np.eye(2)[..., None], (2, 2, TILE)))
-    residual, iterations = np.empty((len(x), 1, TILE)), np.empty((len(x), TILE), dtype=np.int32)
+    unit = pack(np.broadcast_to(np.eye(2), (len(starts), 2, 2)))
+    drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
+    stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
     for t in range(len(x)):
-        iterate_tile(
-            unit, np.zeros_like(unit), x[t], np.zeros_like(x[t]), patches[0].mass, topology,
-            constants, patches[0].area, _SETTLING_STEP, _SETTLED[cell.arrangement],
-            _SETTLING_LIMIT, np.empty_like(unit), residual[t], iterations[t],
-        )  # fmt: skip
-    rested = unpack(iterations, len(starts)) >= 0
+        iterate_tile(t, drive, x, v, patches[0].mass, topology, constants, stepping, answer)
+    rested = unpack(answer.iterations, len(starts)) >= 0
     if not rested.any():
         raise InputError(
             "cell: the undeformed RVE does not come to rest "
-            f"(mean force {residual.min():.3g} µN); check fluid_particle_mass, wall_stiffness "
-            "and the damping ratios"
+            f"(mean force {answer.residual.min():.3g} µN); check fluid_particle_mass, "
+            "wall_stiffness and the damping ratios"
         )
     return np.swapaxes(unpack(x, len(starts)), 1, 2)[rested]
 
@@ -198,7 +184,7 @@ def _free_of_stress(
     """Solve for l₀ and, of irregular cells, the box's shape: F = exp of a traceless matrix."""
     lattice = make_arrangement(cell).tessellation.lattice
     patches = make_patches(cell, z.T, lattice)
-    topology, area = make_topologies(cell, patches)[-1], patches[0].area
+    topology = make_topologies(cell, patches)[-1]
     tolerance = FREE_OF_STRESS * cell.density * cell.sound_speed**2
     at = z[None].copy()
 
@@ -209,7 +195,7 @@ def _free_of_stress(
 
     def stress(u: Array) -> Array:
         constants = make_constants(cell, u[0] * cell.spring_length)
-        found = relax(topology, constants, area, at, shape(u)[None])
+        found = relax(topology, constants, at, shape(u)[None])
         if not found.found[0]:
             raise InputError(
                 "cell: no equilibrium of the undeformed RVE was found; check "
@@ -236,17 +222,6 @@ def _free_of_stress(
     F, l0 = shape(u), float(u[0] * cell.spring_length)
     relaxed, box = at[0].T @ F.T, F @ lattice
     topology = make_topologies(cell, make_patches(cell, relaxed, box))[0]
-    final = relax(topology, make_constants(cell, l0), area, relaxed.T[None], np.eye(2)[None])
+    final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
     lowest(final)
     return ReferenceState(cell.fingerprint, final.z[0].T.copy(), box, l0)
-
-
-@kernel
-def _energies(F, z, topology, c, energy):
-    local = topology.particles + topology.owner.shape[0]
-    here, x = np.empty((2, local, TILE)), np.empty((2, local, TILE))
-    for t in range(z.shape[0]):
-        here[:, : topology.particles] = z[t]
-        set_images(here, topology)
-        map_affine(F[t], here, x)
-        elastic_energy(x, topology, c, energy[t])

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import pack, unpack
+from surrofe2.plant_cell.tiles import RveTopology, pack, unpack
 from surrofe2.rve.newton import renew
+from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
-from surrofe2.rve.solve import Batch, covered_by, felt_rate
-from surrofe2.rve.systems import AnyTopology
+from surrofe2.rve.solve import covered_by, dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
@@ -108,7 +108,7 @@ class RveLaw:
 
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
-        return rest_state(self.unit_cell, points)
+        return rest_state(self.unit_cell.position, self.unit_cell.factors, points)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
         """The state whose `to_arrays` gave these, to the bit."""
@@ -139,20 +139,20 @@ class RveLaw:
                 "tangents: not with solver iterated, whose loose stop they would hide; "
                 "use solver direct"
             )
-        batch = Batch(self, pack(F), pack(F_dot), state, cold)
-        batch.solve()
-        status = unpack(batch.status, points)
-        stress = unpack(batch.stress, points)
+        drive = Drive(pack(F), pack(F_dot))
+        solution = solve_rves(self.unit_cell, self.settings, drive, state, cold)
+        status = unpack(solution.status, points)
+        stress = unpack(solution.answer.stress, points)
         if status.any():
             stress[status != Status.OK] = np.nan
-        slopes = batch.tangents(points) if tangents else None
-        left = None if batch.state.left is None else unpack(batch.state.left, points)
+        slopes = solution.tangents() if tangents else None
+        left = None if solution.state.left is None else unpack(solution.state.left, points)
         return StressResponse(
-            stress, status, batch.state, batch.effort(points), slopes, left_bifurcation=left
+            stress, status, solution.state, solution.effort(), slopes, left_bifurcation=left
         )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
-        """Check stability (elastic Hessian, dashpots off) and renew tired factorisations.
+        """Check stability (elastic Hessian, dashpots off) and renew stale factorisations.
 
         Points that lost stability go to a stable state, from which the next step begins; where
         there is none, their status says so.
@@ -163,15 +163,15 @@ class RveLaw:
         if unchecked or state.is_checked:
             return Acceptance(response.status, state)
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
-        tired = (state.iterations > limit).any(axis=1)
-        factors = state.factors.renewed(tired)
-        stable = np.empty((len(tired), TILE), dtype=np.bool_)
-        topology, constants = self._covering_topology(state), self.unit_cell.constants
+        stale = (state.iterations > limit).any(axis=1)
+        factors = state.factors.renewed(stale)
+        law = self._covering_topology(state), self.unit_cell.constants
         if self.initialisation == "slow-manifold":
-            renew_slow(state.F, state.relaxed, factors.address, tired, topology, constants, stable)
+            stable = np.empty((len(stale), TILE), dtype=np.bool_)
+            renew_slow(state.F, state.relaxed, factors.address, stale, *law, stable)
         else:
-            rate = felt_rate(self.initialisation, state.F_dot)
-            renew(state.F, rate, state.z, factors, tired, topology, constants, stable)
+            drive = Drive(state.F, dashpot_rate(self.initialisation, state.F_dot))
+            stable = renew(drive, state.z, factors, stale, *law)
         state = replace(state, factors=factors)
         lost = ~unpack(stable, state.points) & (response.status == Status.OK)
         if not lost.any():
@@ -184,20 +184,21 @@ class RveLaw:
         They stay where they are if the elastic equilibrium beside them is stable all the same.
         """
         part = response.state.take(index)
-        batch = Batch(self, part.F, part.F_dot, part, cold=True)
-        batch.solve()
+        drive = Drive(part.F, part.F_dot)
+        found = solve_rves(self.unit_cell, self.settings, drive, part, cold=True)
         count = len(index)
-        way = np.abs(unpack(batch.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
+        way = np.abs(unpack(found.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
         status, stress = response.status.copy(), response.stress.copy()
-        status[index], stress[index] = unpack(batch.status, count), unpack(batch.stress, count)
+        status[index] = unpack(found.status, count)
+        stress[index] = unpack(found.answer.stress, count)
         left = np.zeros(len(status), dtype=np.bool_)
         left[index] = (status[index] == Status.OK) & (way > _SAME)
-        state = response.state.put(index, batch.state)
+        state = response.state.put(index, found.state)
         if not left.any():
             return Acceptance(status, state)
         return Acceptance(status, state, stress, left)
 
-    def _covering_topology(self, state: RveState) -> AnyTopology:
+    def _covering_topology(self, state: RveState) -> RveTopology:
         """The shortest pair lists that cover every point, else the longest."""
         for level, topology in enumerate(self.unit_cell.topologies):
             if covered_by(self.unit_cell, level, state.F, state.z).all():

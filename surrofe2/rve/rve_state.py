@@ -1,4 +1,15 @@
-"""The warm start of an RVE law: what its particles did at the last point in time."""
+"""The warm start of an RVE law: what its particles did last, and the factorisations kept.
+
+Factorisations and slopes are by far the largest part of a state (22 kB a point) and few change
+from one state to the next. Each tile has a block of memory of its own, in single precision, lanes
+last::
+
+    block   lu (size, TILE), then slopes (free, 8, TILE)      free = 2 particles − 2
+
+A block is written once, by the kernel it was made for; a state that renews some tiles gets new
+blocks for these and shares the others. Kernels find a block by its address, and Python keeps it
+for as long as any state refers to it.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +18,124 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import carray
+from numba.core import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.tiles import pack, put_points, tiles_for, unpack
-from surrofe2.rve.factors import Factors
-from surrofe2.rve.unit_cell import UnitCell
-from surrofe2.simd import TILE
+from surrofe2.compilation import kernel
+from surrofe2.plant_cell.tiles import RveTopology, pack, put_points, tiles_for, unpack
+from surrofe2.simd import TILE, load, store
 
 Reals = NDArray[np.float64]
+
+SLOPES = 8
+_BYTES = 4
+_Pointer: Any = types.CPointer  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Factors:
+    """One block for each tile.
+
+    Attributes:
+        blocks: (rows, TILE) float32 each; several tiles may share one.
+        address: (tiles,) of the blocks.
+    """
+
+    blocks: tuple[NDArray[np.float32], ...]
+    address: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, blocks: list[NDArray[np.float32]]) -> Factors:
+        """The factors kept in these blocks."""
+        address = [block.__array_interface__["data"][0] for block in blocks]
+        return cls(tuple(blocks), np.array(address, dtype=np.intp))
+
+    @classmethod
+    def empty(cls, tiles: int, topology: RveTopology) -> Factors:
+        """Uninitialised factors of `tiles` tiles."""
+        rows = topology.size + (2 * topology.particles - 2) * SLOPES
+        return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Each block once, and which is whose, for `from_arrays`."""
+        _, first, block_of = np.unique(self.address, return_index=True, return_inverse=True)
+        return {"blocks": np.stack([self.blocks[k] for k in first]), "block_of": block_of}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Factors:
+        """The factors whose `to_arrays` gave these."""
+        blocks = [np.array(block) for block in arrays["blocks"]]
+        return cls.of([blocks[k] for k in arrays["block_of"]])
+
+    def repeated(self, tiles: int) -> Factors:
+        """The first tile's factors for `tiles` tiles."""
+        return Factors(self.blocks[:1] * tiles, np.repeat(self.address[:1], tiles))
+
+    def renewed(self, wanted: Any) -> Factors:
+        """These with new, uninitialised blocks for the tiles that `wanted` (tiles,) marks."""
+        blocks, address = list(self.blocks), self.address.copy()
+        for tile in wanted.nonzero()[0].tolist():
+            blocks[tile] = np.empty_like(blocks[tile])
+            address[tile] = blocks[tile].__array_interface__["data"][0]
+        return Factors(tuple(blocks), address)
+
+    def take(self, index: NDArray[np.intp]) -> Factors:
+        """The factors of the points `index` alone; the last tile filled up as by `pack`."""
+        tiles = -(-len(index) // TILE)
+        padded = index[np.minimum(np.arange(tiles * TILE), len(index) - 1)].reshape(tiles, TILE)
+        return Factors.of([self._gathered(*np.divmod(points, TILE)) for points in padded])
+
+    def put(self, index: NDArray[np.intp], part: Factors) -> Factors:
+        """These with the points `index` replaced by the first ones of `part`."""
+        tile, lane = np.divmod(index, TILE)
+        from_tile, from_lane = np.divmod(np.arange(len(index)), TILE)
+        blocks = list(self.blocks)
+        for changed in np.unique(tile).tolist():
+            block = blocks[changed].copy()
+            for k in (tile == changed).nonzero()[0].tolist():
+                block[:, lane[k]] = part.blocks[from_tile[k]][:, from_lane[k]]
+            blocks[changed] = block
+        return Factors.of(blocks)
+
+    def _gathered(self, tile: NDArray[np.intp], lane: NDArray[np.intp]) -> NDArray[np.float32]:
+        """One block of TILE points."""
+        first = self.blocks[tile[0]]
+        if (tile == tile[0]).all() and (lane == np.arange(TILE)).all():
+            return first
+        block = np.empty_like(first)
+        for source in np.unique(tile).tolist():
+            here = (tile == source).nonzero()[0]
+            block[:, here] = self.blocks[source][:, lane[here]]
+        return block
+
+
+@intrinsic
+def _singles_at(typing: Any, address: Any) -> Any:
+    """Pointer to the single-precision numbers at an address."""
+    pointer = _Pointer(types.float32)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], ir.FloatType().as_pointer())
+
+    return pointer(types.intp), generate
+
+
+@kernel
+def kept_factors(address, topology):
+    """(lu (size, TILE), slopes (free, 8, TILE)) of the block at an address; not copied."""
+    lu = carray(_singles_at(address), (topology.size, TILE))
+    behind = address + _BYTES * topology.size * TILE
+    return lu, carray(_singles_at(behind), (2 * topology.particles - 2, SLOPES, TILE))
+
+
+@kernel
+def keep_factors(lu, target):
+    """Copy factors to where they are kept, in its precision."""
+    for i in range(lu.shape[0]):
+        store(load(lu, i), target, i)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +149,7 @@ class RveState:
         elastic: same shape, z of the elastic equilibrium that "slow-manifold" starts from;
             None: z itself.
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
-        factors: kept factorisation and prediction, see `direct`.
+        factors: kept factorisation and prediction, see `newton`.
         iterations: (tiles, TILE) force evaluations of the last solve.
         left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here; None:
             nowhere.
@@ -160,15 +281,14 @@ def flags(state: RveState) -> NDArray[np.bool_]:
     return on_branch if state.left is None else state.left
 
 
-def rest_state(unit: UnitCell, points: int) -> RveState:
-    """n RVEs in the reference state at F = I, Ḟ = 0."""
+def rest_state(position: Reals, factors: Factors, points: int) -> RveState:
+    """n RVEs at F = I, Ḟ = 0 with particles at `position` (n, 2) and the factors there."""
 
     def everywhere(value: NDArray[Any]) -> NDArray[Any]:
-        tiles = -(-points // TILE)
         lanes = np.broadcast_to(value[..., None], (*value.shape, TILE))
-        return np.ascontiguousarray(np.broadcast_to(lanes, (tiles, *lanes.shape)))
+        return np.ascontiguousarray(np.broadcast_to(lanes, (tiles_for(points), *lanes.shape)))
 
-    z = everywhere(unit.position.T)
+    z = everywhere(position.T)
     identity = everywhere(np.eye(2))
     return RveState(
         points=points,
@@ -177,6 +297,6 @@ def rest_state(unit: UnitCell, points: int) -> RveState:
         elastic=None,
         F=identity,
         F_dot=np.zeros_like(identity),
-        factors=unit.factors.repeated(len(z)),
+        factors=factors.repeated(len(z)),
         iterations=np.zeros((len(z), TILE), dtype=np.int32),
     )

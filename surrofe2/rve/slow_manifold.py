@@ -20,41 +20,44 @@ Jacobian of the moment.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.force_derivatives import add_elastic_forces_and_rates
-from surrofe2.plant_cell.forces import fold_images
-from surrofe2.rve.equilibrium_modes import equilibrium_modes, material_rate, set_velocities
+from surrofe2.plant_cell.force_derivatives import elastic_forces_and_rates
+from surrofe2.plant_cell.forces import fold_images, local_forces
+from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
+from surrofe2.rve.equilibrium_modes import (
+    equilibrium_modes,
+    material_rate,
+    set_velocities,
+    unit_velocities,
+)
 from surrofe2.rve.newton import (
     check_stable,
     correct,
-    move,
+    keep_slopes,
     newton_loop,
     predict,
-    set_jacobian,
     set_residual,
     settle,
 )
 from surrofe2.rve.particle_state import (
+    Drive,
+    answer_of,
     copy_particles,
+    drive_of,
     keep_lane,
-    local_forces,
-    make_workspace,
     mean_force,
     measure,
     place,
     place_images,
 )
-from surrofe2.rve.system_solves import solve
-from surrofe2.rve.systems import (
-    check_pivots,
-    factorise_free,
-    keep_factors,
-    kept_factors,
-    make_matrices,
-)
+from surrofe2.rve.rve_state import keep_factors, kept_factors
 from surrofe2.simd import TILE, load, store
 
 LIMIT = 40
@@ -63,47 +66,44 @@ RATE_TOLERANCE = 10.0
 """Mean |ḟ| in µN/µs at which velocities are done, in tolerances on the mean force in µN."""
 
 
+class Moving(NamedTuple):
+    """Material positions, those of the elastic equilibrium, and v − L x; (tiles, 2, n, TILE)."""
+
+    z: NDArray[np.float64]
+    elastic: NDArray[np.float64]
+    fluctuation: NDArray[np.float64]
+
+
 @parallel_kernel
-def follow(
-    F, rate, z, elastic, fluctuation, at_F, at_rate, factors, topology, c, area, tolerance,
-    stress, iterations,
-):  # fmt: skip
-    """Solve z_el, v and z from those at (at_F, at_rate), in place; all (tiles, …, TILE).
+def follow(drive, moving, before, factors, topology, c, tolerance, answer):
+    """Solve z_el, v and z in place from those at `before`; iterations become −1 where it fails.
 
     factors (tiles,): addresses of the kept factors, which are read only.
-    iterations (tiles, TILE): evaluations of forces used, or −1 where the point did not converge.
     """
-    for t in numba.prange(z.shape[0]):
-        _follow_tile(
-            F[t], rate[t], z[t], elastic[t], fluctuation[t], at_F[t], at_rate[t], factors[t],
-            topology, c, area, tolerance, stress[t], iterations[t],
-        )  # fmt: skip
+    for t in numba.prange(moving.z.shape[0]):
+        _follow_tile(t, drive, moving, before, factors, topology, c, tolerance, answer)
 
 
 @kernel
-def _follow_tile(
-    F, rate, z, elastic, fluctuation, at_F, at_rate, factors, topology, c, area, tolerance,
-    stress, iterations,
-):  # fmt: skip
-    own = topology.particles
-    work = make_workspace(topology)
-    lu, slopes = kept_factors(factors, topology)
-    y = np.empty((2, own, TILE))
+def _follow_tile(t, drives, moving, before, factors, topology, c, tolerance, answers):
+    z, elastic, drive, at = moving.z[t], moving.elastic[t], drive_of(drives, t), drive_of(before, t)
+    answer, work = answer_of(answers, t), make_workspace(topology)
+    lu, slopes = kept_factors(factors[t], topology)
+    y, relaxed = np.empty_like(z), np.empty_like(z)
     still = np.zeros((2, 2, TILE))
     count = np.zeros(TILE, dtype=np.int32)
-    predict(elastic, F, still, at_F, still, slopes, work.z)
-    _predict_rates(slopes, rate, y)
-    relaxed = np.empty((2, own, TILE))
+    predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
+    _predict_rates(slopes, drive.rate, y)
     copy_particles(work.z, relaxed)
-    _find_velocities(work, y, F, rate, lu, topology, c, tolerance, relaxed, count)
-    _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, work.z)
-    _find_positions(work, F, lu, topology, c, area, tolerance, stress, count)
+    _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count)
+    _predict_offset(z, elastic, drive.rate, at.rate, slopes, relaxed, work.z)
+    _find_positions(work, drive.F, lu, topology, c, tolerance, answer.stress, count)
     for k in range(TILE):
-        iterations[k] = count[k]
+        answer.iterations[k] = count[k]
         if count[k] > 0:
             keep_lane(work.z, k, z)
             keep_lane(relaxed, k, elastic)
-    set_fluctuation(work.v, z, rate, fluctuation)
+    set_fluctuation(work.v, z, drive.rate, moving.fluctuation[t])
 
 
 @kernel
@@ -142,21 +142,17 @@ def set_fluctuation(v, z, rate, fluctuation):
 
 
 @kernel
-def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, relaxed, count):
+def _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count):
     """z_el into work.z and relaxed, v into work.v; count (TILE,) of evaluations, −1: failed."""
-    own = topology.particles
+    own, F = topology.particles, drive.F
     f_rate, volume_rate = np.empty_like(work.f), np.empty_like(work.volume)
     residual, residual_rate = np.empty((1, TILE)), np.empty((1, TILE))
     before, settled = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
     step = np.empty((2 * own - 2, TILE))
     for evaluation in range(1, LIMIT + 1):
         place_images(work, F, topology)
-        set_velocities(work.z, y, F, rate, topology, work.v)
-        work.f[:] = 0.0
-        f_rate[:] = 0.0
-        add_elastic_forces_and_rates(
-            work.x, work.v, work.f, f_rate, topology, c, work.slope, work.volume, volume_rate
-        )
+        set_velocities(work.z, y, F, drive.rate, topology, work.v)
+        elastic_forces_and_rates(work, f_rate, volume_rate, topology, c)
         fold_images(work.f, topology)
         fold_images(f_rate, topology)
         mean_force(work.f, own, residual)
@@ -175,15 +171,14 @@ def _find_velocities(work, y, F, rate, lu, topology, c, tolerance, relaxed, coun
 
 
 @kernel
-def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
+def _find_positions(work, F, lu, topology, c, tolerance, stress, count):
     """z into work.z at given velocities work.v; adds to count, or sets −1."""
-    own = topology.particles
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     before, found = np.full(TILE, np.inf), np.minimum(count, 0)
-    step = np.empty((2 * own - 2, TILE))
+    step = np.empty((2 * topology.particles - 2, TILE))
     for evaluation in range(1, LIMIT + 1):
         place_images(work, F, topology)
-        measure(work, F, topology, c, area, sigma, residual)
+        measure(work, F, topology, c, sigma, residual)
         left = settle(
             residual, before, CONTRACTION, tolerance, evaluation, LIMIT, sigma, stress, found
         )
@@ -195,35 +190,26 @@ def _find_positions(work, F, lu, topology, c, area, tolerance, stress, count):
 
 
 @parallel_kernel
-def newton_slow(
-    F, rate, z, elastic, fluctuation, topology, c, area, tolerance, stress, iterations
-):  # fmt: skip
-    """z, v − L x and stress from z_el in lanes with iterations ≤ 0, in place; (tiles, …, TILE).
-
-    iterations becomes the number of force evaluations there, or −1.
-    """
-    for t in numba.prange(z.shape[0]):
-        _newton_tile(
-            F[t], rate[t], z[t], elastic[t], fluctuation[t], topology, c, area, tolerance,
-            stress[t], iterations[t],
-        )  # fmt: skip
+def newton_slow(drive, moving, topology, c, tolerance, answer):
+    """z, v − L x and stress from z_el in lanes with iterations ≤ 0, in place."""
+    for t in numba.prange(moving.z.shape[0]):
+        _newton_tile(t, drive, moving, topology, c, tolerance, answer)
 
 
 @kernel
-def _newton_tile(
-    F, rate, z, elastic, fluctuation, topology, c, area, tolerance, stress, iterations
-):  # fmt: skip
+def _newton_tile(t, drives, moving, topology, c, tolerance, answers):
+    drive, answer, fluctuation = drive_of(drives, t), answer_of(answers, t), moving.fluctuation[t]
     work, matrices = make_workspace(topology), make_matrices(topology)
     still, beyond = np.zeros((2, 2, TILE)), np.empty_like(fluctuation)
-    wanted = iterations <= 0
-    place(work, elastic, F, topology)
-    y = material_rate(equilibrium_modes(work, F, topology, c, matrices), rate)
-    set_velocities(work.z, y, F, rate, topology, work.v)
-    newton_loop(work, matrices, F, still, False, topology, c, area, tolerance, stress, iterations)
-    set_fluctuation(work.v, work.z, rate, beyond)
+    wanted = answer.iterations <= 0
+    place(work, moving.elastic[t], drive.F, topology)
+    y = material_rate(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
+    set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
+    newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, tolerance, answer)
+    set_fluctuation(work.v, work.z, drive.rate, beyond)
     for k in range(TILE):
-        if wanted[k] and iterations[k] > 0:
-            keep_lane(work.z, k, z)
+        if wanted[k] and answer.iterations[k] > 0:
+            keep_lane(work.z, k, moving.z[t])
             keep_lane(beyond, k, fluctuation)
 
 
@@ -239,44 +225,26 @@ def renew_slow(F, elastic, factors, wanted, topology, c, stable):
 
 @kernel
 def _renew_tile(F, elastic, factors, wanted, topology, c, stable):
-    own = topology.particles
     work, matrices = make_workspace(topology), make_matrices(topology)
     place(work, elastic, F, topology)
     if not wanted:
         check_stable(work, matrices, F, topology, c, stable)
         return
-    work.v[:] = 0.0
-    still = np.zeros((2, 2, TILE))
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.columns)
-    factorise_free(matrices, topology)
+    modes = equilibrium_modes(work, F, topology, c, matrices)
+    has_negative_pivots(matrices.matrix, topology, stable)
     lu, slopes = kept_factors(factors, topology)
-    keep_factors(matrices.free, lu, topology)
-    check_pivots(matrices.free, topology, stable)
+    keep_factors(matrices.matrix, lu)
     local_forces(work, topology, c)
-    at_rest = work.f.copy()
-    y, unit = np.empty((2, own, TILE)), np.zeros((2, 2, TILE))
-    for m in range(4):
-        for i in range(2 * own - 2):
-            store(-load(matrices.columns, i + 2, m), matrices.step, i)
-        solve(matrices.free, matrices.step, topology)
-        y[:] = 0.0
-        move(matrices.step, F, y)
-        _keep(y, slopes, m)
-        unit[:] = 0.0
-        unit[m // 2, m % 2] = 1.0
-        set_velocities(work.z, y, F, unit, topology, work.v)
+    at_rest, velocities = work.f.copy(), unit_velocities(work.z, modes, F, topology)
+    steps = np.empty((COLUMNS, *matrices.step.shape))
+    for m in range(COLUMNS):
+        for i in range(1, topology.particles):
+            store(load(modes, m, 0, i), slopes, 2 * i - 2, m)
+            store(load(modes, m, 1, i), slopes, 2 * i - 1, m)
+        work.v[:] = velocities[m]
         local_forces(work, topology, c)
         work.f[:] = work.f - at_rest
         fold_images(work.f, topology)
-        set_residual(work.f, matrices.step)
-        solve(matrices.free, matrices.step, topology)
-        y[:] = 0.0
-        move(matrices.step, F, y)
-        _keep(y, slopes, 4 + m)
-
-
-@kernel
-def _keep(y, slopes, column):
-    for i in range(1, y.shape[1]):
-        store(load(y, 0, i), slopes, 2 * i - 2, column)
-        store(load(y, 1, i), slopes, 2 * i - 1, column)
+        set_residual(work.f, steps[m])
+    solve_columns(matrices.matrix, steps, topology, False)
+    keep_slopes(steps, F, slopes, COLUMNS)

@@ -21,7 +21,9 @@ import numpy as np
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.force_derivatives import add_force_gradients
-from surrofe2.plant_cell.forces import fold_images
+from surrofe2.plant_cell.forces import fold_images, local_forces
+from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.rve.block_lu import COLUMNS, factorise, make_matrices, solve_columns
 from surrofe2.rve.equilibrium_modes import (
     equilibrium_modes,
     fold_columns,
@@ -29,11 +31,8 @@ from surrofe2.rve.equilibrium_modes import (
     unit_velocities,
     velocity_slopes,
 )
-from surrofe2.rve.linear_columns import COLUMNS
 from surrofe2.rve.newton import set_jacobian
-from surrofe2.rve.particle_state import local_forces, make_workspace, map_affine, place
-from surrofe2.rve.system_solves import solve_transposed
-from surrofe2.rve.systems import factorise_free, make_matrices
+from surrofe2.rve.particle_state import Drive, drive_of, map_affine, place
 from surrofe2.simd import TILE, load, store
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
@@ -41,18 +40,19 @@ _ELASTIC, _CAUCHY_BORN = 1, 2
 
 
 @parallel_kernel
-def affine_tangents(F, F_dot, z, kind, topology, c, area, tangents):
+def affine_tangents(drive, z, kind, topology, c, tangents):
     """tangents (tiles, 2, 2, 8, TILE): ∂P_ab by F_xx, xy, yx, yy, Ḟ_xx, xy, yx, yy.
 
-    z is the solution of the initialisation KINDS[kind].
+    z is the solution of the initialisation KINDS[kind], and drive.rate is Ḟ.
     """
     for t in numba.prange(z.shape[0]):
-        _affine_tile(F[t], F_dot[t], z[t], kind, topology, c, area, tangents[t])
+        _affine_tile(t, drive, z[t], kind, topology, c, tangents[t])
 
 
 @kernel
-def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
-    work = make_workspace(topology)
+def _affine_tile(t, drives, z, kind, topology, c, tangents):
+    drive, work = drive_of(drives, t), make_workspace(topology)
+    F, F_dot = drive.F, drive.rate
     place(work, z, F, topology)
     map_affine(F_dot, work.z, work.v)
     tangents[:] = 0.0
@@ -61,30 +61,31 @@ def _affine_tile(F, F_dot, z, kind, topology, c, area, tangents):
     _add_affine(by_v, work.z, 4, tangents)
     if kind != _CAUCHY_BORN:
         matrices = make_matrices(topology)
-        adjoint = _adjoint_load(work, by_x, by_v, F, F_dot, topology, c)
-        felt = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
-        map_affine(felt, work.z, work.v)
-        set_jacobian(work, F, felt, topology, c, matrices.jacobian, matrices.columns)
-        factorise_free(matrices, topology)
-        solve_transposed(matrices.free, adjoint, topology)
+        adjoint = _adjoint_load(work, by_x, by_v, drive, topology, c)
+        rate = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
+        map_affine(rate, work.z, work.v)
+        set_jacobian(work, Drive(F, rate), topology, c, matrices.matrix, matrices.columns)
+        factorise(matrices.matrix, topology, False)
+        solve_columns(matrices.matrix, adjoint, topology, True)
         for m in range(4 if kind == _ELASTIC else 8):
             for n in range(COLUMNS):
                 total = load(tangents, n // 2, n % 2, m)
                 for i in range(adjoint.shape[1]):
                     total -= load(adjoint, n, i) * load(matrices.columns, i + 2, m)
                 store(total, tangents, n // 2, n % 2, m)
-    tangents[:] = tangents * (-1.0 / area)
+    tangents[:] = tangents * (-1.0 / topology.area)
 
 
 @parallel_kernel
-def slow_tangents(F, F_dot, z, relaxed, topology, c, area, tangents):
+def slow_tangents(drive, z, relaxed, topology, c, tangents):
     """As `affine_tangents` for the slow manifold: z, and z_el in `relaxed`."""
     for t in numba.prange(z.shape[0]):
-        _slow_tile(F[t], F_dot[t], z[t], relaxed[t], topology, c, area, tangents[t])
+        _slow_tile(t, drive, z[t], relaxed[t], topology, c, tangents[t])
 
 
 @kernel
-def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
+def _slow_tile(t, drives, z, relaxed, topology, c, tangents):
+    F, F_dot = drives.F[t], drives.rate[t]
     work, matrices = make_workspace(topology), make_matrices(topology)
     place(work, relaxed, F, topology)
     modes = equilibrium_modes(work, F, topology, c, matrices)
@@ -94,22 +95,22 @@ def _slow_tile(F, F_dot, z, relaxed, topology, c, area, tangents):
             for k in range(work.v.shape[1]):
                 part = load(F_dot, m // 2, m % 2) * load(units, m, axis, k)
                 store(load(work.v, axis, k) + part, work.v, axis, k)
-    slopes = velocity_slopes(work, units, topology, c, matrices.free)
+    slopes = velocity_slopes(work, units, topology, c, matrices.matrix)
     place(work, z, F, topology)
     weights = _virial_weights(work.z)
     by_x, by_v = _stress_gradients(work, weights, topology, c)
-    still = np.zeros((2, 2, TILE))
-    adjoint = _adjoint_load(work, by_x, by_v, F, still, topology, c)
-    set_jacobian(work, F, still, topology, c, matrices.jacobian, matrices.no_columns)
-    factorise_free(matrices, topology)
-    solve_transposed(matrices.free, adjoint, topology)
+    still = Drive(F, np.zeros((2, 2, TILE)))
+    adjoint = _adjoint_load(work, by_x, by_v, still, topology, c)
+    set_jacobian(work, still, topology, c, matrices.matrix, matrices.no_columns)
+    factorise(matrices.matrix, topology, False)
+    solve_columns(matrices.matrix, adjoint, topology, True)
     subtract_columns(adjoint, topology, weights)
     by_x, by_v = _stress_gradients(work, weights, topology, c)
     tangents[:] = 0.0
     _add_affine(by_x, work.z, 0, tangents)
     _add_products(by_v, slopes, 0, tangents)
     _add_products(by_v, units, 4, tangents)
-    tangents[:] = tangents * (-1.0 / area)
+    tangents[:] = tangents * (-1.0 / topology.area)
 
 
 @kernel
@@ -125,17 +126,17 @@ def _virial_weights(z):
 def _stress_gradients(work, weights, topology, c):
     """(by_x, by_v) of the four sums of forces with these weights."""
     by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
-    add_force_gradients(work.x, work.v, weights, by_x, by_v, topology, c, work.slope, work.volume)
+    add_force_gradients(work, weights, by_x, by_v, topology, c)
     return by_x, by_v
 
 
 @kernel
-def _adjoint_load(work, by_x, by_v, F, rate, topology, c):
+def _adjoint_load(work, by_x, by_v, drive, topology, c):
     """(4, 2n − 2, TILE): F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z as x = F z and v = rate z + … follow.
 
     Forces of own particles, which the elastic initialisation leaves, are in z_kb's own slope.
     """
-    free = 2 * topology.particles - 2
+    F, rate, free = drive.F, drive.rate, 2 * topology.particles - 2
     load_x, load_v = np.empty((COLUMNS, free, TILE)), np.empty((COLUMNS, free, TILE))
     fold_columns(by_x, topology, load_x)
     fold_columns(by_v, topology, load_v)

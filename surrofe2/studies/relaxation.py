@@ -20,9 +20,10 @@ from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw, RveSettings
-from surrofe2.rve.constrained_runs import iterate
+from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.newton import SOLVE, newton, stress_at
-from surrofe2.rve.systems import empty_factors
+from surrofe2.rve.particle_state import Drive, empty_answer
+from surrofe2.rve.rve_state import Factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Status
@@ -106,19 +107,15 @@ def _iterated(
     reference: Array,
 ) -> Relaxation:
     """The paper's iteration with `rate`, interrupted at each of the counts."""
-    tensors = pack(F[None]), pack(rate[None])
-    X = unit.position.T
+    drive, answer = Drive(pack(F[None]), pack(rate[None])), empty_answer(1)
+    X, mass = unit.position.T, unit.patches[0].mass
     x, v = _tile(F @ X), _tile(rate @ X)
-    stress, residual = np.empty((1, 2, 2, TILE)), np.empty((1, 1, TILE))
-    steps = np.empty((1, TILE), dtype=np.int32)
     L = F_dot @ np.linalg.inv(F)
     forces, errors = [], []
     for count in np.diff(counts, prepend=0):
-        iterate(
-            *tensors, x, v, unit.patches[0].mass, unit.topologies[-1], unit.constants, unit.area,
-            step, _NEVER, int(count), stress, residual, steps,
-        )  # fmt: skip
-        forces.append(residual[0, 0, 0])
+        stepping = Stepping(step, _NEVER, int(count))
+        iterate(drive, x, v, mass, unit.topologies[-1], unit.constants, stepping, answer)
+        forces.append(answer.residual[0, 0, 0])
         position = x[0, :, :, 0]
         velocity = v[0, :, :, 0] if rate.any() else L @ position
         errors.append(_distance(np.concatenate([position, velocity]), reference))
@@ -127,26 +124,19 @@ def _iterated(
 
 def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> Relaxation:
     """Newton's iterates: the states at which it stops as its tolerance is lowered."""
-    tensors = pack(F[None]), pack(F_dot[None])
-    topology = unit.topologies[-1]
+    drive, task = Drive(pack(F[None]), pack(F_dot[None])), np.full(1, SOLVE, dtype=np.int8)
+    law = unit.topologies[-1], unit.constants
     rows: dict[int, tuple[float, float]] = {}
     for tolerance in np.geomspace(1e5, _REFERENCE_TOLERANCE, 65):
-        z = _tile(unit.position.T)
-        factors = empty_factors(topology, 1)
-        stress, residual = np.empty((1, 2, 2, TILE)), np.empty((1, 1, TILE))
-        evaluations = np.zeros((1, TILE), dtype=np.int32)
-        newton(
-            *tensors, z, factors.address, np.full(1, SOLVE, dtype=np.int8), topology,
-            unit.constants, unit.area, float(tolerance), stress, evaluations,
-            np.zeros((1, TILE), dtype=np.bool_),
-        )  # fmt: skip
-        count = int(evaluations[0, 0]) - 1
+        z, factors, answer = _tile(unit.position.T), Factors.empty(1, law[0]), empty_answer(1)
+        newton(drive, z, factors.address, task, *law, float(tolerance), answer)
+        count = int(answer.iterations[0, 0]) - 1
         if count < 0 or count in rows:
             continue
-        stress_at(*tensors, z, topology, unit.constants, unit.area, stress, residual)
+        stress_at(drive, z, *law, answer)
         there = z[0, :, :, 0]
         state = np.concatenate([F @ there, F_dot @ there])
-        rows[count] = float(residual[0, 0, 0]), _distance(state, reference)
+        rows[count] = float(answer.residual[0, 0, 0]), _distance(state, reference)
     counts = np.array(sorted(rows))
     forces, errors = zip(*(rows[int(k)] for k in counts), strict=True)
     return Relaxation(counts, np.array(forces), np.array(errors))

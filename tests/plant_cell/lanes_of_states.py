@@ -8,7 +8,7 @@ from surrofe2.plant_cell import forces
 from surrofe2.plant_cell.arrangement import start_positions
 from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import make_constants, make_topology
+from surrofe2.plant_cell.tiles import Workspace, make_constants, make_topology
 from surrofe2.simd import TILE
 from tests.plant_cell.twin import Twin
 
@@ -37,20 +37,26 @@ class Patch:
         )
         return np.ascontiguousarray(np.einsum("lab,lpb->apl", tensor, everyone))
 
+    def workspace(self, x, v, z=None):
+        """`Workspace` with particles at local x and v; z is local, too."""
+        fluid = self.patch.particles - self.patch.walls
+        scratch = np.empty((len(self.patch.fluid_pairs), TILE)), np.empty((fluid, TILE))
+        return Workspace(x if z is None else z, x, v, np.zeros_like(x), *scratch)
+
+    def dense(self, matrix):
+        """(2n − 2, 2n − 2, TILE): a matrix of one group, without the held particle."""
+        free = 2 * self.patch.particles - 2
+        return matrix.reshape(free, free, TILE)
+
     def forces(self, z=None, F=None, F_dot=None, fold=True):
         """(TILE, n, 2)."""
         z = self.z if z is None else z
         x = self.local(z, self.F if F is None else F)
-        v = self.local(z, self.F_dot if F_dot is None else F_dot)
-        f = np.zeros_like(x)
-        pairs, fluid = len(self.patch.fluid_pairs), self.patch.particles - self.patch.walls
-        forces.add_forces(
-            x, v, f, self.topology, self.constants, np.empty((pairs, TILE)),
-            np.empty((fluid, TILE)),
-        )  # fmt: skip
+        work = self.workspace(x, self.local(z, self.F_dot if F_dot is None else F_dot))
+        forces.local_forces(work, self.topology, self.constants)
         if fold:
-            forces.fold_images(f, self.topology)
-        return np.moveaxis(f[:, : self.patch.particles], -1, 0).swapaxes(1, 2)
+            forces.fold_images(work.f, self.topology)
+        return np.moveaxis(work.f[:, : self.patch.particles], -1, 0).swapaxes(1, 2)
 
     def energy(self, z, F):
         energy = np.empty((1, TILE))

@@ -11,7 +11,7 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import RveLaw
-from surrofe2.rve.bifurcation import Landscape, descend
+from surrofe2.rve.continuation import Landscape, descend
 from surrofe2.stress_law import Status, describe
 from tests.rve.curvature_twin import Curvatures
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.plant_cell.tiles import pack
-from surrofe2.rve.factors import Factors
+from surrofe2.rve.rve_state import Factors
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Status
 from tests.rve.rves import PRESETS, deformations, law

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.block_pattern import add_product
+from surrofe2.plant_cell.jacobian import add_product
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell
@@ -72,7 +72,7 @@ def test_products_of_any_even_width_lane_by_lane(shape):
     total = rng.normal(size=(rows + 3, columns + 2, TILE))
     expected = total.copy()
     expected[1 : rows + 1, 1 : columns + 1] += np.einsum("msl,snl->mnl", left, right)
-    add_product(left, right, total, 1, 1)
+    add_product(left, right, total.reshape(-1, TILE), columns + 3, columns + 2)
     np.testing.assert_allclose(total, expected, rtol=0, atol=1e-13)
 
 

@@ -1,0 +1,334 @@
+"""LU factors of the matrices of an RVE, one matrix a lane, all of one `Pattern`: (size, TILE).
+
+No pivoting: near a stable equilibrium the symmetric part of the matrices is definite, and a
+factorisation that is bad all the same shows as a solve that does not converge. Eight columns are
+eliminated at a time, so that what is updated is read and written an eighth as often, and rows in
+pairs, the two of a particle. b holds two unknowns for each particle but the held one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.compilation import kernel, pair_law
+from surrofe2.simd import TILE, load, spread, store
+
+PANEL = 8
+COLUMNS = 4
+
+
+class Matrices(NamedTuple):
+    """Scratch of one tile for linear systems; n particles.
+
+    matrix: (size, TILE) Jacobian of the forces, then its factors. columns: (2n, 8, TILE), their
+    slopes by F and Ḟ. step: (2n − 2, TILE).
+    """
+
+    matrix: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    no_columns: NDArray[np.float64]
+    step: NDArray[np.float64]
+
+
+@kernel
+def make_matrices(topology):
+    """Uninitialised scratch."""
+    n = topology.particles
+    return Matrices(
+        np.empty((topology.size, TILE)),
+        np.empty((2 * n, 8, TILE)),
+        np.empty((0, 8, TILE)),
+        np.empty((2 * n - 2, TILE)),
+    )
+
+
+@kernel
+def factorise(a, pattern, symmetric):
+    """LU in place, unit lower triangle; the diagonal holds reciprocal pivots.
+
+    Where a is `symmetric`, elimination keeps to the upper triangle.
+    """
+    for g in range(pattern.width.shape[0]):
+        size, width = pattern.first[g + 1] - pattern.first[g], pattern.width[g]
+        own = pattern.offset[g, g]
+        for k in range(0, size, PANEL):
+            count, panel = min(PANEL, size - k), pattern.start[g] + k * width
+            _factorise_panel(a, panel, width, own + k, count)
+            _eliminate(a, pattern, g, g, k, symmetric)
+            for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
+                _eliminate(a, pattern, g, pattern.upper[m], k, symmetric)
+
+
+@kernel
+def _factorise_panel(a, panel, width, own, count):
+    """Eliminate the first columns of the `count` rows at `panel` from each other."""
+    for k in range(count):
+        line = panel + k * width
+        pivot = 1.0 / load(a, line + own + k)
+        store(pivot, a, line + own + k)
+        for i in range(k + 1, count):
+            row = panel + i * width
+            factor = load(a, row + own + k) * pivot
+            store(factor, a, row + own + k)
+            for j in range(own + k + 1, width):
+                store(load(a, row + j) - factor * load(a, line + j), a, row + j)
+
+
+@kernel
+def _eliminate(a, pattern, g, h, k, symmetric):
+    """Clear the panel's columns, the eight (or last) at k of group g, from rows of h below it."""
+    size, rows = pattern.first[g + 1] - pattern.first[g], pattern.first[h + 1] - pattern.first[h]
+    width, own = pattern.width[g], pattern.offset[g, g]
+    there, at = pattern.width[h], pattern.offset[h, g] + k
+    count, panel = min(PANEL, size - k), pattern.start[g] + k * width
+    for i in range(k + count if h == g else 0, rows, 2):
+        row = pattern.start[h] + i * there
+        _set_multipliers(
+            a, panel, width, own + k, count, row, there, at, pattern.offset[g, h] + i, symmetric
+        )
+        if h == g or not symmetric:
+            skip = i - i % PANEL if symmetric else k + count
+            begin, to = own + skip, pattern.offset[h, g] + skip
+            _update(a, panel, width, count, row, there, at, begin, to, size - skip)
+        for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
+            c = pattern.upper[m]
+            if c >= h or not symmetric:
+                skip = i - i % PANEL if symmetric and c == h else 0
+                begin, to = pattern.offset[g, c] + skip, pattern.offset[h, c] + skip
+                columns = pattern.first[c + 1] - pattern.first[c] - skip
+                _update(a, panel, width, count, row, there, at, begin, to, columns)
+
+
+@kernel
+def _set_multipliers(a, panel, width, own, count, row, there, at, mirror, symmetric):
+    """Multipliers of the panel's columns in the two rows at `row`, in place of what they clear.
+
+    own, at: where these columns begin in rows of the panel and in the two, which are `there` wide.
+    mirror: where the columns of the two begin in rows of the panel, if the matrix is symmetric.
+    """
+    for r in range(2):
+        line = row + r * there + at
+        for k in range(count):
+            above = panel + k * width
+            if symmetric:
+                value = load(a, above + mirror + r)
+            else:
+                value = load(a, line + k)
+                for m in range(k):
+                    value -= load(a, line + m) * load(a, panel + m * width + own + k)
+            store(value * load(a, above + own + k), a, line + k)
+
+
+@kernel
+def _update(a, panel, width, count, row, there, at, begin, to, columns):
+    """Subtract the panel's rows from the two at `row`: `columns` from `begin` there, `to` here."""
+    if count == PANEL:
+        _subtract_panel(a, panel + begin, width, row + at, row + to, there, columns)
+    else:
+        for k in range(0, count, 2):
+            line = panel + k * width + begin
+            _subtract_pair(a, line, width, row + at + k, row + to, there, columns)
+
+
+@kernel
+def _subtract_pair(a, line, width, factors, to, there, columns):
+    """a[to + j] −= Σ_m a[factors + m] a[line + m · width + j] for both rows, two m."""
+    f0, f1 = load(a, factors), load(a, factors + 1)
+    g0, g1 = load(a, factors + there), load(a, factors + there + 1)
+    for j in range(columns):
+        u0, u1 = load(a, line + j), load(a, line + width + j)
+        store(load(a, to + j) - (f0 * u0 + f1 * u1), a, to + j)
+        store(load(a, to + there + j) - (g0 * u0 + g1 * u1), a, to + there + j)
+
+
+@kernel
+def _subtract_panel(a, line, width, factors, to, there, columns):
+    """As `_subtract_pair` with eight m."""
+    low, high = factors, factors + there
+    f0, f1, f2, f3 = load(a, low), load(a, low + 1), load(a, low + 2), load(a, low + 3)
+    f4, f5, f6, f7 = load(a, low + 4), load(a, low + 5), load(a, low + 6), load(a, low + 7)
+    g0, g1, g2, g3 = load(a, high), load(a, high + 1), load(a, high + 2), load(a, high + 3)
+    g4, g5, g6, g7 = load(a, high + 4), load(a, high + 5), load(a, high + 6), load(a, high + 7)
+    l1, l2, l3, l4 = line + width, line + 2 * width, line + 3 * width, line + 4 * width
+    l5, l6, l7 = line + 5 * width, line + 6 * width, line + 7 * width
+    for j in range(columns):
+        u0, u1, u2, u3 = load(a, line + j), load(a, l1 + j), load(a, l2 + j), load(a, l3 + j)
+        p, q = f0 * u0 + f1 * u1, g0 * u0 + g1 * u1
+        p += f2 * u2 + f3 * u3
+        q += g2 * u2 + g3 * u3
+        u4, u5, u6, u7 = load(a, l4 + j), load(a, l5 + j), load(a, l6 + j), load(a, l7 + j)
+        p += f4 * u4 + f5 * u5
+        q += g4 * u4 + g5 * u5
+        p += f6 * u6 + f7 * u7
+        q += g6 * u6 + g7 * u7
+        store(load(a, to + j) - p, a, to + j)
+        store(load(a, to + there + j) - q, a, to + there + j)
+
+
+@kernel
+def has_negative_pivots(lu, pattern, answer):
+    """answer (TILE,): whether all pivots are, so that a symmetric matrix is negative definite."""
+    answer[:] = True
+    for g in range(pattern.width.shape[0]):
+        at = pattern.start[g] + pattern.offset[g, g]
+        for k in range(pattern.first[g + 1] - pattern.first[g]):
+            for lane in range(TILE):
+                if not lu[at + k * (pattern.width[g] + 1), lane] < 0.0:
+                    answer[lane] = False
+
+
+@kernel
+def solve(lu, b, pattern):
+    """Replace b (unknowns, TILE) by the solution, lu as `factorise` left it, in any precision."""
+    y, groups = np.empty((b.shape[0], TILE)), pattern.width.shape[0]
+    _reorder(b, y, pattern, False)
+    for g in range(groups):
+        first, row = pattern.first[g], pattern.start[g]
+        for k in range(pattern.first[g + 1] - first):
+            value = load(y, first + k) - _dot(lu, row + pattern.offset[g, g], y, first, k)
+            for m in range(pattern.lower_start[g], pattern.lower_start[g + 1]):
+                c = pattern.lower[m]
+                begin, count = pattern.first[c], pattern.first[c + 1] - pattern.first[c]
+                value -= _dot(lu, row + pattern.offset[g, c], y, begin, count)
+            store(value, y, first + k)
+            row += pattern.width[g]
+    for g in range(groups - 1, -1, -1):
+        first, size = pattern.first[g], pattern.first[g + 1] - pattern.first[g]
+        row = pattern.start[g] + size * pattern.width[g]
+        for k in range(size - 1, -1, -1):
+            row -= pattern.width[g]
+            pivot = row + pattern.offset[g, g] + k
+            value = load(y, first + k) - _dot(lu, pivot + 1, y, first + k + 1, size - k - 1)
+            for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
+                c = pattern.upper[m]
+                begin, count = pattern.first[c], pattern.first[c + 1] - pattern.first[c]
+                value -= _dot(lu, row + pattern.offset[g, c], y, begin, count)
+            store(value * load(lu, pivot), y, first + k)
+    _reorder(y, b, pattern, True)
+
+
+@kernel
+def solve_columns(lu, b, pattern, transposed):
+    """As `solve` for the four columns of b (4, unknowns, TILE), of the `transposed` matrix or not.
+
+    The factors are far larger than the columns and are read once for all of them.
+    """
+    y, groups = np.empty_like(b), pattern.width.shape[0]
+    for m in range(COLUMNS):
+        _reorder(b[m], y[m], pattern, False)
+    for g in range(groups):
+        first, row = pattern.first[g], pattern.start[g]
+        size = pattern.first[g + 1] - first
+        for k in range(size):
+            own = row + pattern.offset[g, g]
+            if transposed:
+                _scale(y, first + k, load(lu, own + k))
+                _spread(lu, own + k + 1, y, first + k, first + k + 1, size - k - 1)
+                neighbours, ends = pattern.upper, pattern.upper_start
+            else:
+                _gather(lu, own, y, first + k, first, k)
+                neighbours, ends = pattern.lower, pattern.lower_start
+            for m in range(ends[g], ends[g + 1]):
+                _with_block(lu, row, y, first + k, pattern, g, neighbours[m], transposed)
+            row += pattern.width[g]
+    for g in range(groups - 1, -1, -1):
+        first, size = pattern.first[g], pattern.first[g + 1] - pattern.first[g]
+        row = pattern.start[g] + size * pattern.width[g]
+        for k in range(size - 1, -1, -1):
+            row -= pattern.width[g]
+            own = row + pattern.offset[g, g]
+            if transposed:
+                _spread(lu, own, y, first + k, first, k)
+                neighbours, ends = pattern.lower, pattern.lower_start
+            else:
+                _gather(lu, own + k + 1, y, first + k, first + k + 1, size - k - 1)
+                neighbours, ends = pattern.upper, pattern.upper_start
+            for m in range(ends[g], ends[g + 1]):
+                _with_block(lu, row, y, first + k, pattern, g, neighbours[m], transposed)
+            if not transposed:
+                _scale(y, first + k, load(lu, own + k))
+    for m in range(COLUMNS):
+        _reorder(y[m], b[m], pattern, True)
+
+
+@kernel
+def _reorder(source, target, pattern, back):
+    """From the order of particles to that of elimination, or `back`."""
+    for i in range(1, pattern.group.shape[0]):
+        here, there = 2 * i - 2, pattern.first[pattern.group[i]] + pattern.column[i]
+        if back:
+            here, there = there, here
+        store(load(source, here), target, there)
+        store(load(source, here + 1), target, there + 1)
+
+
+@pair_law
+def _dot(lu, at, y, first, count):
+    """Σ_j lu[at + j] y[first + j] over j < count, in four chains."""
+    s0, s1, s2, s3 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(0, count - 3, 4):
+        s0 += load(lu, at + j) * load(y, first + j)
+        s1 += load(lu, at + j + 1) * load(y, first + j + 1)
+        s2 += load(lu, at + j + 2) * load(y, first + j + 2)
+        s3 += load(lu, at + j + 3) * load(y, first + j + 3)
+    for j in range(count - count % 4, count):
+        s0 += load(lu, at + j) * load(y, first + j)
+    return (s0 + s1) + (s2 + s3)
+
+
+@kernel
+def _with_block(lu, row, y, here, pattern, g, c, transposed):
+    """`_spread` or `_gather` with the columns of group c in a row of group g."""
+    at, first, count = pattern.offset[g, c], pattern.first[c], pattern.first[c + 1]
+    if transposed:
+        _spread(lu, row + at, y, here, first, count - first)
+    else:
+        _gather(lu, row + at, y, here, first, count - first)
+
+
+@kernel
+def _gather(lu, at, y, here, first, count):
+    """y[:, here] −= Σ_j lu[at + j] y[:, first + j] over j < count."""
+    s0, s1, s2, s3 = load(y, 0, here), load(y, 1, here), load(y, 2, here), load(y, 3, here)
+    for j in range(count):
+        factor = load(lu, at + j)
+        s0 -= factor * load(y, 0, first + j)
+        s1 -= factor * load(y, 1, first + j)
+        s2 -= factor * load(y, 2, first + j)
+        s3 -= factor * load(y, 3, first + j)
+    store(s0, y, 0, here)
+    store(s1, y, 1, here)
+    store(s2, y, 2, here)
+    store(s3, y, 3, here)
+
+
+@kernel
+def _spread(lu, at, y, here, first, count):
+    """y[:, first + j] −= lu[at + j] y[:, here] for j < count."""
+    s0, s1, s2, s3 = load(y, 0, here), load(y, 1, here), load(y, 2, here), load(y, 3, here)
+    for j in range(count):
+        factor = load(lu, at + j)
+        store(load(y, 0, first + j) - factor * s0, y, 0, first + j)
+        store(load(y, 1, first + j) - factor * s1, y, 1, first + j)
+        store(load(y, 2, first + j) - factor * s2, y, 2, first + j)
+        store(load(y, 3, first + j) - factor * s3, y, 3, first + j)
+
+
+@kernel
+def _scale(y, here, pivot):
+    for m in range(COLUMNS):
+        store(load(y, m, here) * pivot, y, m, here)
+
+
+@kernel
+def solved_columns(matrices, first, topology):
+    """(4, free, TILE) −J⁻¹ ∂f of four of the columns, J factorised: how x follows F or Ḟ."""
+    steps = np.empty((COLUMNS, *matrices.step.shape))
+    for m in range(COLUMNS):
+        for i in range(steps.shape[1]):
+            store(-load(matrices.columns, i + 2, first + m), steps, m, i)
+    solve_columns(matrices.matrix, steps, topology, False)
+    return steps
