@@ -52,8 +52,6 @@ INTROSPECTION = {
     "cache/cost.py": "",
     "cache/table_tree.py": "",
     "io/tables.py": "",
-    "load_case.py": "",
-    "macro/settings.py": "",
     "plant_cell/parameters.py": "",
     "recipe.py": "",
     "rve/settings.py": "",

@@ -148,7 +148,7 @@ class MacroState:
 
 
 class Recorder:
-    """Takes down what a run finds; its state is replaced as a whole, so no interrupt tears it."""
+    """Records a run in a state that is replaced as a whole, so that no interrupt can tear it."""
 
     def __init__(
         self,

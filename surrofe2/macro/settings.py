@@ -1,4 +1,4 @@
-"""What a macro run can be told besides its load case and its law."""
+"""Settings of a macro run: mesh, time integration, tolerances, what is recorded."""
 
 from __future__ import annotations
 

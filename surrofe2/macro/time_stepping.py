@@ -102,7 +102,7 @@ class StepControl:
 
 
 class Method(Protocol):
-    """One step of a time integration; nothing of it changes from step to step."""
+    """A time integration method: one step as a pure function."""
 
     @property
     def control(self) -> StepControl:
