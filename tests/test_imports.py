@@ -27,7 +27,8 @@ def test_training_imports_them():
 
 
 @pytest.mark.parametrize(
-    "module", ["io.surrogates", "surrogate.surrogate_law", "sampling", "cache", "workflow.laws"]
+    "module",
+    ["cli", "cli.run", "cli.compare", "cli.table", "cli.sweep", "cli.generate", "io.surrogates"],
 )
-def test_what_a_cached_run_needs_does_not(module):
+def test_what_help_runs_tables_and_comparisons_need_does_not(module):
     assert heavy_imports(f"import surrofe2.{module}") == ""

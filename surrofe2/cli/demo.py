@@ -12,7 +12,7 @@ from surrofe2.cli.compare import show_comparison
 from surrofe2.cli.console import on_interrupt, print_line, progress
 from surrofe2.cli.options import Fresh
 from surrofe2.recipe import load_recipe
-from surrofe2.workflow.comparison import run_demo
+from surrofe2.workflow.demo import run_demo
 from surrofe2.workflow.run_lifecycle import time_text
 
 

@@ -11,7 +11,8 @@ In reading order:
     training_data  the data set with true answers of runs added
     train          a surrogate from it; calibrate: the bound of its error
     refinement     rounds of cached run, sampling and training
-    comparison     runs against each other: compare, sweep over tolerances, demo
+    comparison     runs against each other: compare, sweep over tolerances
+    demo           all of it: data set, surrogate, and two bars by true and cached FE²
     reproduce      studies of many bars, each curve kept
 
 Everywhere: what is finished is kept, what was interrupted goes on, `fresh` starts over, and output

@@ -1,9 +1,8 @@
-"""Runs against each other: two or more folders, a sweep over tolerances, and the whole demo."""
+"""Runs against each other: two or more folders, and a sweep over tolerances."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 from surrofe2.errors import InputError
@@ -14,16 +13,11 @@ from surrofe2.report.comparison import Comparison
 from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.comparison_plot import write_comparison_plot
 from surrofe2.report.sweep import Sweep, make_sweep, write_sweep_plot
-from surrofe2.workflow.generate import data_summary, generate_data_set
-from surrofe2.workflow.run import change_cache, run_study, run_summary
+from surrofe2.workflow.run import change_cache, run_study
 from surrofe2.workflow.run_lifecycle import Stage, silent
-from surrofe2.workflow.train import train_surrogate, training_summary
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
 SWEEP_FILES = ("sweep.json", "sweep.png")
-LAWS = ("rve", "cached")
-LARGE_ELEMENTS, LARGE_DURATION = (16, 16), 100.0
-"""Of the demo: laws that it compares; elements and time, µs, of its finer bar."""
 
 
 def compare_runs(folders: Sequence[Path], out: Path, *, fresh: bool = False) -> Comparison:
@@ -82,48 +76,3 @@ def parse_tolerances(text: str) -> tuple[float, ...]:
     except ValueError:
         raise InputError(f"--tolerances: {text!r}; they must be numbers between commas") from None
     return tuple(sorted(numbers, reverse=True))
-
-
-def run_demo(
-    recipe: Recipe,
-    out: Path,
-    *,
-    fresh: bool = False,
-    stage: Stage = silent,
-    tell: Callable[[str], None] = lambda sentence: None,
-) -> list[tuple[str, Comparison]]:
-    """Data set, surrogate, and two bars by true and by cached FE²: the recipe's, and finer.
-
-    Each law runs a bar for an instant before it runs it for the record, so that both are warm.
-
-    Args:
-        tell: is told each step's outcome.
-
-    Returns:
-        A title and the comparison of each bar.
-    """
-    tell(f"1/4 data set {recipe.data_path()}")
-    with stage("generate", recipe.samples.count, "samples") as report:
-        made = generate_data_set(recipe, fresh=fresh, report=report)
-    tell(f"    {data_summary(made)}")
-    tell(f"2/4 surrogate {recipe.training_path()}")
-    trained = train_surrogate(recipe, fresh=fresh, stage=stage)
-    tell(f"    {training_summary(trained)}")
-    tell(f"    {trained.bound}")
-    n, m = LARGE_ELEMENTS
-    large = replace(
-        recipe,
-        macro=replace(recipe.macro, elements=LARGE_ELEMENTS),
-        load=replace(recipe.load, duration=min(LARGE_DURATION, recipe.load.duration)),
-    )
-    found = []
-    for k, (study, folder) in enumerate(((recipe, out), (large, out / f"{n}x{m}"))):
-        title = "{} × {} elements over {:g} µs".format(*study.macro.elements, study.load.duration)
-        tell(f"{k + 3}/4 {title}")
-        for law in LAWS:
-            with stage(f"run by {law}", study.load.duration, "µs") as report:
-                record = run_study(study, law, folder / law, fresh=fresh, report=report)
-            tell(f"    {folder / law}: {run_summary(record)}")
-        runs = [folder / law for law in LAWS]
-        found.append((title, compare_runs(runs, folder / "comparison", fresh=True)))
-    return found
