@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,8 +102,7 @@ class ErrorRecord:
         return cls(**{**values, "bins": np.array(values["bins"], dtype=np.int64)})
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
+class Question(NamedTuple):
     """Answers of the cache to be audited, all arrays over k points.
 
     Attributes:
@@ -119,8 +118,7 @@ class Question:
     bound: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(NamedTuple):
     """What an audit found: the question, the truth, and where the tolerance was broken.
 
     state: the fallback's for these points.
@@ -165,8 +163,7 @@ class Audit:
         """Audit all that waits; None where nothing does."""
         if not self._waiting:
             return None
-        asked = _joined(self._waiting)
-        self._waiting = []
+        asked, self._waiting = self._joined(), []
         truth = self._solve(asked)
         error = stress_error(asked.stress, truth.stress)
         error[truth.status != 0] = np.nan
@@ -178,7 +175,7 @@ class Audit:
         """What waits, and what the next audit starts from."""
         arrays: dict[str, NDArray] = {}
         if self._waiting:
-            arrays |= within("waiting", _arrays_of(_joined(self._waiting)))
+            arrays |= within("waiting", self._joined()._asdict())
         if self._last is not None:
             points, at, state = self._last
             arrays |= {"last_points": points, "last_at": at, **within("last", state.to_arrays())}
@@ -198,6 +195,9 @@ class Audit:
             self._last = arrays["last_points"].astype(np.intp), arrays["last_at"], state
         self.record = ErrorRecord.from_values(values["record"])
         self._random.bit_generator.state = values["random"]
+
+    def _joined(self) -> Question:
+        return Question(*(np.concatenate(part) for part in zip(*self._waiting, strict=True)))
 
     def _solve(self, asked: Question) -> StressResponse:
         """The true law, from the last batch: of the same points, or else of nearest (F, Ḟ)."""
@@ -246,21 +246,3 @@ def nearest(known: Array, asked: Array) -> Indices:
 
     place: Indices = cKDTree(known).query(asked)[1].astype(np.intp)
     return place
-
-
-def _arrays_of(question: Question) -> dict[str, NDArray]:
-    return {
-        "step": question.step,
-        "points": question.points,
-        "F": question.F,
-        "F_dot": question.F_dot,
-        "stress": question.stress,
-        "bound": question.bound,
-    }
-
-
-def _joined(questions: list[Question]) -> Question:
-    if len(questions) == 1:
-        return questions[0]
-    parts = [_arrays_of(each) for each in questions]
-    return Question(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})

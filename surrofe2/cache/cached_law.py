@@ -198,7 +198,7 @@ class CachedLaw:
                 response = replace(response, stress=accepted.stress)
             self._monitor.note(F, F_dot, response.stress, state)
             chosen = self._choose_branches(F, F_dot, response, state)
-        self._monitor.meter.sample(before.before, (F, F_dot))
+        self._monitor.meter.sample(self.fallback, before.before, (F, F_dot))
         if accepted.stress is None:
             return chosen
         return replace(

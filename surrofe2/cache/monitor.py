@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ class Monitor:
         self.counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
         allowed = np.inf if self._spread is None else settings.tolerance * float(self._spread)
         self.trust = Trust(allowed)
-        self.meter = Meter(fallback)
+        self.meter = Meter()
         self._audit = Audit(fallback, settings.audit, settings.seed, allowed)
         self._faults = FaultDetector(learns=surrogate.learns)
         if self._spread is None and np.isfinite(settings.tolerance):
@@ -154,17 +155,16 @@ class Monitor:
     def report(self) -> dict[str, Any]:
         """`history` at the end of a run: what still waits is audited, and the cost is stated."""
         self.run_audit()
-        cost = self.meter.cost(all_true=not self.counts["hits"])
-        return self.history() | {"cost": cost.to_dict() if cost else None}
+        return self.history() | {"cost": self.meter.report(all_true=not self.counts["hits"])}
 
     def to_arrays(self) -> dict[str, NDArray]:
         """All that it knows, and what the surrogate has learnt, for `from_arrays`."""
         values = {
             "counts": self.counts,
             "trust": self.trust.to_values(),
-            "faults": self._faults.to_values(),
+            "faults": asdict(self._faults),
             "audit": self._audit.to_values(),
-            "meter": self.meter.to_values(),
+            "meter": asdict(self.meter),
         }
         return {
             "values": np.frombuffer(json.dumps(values).encode(), dtype=np.uint8),
@@ -179,5 +179,5 @@ class Monitor:
         self.trust.from_values(values["trust"])
         self._faults = FaultDetector(**values["faults"])
         self._audit.restore(part_of(arrays, "audit"), values["audit"])
-        self.meter.from_values(values["meter"])
+        self.meter = Meter(**values["meter"])
         self._surrogate.from_arrays(part_of(arrays, "surrogate"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -164,10 +164,6 @@ class FaultDetector:
     constant_bound: int = 0
     bound: float | None = None
     has_hit: bool = False
-
-    def to_values(self) -> dict[str, Any]:
-        """The arguments of another one that knows as much."""
-        return asdict(self)
 
     def check(
         self,

@@ -220,7 +220,11 @@ def test_history_goes_on_where_it_was_left():
 
 def test_a_cache_that_answered_nothing_does_not_claim_to_pay(monkeypatch):
     """Whatever a timing of the true law would say: the run itself has timed it."""
-    monkeypatch.setattr("surrofe2.cache.cost.Meter._time_step", lambda *given: 1e6)
+
+    def dear(meter, *where):
+        meter.true = 1e6
+
+    monkeypatch.setattr("surrofe2.cache.cost.Meter.sample", dear)
     assert run()[1]["cost"]["pays"]
     cached, report, _ = run(outside=lambda F: np.ones(len(F), dtype=bool))
     assert cached.counts["hits"] == 0
