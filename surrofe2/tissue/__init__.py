@@ -1,14 +1,8 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
-settings       time step, accuracy, what is kept
-layout         which particles there are, in tiles
-pair_kinds     which of them interact
-pair_lists     which of these are near each other now
-kernels        forces, energy and one time step
-dynamics       particles in motion
-relaxation     the tissue at rest without load
-history        what a run records, and what carries it on
-simulation     a tissue under a load case
+Reading order: settings, layout (which particles there are), pair_kinds and pair_lists (who
+interacts), kernels, dynamics (particles in motion), relaxation (at rest without load), history,
+simulation (a run under a load case).
 """
 
 from surrofe2.tissue.dynamics import TissueDynamics

@@ -44,7 +44,6 @@ class Tissue:
     Attributes:
         cells: (n, m) plant cells in x and y.
         column, row: (places,) of the plant cell in each lane, −1 for an empty place.
-        has_fluid: (places,) whether the place is a whole plant cell.
         fluid_tiles: how many tiles, the first ones, hold plant cells with fluid.
         place: (n + 1, m + 1), or (n, m) if periodic: the place of each column and row.
         start: (tiles, 2, own, TILE) positions from the repeated reference cell, µm.
@@ -59,7 +58,6 @@ class Tissue:
     periodic: bool
     column: Ints
     row: Ints
-    has_fluid: NDArray[np.bool_]
     fluid_tiles: int
     place: Ints
     start: Array
@@ -137,18 +135,19 @@ def make_tissue(
             "copies of one square plant cell"
         )
     reference.check_belongs_to(cell)
-    walls = 2 * cell.wall_springs_per_side - 1
-    column, row, has_fluid = _places(cells, periodic)
-    exists, mass = _particles(cell, cells, column, row, has_fluid, periodic)
+    walls, own = 2 * cell.wall_springs_per_side - 1, len(reference.position)
+    column, row = _places(cells, periodic)
+    share = _shares(cell, cells, column, row, periodic)
+    exists = share > 0.0
     tiles = len(column) // TILE
-    mass = np.ascontiguousarray(np.moveaxis(mass.reshape(tiles, TILE, -1), 1, -1))
-    tissue_place = np.full((column.max() + 1, row.max() + 1), -1)
+    mass = share * np.where(np.arange(own) < walls, cell.wall_particle_mass, cell.fluid_mass)
+    place = np.full((column.max() + 1, row.max() + 1), -1)
     there = column >= 0
-    tissue_place[column[there], row[there]] = np.flatnonzero(there)
-    origin = cell.cell_side * np.stack([column, row], axis=1)
-    start = reference.position + origin[:, None]
-    start[~exists] = _far_away(int((~exists).sum()))
-    start = np.moveaxis(start.reshape(tiles, TILE, -1, 2), (1, 3), (3, 1))
+    place[column[there], row[there]] = np.flatnonzero(there)
+    start = reference.position + cell.cell_side * np.stack([column, row], axis=1)[:, None]
+    missing = np.arange(int((~exists).sum()))  # far from one another, too
+    start[~exists] = np.stack([-NOWHERE - 100.0 * missing, np.full(len(missing), -NOWHERE)], axis=1)
+    start = np.moveaxis(start.reshape(tiles, TILE, own, 2), (1, 3), (3, 1))
     return Tissue(
         cell=cell,
         constants=make_constants(cell, reference.rest_length),
@@ -156,57 +155,41 @@ def make_tissue(
         periodic=periodic,
         column=column,
         row=row,
-        has_fluid=has_fluid,
         fluid_tiles=tiles_for(cells[0] * cells[1]),
-        place=tissue_place,
+        place=place,
         start=np.ascontiguousarray(start),
-        mass=mass,
+        mass=np.ascontiguousarray(np.moveaxis(mass.reshape(tiles, TILE, own), 1, 2)),
         walls=walls,
         where=_order(exists, walls),
     )
 
 
-def _places(cells: tuple[int, int], periodic: bool) -> tuple[Ints, Ints, NDArray[np.bool_]]:
-    """Column, row and kind of each place, rows of plant cells running along the lanes."""
+def _places(cells: tuple[int, int], periodic: bool) -> tuple[Ints, Ints]:
+    """Column and row of each place, rows of plant cells running along the lanes."""
     n, m = cells
     whole = [(a, b) for b in range(m) for a in range(n)]
     edge = [] if periodic else [*((n, b) for b in range(m)), *((a, m) for a in range(n + 1))]
     filled = [group + [(-1, -1)] * (-len(group) % TILE) for group in (whole, edge)]
     column, row = np.array(filled[0] + filled[1]).T
-    has_fluid = np.arange(len(column)) < len(whole)
-    return column, row, has_fluid
+    return column, row
 
 
-def _particles(
-    cell: CellParameters,
-    cells: tuple[int, int],
-    column: Ints,
-    row: Ints,
-    has_fluid: NDArray[np.bool_],
-    periodic: bool,
-) -> tuple[NDArray[np.bool_], Array]:
-    """(places, own) whether each particle exists, and its mass."""
+def _shares(
+    cell: CellParameters, cells: tuple[int, int], column: Ints, row: Ints, periodic: bool
+) -> Array:
+    """(places, own) part that a particle has of its mass; 0 where it does not exist."""
     per_side = cell.wall_springs_per_side
-    own = 2 * per_side - 1 + cell.fluid_particles_per_side**2
+    walls = 2 * per_side - 1
     present = np.pad(np.ones(cells), 1, mode="wrap" if periodic else "constant")
     here, left = present[column + 1, row + 1], present[column, row + 1]
     below, diagonal = present[column + 1, row], present[column, row]
-    share = np.empty((len(column), own))
+    share = np.zeros((len(column), walls + cell.fluid_particles))
     share[:, 0] = (here + left + below + diagonal) / 4
     share[:, 1:per_side] = ((here + below) / 2)[:, None]
-    share[:, per_side : 2 * per_side - 1] = ((here + left) / 2)[:, None]
-    share[:, 2 * per_side - 1 :] = has_fluid[:, None]
+    share[:, per_side:walls] = ((here + left) / 2)[:, None]
+    share[: cells[0] * cells[1], walls:] = 1.0
     share[column < 0] = 0.0
-    mass = share * cell.wall_particle_mass
-    mass[:, 2 * per_side - 1 :] = share[:, 2 * per_side - 1 :] * cell.fluid_particle_mass
-    return share > 0, mass
-
-
-def _far_away(count: int) -> Array:
-    """(count, 2) places far from the tissue and from one another, µm."""
-    places = np.full((count, 2), -NOWHERE)
-    places[:, 0] -= 100.0 * np.arange(count)
-    return places
+    return share
 
 
 def _order(exists: NDArray[np.bool_], walls: int) -> Ints:
