@@ -35,37 +35,25 @@ def look_up(
 ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
     """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them."""
     count = len(F)
-    stress = np.empty((count, 2, 2))
-    status, bound = np.empty(count, dtype=np.int8), np.empty(count)
-    compute = _all_parallel if count >= MANY else _all_serial
-    compute(
-        F, F_dot, tolerance, own_tolerance, images, records.centre, records.stress, records.slope,
-        records.curvature, tree, stress, status, bound,
-    )  # fmt: skip
-    return stress, status, bound
-
-
-@kernel
-def _all_serial(F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound):  # type: ignore[no-untyped-def]
-    _some(0, F.shape[0], F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound)
+    answer = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
+    compute = _all_parallel if count >= MANY else _some
+    compute(0, count, (F, F_dot), (tolerance, own_tolerance), images, records, tree, answer)
+    return answer
 
 
 @parallel_kernel
-def _all_parallel(F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound):  # type: ignore[no-untyped-def]
-    for part in prange((F.shape[0] + _AT_ONCE - 1) // _AT_ONCE):
-        first, last = part * _AT_ONCE, min((part + 1) * _AT_ONCE, F.shape[0])
-        _some(
-            first, last, F, F_dot, tolerance, own, images, c, s, g, q, tree, stress, status, bound
-        )
+def _all_parallel(first, last, asked, tolerances, images, records, tree, answer):  # type: ignore[no-untyped-def]
+    for part in prange((last - first + _AT_ONCE - 1) // _AT_ONCE):
+        begin = first + part * _AT_ONCE
+        end = min(begin + _AT_ONCE, last)
+        _some(begin, end, asked, tolerances, images, records, tree, answer)
 
 
 @kernel
-def _some(  # type: ignore[no-untyped-def]
-    first, last, F, F_dot, tolerance, own, images, centre, response, slope, curvature, tree,
-    stress, status, bound,
-):  # fmt: skip
+def _some(first, last, asked, tolerances, images, records, tree, answer):  # type: ignore[no-untyped-def]
+    (F, F_dot), (tolerance, own), (stress, status, bound) = asked, tolerances, answer
     x, image, s = np.empty(INPUTS), np.empty(INPUTS), np.empty(OUTPUTS)
-    records, bounds = np.empty(_MOST, dtype=np.int32), np.empty(_MOST)
+    found, bounds = np.empty(_MOST, dtype=np.int32), np.empty(_MOST)
     limit = min(own, tolerance * abs(tolerance) / own)
     for p in range(first, last):
         stress[p] = np.nan
@@ -79,14 +67,15 @@ def _some(  # type: ignore[no-untyped-def]
         for flips in range(images):
             for i in range(INPUTS):
                 image[i] = x[i] * INPUT_SIGNS[flips, i]
-            for n in range(find_all(image, own, centre, curvature, tree, records, bounds)):
-                k, b = records[n], bounds[n]
+            count = find_all(image, own, records.centre, records.curvature, tree, found, bounds)
+            for n in range(count):
+                k, b = found[n], bounds[n]
                 least = min(least, b)
                 if b <= limit:
                     weight = ((limit - b) / max(b, _NEAREST * own) + _NEAREST) ** 2
                     total += weight
                     radius += weight * np.sqrt(b * own)
-                    _add(weight, image, centre[k], response[k], slope[k], COMPONENT_SIGNS[flips], s)
+                    _add(weight, image, k, records, COMPONENT_SIGNS[flips], s)
         if least == np.inf:
             continue
         if total == 0.0:
@@ -102,12 +91,12 @@ def _some(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add(weight, image, centre, response, slope, signs, s):  # type: ignore[no-untyped-def]
+def _add(weight, image, record, records, signs, s):  # type: ignore[no-untyped-def]
     """Add a linear model's components, turned back by the signs of the image, to s."""
     for k in range(OUTPUTS):
-        value = response[k]
+        value = records.stress[record, k]
         for i in range(INPUTS):
-            value += slope[k, i] * (image[i] - centre[i])
+            value += records.slope[record, k, i] * (image[i] - records.centre[record, i])
         s[k] += weight * signs[k] * value
 
 
