@@ -61,7 +61,7 @@ class Harvest:
 
 
 class HarvestWriter:
-    """Takes answers as `CachedLaw(keep=…)` gives them; in the file after `flush`.
+    """Takes answers as `CachedLaw(on_true_answer=…)` gives them; in the file after `flush`.
 
     Rows are written in chunks of `CHUNK`, and by `flush`, which a run calls with its checkpoints.
     The file is created with the first of them, or continued where it is of the same RVE.

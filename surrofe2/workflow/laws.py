@@ -87,13 +87,13 @@ def choose_law(
     kind: str,
     surrogate_file: Path | None = None,
     tables: Sequence[Path] = (),
-    keep: OnTrueAnswer | None = None,
+    on_true_answer: OnTrueAnswer | None = None,
 ) -> ChosenLaw:
     """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
 
     Args:
         tables: files of tables to start from.
-        keep: is given true answers at accepted steps, see `CachedLaw`.
+        on_true_answer: is given true answers at accepted steps, see `CachedLaw`.
 
     Raises:
         InputError: tables for a law that takes none.
@@ -107,7 +107,7 @@ def choose_law(
     if kind == "table":
         rve = true_law(recipe)
         table = make_table(recipe, rve, tables)
-        law = CachedLaw(table, rve, recipe.cache, keep)
+        law = CachedLaw(table, rve, recipe.cache, on_true_answer)
         return ChosenLaw(law, (rve,), _record_of(tables), table)
     path = surrogate_file or recipe.training_path()
     surrogate = read_surrogate(path)
@@ -121,11 +121,11 @@ def choose_law(
         return ChosenLaw(surrogate, (surrogate,), record)
     rve = true_law(recipe)
     if not (recipe.table.enabled or tables):
-        law = CachedLaw(surrogate, rve, recipe.cache, keep)
+        law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
         return ChosenLaw(law, (surrogate, rve), record)
     table = make_table(recipe, rve, tables, surrogate.stress_spread)
     record |= {"tables": _record_of(tables)}
-    law = CachedLaw(ChainedSurrogate(surrogate, table), rve, recipe.cache, keep)
+    law = CachedLaw(ChainedSurrogate(surrogate, table), rve, recipe.cache, on_true_answer)
     return ChosenLaw(law, (surrogate, rve), record, table)
 
 

@@ -49,7 +49,7 @@ def run_study(
         MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
-    chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.keep)
+    chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.on_true_answer)
     compilation = 0.0
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:

@@ -23,12 +23,12 @@ class RunOutputs:
     """Writes table and harvest of a run along with its checkpoints.
 
     Attributes:
-        keep: what `CachedLaw` gives true answers to, or None where nothing is harvested.
+        on_true_answer: what `CachedLaw` gives true answers to, or None where nothing is harvested.
     """
 
     def __init__(self, recipe: Recipe, folder: Path, harvest: bool) -> None:
         self.recipe, self.folder = recipe, folder
-        self.keep: OnTrueAnswer | None = self._take if harvest else None
+        self.on_true_answer: OnTrueAnswer | None = self._take if harvest else None
         self._writer: HarvestWriter | None = None
 
     def store(self, table: StressTable | None) -> None:
