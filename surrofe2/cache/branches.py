@@ -168,18 +168,6 @@ def check_state(state: Any, count: int) -> CachedState:
     return state
 
 
-def all_tangents(
-    count: int, free: Indices, of_free: Tangents, known: Indices, of_known: Tangents | None
-) -> Tangents:
-    """Tangents of all points from those of the free ones and of those on the fallback."""
-    if of_known is None:
-        return of_free
-    by_F, by_F_dot = np.empty((2, count, 2, 2, 2, 2))
-    by_F[free], by_F_dot[free] = of_free.P_by_F, of_free.P_by_F_dot
-    by_F[known], by_F_dot[known] = of_known.P_by_F, of_known.P_by_F_dot
-    return Tangents(by_F, by_F_dot)
-
-
 def extrapolate(F: Array, F_dot: Array, before: tuple[Array, Array] | None) -> tuple[Array, Array]:
     """Hermite extrapolation of (F, Ḟ) over one step ahead of the same length h as the last.
 
@@ -239,14 +227,14 @@ def answer_both(
         np.concatenate([warm.status, cold.status]),
         state_of_both(warm.state, len(known), cold.state, len(new)),
         added(warm.effort, cold.effort),
-        _joined(warm.tangents, cold.tangents),
+        joined_tangents(warm.tangents, cold.tangents),
     )
 
 
-def _joined(first: Tangents | None, second: Tangents | None) -> Tangents | None:
-    """Tangents of both one after the other; None where there are none."""
+def joined_tangents(first: Tangents | None, second: Tangents | None) -> Tangents | None:
+    """Tangents of both, one after the other; of either where the other has none."""
     if first is None or second is None:
-        return None
+        return second if first is None else first
     return Tangents(
         np.concatenate([first.P_by_F, second.P_by_F]),
         np.concatenate([first.P_by_F_dot, second.P_by_F_dot]),

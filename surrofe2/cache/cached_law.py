@@ -16,10 +16,10 @@ from surrofe2.cache.branches import (
     Indices,
     PointSet,
     added,
-    all_tangents,
     answer_both,
     check_state,
     choose_branches,
+    joined_tangents,
     look_up,
     part_of,
     within,
@@ -68,14 +68,10 @@ class CachedLaw:
         _check_match(surrogate, fallback)
         self.surrogate = surrogate
         self.fallback = fallback
+        self.density = fallback.density
         self.settings = settings or CacheSettings()
         self._on_true_answer = on_true_answer
         self.reset_counts()
-
-    @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
-        return self.fallback.density
 
     @property
     def tolerance(self) -> float:
@@ -287,10 +283,13 @@ class CachedLaw:
 
     def _tangents(
         self, F: Array, F_dot: Array, state: CachedState, of_known: Tangents | None
-    ) -> Tangents:
-        free = state.free().nonzero()[0]
-        of_free = self.surrogate.tangents(F[free], F_dot[free])
-        return all_tangents(state.count, free, of_free, state.on_fallback.points, of_known)
+    ) -> Tangents | None:
+        free, known = state.free().nonzero()[0], state.on_fallback.points
+        both = joined_tangents(self.surrogate.tangents(F[free], F_dot[free]), of_known)
+        if both is None:
+            return None
+        place = np.argsort(np.concatenate([free, known]))
+        return Tangents(both.P_by_F[place], both.P_by_F_dot[place])
 
 
 def _check_match(surrogate: Surrogate, fallback: Fallback) -> None:

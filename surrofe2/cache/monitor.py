@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.audit import Audit, Finding, Question
+from surrofe2.cache.audit import Audit, Question
 from surrofe2.cache.branches import CachedState, PointSet, beyond_bifurcation, part_of, within
 from surrofe2.cache.cost import Meter
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
@@ -124,15 +124,12 @@ class Monitor:
             self._on_true_answer(
                 asked.F[kept], asked.F_dot[kept], found.stress[kept], found.status[kept], why
             )
-        self._learn_from(found, found.broken & (found.status == 0) & ~is_one_of_several)
-        if not self.trust.is_off:
-            self.trust.judge(self.counts["steps"], found.broken, found.error, asked.bound)
-
-    def _learn_from(self, found: Finding, chosen: NDArray[np.bool_]) -> None:
-        wrong, asked = chosen.nonzero()[0], found.asked
+        wrong = (found.broken & (found.status == 0) & ~is_one_of_several).nonzero()[0]
         if len(wrong):
             state = None if found.state is None else found.state.take(wrong)
             self._surrogate.learn(asked.F[wrong], asked.F_dot[wrong], found.stress[wrong], state)
+        if not self.trust.is_off:
+            self.trust.judge(self.counts["steps"], found.broken, found.error, asked.bound)
 
     def history(self) -> dict[str, Any]:
         """How the cache has done so far, as plain values for run.json."""

@@ -27,14 +27,7 @@ from surrofe2.cache.table.search_tree import insert, make_tree
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
-from surrofe2.stress_law import (
-    Acceptance,
-    Status,
-    StressResponse,
-    Tangents,
-    check_deformation,
-    require_tangents,
-)
+from surrofe2.stress_law import Status, Tangents
 from surrofe2.tensors import stress_spread, to_components, to_inputs, transpose
 
 Array = NDArray[np.float64]
@@ -46,7 +39,7 @@ _WHOLE_TABLE = 100_000
 class StressTable:
     """σ(F, Ḟ) from linear models about RVE answers, each within its ellipsoid of accuracy.
 
-    `lookup` and `respond` are pure; the table changes in `learn` alone.
+    `lookup` is pure; the table changes in `learn` alone.
 
     Args:
         law: the true law, whose `respond(…, tangents=True)` gives records.
@@ -119,16 +112,6 @@ class StressTable:
             F, F_dot, float(tolerance), self.tolerance, self.images, self._records, self._tree
         )
 
-    def respond(
-        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
-    ) -> StressResponse:
-        """Stress at n points; NaN and status OUT_OF_RANGE where the table knows none."""
-        if tangents:
-            require_tangents(self)
-        F, F_dot = check_deformation(F, F_dot)
-        stress, status, _ = self.lookup(F, F_dot)
-        return StressResponse(stress, status, state, {"table_points": len(F)})
-
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
@@ -137,12 +120,7 @@ class StressTable:
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """An InputError: each record has its own slope, which jumps from one to the next."""
-        require_tangents(self)
-        raise NotImplementedError
-
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """Nothing is left to check or to commit."""
-        return Acceptance(response.status, response.state)
+        raise InputError("tangents: a table has none; use true RVEs")
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Take true answers in: grow or shrink ellipsoids, and add records where none holds.
