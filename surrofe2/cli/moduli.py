@@ -12,9 +12,14 @@ from surrofe2.cli.options import AnyInitialisation, Fresh, JsonFile, Preset
 from surrofe2.io.files import is_there, write_json
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.studies.moduli import cell_moduli, with_turgor
+from surrofe2.studies.moduli import (
+    CHANGES,
+    cell_moduli,
+    changed_cells,
+    moduli_tables,
+    with_turgor,
+)
 from surrofe2.studies.moduli import turgor as turgor_of
-from surrofe2.studies.moduli_tables import CHANGES, changed_cells, moduli_tables
 
 
 def moduli(

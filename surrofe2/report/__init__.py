@@ -1,1 +1,9 @@
-"""surrofe2."""
+"""Reports: tables, figures and files of studies, and comparisons of finished runs.
+
+tables           one list of quantities, rendered for console, CSV, JSON and Markdown
+figures          panels of curves in one style, as PNG
+study            what a study hands over, and its files
+damped_fit       period and decrement of a displacement curve
+comparison       runs against a reference; comparison_plot draws it
+sweep            cached runs over stress tolerances
+"""

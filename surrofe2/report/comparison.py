@@ -42,7 +42,7 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
-    Quantity("fewer RVE solves", "×", ".3g", lambda run: run.speed_up["rve_solves"]),
+    Quantity("fewer solves", "×", ".3g", lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
 )
 

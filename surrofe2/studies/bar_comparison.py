@@ -10,7 +10,16 @@ from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.studies.bar_runs import COMPARED, TISSUE, BarCase, BarRun, ComparedBar, compare_bar
+from surrofe2.studies.bar_runs import (
+    COMPARED,
+    TISSUE,
+    BarCase,
+    BarRun,
+    ComparedBar,
+    compare_bar,
+    deviation,
+    of_run,
+)
 
 
 def cases(
@@ -32,21 +41,21 @@ def cases(
     return found if tissue else found[1:]
 
 
-def _with_deviation(each: Quantity[BarRun]) -> tuple[Quantity[ComparedBar], ...]:
-    return (
-        Quantity(each.name, each.unit, each.format, lambda row: each.get(row.run)),
-        Quantity(f"{each.name} off", "%", "+.1f", lambda row: row.off.get(each.name)),
-    )
-
-
 QUANTITIES: tuple[Quantity[ComparedBar], ...] = (
-    Quantity("run", "", "", lambda row: row.run.name),
-    *(quantity for each in COMPARED for quantity in _with_deviation(each)),
-    Quantity("first minimum at", "µs", None, lambda row: row.run.minimum[0]),
-    Quantity("second period", "µs", None, lambda row: row.run.fit.second.period),
-    Quantity("fit residual", "µm", ".3f", lambda row: row.run.fit.residual),
-    Quantity("fit RMS", "µm", None, lambda row: row.run.fit.rms),
-    Quantity("time", "s", ".1f", lambda row: row.run.seconds),
+    of_run("run", "", "", lambda run: run.name),
+    *(
+        quantity
+        for each in COMPARED
+        for quantity in (
+            of_run(each.name, each.unit, str(each.format), each.get),
+            deviation(each.name, "+.1f"),
+        )
+    ),
+    of_run("first minimum at", "µs", None, lambda run: run.minimum[0]),
+    of_run("second period", "µs", None, lambda run: run.fit.second.period),
+    of_run("fit residual", "µm", ".3f", lambda run: run.fit.residual),
+    of_run("fit RMS", "µm", None, lambda run: run.fit.rms),
+    of_run("time", "s", ".1f", lambda run: run.seconds),
 )
 
 

@@ -147,17 +147,6 @@ def compute_or_read(case: BarCase, kept: KeptCurves, progress: Progress | None =
     return run
 
 
-@dataclass(frozen=True, slots=True)
-class ComparedBar:
-    """A run and how far it is from the full tissue of the same bar.
-
-    off: of the quantities `COMPARED`, run / tissue − 1 in %, by name; empty for the tissue itself.
-    """
-
-    run: BarRun
-    off: Mapping[str, float]
-
-
 COMPARED: tuple[Quantity[BarRun], ...] = (
     Quantity("first minimum", "µm", ".2f", lambda run: run.minimum[1]),
     Quantity("period", "µs", ".2f", lambda run: run.fit.first.period),
@@ -166,9 +155,34 @@ COMPARED: tuple[Quantity[BarRun], ...] = (
 """What bars are compared by."""
 
 
+@dataclass(frozen=True, slots=True)
+class ComparedBar:
+    """A run, or with None what runs on finer and finer meshes tend to.
+
+    off: how far it is from the full tissue of the same bar in `COMPARED`, run / tissue − 1 in % by
+    name; empty for the tissue itself.
+    """
+
+    plant_cells: int
+    run: BarRun | None
+    off: Mapping[str, float]
+
+
 def compare_bar(run: BarRun, tissue: BarRun | None) -> ComparedBar:
     """A run against the tissue, if there is one."""
-    if tissue is None or run is tissue:
-        return ComparedBar(run, {})
-    off = {each.name: 100.0 * (each.get(run) / each.get(tissue) - 1.0) for each in COMPARED}
-    return ComparedBar(run, off)
+    off = {}
+    if tissue is not None and run is not tissue:
+        off = {each.name: 100.0 * (each.get(run) / each.get(tissue) - 1.0) for each in COMPARED}
+    return ComparedBar(run.case.plant_cells[0], run, off)
+
+
+def of_run(
+    name: str, unit: str, form: str | None, get: Callable[[BarRun], Any]
+) -> Quantity[ComparedBar]:
+    """A quantity of the run, where there is one."""
+    return Quantity(name, unit, form, lambda row: None if row.run is None else get(row.run))
+
+
+def deviation(name: str, form: str) -> Quantity[ComparedBar]:
+    """One of `COMPARED` over the tissue's."""
+    return Quantity(f"{name} off", "%", form, lambda row: row.off.get(name))

@@ -14,23 +14,14 @@ SHEAR_RATE = 0.01
 """Ḟ_xy of eq. (74), 1/µs."""
 
 
-def shear_rate_tensor(rate: float = SHEAR_RATE) -> Array:
-    """Ḟ of eq. (74), (2, 2)."""
-    return np.array([[0.0, rate], [0.0, 0.0]])
-
-
-def sheared(shear: float) -> Array:
-    """F of eq. (73), (2, 2)."""
-    return np.array([[1.0, shear], [0.0, 1.0]])
-
-
-def steady_shear(rate: float = SHEAR_RATE) -> Path:
-    """F = I + Ḟ t."""
-    return lambda t: (sheared(rate * t), shear_rate_tensor(rate))
+def steady_shear(rate: float = SHEAR_RATE, start: float = 0.0) -> Path:
+    """F of eq. (73) with F_xy = start + rate t, and Ḟ of eq. (74)."""
+    F_dot = np.array([[0.0, rate], [0.0, 0.0]])
+    return lambda t: (np.array([[1.0, start + rate * t], [0.0, 1.0]]), F_dot)
 
 
 def oscillation(slowness: float = 1.0) -> Path:
-    """F₁₁ = 1 + 0.04 sin ωt, F₁₂ = 0.05 sin ωt, ω = 2π/40 µs, slowed (docs/theory.md)."""
+    """F₁₁ = 1 + 0.04 sin ωt, F₁₂ = 0.05 sin ωt with ω = 2π/40 µs, slowed by a factor."""
     omega = 2.0 * np.pi / (40.0 * slowness)
     way = np.array([[0.04, 0.05], [0.0, 0.0]])
     return lambda t: (np.eye(2) + np.sin(omega * t) * way, omega * np.cos(omega * t) * way)

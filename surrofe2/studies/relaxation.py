@@ -27,7 +27,7 @@ from surrofe2.rve.rve_state import Factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Status
-from surrofe2.studies.drives import shear_rate_tensor, sheared
+from surrofe2.studies.drives import steady_shear
 
 Array = NDArray[np.float64]
 
@@ -69,10 +69,11 @@ def relaxations(
         limit: Euler steps of the first two.
         samples: iterations that are recorded, evenly spaced in the logarithm.
     """
-    F, F_dot = sheared(shear), shear_rate_tensor()
+    F, F_dot = steady_shear(start=shear)(0.0)
     unit = RveLaw(cell).unit_cell
     reference = _fixed_point(cell, F, F_dot)
-    counts = _counts(limit, samples)
+    spaced = np.rint(np.geomspace(1.0, limit, samples)).astype(np.int64)
+    counts = np.unique(np.concatenate([[0], spaced]))
     ways = {ELASTIC: np.zeros((2, 2)), RUNS: F_dot}
     found = {
         name: _iterated(unit, F, F_dot, rate, counts, micro_step, reference)
@@ -80,11 +81,6 @@ def relaxations(
     }
     found[DIRECT] = _newton_steps(unit, F, F_dot, reference)
     return found
-
-
-def _counts(limit: int, samples: int) -> NDArray[np.int64]:
-    spaced = np.rint(np.geomspace(1.0, limit, samples)).astype(np.int64)
-    return np.unique(np.concatenate([[0], spaced]))
 
 
 def _fixed_point(cell: CellParameters, F: Array, F_dot: Array) -> Array:

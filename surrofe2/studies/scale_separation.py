@@ -10,7 +10,6 @@ first is taken out by Aitken's extrapolation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +19,16 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
-from surrofe2.studies.bar_runs import COMPARED, TISSUE, BarCase, BarRun, compare_bar
+from surrofe2.studies.bar_runs import (
+    COMPARED,
+    TISSUE,
+    BarCase,
+    BarRun,
+    ComparedBar,
+    compare_bar,
+    deviation,
+    of_run,
+)
 
 SIZES = (8, 16, 32)
 """Plant cells a side."""
@@ -62,47 +70,27 @@ def cases(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A run, or the limit of a bar's runs on finer and finer meshes, which has deviations alone.
-
-    mesh: elements a side; 0 for the tissue. off: of period, first minimum and decrement from the
-    tissue of the same size, % by name.
-    """
-
-    plant_cells: int
-    mesh: int | None
-    run: BarRun | None
-    off: dict[str, float]
-
-    @property
-    def name(self) -> str:
-        """How tables call it."""
-        return LIMIT if self.run is None else self.run.name
-
-
-def deviations(runs: Sequence[BarRun]) -> list[Row]:
-    """A row for each run, and one for each limit, size by size."""
+def deviations(runs: Sequence[BarRun]) -> list[ComparedBar]:
+    """A row for each run, and one for the limit of each bar's meshes, size by size."""
     rows = []
     for n in dict.fromkeys(run.case.plant_cells[0] for run in runs):
         of_size = [run for run in runs if run.case.plant_cells[0] == n]
         tissue = next(run for run in of_size if run.case.elements is None)
-        found = [
-            Row(n, (run.case.elements or (0,))[0], run, dict(compare_bar(run, tissue).off))
-            for run in of_size
-        ]
-        rows += [*found, *_mesh_limit(n, found)]
+        found = [compare_bar(run, tissue) for run in of_size]
+        rows += found
+        finest = sorted((row for row in found if mesh_of(row)), key=mesh_of)[-3:]
+        meshes = [mesh_of(row) for row in finest]
+        if len(meshes) == 3 and all(2 * a == b for a, b in pairwise(meshes)):
+            limit = {
+                each.name: aitken(*(row.off[each.name] for row in finest)) for each in COMPARED
+            }
+            rows.append(ComparedBar(n, None, limit))
     return rows
 
 
-def _mesh_limit(n: int, rows: list[Row]) -> list[Row]:
-    """The row that the three finest meshes tend to, where they do."""
-    by_mesh = {row.mesh: row.off for row in rows if row.mesh}
-    meshes = sorted(by_mesh)[-3:]
-    if len(meshes) < 3 or any(2 * a != b for a, b in pairwise(meshes)):
-        return []
-    limit = {each.name: aitken(*(by_mesh[m][each.name] for m in meshes)) for each in COMPARED}
-    return [Row(n, None, None, limit)]
+def mesh_of(row: ComparedBar) -> int:
+    """Elements a side; 0 for the tissue and the limit."""
+    return row.run.case.elements[0] if row.run and row.run.case.elements else 0
 
 
 def aitken(a: float, b: float, c: float) -> float:
@@ -113,30 +101,26 @@ def aitken(a: float, b: float, c: float) -> float:
     return float(c + second**2 / (first - second))
 
 
-def _compared(each: Quantity[BarRun]) -> tuple[Quantity[Row], ...]:
-    """Its value, for people with lengths and times scaled to 16 × 16 plant cells; its deviation."""
-
-    def value(row: Row) -> float | None:
-        return None if row.run is None else each.get(row.run)
-
-    def scaled(row: Row) -> float | None:
-        return None if row.run is None else each.get(row.run) * 16.0 / row.plant_cells
-
-    off: Quantity[Row] = Quantity(
-        f"{each.name} off", "%", "+.2f", lambda row: row.off.get(each.name)
-    )
+def _scaled(each: Quantity[BarRun]) -> Quantity[ComparedBar]:
+    """Lengths and times for people, scaled to 16 × 16 plant cells."""
     if not each.unit:
-        return Quantity(each.name, "", each.format, value), off
-    shown = Quantity(f"{each.name} × 16/n", each.unit, each.format, scaled)
-    return Quantity(each.name, each.unit, None, value), shown, off
+        return of_run(each.name, "", str(each.format), each.get)
+    return of_run(
+        f"{each.name} × 16/n",
+        each.unit,
+        str(each.format),
+        lambda run: each.get(run) * 16.0 / run.case.plant_cells[0],
+    )
 
 
-QUANTITIES: tuple[Quantity[Row], ...] = (
+QUANTITIES: tuple[Quantity[ComparedBar], ...] = (
     Quantity("plant cells a side", "", "d", lambda row: row.plant_cells),
-    Quantity("run", "", "", lambda row: row.name),
-    *(quantity for each in COMPARED for quantity in _compared(each)),
-    Quantity("fit residual", "µm", None, lambda row: row.run and row.run.fit.residual),
-    Quantity("time", "s", ".0f", lambda row: row.run and row.run.seconds),
+    Quantity("run", "", "", lambda row: row.run.name if row.run else LIMIT),
+    *(quantity for each in COMPARED for quantity in (_scaled(each), deviation(each.name, "+.2f"))),
+    of_run("first minimum", "µm", None, lambda run: run.minimum[1]),
+    of_run("period", "µs", None, lambda run: run.fit.first.period),
+    of_run("fit residual", "µm", None, lambda run: run.fit.residual),
+    of_run("time", "s", ".0f", lambda run: run.seconds),
 )
 
 
@@ -153,18 +137,18 @@ def describe(runs: Sequence[BarRun]) -> Study:
     )
 
 
-def _panel(rows: list[Row], quantity: str) -> Panel:
-    curves = []
-    for mesh in dict.fromkeys(row.mesh for row in rows if row.off):
-        of_mesh = [row for row in rows if row.mesh == mesh]
-        label = LIMIT if mesh is None else f"{mesh} × {mesh} elements"
-        n = np.array([float(row.plant_cells) for row in of_mesh])
-        curves.append(Curve(label, n, np.array([row.off[quantity] for row in of_mesh])))
+def _panel(rows: list[ComparedBar], quantity: str) -> Panel:
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for row in rows:
+        if row.off:
+            mesh = mesh_of(row)
+            label = f"{mesh} × {mesh} elements" if mesh else LIMIT
+            curves.setdefault(label, []).append((float(row.plant_cells), row.off[quantity]))
     return Panel(
         title=f"{METHOD}: {quantity}",
         x_label="plant cells a side",
         y_label="FE² over tissue − 1 (%)",
-        curves=tuple(curves),
+        curves=tuple(Curve(label, *np.array(xy).T) for label, xy in curves.items()),
         log_x=True,
         x_ticks=tuple(sorted({float(row.plant_cells) for row in rows})),
         zero=True,

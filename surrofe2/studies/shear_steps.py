@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS, RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.stress_law import Status
-from surrofe2.studies.drives import SHEAR_RATE, shear_rate_tensor, sheared, steady_shear
+from surrofe2.studies.drives import SHEAR_RATE, steady_shear
 
 Array = NDArray[np.float64]
 
@@ -47,14 +47,11 @@ class ShearSteps:
         """What the others are compared with: the integrated line, else elastic equilibrium."""
         return INTEGRATED if INTEGRATED in self.stress else "elastic"
 
-    @property
-    def compared(self) -> NDArray[np.bool_]:
-        """(m,) where: from `_SETTLED` on if the reference is integrated."""
-        return self.shear >= (_SETTLED if self.reference == INTEGRATED else 0.0)
-
-    def difference(self, method: str) -> Array:
-        """|Δσ| from the reference where it is compared, (k, 2, 2)."""
-        return np.abs(self.stress[method] - self.stress[self.reference])[self.compared]
+    def difference(self, method: str) -> tuple[Array, Array]:
+        """Shear (k,) where it is compared with the reference, and |Δσ| there (k, 2, 2)."""
+        compared = self.shear >= (_SETTLED if self.reference == INTEGRATED else 0.0)
+        error = np.abs(self.stress[method] - self.stress[self.reference])
+        return self.shear[compared], error[compared]
 
 
 def shear_steps(
@@ -82,9 +79,8 @@ def shear_steps(
 
 def _walk(law: RveLaw, shear: Array, rate: float) -> tuple[Array, float | None]:
     state, stresses, trouble = None, [], None
-    F_dot = shear_rate_tensor(rate)[None]
     for value in shear:
-        F = sheared(float(value))[None]
+        F, F_dot = (tensor[None] for tensor in steady_shear(rate, float(value))(0.0))
         answer = law.respond(F, F_dot, state)
         stresses.append(answer.stress[0])
         solved = answer.status[0] == Status.OK
@@ -105,9 +101,9 @@ QUANTITIES: tuple[Quantity[Row], ...] = (
         "largest difference",
         "µN/µm",
         ".3g",
-        lambda row: float(np.nanmax(row[0].difference(row[1]))),
+        lambda row: float(np.nanmax(row[0].difference(row[1])[1])),
     ),
-    Quantity("compared from shear", "", "g", lambda row: float(row[0].shear[row[0].compared][0])),
+    Quantity("compared from shear", "", "g", lambda row: float(row[0].difference(row[1])[0][0])),
     Quantity("unstable from shear", "", "g", lambda row: row[0].unstable_from[row[1]]),
 )
 
@@ -120,44 +116,36 @@ def describe(runs: Sequence[ShearSteps], preset: str) -> Study:
         for method, stress in run.stress.items()
         for label, (a, b) in _COMPONENTS.items()
     }
-    panels = [_panel(run, label) for label in _COMPONENTS for run in runs]
-    panels += [
-        _error_panel(run, label)
-        for run in runs
-        if INTEGRATED in run.stress
-        for label in _COMPONENTS
-    ]
+    integrated = [run for run in runs if run.reference == INTEGRATED]
+    others = [(run, method) for run in runs for method in run.stress if method != run.reference]
     return Study(
         name=f"fig5-{preset}",
         title=f"Figure 5: stress of one RVE over shear steps, preset “{preset}”",
-        panels=tuple(panels),
+        panels=(
+            *(_panel(run, label) for label in _COMPONENTS for run in runs),
+            *(_error_panel(run, label) for run in integrated for label in _COMPONENTS),
+        ),
         columns=len(runs),
-        table=Table(QUANTITIES, [(run, method) for run in runs for method in _others(run)]),
+        table=Table(QUANTITIES, others),
         series={"F_xy (1)": runs[0].shear, **stresses},
     )
 
 
-def _others(run: ShearSteps) -> Iterator[str]:
-    return (method for method in run.stress if method != run.reference)
-
-
 def _panel(run: ShearSteps, label: str) -> Panel:
     a, b = _COMPONENTS[label]
-    order = sorted(run.stress, key=lambda method: method != INTEGRATED)
+    curves = [
+        Curve(method, run.shear, stress[:, a, b])
+        for method, stress in run.stress.items()
+        if method != INTEGRATED
+    ]
+    if INTEGRATED in run.stress:
+        line = run.stress[INTEGRATED][:, a, b]
+        curves.insert(0, Curve(INTEGRATED, run.shear, line, "integrated in time", markers=False))
     return Panel(
         title=rf"$\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
         x_label="shear $F_{xy}$",
         y_label=rf"$\sigma_{{{label}}}$ (µN/µm)",
-        curves=tuple(
-            Curve(
-                method,
-                run.shear,
-                run.stress[method][:, a, b],
-                "integrated in time" if method == INTEGRATED else "",
-                markers=method != INTEGRATED,
-            )
-            for method in order
-        ),
+        curves=tuple(curves),
     )
 
 
@@ -165,9 +153,9 @@ def _error_panel(run: ShearSteps, label: str) -> Panel:
     """Difference from the integrated line once its start has died away; lines coincide above."""
     a, b = _COMPONENTS[label]
     curves = []
-    for method in _others(run):
-        error = run.difference(method)[:, a, b]
-        curves.append(Curve(method, run.shear[run.compared], np.where(error > 0, error, np.nan)))
+    for method in INITIALISATIONS:
+        shear, error = run.difference(method)
+        curves.append(Curve(method, shear, np.where(error > 0, error, np.nan)[:, a, b]))
     return Panel(
         title=rf"against integrated, $\dot F_{{xy}}$ = {run.rate:g} µs$^{{-1}}$",
         x_label="shear $F_{xy}$",

@@ -129,7 +129,7 @@ QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
     Quantity("way", "", "", lambda row: row[0]),
     Quantity(
         "stable up to",
-        "largest |F − I|",
+        "largest entry of F − I",
         ".4f",
         lambda row: WAYS[row[0]][1] if row[1] is None else row[1],
     ),

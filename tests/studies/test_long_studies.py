@@ -64,16 +64,16 @@ def test_deviations_are_from_the_tissue_of_the_same_size():
         )
     ]
     rows = scale_separation.deviations(runs)
-    assert [row.name for row in rows[:5]] == [
+    study = scale_separation.describe(runs)
+    records = study.table.to_records()
+    assert [record["run"] for record in records[:5]] == [
         "full tissue", "slow-manifold 4x4", "slow-manifold 8x8", "slow-manifold 16x16",
         scale_separation.LIMIT,
     ]  # fmt: skip
     off = [row.off["period"] for row in rows[1:5]]
     np.testing.assert_allclose(off, [-4.0, -1.0, -0.25, 0.0], atol=1e-5)
     assert rows[3].off["decrement"] == pytest.approx(25.0, abs=1e-3)
-    study = scale_separation.describe(runs)
     assert len(study.panels) == 3
-    records = study.table.to_records()
     assert records[4]["period"] is None
     assert records[1]["first_minimum_16_n"] == 2.0 * records[1]["first_minimum"]
     assert study.table.units["period_off"] == "%"
