@@ -100,7 +100,7 @@ class Result:
 def run(setting: Setting) -> list[Row]:
     """All contenders at all numbers of samples, for the recipe's plant cell, law and range."""
     recipe = setting.recipe(PRESET)
-    law = RveLaw.from_settings(recipe.cell, recipe.rve)
+    law = RveLaw(recipe.cell, recipe.rve)
     counts = setting.pick((256, 1024), (64, 128))
     samples = ask_rve(law, recipe, max(counts), recipe.samples.seed)
     truth = ask_rve(law, recipe, setting.pick(2048, 256), TEST_SEED).valid
@@ -198,7 +198,7 @@ def _learn(
         return stress, stress
     symmetry = "none" if name in WITHOUT_SYMMETRY else None
     surrogate = train(samples, NETWORKS[name](settings), symmetry=symmetry)
-    return surrogate.reference, _looked_up(surrogate)
+    return surrogate.extrapolate, _looked_up(surrogate)
 
 
 def _looked_up(surrogate: Surrogate) -> Stress:
