@@ -21,6 +21,7 @@ from sklearn.neighbors import KNeighborsRegressor
 
 from surrofe2.cache import StressTable
 from surrofe2.rve import RveLaw
+from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.piola import to_cauchy, to_piola, to_slopes
@@ -32,9 +33,6 @@ NEIGHBOURS = 8
 TABLE_TOLERANCE = 1e-3  # of a `StressTable`, relative to the spread of stress
 _SOLVES_A_RECORD = 8
 _TUNED_ON = 512  # samples that the length scales of the Gaussian process are fitted to
-# which of the seven inputs, and of the four components, a turn by 90° and a reflection flip
-_TURN = (np.array([1, -1, -1, 1, -1, -1, 1]), np.array([1, -1, -1, 1]))
-_MIRROR = (np.array([1, 1, -1, 1, 1, -1, -1]), np.array([1, 1, -1, -1]))
 
 
 class Regressor(Protocol):
@@ -69,12 +67,8 @@ class Folded:
 
 def fold(x: Array) -> tuple[Array, Array, Array]:
     """(folded inputs, their signs (n, 7), signs of the components (n, 4))."""
-    signs, components = np.ones_like(x), np.ones((len(x), 4))
-    for column, (of_inputs, of_components) in ((1, _TURN), (2, _MIRROR)):
-        flipped = (signs * x)[:, column] < 0.0
-        signs[flipped] *= of_inputs
-        components[flipped] *= of_components
-    return signs * x, signs, components
+    image = canonical_image(x)
+    return x * INPUT_SIGNS[image], INPUT_SIGNS[image], COMPONENT_SIGNS[image]
 
 
 class NearestNeighbours:

@@ -1,7 +1,7 @@
 """A learnt stress law: samples in, `SurrogateLaw` out.
 
 Reading order: `settings`, `features` (what is learnt), `network`, `piola`, `training_task`,
-`training`; where it may be trusted: `domain`, `domain_fit`, `error_bound`, `deformation_paths`,
+`training`; where it may be trusted: `domain`, `error_bound`, `deformation_paths`,
 `calibration`; and for speed `network_arrays`, `polynomial`, `tanh`, `compiled_frame`,
 `compiled_network`, `compiled_bound`, `compiled_lookup`, all put together in `surrogate_law`. Only
 `network`, `training_task` and `training` import torch, so `train` is imported when it is first

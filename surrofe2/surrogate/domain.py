@@ -10,7 +10,7 @@ over the sampling range:
 - where samples failed (no convergence, no stable equilibrium): one more half-space in products
   of the inputs to degree 4, the cliff, beyond which every failed sample lies.
 
-What lies between valid samples is taken to be valid. `domain_fit` finds it.
+What lies between valid samples is taken to be valid. `calibration` finds it.
 """
 
 from __future__ import annotations

@@ -7,10 +7,10 @@ import pytest
 
 from surrofe2.sampling import contains
 from surrofe2.stress_law import Status
+from surrofe2.surrogate.calibration import fit_domain
 from surrofe2.surrogate.compiled_lookup import MANY
 from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import scaled_inputs
-from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, local_scale, scale_table
 from tests.laws import RANGE
 from tests.surrogate.failing_samples import G, buckles, samples_that_fail
