@@ -54,6 +54,10 @@ _TRIALS, _DIFFERENCE, _SETTLED_STRESS = 200, 1e-5, 1e-14
 _SETTLING_STEP, _SETTLING_LIMIT = 1e-3, 300_000
 _SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
 """Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
+_NOT_FREE = (
+    "cell: no wall rest length and box free the undeformed RVE of stress; check "
+    "fluid_particle_mass, wall_stiffness and repulsion_strength, or take another arrangement_seed"
+)
 
 
 @lru_cache(maxsize=32)
@@ -197,10 +201,7 @@ def _free_of_stress(
         constants = make_constants(cell, u[0] * cell.spring_length)
         found = relax(topology, constants, at, shape(u)[None])
         if not found.found[0]:
-            raise InputError(
-                "cell: no equilibrium of the undeformed RVE was found; check "
-                "fluid_particle_mass, wall_stiffness and repulsion_strength"
-            )
+            raise InputError(_NOT_FREE)
         at[:] = found.z
         s = found.stress[0]
         return np.array([s[0, 0] + s[1, 1], s[0, 0] - s[1, 1], s[0, 1] + s[1, 0]])[: len(u)]
@@ -215,10 +216,7 @@ def _free_of_stress(
             "positive: lower fluid_particle_mass or sound_speed, or raise wall_stiffness"
         )
     if not np.abs(stress(u)).max() <= tolerance:
-        raise InputError(
-            "cell: no wall rest length and box free the undeformed RVE of stress; check "
-            "fluid_particle_mass and wall_stiffness, or take another arrangement_seed"
-        )
+        raise InputError(_NOT_FREE)
     F, l0 = shape(u), float(u[0] * cell.spring_length)
     relaxed, box = at[0].T @ F.T, F @ lattice
     topology = make_topologies(cell, make_patches(cell, relaxed, box))[0]
