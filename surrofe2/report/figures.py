@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,6 @@ class Curve:
         x, y: (m,) values in the units of the panel's axes; NaN leaves a gap.
         label: for the legend; empty: the name.
         markers: whether single points are marked.
-        note: drawn at the end of the line, for example a fitted order.
     """
 
     name: str
@@ -72,7 +71,6 @@ class Curve:
     y: Array
     label: str = ""
     markers: bool = True
-    note: str = ""
 
     def __post_init__(self) -> None:
         if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
@@ -137,7 +135,10 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
         if style is None:
             style = _other_style(others, curve.markers)
             others += 1
-        _draw_curve(axes, curve, style)
+        style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **style}
+        if not curve.markers:
+            style.pop("marker", None)
+        axes.plot(curve.x, curve.y, label=curve.label or curve.name, **style)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     if panel.title:
@@ -157,23 +158,6 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
         axes.axhline(0.0, color="black", linewidth=0.8)
     axes.grid(alpha=0.25)
     axes.margins(x=0.03)
-
-
-def _draw_curve(axes: Axes, curve: Curve, own: Mapping[str, Any]) -> None:
-    style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **own}
-    if not curve.markers:
-        style.pop("marker", None)
-    axes.plot(curve.x, curve.y, label=curve.label or curve.name, **style)
-    if curve.note:
-        axes.annotate(
-            curve.note,
-            (float(curve.x[-1]), float(curve.y[-1])),
-            xytext=(0, 6),
-            textcoords="offset points",
-            ha="right",
-            fontsize=8,
-            color=style["color"],
-        )
 
 
 def colour_of(k: int) -> str:
