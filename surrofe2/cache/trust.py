@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # scipy.special is loaded where an audit finds a violation
 from numpy.typing import NDArray
-from scipy.special import bdtrc
 
 from surrofe2.stress_law import Status
 from surrofe2.tensors import transpose
@@ -234,4 +234,4 @@ def _is_one_answer(stress: Array) -> bool:
 
 def chance(violations: int, audits: int) -> float:
     """Probability of so many violations or more among so many audits at the nominal share."""
-    return float(bdtrc(violations - 1, audits, NOMINAL)) if violations else 1.0
+    return float(scipy.special.bdtrc(violations - 1, audits, NOMINAL)) if violations else 1.0
