@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import print_line, show_table
-from surrofe2.cli.options import Fresh
+from surrofe2.cli.console import Fresh, print_line, show_table
 from surrofe2.report.comparison import Comparison
 from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs
 

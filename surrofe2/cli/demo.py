@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli.compare import show_comparison
-from surrofe2.cli.console import on_interrupt, print_line, progress
-from surrofe2.cli.options import Fresh
+from surrofe2.cli.console import Fresh, on_interrupt, print_line, progress
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.demo import run_demo
 from surrofe2.workflow.run_lifecycle import time_text

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 
-from surrofe2.cli.console import on_interrupt, print_line, progress
-from surrofe2.cli.options import Fresh, RecipeFile, Threads
+from surrofe2.cli.console import Fresh, RecipeFile, Threads, on_interrupt, print_line, progress
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.generate import data_summary, generate_data_set
 from surrofe2.workflow.laws import use_threads

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import print_line
-from surrofe2.cli.options import Fresh, Preset
+from surrofe2.cli.console import Fresh, Preset, print_line
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import study_is_there, write_study
 from surrofe2.studies.memory import MemorySettings, describe

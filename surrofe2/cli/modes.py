@@ -6,8 +6,17 @@ from typing import Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import print_error, print_line, progress, show_table
-from surrofe2.cli.options import AnyInitialisation, Fresh, JsonFile, RecipeFile, Threads
+from surrofe2.cli.console import (
+    AnyInitialisation,
+    Fresh,
+    JsonFile,
+    RecipeFile,
+    Threads,
+    print_error,
+    print_line,
+    progress,
+    show_table,
+)
 from surrofe2.io.files import is_there, read_json, write_json
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import INITIALISATIONS

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import print_line, show_table
-from surrofe2.cli.options import AnyInitialisation, Fresh, JsonFile, Preset
+from surrofe2.cli.console import AnyInitialisation, Fresh, JsonFile, Preset, print_line, show_table
 from surrofe2.io.files import is_there, write_json
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS

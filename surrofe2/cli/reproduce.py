@@ -7,8 +7,15 @@ from typing import Annotated, Literal
 
 import typer
 
-from surrofe2.cli.console import on_interrupt, print_line, progress, show_table
-from surrofe2.cli.options import Fresh, Preset, integers
+from surrofe2.cli.console import (
+    Fresh,
+    Preset,
+    integers,
+    on_interrupt,
+    print_line,
+    progress,
+    show_table,
+)
 from surrofe2.workflow.reproduce import CURVES, Bars, reproduce_figure
 
 Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability"]

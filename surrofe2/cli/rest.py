@@ -6,8 +6,16 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import on_interrupt, print_line, progress
-from surrofe2.cli.options import Fresh, Initialisation, RecipeFile, RunFolder, Threads
+from surrofe2.cli.console import (
+    Fresh,
+    Initialisation,
+    RecipeFile,
+    RunFolder,
+    Threads,
+    on_interrupt,
+    print_line,
+    progress,
+)
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.rest import rest_study, rest_summary

@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from surrofe2.cli.console import on_interrupt, print_error, print_line, progress
-from surrofe2.cli.options import (
+from surrofe2.cli.console import (
     KEPT_RUN,
     Fresh,
     Initialisation,
@@ -17,6 +16,10 @@ from surrofe2.cli.options import (
     RunFolder,
     SurrogateFile,
     Threads,
+    on_interrupt,
+    print_error,
+    print_line,
+    progress,
 )
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.laws import use_threads

@@ -7,8 +7,16 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import on_interrupt, print_line, progress, show_table
-from surrofe2.cli.options import Fresh, RecipeFile, SurrogateFile, Threads
+from surrofe2.cli.console import (
+    Fresh,
+    RecipeFile,
+    SurrogateFile,
+    Threads,
+    on_interrupt,
+    print_line,
+    progress,
+    show_table,
+)
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.comparison import SWEEP_FILES, parse_tolerances, run_sweep
 from surrofe2.workflow.laws import use_threads

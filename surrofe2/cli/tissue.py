@@ -12,8 +12,16 @@ import typer
 # the first kernel starts, and set to less by surrofe2.compilation unless it is set.
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
-from surrofe2.cli.console import on_interrupt, print_line, progress
-from surrofe2.cli.options import KEPT_RUN, Fresh, RecipeFile, RunFolder, Threads
+from surrofe2.cli.console import (
+    KEPT_RUN,
+    Fresh,
+    RecipeFile,
+    RunFolder,
+    Threads,
+    on_interrupt,
+    print_line,
+    progress,
+)
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.tissue import resized, run_tissue, tissue_summary

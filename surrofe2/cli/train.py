@@ -8,8 +8,15 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import on_interrupt, print_line, progress, show_table
-from surrofe2.cli.options import Fresh, RecipeFile, Threads
+from surrofe2.cli.console import (
+    Fresh,
+    RecipeFile,
+    Threads,
+    on_interrupt,
+    print_line,
+    progress,
+    show_table,
+)
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.run_lifecycle import time_text

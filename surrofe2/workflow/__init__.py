@@ -4,12 +4,12 @@ In reading order:
 
     run_lifecycle  one run in its folder: begun, checkpointed, finished, failed or interrupted
     laws           the stress law of a run: chosen, started from a kept reference, warmed up
-    run            a bar by a stress law; run_outputs: the table and true answers that it leaves
+    run            a bar by a stress law, with the table and the true answers that it leaves
     tissue         the full microscopic tissue
     rest           the bar at rest under its load, and its small oscillations
     generate       a data set of true stresses
-    training_data  the data set with true answers of runs added
-    train          a surrogate from it; calibrate: the bound of its error
+    train          a surrogate from it and from true answers of runs
+    calibrate      the bound of its error
     refinement     rounds of cached run, sampling and training
     comparison     runs against each other: compare, sweep over tolerances
     demo           all of it: data set, surrogate, and two bars by true and cached FE²

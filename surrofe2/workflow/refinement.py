@@ -27,11 +27,9 @@ from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate_surrogate
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.run import run_study
+from surrofe2.workflow.run import HARVEST, run_study
 from surrofe2.workflow.run_lifecycle import Stage, silent
-from surrofe2.workflow.run_outputs import HARVEST
-from surrofe2.workflow.train import train_surrogate, training_note
-from surrofe2.workflow.training_data import with_harvests
+from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
 
 Array = NDArray[np.float64]
 

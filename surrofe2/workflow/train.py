@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import START_OVER, check_same, reported
+from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.io.surrogates import (
     read_surrogate,
     read_training,
@@ -16,12 +21,14 @@ from surrofe2.io.surrogates import (
     write_training,
 )
 from surrofe2.recipe import Recipe
-from surrofe2.stress_samples import StressSamples
+from surrofe2.stress_law import StressLaw
+from surrofe2.stress_samples import TANGENTS, StressSamples
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.surrogate.training import TrainingState, train
+from surrofe2.tensors import stress_error, stress_spread
+from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import bound_summary, calibrate_surrogate
 from surrofe2.workflow.run_lifecycle import Stage, silent
-from surrofe2.workflow.training_data import with_harvests
 
 STRESSES = ("xx", "xy", "yx", "yy")
 
@@ -135,3 +142,83 @@ def training_summary(trained: Trained) -> str:
     rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
     kept = " (already trained)" if trained.kept else ""
     return f"held-out errors up to {100 * rms:.2g} % RMS, {100 * worst:.2g} % worst{kept}"
+
+
+log = logging.getLogger(__name__)
+
+_CHUNK = 512
+_SAME = 1e-6
+"""Share of the spread of stress within which two answers are the same."""
+
+
+def with_harvests(
+    samples: StressSamples, paths: Sequence[Path], recipe: Recipe, law: StressLaw | None = None
+) -> StressSamples:
+    """The samples and, after them, the true answers in these harvests.
+
+    The range stays that of the samples: states beyond it are trained on, and do not widen it.
+    Where the samples have tangents, those of harvested states are solved for, by RVEs from rest;
+    states whose stress they do not find again are left out.
+
+    Args:
+        law: whose tangents; default: the recipe's RVE.
+
+    Raises:
+        MismatchError: a harvest is of other cell parameters or initialisation.
+    """
+    harvests = [read_harvest(path) for path in paths]
+    for path, harvest in zip(paths, harvests, strict=True):
+        check_harvest(path, harvest, samples.cell, samples.initialisation)
+    if not harvests:
+        return samples
+    names = ["F", "F_dot", "stress", "status"]
+    parts: list[dict[str, Any]] = [_arrays_of(harvest) for harvest in harvests]
+    known: dict[str, Any] = _arrays_of(samples)
+    if samples.P_by_F is not None:
+        names += TANGENTS
+        known |= {"P_by_F": samples.P_by_F, "P_by_F_dot": samples.P_by_F_dot}
+        law = law or laws.true_law(recipe)
+        parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
+        taken = sum(len(part["status"]) for part in parts)
+        left_out = sum(len(harvest.status) for harvest in harvests) - taken
+        if left_out:
+            log.warning(
+                "%d harvested states left out: RVEs from rest answer otherwise there", left_out
+            )
+    arrays: dict[str, Any] = {
+        name: np.concatenate([known[name], *(part[name] for part in parts)]) for name in names
+    }
+    left = samples.left_bifurcation
+    if left is not None:  # harvests have no answers from beyond a bifurcation
+        arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["status"]) - len(left)))
+    return replace(samples, **arrays)
+
+
+def _spread(samples: StressSamples) -> float:
+    return stress_spread(samples.stress[samples.status == 0])
+
+
+def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str, Any]:
+    """Arrays of harvested states with tangents: those that failed, and those that the law, from
+    rest, answers alike.
+    """
+    by_F, by_F_dot = np.full((2, len(harvest.status), 2, 2, 2, 2), np.nan)
+    kept = harvest.status != 0
+    valid = np.flatnonzero(~kept)
+    for first in range(0, len(valid), _CHUNK):
+        rows = valid[first : first + _CHUNK]
+        answer: Any = law.respond(harvest.F[rows], harvest.F_dot[rows], tangents=True)
+        wrong = stress_error(answer.stress, harvest.stress[rows])
+        kept[rows] = (answer.status == 0) & (wrong <= _SAME * spread)
+        by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
+    arrays = _arrays_of(harvest) | {"P_by_F": by_F, "P_by_F_dot": by_F_dot}
+    return {name: values[kept] for name, values in arrays.items()}
+
+
+def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
+    return {
+        "F": answers.F,
+        "F_dot": answers.F_dot,
+        "stress": answers.stress,
+        "status": answers.status,
+    }
