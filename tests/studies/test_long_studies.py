@@ -177,5 +177,7 @@ def test_the_command_writes_figure_and_table(tmp_path):
     lines = (tmp_path / "scales-water.md").read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("| plant cells a side | run | first minimum × 16/n (µm) |")
     assert len(lines) == 2 + 4
-    again = CliRunner().invoke(app, [*arguments, "--force"])
-    assert "4 of 4 curves are there already" in again.stdout
+    curves = {path: path.stat().st_mtime_ns for path in (tmp_path / "curves").iterdir()}
+    assert len(curves) == 4
+    assert CliRunner().invoke(app, [*arguments, "--fresh"]).exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "curves").iterdir()} == curves
