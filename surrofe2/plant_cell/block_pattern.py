@@ -37,6 +37,8 @@ class Pattern(NamedTuple):
     offset: (groups, groups) where a block begins within a row, −1 where there is none.
     lower, upper: (·,) neighbours eliminated before and after, ascending; those of g are
         lower[lower_start[g]:lower_start[g + 1]].
+    block: (particles, particles) where the 2 × 2 block of two particles begins; −1: there is none.
+    stride: (particles,) how far its second row is from there.
     size: number of values.
     """
 
@@ -50,6 +52,8 @@ class Pattern(NamedTuple):
     lower_start: Ints
     upper: Ints
     upper_start: Ints
+    block: Ints
+    stride: Ints
     size: int
 
 
@@ -125,6 +129,10 @@ def _layout(labels: Ints, order: list[int], later: dict[int, set[int]]) -> Patte
         width[g], start[g] = at, total
         group[members[g]], column[members[g]] = g, 2 * np.arange(len(members[g]))
         total += size[g] * at
+    at = offset[group[:, None], group] if count else np.full((particles, particles), -1)
+    known = (at >= 0) & (group[:, None] >= 0) & (group >= 0)
+    stride = width[group] if count else np.zeros(particles, dtype=np.int32)
+    block = (start[group] + column * stride)[:, None] + at + column if count else at
     return Pattern(
         group=group,
         column=column,
@@ -136,6 +144,8 @@ def _layout(labels: Ints, order: list[int], later: dict[int, set[int]]) -> Patte
         lower_start=_starts(lower),
         upper=_flat(upper),
         upper_start=_starts(upper),
+        block=np.where(known, block, -1).astype(np.int32),
+        stride=stride.astype(np.int32),
         size=total,
     )
 

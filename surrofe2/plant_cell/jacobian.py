@@ -49,14 +49,12 @@ def add_at(array, row, column, value):
     store(load(array, row, column) + value, array, row, column)
 
 
-@kernel
-def add_block(matrix, topology, i, j, xx, xy, yx, yy):
+@pair_law
+def add_block(matrix, block, stride, i, j, xx, xy, yx, yy):
     """Add a 2 × 2 block at particles (i, j), unless one of them is held."""
-    g, h = topology.group[i], topology.group[j]
-    if g >= 0 and h >= 0:
-        width, at = topology.width[g], topology.offset[g, h] + topology.column[j]
-        upper = topology.start[g] + topology.column[i] * width + at
-        lower = upper + width
+    upper = block[i, j]
+    if upper >= 0:
+        lower = upper + stride[i]
         add_to(matrix, upper, xx)
         add_to(matrix, upper + 1, xy)
         add_to(matrix, lower, yx)
@@ -64,17 +62,17 @@ def add_block(matrix, topology, i, j, xx, xy, yx, yy):
 
 
 @pair_law
-def add_pair_jacobian(matrix, topology, L, i, j, rr, rw):
+def add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw):
     """Spread ∂f/∂r = rr and ∂f/∂w = rw, each (xx, xy, yx, yy), over own particles i and j."""
     lxx, lxy, lyx, lyy = load(L, 0, 0), load(L, 0, 1), load(L, 1, 0), load(L, 1, 1)
     xx = rr[0] + rw[0] * lxx + rw[1] * lyx
     xy = rr[1] + rw[0] * lxy + rw[1] * lyy
     yx = rr[2] + rw[2] * lxx + rw[3] * lyx
     yy = rr[3] + rw[2] * lxy + rw[3] * lyy
-    add_block(matrix, topology, i, j, xx, xy, yx, yy)
-    add_block(matrix, topology, j, i, xx, xy, yx, yy)
-    add_block(matrix, topology, i, i, -xx, -xy, -yx, -yy)
-    add_block(matrix, topology, j, j, -xx, -xy, -yx, -yy)
+    add_block(matrix, block, stride, i, j, xx, xy, yx, yy)
+    add_block(matrix, block, stride, j, i, xx, xy, yx, yy)
+    add_block(matrix, block, stride, i, i, -xx, -xy, -yx, -yy)
+    add_block(matrix, block, stride, j, j, -xx, -xy, -yx, -yy)
 
 
 @pair_law
@@ -102,17 +100,18 @@ def add_pair_load(columns, Z, i, j, j_own, rr, rw):
 
 @kernel
 def _add_central(work, L, pairs, is_bond, topology, c, matrix, columns):
-    own = topology.particles
+    own, owner = topology.particles, topology.owner
+    block, stride = topology.block, topology.stride  # named in the loop, they would be counted
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        j_own = j if j < own else topology.owner[j - own]
+        j_own = j if j < own else owner[j - own]
         pair = pair_at(work.x, work.v, i, j)
         tension, by_length, by_rate = central_slopes(pair, is_bond, c)
         rr = central_gradient(pair, tension, by_length, by_rate)
         nx, ny = pair.nx, pair.ny
         cross = by_rate * nx * ny
         rw = (by_rate * nx * nx, cross, cross, by_rate * ny * ny)
-        add_pair_jacobian(matrix, topology, L, i, j_own, rr, rw)
+        add_pair_jacobian(matrix, block, stride, L, i, j_own, rr, rw)
         if columns.shape[0] > 0:
             add_pair_load(columns, work.z, i, j, j_own, rr, rw)
 
@@ -122,7 +121,7 @@ def _add_fluid(cell, work, L, topology, c, matrix, columns):
     """Pressure and viscous forces of one plant cell, work.slope and work.volume given."""
     pairs, first = topology.fluid_pairs, topology.walls + topology.fluid_start[cell]
     fluid = topology.fluid_start[cell + 1] - topology.fluid_start[cell]
-    h = c.smoothing_length
+    h, block, stride = c.smoothing_length, topology.block, topology.stride
     by_density = np.zeros((2 * fluid, fluid, TILE))
     density_by_x = np.zeros((fluid, 2 * fluid, TILE))
     density_by_load = np.zeros((fluid, 4, TILE))
@@ -139,7 +138,7 @@ def _add_fluid(cell, work, L, topology, c, matrix, columns):
         ux, uy = da * rx + db * wx, da * ry + db * wy
         rr = (a + ux * nx, ux * ny, uy * nx, a + uy * ny)
         rw = (b, spread(0.0), spread(0.0), b)
-        add_pair_jacobian(matrix, topology, L, i, j, rr, rw)
+        add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw)
 
         a, b = fluid_volume_slopes(steep, volume_j, c)
         gx = -volume_i * volume_i * (a * rx + b * wx)

@@ -83,6 +83,8 @@ class RveTopology(NamedTuple):
     lower_start: Ints
     upper: Ints
     upper_start: Ints
+    block: Ints
+    stride: Ints
     size: int
 
 

@@ -279,7 +279,7 @@ def _dot(lu, at, y, first, count):
     return (s0 + s1) + (s2 + s3)
 
 
-@kernel
+@pair_law
 def _with_block(lu, row, y, here, pattern, g, c, transposed):
     """`_spread` or `_gather` with the columns of group c in a row of group g."""
     at, first, count = pattern.offset[g, c], pattern.first[c], pattern.first[c + 1]

@@ -35,15 +35,15 @@ def equilibrium_modes(work, F, topology, c, matrices):
 
 
 @kernel
-def material_rate(modes, F_dot):
-    """y = ∂z_el/∂F : Ḟ."""
-    y = np.zeros(modes.shape[1:])
+def along(fields, tensor):
+    """Σ_m tensor_m fields[m] over xx, xy, yx, yy: of modes and Ḟ, y = ∂z_el/∂F : Ḟ."""
+    total = np.zeros(fields.shape[1:])
     for m in range(COLUMNS):
+        factor = load(tensor, m // 2, m % 2)
         for axis in range(2):
-            for i in range(y.shape[1]):
-                part = load(modes, m, axis, i) * load(F_dot, m // 2, m % 2)
-                store(load(y, axis, i) + part, y, axis, i)
-    return y
+            for i in range(total.shape[1]):
+                store(load(total, axis, i) + factor * load(fields, m, axis, i), total, axis, i)
+    return total
 
 
 @kernel

@@ -63,20 +63,21 @@ SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
 @kernel
 def predict(z, drive, before, slopes, there):
     """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`, z known at `before`."""
-    F, rate, at_F, at_rate = drive.F, drive.rate, before.F, before.rate
-    f0, f1 = load(F, 0, 0) - load(at_F, 0, 0), load(F, 0, 1) - load(at_F, 0, 1)
-    f2, f3 = load(F, 1, 0) - load(at_F, 1, 0), load(F, 1, 1) - load(at_F, 1, 1)
-    r0, r1 = load(rate, 0, 0) - load(at_rate, 0, 0), load(rate, 0, 1) - load(at_rate, 0, 1)
-    r2, r3 = load(rate, 1, 0) - load(at_rate, 1, 0), load(rate, 1, 1) - load(at_rate, 1, 1)
-    for axis in range(2):
-        store(load(z, axis, 0), there, axis, 0)
-        for i in range(1, z.shape[1]):
-            m = 2 * i - 2 + axis
-            by_F = load(slopes, m, 0) * f0 + load(slopes, m, 1) * f1
-            by_F += load(slopes, m, 2) * f2 + load(slopes, m, 3) * f3
-            by_rate = load(slopes, m, 4) * r0 + load(slopes, m, 5) * r1
-            by_rate += load(slopes, m, 6) * r2 + load(slopes, m, 7) * r3
-            store(load(z, axis, i) + (by_F + by_rate), there, axis, i)
+    copy_particles(z, there)
+    add_slopes(slopes, 0, drive.F - before.F, there)
+    add_slopes(slopes, 4, drive.rate - before.rate, there)
+
+
+@kernel
+def add_slopes(slopes, first, change, z):
+    """z += Σ_m slopes[:, first + m] change_m over xx, xy, yx, yy, but of the held particle."""
+    xx, xy = load(change, 0, 0), load(change, 0, 1)
+    yx, yy = load(change, 1, 0), load(change, 1, 1)
+    for m in range(slopes.shape[0]):
+        value = load(slopes, m, first) * xx + load(slopes, m, first + 1) * xy
+        value += load(slopes, m, first + 2) * yx + load(slopes, m, first + 3) * yy
+        axis, i = m % 2, m // 2 + 1
+        store(load(z, axis, i) + value, z, axis, i)
 
 
 @kernel

@@ -32,12 +32,13 @@ from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
 from surrofe2.rve.equilibrium_modes import (
+    along,
     equilibrium_modes,
-    material_rate,
     set_velocities,
     unit_velocities,
 )
 from surrofe2.rve.newton import (
+    add_slopes,
     check_stable,
     correct,
     keep_slopes,
@@ -89,14 +90,15 @@ def _follow_tile(t, drives, moving, before, factors, topology, c, tolerance, ans
     z, elastic, drive, at = moving.z[t], moving.elastic[t], drive_of(drives, t), drive_of(before, t)
     answer, work = answer_of(answers, t), make_workspace(topology)
     lu, slopes = kept_factors(factors[t], topology)
-    y, relaxed = np.empty_like(z), np.empty_like(z)
+    y, relaxed = np.zeros_like(z), np.empty_like(z)
     still = np.zeros((2, 2, TILE))
     count = np.zeros(TILE, dtype=np.int32)
     predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
-    _predict_rates(slopes, drive.rate, y)
+    add_slopes(slopes, 0, drive.rate, y)
     copy_particles(work.z, relaxed)
     _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count)
-    _predict_offset(z, elastic, drive.rate, at.rate, slopes, relaxed, work.z)
+    copy_particles(relaxed + (z - elastic), work.z)
+    add_slopes(slopes, 4, drive.rate - at.rate, work.z)
     _find_positions(work, drive.F, lu, topology, c, tolerance, answer.stress, count)
     for k in range(TILE):
         answer.iterations[k] = count[k]
@@ -104,32 +106,6 @@ def _follow_tile(t, drives, moving, before, factors, topology, c, tolerance, ans
             keep_lane(work.z, k, z)
             keep_lane(relaxed, k, elastic)
     set_fluctuation(work.v, z, drive.rate, moving.fluctuation[t])
-
-
-@kernel
-def _predict_rates(slopes, rate, y):
-    """y = ∂z_el/∂F : Ḟ from the kept slopes."""
-    r0, r1, r2, r3 = load(rate, 0, 0), load(rate, 0, 1), load(rate, 1, 0), load(rate, 1, 1)
-    for axis in range(2):
-        store(0.0, y, axis, 0)
-        for i in range(1, y.shape[1]):
-            m = 2 * i - 2 + axis
-            value = load(slopes, m, 0) * r0 + load(slopes, m, 1) * r1
-            store(value + load(slopes, m, 2) * r2 + load(slopes, m, 3) * r3, y, axis, i)
-
-
-@kernel
-def _predict_offset(z, elastic, rate, at_rate, slopes, relaxed, there):
-    """z_el + (z − z_el) of the last point + ∂(z − z_el)/∂Ḟ (Ḟ − Ḟ₀)."""
-    r0, r1 = load(rate, 0, 0) - load(at_rate, 0, 0), load(rate, 0, 1) - load(at_rate, 0, 1)
-    r2, r3 = load(rate, 1, 0) - load(at_rate, 1, 0), load(rate, 1, 1) - load(at_rate, 1, 1)
-    for axis in range(2):
-        for i in range(1, z.shape[1]):
-            m = 2 * i - 2 + axis
-            offset = load(z, axis, i) - load(elastic, axis, i)
-            offset += load(slopes, m, 4) * r0 + load(slopes, m, 5) * r1
-            offset += load(slopes, m, 6) * r2 + load(slopes, m, 7) * r3
-            store(load(relaxed, axis, i) + offset, there, axis, i)
 
 
 @kernel
@@ -203,7 +179,7 @@ def _newton_tile(t, drives, moving, topology, c, tolerance, answers):
     still, beyond = np.zeros((2, 2, TILE)), np.empty_like(fluctuation)
     wanted = answer.iterations <= 0
     place(work, moving.elastic[t], drive.F, topology)
-    y = material_rate(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
+    y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
     set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
     newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, tolerance, answer)
     set_fluctuation(work.v, work.z, drive.rate, beyond)

@@ -25,6 +25,7 @@ from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, factorise, make_matrices, solve_columns
 from surrofe2.rve.equilibrium_modes import (
+    along,
     equilibrium_modes,
     fold_columns,
     subtract_columns,
@@ -56,9 +57,10 @@ def _affine_tile(t, drives, z, kind, topology, c, tangents):
     place(work, z, F, topology)
     map_affine(F_dot, work.z, work.v)
     tangents[:] = 0.0
-    by_x, by_v = _stress_gradients(work, _virial_weights(work.z), topology, c)
-    _add_affine(by_x, work.z, 0, tangents)
-    _add_affine(by_v, work.z, 4, tangents)
+    affine = _affine_fields(work.z)
+    by_x, by_v = _stress_gradients(work, affine, topology, c)
+    _add_products(by_x, affine, 0, tangents)
+    _add_products(by_v, affine, 4, tangents)
     if kind != _CAUCHY_BORN:
         matrices = make_matrices(topology)
         adjoint = _adjoint_load(work, by_x, by_v, drive, topology, c)
@@ -90,14 +92,11 @@ def _slow_tile(t, drives, z, relaxed, topology, c, tangents):
     place(work, relaxed, F, topology)
     modes = equilibrium_modes(work, F, topology, c, matrices)
     units = unit_velocities(work.z, modes, F, topology)
-    for m in range(COLUMNS):
-        for axis in range(2):
-            for k in range(work.v.shape[1]):
-                part = load(F_dot, m // 2, m % 2) * load(units, m, axis, k)
-                store(load(work.v, axis, k) + part, work.v, axis, k)
+    work.v[:] = along(units, F_dot)
     slopes = velocity_slopes(work, units, topology, c, matrices.matrix)
     place(work, z, F, topology)
-    weights = _virial_weights(work.z)
+    affine = _affine_fields(work.z)
+    weights = affine.copy()
     by_x, by_v = _stress_gradients(work, weights, topology, c)
     still = Drive(F, np.zeros((2, 2, TILE)))
     adjoint = _adjoint_load(work, by_x, by_v, still, topology, c)
@@ -107,19 +106,19 @@ def _slow_tile(t, drives, z, relaxed, topology, c, tangents):
     subtract_columns(adjoint, topology, weights)
     by_x, by_v = _stress_gradients(work, weights, topology, c)
     tangents[:] = 0.0
-    _add_affine(by_x, work.z, 0, tangents)
+    _add_products(by_x, affine, 0, tangents)
     _add_products(by_v, slopes, 0, tangents)
     _add_products(by_v, units, 4, tangents)
     tangents[:] = tangents * (-1.0 / topology.area)
 
 
 @kernel
-def _virial_weights(z):
-    """(4, 2, local, TILE): e_a z_b for (a, b) = xx, xy, yx, yy."""
-    weights = np.zeros((COLUMNS, 2, z.shape[1], TILE))
+def _affine_fields(z):
+    """(4, 2, local, TILE): e_a z_b for (a, b) = xx, xy, yx, yy; the virial's weights, ∂x/∂F_ab."""
+    fields = np.zeros((COLUMNS, 2, z.shape[1], TILE))
     for n in range(COLUMNS):
-        weights[n, n // 2] = z[n % 2]
-    return weights
+        fields[n, n // 2] = z[n % 2]
+    return fields
 
 
 @kernel
@@ -157,17 +156,6 @@ def _adjoint_load(work, by_x, by_v, drive, topology, c):
             store(load(load_x, n, i) + (yy * gx - yx * gy) * per_det, load_x, n, i)
             store(load(load_x, n, i + 1) + (xx * gy - xy * gx) * per_det, load_x, n, i + 1)
     return load_x
-
-
-@kernel
-def _add_affine(gradients, z, first, tangents):
-    """tangents[a, b, first + m] += Σ_k gradients of (a, b) along E_m z."""
-    for n in range(COLUMNS):
-        for m in range(COLUMNS):
-            total = load(tangents, n // 2, n % 2, first + m)
-            for k in range(z.shape[1]):
-                total += load(gradients, n, m // 2, k) * load(z, m % 2, k)
-            store(total, tangents, n // 2, n % 2, first + m)
 
 
 @kernel
