@@ -129,10 +129,11 @@ def _layout(labels: Ints, order: list[int], later: dict[int, set[int]]) -> Patte
         width[g], start[g] = at, total
         group[members[g]], column[members[g]] = g, 2 * np.arange(len(members[g]))
         total += size[g] * at
-    at = offset[group[:, None], group] if count else np.full((particles, particles), -1)
-    known = (at >= 0) & (group[:, None] >= 0) & (group >= 0)
+    blocks = offset[group[:, None], group] if count else np.full((particles, particles), -1)
+    known = (blocks >= 0) & (group[:, None] >= 0) & (group >= 0)
     stride = width[group] if count else np.zeros(particles, dtype=np.int32)
-    block = (start[group] + column * stride)[:, None] + at + column if count else at
+    if count:
+        blocks = blocks + (start[group] + column * stride)[:, None] + column
     return Pattern(
         group=group,
         column=column,
@@ -144,7 +145,7 @@ def _layout(labels: Ints, order: list[int], later: dict[int, set[int]]) -> Patte
         lower_start=_starts(lower),
         upper=_flat(upper),
         upper_start=_starts(upper),
-        block=np.where(known, block, -1).astype(np.int32),
+        block=np.where(known, blocks, -1).astype(np.int32),
         stride=stride.astype(np.int32),
         size=total,
     )
