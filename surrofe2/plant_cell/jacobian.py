@@ -50,15 +50,15 @@ def add_at(array, row, column, value):
 
 
 @pair_law
-def add_block(matrix, block, stride, i, j, xx, xy, yx, yy):
-    """Add a 2 × 2 block at particles (i, j), unless one of them is held."""
+def add_block(matrix, block, stride, i, j, entries):
+    """Add entries (xx, xy, yx, yy) at particles (i, j), unless one of them is held."""
     upper = block[i, j]
     if upper >= 0:
         lower = upper + stride[i]
-        add_to(matrix, upper, xx)
-        add_to(matrix, upper + 1, xy)
-        add_to(matrix, lower, yx)
-        add_to(matrix, lower + 1, yy)
+        add_to(matrix, upper, entries[0])
+        add_to(matrix, upper + 1, entries[1])
+        add_to(matrix, lower, entries[2])
+        add_to(matrix, lower + 1, entries[3])
 
 
 @pair_law
@@ -69,10 +69,10 @@ def add_pair_jacobian(matrix, block, stride, L, i, j, rr, rw):
     xy = rr[1] + rw[0] * lxy + rw[1] * lyy
     yx = rr[2] + rw[2] * lxx + rw[3] * lyx
     yy = rr[3] + rw[2] * lxy + rw[3] * lyy
-    add_block(matrix, block, stride, i, j, xx, xy, yx, yy)
-    add_block(matrix, block, stride, j, i, xx, xy, yx, yy)
-    add_block(matrix, block, stride, i, i, -xx, -xy, -yx, -yy)
-    add_block(matrix, block, stride, j, j, -xx, -xy, -yx, -yy)
+    add_block(matrix, block, stride, i, j, (xx, xy, yx, yy))
+    add_block(matrix, block, stride, j, i, (xx, xy, yx, yy))
+    add_block(matrix, block, stride, i, i, (-xx, -xy, -yx, -yy))
+    add_block(matrix, block, stride, j, j, (-xx, -xy, -yx, -yy))
 
 
 @pair_law
