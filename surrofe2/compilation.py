@@ -1,8 +1,9 @@
 """How every kernel is compiled: one place for numba's flags and for its cache.
 
 numba's own cache looks at the file of the outermost function alone and would go on using machine
-code whose inner functions have changed. Here the cache folder carries a digest of all sources
-that define kernels, so that a changed line is never outrun by an old kernel.
+code whose inner functions, or constants from other files, have changed. Here the cache folder
+carries a digest of every source file of the package, so that machine code always belongs to the
+sources it is run with.
 """
 
 from __future__ import annotations
@@ -26,21 +27,27 @@ OPTIONS = {"error_model": "numpy", "fastmath": FAST}
 
 
 @cache
+def source_digest() -> str:
+    """16 hexadecimal digits of the names and contents of all source files of the package."""
+    package, digest = Path(__file__).parent, hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        content = source.read_bytes()
+        digest.update(f"{source.relative_to(package).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]
+
+
+@cache
 def cache_folder() -> Path:
     """Where compiled kernels of exactly these sources are kept between processes."""
-    digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.rglob("*.py")):
-        text = source.read_bytes()
-        if b"surrofe2.compilation" in text:
-            digest.update(text)
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     base = Path(home) if home else Path.home() / ".cache"
-    return base / "surrofe2" / digest.hexdigest()[:16]
+    return base / "surrofe2" / source_digest()
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with options of one's own, cached here."""
-    options = {"cache": True} | OPTIONS | options
+    options = {"cache": True, "no_cfunc_wrapper": True} | OPTIONS | options
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR

@@ -265,7 +265,7 @@ def _reorder(source, target, pattern, back):
         store(load(source, here + 1), target, there + 1)
 
 
-@pair_law
+@kernel
 def _dot(lu, at, y, first, count):
     """Σ_j lu[at + j] y[first + j] over j < count, in four chains."""
     s0, s1, s2, s3 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)

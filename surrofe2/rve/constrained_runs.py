@@ -30,13 +30,14 @@ class Stepping(NamedTuple):
 def iterate(drive, x, v, mass, topology, c, stepping, answer):
     """Iterate x, v (tiles, 2, own, TILE) in place; iterations: Euler steps, −1 at the limit."""
     for t in numba.prange(x.shape[0]):
-        iterate_tile(t, drive, x, v, mass, topology, c, stepping, answer)
+        iterate_tile(
+            drive_of(drive, t), x[t], v[t], mass, topology, c, stepping, answer_of(answer, t)
+        )
 
 
 @kernel
-def iterate_tile(t, drives, positions, velocities, mass, topology, c, stepping, answers):
-    """`iterate` for tile t."""
-    drive, x, v, answer = drive_of(drives, t), positions[t], velocities[t], answer_of(answers, t)
+def iterate_tile(drive, x, v, mass, topology, c, stepping, answer):
+    """`iterate` for one tile."""
     F, rate, dt, stop = drive.F, drive.rate, stepping.dt, stepping.stop
     work = make_workspace(topology)
     sigma, mean = np.empty((2, 2, TILE)), np.empty((1, TILE))

@@ -64,15 +64,25 @@ SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
 def predict(z, drive, before, slopes, there):
     """z + ∂z/∂F (F − F₀) + ∂z/∂Ḟ (Ḟ − Ḟ₀) into `there`, z known at `before`."""
     copy_particles(z, there)
-    add_slopes(slopes, 0, drive.F - before.F, there)
-    add_slopes(slopes, 4, drive.rate - before.rate, there)
+    add_slopes(slopes, 0, change(drive.F, before.F), there)
+    add_slopes(slopes, 4, change(drive.rate, before.rate), there)
 
 
 @kernel
-def add_slopes(slopes, first, change, z):
-    """z += Σ_m slopes[:, first + m] change_m over xx, xy, yx, yy, but of the held particle."""
-    xx, xy = load(change, 0, 0), load(change, 0, 1)
-    yx, yy = load(change, 1, 0), load(change, 1, 1)
+def change(tensor, before):
+    """(2, 2, TILE) tensor − before; numba compiles the expression of arrays far longer."""
+    difference = np.empty((2, 2, TILE))
+    for i in range(2):
+        for j in range(2):
+            store(load(tensor, i, j) - load(before, i, j), difference, i, j)
+    return difference
+
+
+@kernel
+def add_slopes(slopes, first, tensor, z):
+    """z += Σ_m slopes[:, first + m] tensor_m over xx, xy, yx, yy, but of the held particle."""
+    xx, xy = load(tensor, 0, 0), load(tensor, 0, 1)
+    yx, yy = load(tensor, 1, 0), load(tensor, 1, 1)
     for m in range(slopes.shape[0]):
         value = load(slopes, m, first) * xx + load(slopes, m, first + 1) * xy
         value += load(slopes, m, first + 2) * yx + load(slopes, m, first + 3) * yy
@@ -208,21 +218,23 @@ def chord(drive, z, before, factors, topology, c, tolerance, answer):
     factors (tiles,): addresses of the kept factors, which are read only.
     """
     for t in numba.prange(z.shape[0]):
-        chord_tile(t, drive, z, before, factors, topology, c, tolerance, answer)
+        chord_tile(
+            drive_of(drive, t), z[t], drive_of(before, t), factors[t], topology, c, tolerance,
+            answer_of(answer, t),
+        )  # fmt: skip
 
 
 @kernel
-def chord_tile(t, drives, tiles, at, factors, topology, c, tolerance, answers):
-    """`chord` for tile t."""
-    drive, z, answer = drive_of(drives, t), tiles[t], answer_of(answers, t)
+def chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
+    """`chord` for one tile."""
     iterations = answer.iterations
     if iterations.max() < 0:
         return
     work, free = make_workspace(topology), 2 * topology.particles - 2
-    lu, slopes = kept_factors(factors[t], topology)
+    lu, slopes = kept_factors(factors, topology)
     sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
     before, step = np.full(TILE, np.inf), np.empty((free, TILE))
-    predict(z, drive, drive_of(at, t), slopes, work.z)
+    predict(z, drive, at, slopes, work.z)
     for count in range(1, CHORD_LIMIT + 1):
         evaluate(work, drive, topology, c, sigma, residual)
         left = settle(
@@ -246,23 +258,25 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
     - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
     """
     for t in numba.prange(z.shape[0]):
-        newton_tile(t, drive, z, factors, task, topology, c, tolerance, answer)
+        newton_tile(
+            drive_of(drive, t), z[t], factors[t], task[t], topology, c, tolerance,
+            answer_of(answer, t),
+        )  # fmt: skip
 
 
 @kernel
-def newton_tile(t, drives, tiles, factors, task, topology, c, tolerance, answers):
-    """`newton` for tile t."""
-    if task[t] == SKIP:
+def newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
+    """`newton` for one tile."""
+    if task == SKIP:
         return
-    drive, z, answer = drive_of(drives, t), tiles[t], answer_of(answers, t)
     work, matrices = make_workspace(topology), make_matrices(topology)
     copy_particles(z, work.z)
-    if task[t] >= SOLVE:
+    if task >= SOLVE:
         newton_loop(work, matrices, drive, True, topology, c, tolerance, answer)
         copy_particles(work.z, z)
     set_images(work.z, topology)
-    if task[t] >= RENEW:
-        lu, slopes = kept_factors(factors[t], topology)
+    if task >= RENEW:
+        lu, slopes = kept_factors(factors, topology)
         _refactorise(work, matrices, drive, topology, c, lu, slopes)
     check_stable(work, matrices, drive.F, topology, c, answer.stable)
 
@@ -272,7 +286,11 @@ def solve_tiles(kernel: Any, *arguments: Any) -> None:
     if len(arguments[1]) > 1:
         kernel(*arguments)
     else:
-        (chord_tile if kernel is chord else newton_tile)(0, *arguments)
+        one = chord_tile if kernel is chord else newton_tile
+        first = [
+            drive_of(part, 0) if isinstance(part, Drive) else part[0] for part in arguments[:4]
+        ]
+        one(*first, *arguments[4:7], answer_of(arguments[7], 0))
 
 
 def renew(
@@ -322,11 +340,11 @@ def check_stable(work, matrices, F, topology, c, stable):
 def stress_at(drive, z, topology, c, answer):
     """Stress and mean force at given z with affine velocities, all tiles."""
     for t in numba.prange(z.shape[0]):
-        _stress_tile(t, drive, z, topology, c, answer)
+        _stress_tile(drive_of(drive, t), z[t], topology, c, answer_of(answer, t))
 
 
 @kernel
-def _stress_tile(t, drive, z, topology, c, answer):
+def _stress_tile(drive, z, topology, c, answer):
     work = make_workspace(topology)
-    copy_particles(z[t], work.z)
-    evaluate(work, drive_of(drive, t), topology, c, answer.stress[t], answer.residual[t])
+    copy_particles(z, work.z)
+    evaluate(work, drive, topology, c, answer.stress, answer.residual)

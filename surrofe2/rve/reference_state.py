@@ -33,7 +33,7 @@ from surrofe2.plant_cell.tiles import (
 )
 from surrofe2.rve.constrained_runs import Stepping, iterate_tile
 from surrofe2.rve.newton import SOLVE, newton, solve_tiles
-from surrofe2.rve.particle_state import Drive, empty_answer, energies
+from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, energies
 from surrofe2.rve.rve_state import Factors
 from surrofe2.simd import TILE
 
@@ -171,7 +171,8 @@ def _settled(cell: CellParameters, lattice: Array, constants: Constants, starts:
     drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
     stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
     for t in range(len(x)):
-        iterate_tile(t, drive, x, v, patches[0].mass, topology, constants, stepping, answer)
+        at, said = drive_of(drive, t), answer_of(answer, t)
+        iterate_tile(at, x[t], v[t], patches[0].mass, topology, constants, stepping, said)
     rested = unpack(answer.iterations, len(starts)) >= 0
     if not rested.any():
         raise InputError(

@@ -39,6 +39,7 @@ from surrofe2.rve.equilibrium_modes import (
 )
 from surrofe2.rve.newton import (
     add_slopes,
+    change,
     check_stable,
     correct,
     keep_slopes,
@@ -75,6 +76,12 @@ class Moving(NamedTuple):
     fluctuation: NDArray[np.float64]
 
 
+@kernel
+def moving_of(moving, t):
+    """The `Moving` of tile t."""
+    return Moving(moving.z[t], moving.elastic[t], moving.fluctuation[t])
+
+
 @parallel_kernel
 def follow(drive, moving, before, factors, topology, c, tolerance, answer):
     """Solve z_el, v and z in place from those at `before`; iterations become −1 where it fails.
@@ -82,14 +89,16 @@ def follow(drive, moving, before, factors, topology, c, tolerance, answer):
     factors (tiles,): addresses of the kept factors, which are read only.
     """
     for t in numba.prange(moving.z.shape[0]):
-        _follow_tile(t, drive, moving, before, factors, topology, c, tolerance, answer)
+        _follow_tile(
+            drive_of(drive, t), moving_of(moving, t), drive_of(before, t), factors[t], topology, c,
+            tolerance, answer_of(answer, t),
+        )  # fmt: skip
 
 
 @kernel
-def _follow_tile(t, drives, moving, before, factors, topology, c, tolerance, answers):
-    z, elastic, drive, at = moving.z[t], moving.elastic[t], drive_of(drives, t), drive_of(before, t)
-    answer, work = answer_of(answers, t), make_workspace(topology)
-    lu, slopes = kept_factors(factors[t], topology)
+def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
+    z, elastic, work = moving.z, moving.elastic, make_workspace(topology)
+    lu, slopes = kept_factors(factors, topology)
     y, relaxed = np.zeros_like(z), np.empty_like(z)
     still = np.zeros((2, 2, TILE))
     count = np.zeros(TILE, dtype=np.int32)
@@ -97,15 +106,18 @@ def _follow_tile(t, drives, moving, before, factors, topology, c, tolerance, ans
     add_slopes(slopes, 0, drive.rate, y)
     copy_particles(work.z, relaxed)
     _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count)
-    copy_particles(relaxed + (z - elastic), work.z)
-    add_slopes(slopes, 4, drive.rate - at.rate, work.z)
+    for axis in range(2):
+        for i in range(z.shape[1]):
+            offset = load(z, axis, i) - load(elastic, axis, i)
+            store(load(relaxed, axis, i) + offset, work.z, axis, i)
+    add_slopes(slopes, 4, change(drive.rate, at.rate), work.z)
     _find_positions(work, drive.F, lu, topology, c, tolerance, answer.stress, count)
     for k in range(TILE):
         answer.iterations[k] = count[k]
         if count[k] > 0:
             keep_lane(work.z, k, z)
             keep_lane(relaxed, k, elastic)
-    set_fluctuation(work.v, z, drive.rate, moving.fluctuation[t])
+    set_fluctuation(work.v, z, drive.rate, moving.fluctuation)
 
 
 @kernel
@@ -169,24 +181,25 @@ def _find_positions(work, F, lu, topology, c, tolerance, stress, count):
 def newton_slow(drive, moving, topology, c, tolerance, answer):
     """z, v − L x and stress from z_el in lanes with iterations ≤ 0, in place."""
     for t in numba.prange(moving.z.shape[0]):
-        _newton_tile(t, drive, moving, topology, c, tolerance, answer)
+        _newton_tile(
+            drive_of(drive, t), moving_of(moving, t), topology, c, tolerance, answer_of(answer, t)
+        )
 
 
 @kernel
-def _newton_tile(t, drives, moving, topology, c, tolerance, answers):
-    drive, answer, fluctuation = drive_of(drives, t), answer_of(answers, t), moving.fluctuation[t]
+def _newton_tile(drive, moving, topology, c, tolerance, answer):
     work, matrices = make_workspace(topology), make_matrices(topology)
-    still, beyond = np.zeros((2, 2, TILE)), np.empty_like(fluctuation)
+    still, beyond = np.zeros((2, 2, TILE)), np.empty_like(moving.fluctuation)
     wanted = answer.iterations <= 0
-    place(work, moving.elastic[t], drive.F, topology)
+    place(work, moving.elastic, drive.F, topology)
     y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
     set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
     newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, tolerance, answer)
     set_fluctuation(work.v, work.z, drive.rate, beyond)
     for k in range(TILE):
         if wanted[k] and answer.iterations[k] > 0:
-            keep_lane(work.z, k, moving.z[t])
-            keep_lane(beyond, k, fluctuation)
+            keep_lane(work.z, k, moving.z)
+            keep_lane(beyond, k, moving.fluctuation)
 
 
 @parallel_kernel

@@ -47,13 +47,12 @@ def affine_tangents(drive, z, kind, topology, c, tangents):
     z is the solution of the initialisation KINDS[kind], and drive.rate is Ḟ.
     """
     for t in numba.prange(z.shape[0]):
-        _affine_tile(t, drive, z[t], kind, topology, c, tangents[t])
+        _affine_tile(drive_of(drive, t), z[t], kind, topology, c, tangents[t])
 
 
 @kernel
-def _affine_tile(t, drives, z, kind, topology, c, tangents):
-    drive, work = drive_of(drives, t), make_workspace(topology)
-    F, F_dot = drive.F, drive.rate
+def _affine_tile(drive, z, kind, topology, c, tangents):
+    F, F_dot, work = drive.F, drive.rate, make_workspace(topology)
     place(work, z, F, topology)
     map_affine(F_dot, work.z, work.v)
     tangents[:] = 0.0
@@ -82,12 +81,12 @@ def _affine_tile(t, drives, z, kind, topology, c, tangents):
 def slow_tangents(drive, z, relaxed, topology, c, tangents):
     """As `affine_tangents` for the slow manifold: z, and z_el in `relaxed`."""
     for t in numba.prange(z.shape[0]):
-        _slow_tile(t, drive, z[t], relaxed[t], topology, c, tangents[t])
+        _slow_tile(drive_of(drive, t), z[t], relaxed[t], topology, c, tangents[t])
 
 
 @kernel
-def _slow_tile(t, drives, z, relaxed, topology, c, tangents):
-    F, F_dot = drives.F[t], drives.rate[t]
+def _slow_tile(drive, z, relaxed, topology, c, tangents):
+    F, F_dot = drive.F, drive.rate
     work, matrices = make_workspace(topology), make_matrices(topology)
     place(work, relaxed, F, topology)
     modes = equilibrium_modes(work, F, topology, c, matrices)
