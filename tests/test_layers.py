@@ -38,10 +38,11 @@ LONG_KERNELS = 12
 LONG_FUNCTIONS = {"run"}
 """Functions with more than eight arguments. run: the options of a command."""
 
-LOCAL_IMPORTS = {
-    "cache/audit.py", "compilation.py",
-}  # fmt: skip
-"""Files with imports inside functions of more than torch and matplotlib."""
+LOCAL_IMPORTS = {"cache/audit.py"}
+"""Files with imports inside functions of more than torch and matplotlib.
+
+cache/audit.py: scipy.spatial takes long to import, and a run without audits needs none of it.
+"""
 
 INTROSPECTION = {
     "__init__.py": "public names are imported when they are asked for",
