@@ -35,6 +35,7 @@ from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.reference_state import settle_reference
 from surrofe2.stress_law import StressLaw
+from surrofe2.surrogate import SurrogateLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
@@ -191,6 +192,8 @@ def warm_up(
             F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
+            if isinstance(law, SurrogateLaw):
+                law.status_and_bound(F, 0.0 * F)
     for law in laws if settings.integrator == "implicit" else laws[-1:]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
             simulate(LoadCase(duration=1e-3), law, replace(settings, elements=(1, 1)))
