@@ -50,9 +50,10 @@ def print_line(sentence: str) -> None:
 
 def show_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """A table on stdout; the first column names, the others are figures."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
     for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left", overflow="fold")
+        widest = max(len(word) for word in column.split())
+        table.add_column(column, justify="right" if k else "left", min_width=widest)
     for row in rows:
         table.add_row(*row)
     Console().print(table)
