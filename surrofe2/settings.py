@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping
-from dataclasses import MISSING, astuple, field, fields
+from dataclasses import MISSING, field, fields
 from functools import cache
+from operator import attrgetter
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -32,15 +33,18 @@ def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds:
 
 
 def check_settings(settings: Any, section: str) -> None:
-    """Check types and bounds of all fields; integers become the floats, lists the tuples they are.
+    """Check types and bounds of all fields made by `setting`; integers become the floats, lists
+    the tuples they are.
 
     Raises:
         InputError: naming section, field, value and what is allowed.
     """
     hints = hints_of(settings.__class__)
-    for item, given in zip(fields(settings), astuple(settings), strict=True):
-        value = check_value(f"{section}.{item.name}", given, hints[item.name], item.metadata)
-        object.__setattr__(settings, item.name, value)
+    for item in fields(settings):
+        if item.metadata:
+            given = attrgetter(item.name)(settings)
+            value = check_value(f"{section}.{item.name}", given, hints[item.name], item.metadata)
+            object.__setattr__(settings, item.name, value)
 
 
 @cache

@@ -87,3 +87,11 @@ def stress_error(stress: Array, true: Array) -> Array:
 def stress_spread(stress: Array) -> float:
     """Root mean square of the Frobenius norm of σ − mean σ, σ (n, 2, 2), n ≥ 1, µN/µm."""
     return float(np.sqrt(((stress - stress.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean()))
+
+
+def cofactor(F: Array) -> Array:
+    """J F⁻ᵀ of (n, 2, 2)."""
+    result = np.empty_like(F)
+    result[:, 0, 0], result[:, 1, 1] = F[:, 1, 1], F[:, 0, 0]
+    result[:, 0, 1], result[:, 1, 0] = -F[:, 1, 0], -F[:, 0, 1]
+    return result

@@ -1,24 +1,55 @@
-"""The bar on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
+"""The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings, discretisation, internal_force (space); equations_of_motion,
-time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); history,
-simulation (a run). Without time: quasi_static, modes.
+Reading order: settings, mesh, conditions, rigid_bodies, problem (what is computed);
+discretisation, internal_force (space); forces, contact, supports, system (what acts on it);
+equations_of_motion, time_stepping, dormand_prince (explicit); tangents, generalised_alpha
+(implicit); history, simulation (a run). Without time: quasi_static, modes.
 """
 
+from surrofe2.macro.conditions import (
+    BodyForce,
+    Fixed,
+    Foundation,
+    InitialVelocity,
+    PrescribedMotion,
+    Pressure,
+    Symmetry,
+    Traction,
+)
 from surrofe2.macro.history import Frames, MacroState
+from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
 from surrofe2.macro.modes import Modes, find_modes
+from surrofe2.macro.problem import Problem
 from surrofe2.macro.quasi_static import Rest, find_rest, rest_frames
+from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.simulation import MacroRun, MetRange, simulate
 
 __all__ = [
+    "BodyForce",
+    "Box",
+    "Circle",
+    "Corner",
+    "Disc",
+    "Fixed",
+    "Foundation",
     "Frames",
+    "HalfPlane",
+    "InitialVelocity",
     "MacroRun",
     "MacroSettings",
     "MacroState",
+    "Mesh",
     "MetRange",
     "Modes",
+    "Plane",
+    "PrescribedMotion",
+    "Pressure",
+    "Problem",
     "Rest",
+    "RigidBody",
+    "Symmetry",
+    "Traction",
     "find_modes",
     "find_rest",
     "rest_frames",

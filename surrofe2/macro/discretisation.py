@@ -1,174 +1,195 @@
-"""Finite elements of the clamped bar: mesh, quadrature points, mass and load.
+"""Finite elements of a mesh: shape functions, quadrature points and mass.
 
-Bilinear quadrilaterals with selective reduced integration. The stress law is asked at five points
-of each element, numbered 5 e + q over the mesh:
+The stress law is asked at several points of each element, numbered n_q e + q over the mesh. By
+selective reduced integration the deviator σ − tr(σ)/2 I counts at the Gauss points, the pressure
+part tr(σ)/2 I at one more, which stands for the whole element:
 
-    q = 0..3   2 × 2 Gauss points: the deviator σ − tr(σ)/2 I
-    q = 4      element centre:     the pressure part tr(σ)/2 I
+    quadrilaterals (4 nodes)   q = 0..3: 2 × 2 Gauss points,   q = 4: the element
+    triangles (6 nodes)        q = 0..2: 3 Gauss points,       q = 3: the element
 
-Every array over points has this order.
+The gradient at the last is the mean over the element, which is that at the centre where sides are
+straight. Every array over points has this order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 from skfem.quadrature import get_quadrature
-from skfem.refdom import RefQuad
 
-from surrofe2.load_case import LoadCase
+from surrofe2.errors import InputError
+from surrofe2.macro.mesh import Mesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-N_GAUSS = 4
-CENTRE = 4
-N_POINTS = 5
+ELEMENT = {4: skfem.ElementQuad1(), 6: skfem.ElementTriP2()}
+GAUSS_ORDER = {4: 3, 6: 2}
+CENTRE = {4: (0.5, 0.5), 6: (1.0 / 3.0, 1.0 / 3.0)}
+MASS_ORDER = {4: 3, 6: 4}
+SIDE_RULE = np.polynomial.legendre.leggauss(3)
+"""Points and weights on [-1, 1] along a side."""
 
 
 @dataclass(frozen=True, slots=True)
 class Discretisation:
-    """Everything of the finite elements that never changes; nodes at x = 0 are held.
-
-    Unknowns live on the `n_free` nodes that are not held, in the order of `free`: displacement
-    u and velocity v are (n_free, 2).
+    """Everything of the finite elements that never changes.
 
     Attributes:
         nodes: (n_nodes, 2) reference positions, µm.
-        quads: (n_el, 4) nodes of each element, counter-clockwise.
-        free: (n_free,) nodes that are not held.
-        rows: (n_el, 4) row of each element's node among the unknowns, -1 where it is held.
-        gradients: (n_el, 5, 4, 2) ∇N of node a by the reference position, 1/µm.
-        weights: (n_el, 5) reference area of each point, µm²: the four Gauss points together
-            cover the element once, and so does the centre.
-        shape: (5, 4) shape functions at the points.
-        mass: (n_free, n_free) consistent mass of one displacement component, ng (eq. 59 with the
-            reference density over the reference area, which mass conservation makes constant).
-        solve_mass: mass⁻¹ applied to (n_free, 2), factorised once.
-        load: (n_free, 2) ∫ ρ N g dV at amplitude 1, µN. Eq. (58) prints ∇N and no ρ.
-        watched_rows, watched_weights: (k,) unknowns and shape function values of the watched point.
+        elements: (n_el, k) nodes of each element, k = 4 or 6.
+        gradients: (n_el, n_q, k, 2) ∇N of node a by the reference position, 1/µm.
+        weights: (n_el, n_q) reference area of each point, µm²: the Gauss points together cover
+            the element once, and so does the last point.
+        shape: (n_q, k) shape functions at the points.
     """
 
     nodes: Array
-    quads: Index
-    free: Index
-    rows: Index
+    elements: Index
     gradients: Array
     weights: Array
     shape: Array
-    mass: csc_matrix
-    solve_mass: Callable[[Array], Array]
-    load: Array
-    watched_rows: Index
-    watched_weights: Array
+
+    @property
+    def points_per_element(self) -> int:
+        """n_q, of which the last carries the pressure."""
+        return int(self.weights.shape[1])
 
     @property
     def n_points(self) -> int:
-        """Points at which the stress law is asked: five an element."""
-        return N_POINTS * len(self.quads)
-
-    def on_all_nodes(self, unknowns: Array) -> Array:
-        """(n_nodes, 2) from (n_free, 2), zero at the held nodes."""
-        values = np.zeros_like(self.nodes)
-        values[self.free] = unknowns
-        return values
-
-    def at_watched_point(self, unknowns: Array) -> Array:
-        """(2,) value of a field of unknowns (n_free, 2) at the watched point."""
-        return self.watched_weights @ unknowns[self.watched_rows]
+        """Points at which the stress law is asked."""
+        return int(self.weights.size)
 
     def point_position(self, point: int) -> Array:
         """(2,) reference position of quadrature point number `point`, µm."""
-        element, q = divmod(point, N_POINTS)
-        return self.shape[q] @ self.nodes[self.quads[element]]
+        element, q = divmod(point, self.points_per_element)
+        return self.shape[q] @ self.nodes[self.elements[element]]
 
-    def point_near(self, row: int) -> int:
-        """First quadrature point of an element at the free node in row `row`."""
-        return N_POINTS * int(np.argwhere(self.rows == row)[0, 0])
+    def point_positions(self) -> Array:
+        """(n_points, 2) reference positions of all points, µm."""
+        corners = self.nodes[self.elements]
+        return np.einsum("qa,eai->eqi", self.shape, corners).reshape(-1, 2)
+
+    def point_near(self, node: int) -> int:
+        """First quadrature point of an element at the node."""
+        return self.points_per_element * int(np.argwhere(self.elements == node)[0, 0])
+
+    def mass(self, density: Array | float) -> csc_matrix:
+        """(n_nodes, n_nodes) consistent mass of one displacement component, ng.
+
+        Eq. 59 with the reference density over the reference area, which mass conservation makes
+        constant.
+
+        Args:
+            density: ng/µm², one or (n_el,).
+        """
+        k = self.elements.shape[1]
+        points, rule = get_quadrature(ELEMENT[k].refdom, MASS_ORDER[k])
+        shape, _ = reference_shapes(k, points)
+        _, area = _mapped(self.nodes, self.elements, points)
+        weights = area * rule * np.broadcast_to(density, len(area))[:, None]
+        blocks = np.einsum("eq,qa,qb->eab", weights, shape, shape)
+        row, column = np.broadcast_arrays(self.elements[:, :, None], self.elements[:, None, :])
+        n = len(self.nodes)
+        return csc_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(n, n))
+
+    def locate(self, point: Array, name: str = "point") -> tuple[Index, Array]:
+        """Nodes and shape functions at a reference position, so that values there are N_a u_a.
+
+        Raises:
+            InputError: it is outside the mesh.
+        """
+        at = np.flatnonzero((self.nodes == point).all(axis=1))
+        if at.size:
+            return at[:1], np.ones(1)
+        corners, k = self.nodes[self.elements], self.elements.shape[1]
+        size = np.ptp(corners, axis=1)
+        low, high = corners.min(axis=1) - 0.1 * size, corners.max(axis=1) + 0.1 * size
+        for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
+            local = _local_position(corners[e], point)
+            outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
+            if outside <= 1e-9:
+                shape, _ = reference_shapes(k, local[:, None])
+                return self.elements[e], shape[0]
+        raise InputError(
+            f"{name}: ({point[0]:.6g}, {point[1]:.6g}) µm; it must lie within the mesh"
+        )
 
 
-def make_discretisation(
-    load_case: LoadCase, elements: tuple[int, int], density: float
-) -> Discretisation:
-    """The bar of `load_case` on elements[0] × elements[1] equal rectangles."""
-    return make_discretisation_on(make_mesh(load_case, elements), load_case, density)
+def make_discretisation(mesh: Mesh) -> Discretisation:
+    """The finite elements of a mesh, integrated as the head of this file says.
 
-
-def make_mesh(load_case: LoadCase, elements: tuple[int, int]) -> skfem.MeshQuad:
-    """elements[0] × elements[1] equal rectangles."""
-    mesh = skfem.MeshQuad.init_tensor(
-        np.linspace(0.0, load_case.width, elements[0] + 1),
-        np.linspace(0.0, load_case.height, elements[1] + 1),
-    )
-    clockwise_to_counter = [0, 3, 2, 1]
-    return skfem.MeshQuad(mesh.p, mesh.t[clockwise_to_counter])
-
-
-def make_discretisation_on(
-    mesh: skfem.MeshQuad, load_case: LoadCase, density: float
-) -> Discretisation:
-    """The bar of `load_case` on any mesh of quadrilaterals that covers it."""
-    basis = skfem.Basis(mesh, skfem.ElementQuad1())
-    nodes = np.ascontiguousarray(mesh.p.T)
-    quads = np.ascontiguousarray(basis.element_dofs.T, dtype=np.int64)
-    free = np.flatnonzero(nodes[:, 0] > 0.0)
-    row_of_node = np.full(len(nodes), -1)
-    row_of_node[free] = np.arange(free.size)
-
-    gauss_points, gauss_weights = get_quadrature(RefQuad, 3)
-    at_points = skfem.Basis(
-        mesh,
-        skfem.ElementQuad1(),
-        quadrature=(
-            np.concatenate([gauss_points, [[0.5], [0.5]]], axis=1),
-            np.append(gauss_weights, 1.0),
-        ),
-    )
-    gradients = np.stack([at_points.basis[a][0].grad for a in range(4)])
-
-    mass = density * skfem.BilinearForm(lambda u, v, w: u * v).assemble(basis)
-    mass = csc_matrix(mass[free][:, free])
-    nodal_mass = density * skfem.LinearForm(lambda v, w: 1.0 * v).assemble(basis)
-    watched = _shape_functions_at(np.array(load_case.watched), basis, nodes)[free]
-    watched_rows = np.flatnonzero(watched)
+    Raises:
+        InputError: an element folds over within.
+    """
+    k = mesh.elements.shape[1]
+    points, rule = get_quadrature(ELEMENT[k].refdom, GAUSS_ORDER[k])
+    gradients, area = _mapped(mesh.nodes, mesh.elements, points)
+    worst = int(area.min(axis=1).argmin())
+    if not area[worst].min() > 0.0:
+        x, y = mesh.nodes[mesh.elements[worst]].mean(axis=0)
+        raise InputError(f"mesh: element {worst} at ({x:.6g}, {y:.6g}) µm is inverted within")
+    gauss = area * rule
+    whole = gauss.sum(axis=1, keepdims=True)
+    mean = np.einsum("eq,eqaj->eaj", gauss / whole, gradients)[:, None]
+    at_all = np.concatenate([points, np.array(CENTRE[k])[:, None]], axis=1)
+    shape, _ = reference_shapes(k, at_all)
     return Discretisation(
-        nodes=nodes,
-        quads=quads,
-        free=free,
-        rows=row_of_node[quads],
-        gradients=np.ascontiguousarray(gradients.transpose(2, 3, 0, 1)),
-        weights=np.ascontiguousarray(at_points.dx),
-        shape=np.stack([np.asarray(at_points.basis[a][0])[0] for a in range(4)], axis=1),
-        mass=mass,
-        solve_mass=_factorise(mass),
-        load=np.outer(nodal_mass[free], load_case.body_force),
-        watched_rows=watched_rows,
-        watched_weights=watched[watched_rows],
+        nodes=mesh.nodes,
+        elements=mesh.elements,
+        gradients=np.ascontiguousarray(np.concatenate([gradients, mean], axis=1)),
+        weights=np.ascontiguousarray(np.concatenate([gauss, whole], axis=1)),
+        shape=shape,
     )
 
 
-def _shape_functions_at(point: Array, basis: skfem.Basis, nodes: Array) -> Array:
-    """(n_nodes,) shape functions at a point; at a node without a search, which is slow to load."""
-    at = (nodes == point).all(axis=1)
-    if at.any():
-        return at.astype(np.float64)
-    values: Array = basis.probes(point[:, None]).toarray()[0]
-    return values
+def n_points_of(mesh: Mesh) -> int:
+    """Points at which the stress law is asked on a mesh."""
+    k = mesh.elements.shape[1]
+    return len(mesh.elements) * (get_quadrature(ELEMENT[k].refdom, GAUSS_ORDER[k])[1].size + 1)
 
 
-def _factorise(mass: csc_matrix) -> Callable[[Array], Array]:
-    """Symmetric positive definite, so no pivoting and an ordering that keeps symmetry."""
-    factor = splu(
-        mass,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    solve: Callable[[Array], Array] = factor.solve
-    return solve
+def reference_shapes(k: int, points: Array) -> tuple[Array, Array]:
+    """(q, k) shape functions and (q, k, 2) their slopes at points (2, q) of the reference."""
+    both = [ELEMENT[k].lbasis(points, a) for a in range(k)]
+    values = np.stack([value for value, _ in both], axis=1)
+    return values, np.stack([slope for _, slope in both], axis=0).transpose(2, 0, 1)
+
+
+def side_shapes(k: int) -> tuple[Array, Array]:
+    """(3, m) shape functions of a side's m nodes and their slopes at the points of `SIDE_RULE`."""
+    s = SIDE_RULE[0]
+    if k == 2:
+        return np.stack([0.5 * (1 - s), 0.5 * (1 + s)], 1), np.tile([-0.5, 0.5], (3, 1))
+    values = np.stack([0.5 * s * (s - 1), 0.5 * s * (s + 1), 1 - s**2], axis=1)
+    return values, np.stack([s - 0.5, s + 0.5, -2 * s], axis=1)
+
+
+def _mapped(nodes: Array, elements: Index, points: Array) -> tuple[Array, Array]:
+    """(n_el, q, k, 2) gradients by the reference position, (n_el, q) area of a unit of the map."""
+    _, slopes = reference_shapes(elements.shape[1], points)
+    jacobian = np.einsum("eai,qaj->eqij", nodes[elements], slopes)
+    a, b = jacobian[..., 0, 0], jacobian[..., 0, 1]
+    c, d = jacobian[..., 1, 0], jacobian[..., 1, 1]
+    area = a * d - b * c
+    cofactor = np.stack([np.stack([d, -c], -1), np.stack([-b, a], -1)], -2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gradients = np.einsum("qaj,eqij->eqai", slopes, cofactor) / area[..., None, None]
+    return gradients, area
+
+
+def _local_position(corners: Array, point: Array) -> Array:
+    """(2,) reference coordinates of a point of an element, by Newton's method."""
+    k = len(corners)
+    local = np.array(CENTRE[k])
+    for _ in range(20):
+        shape, slopes = reference_shapes(k, local[:, None])
+        step = np.linalg.solve(corners.T @ slopes[0], shape[0] @ corners - point)
+        local = local - step
+        if abs(step).max() < 1e-14:
+            break
+    return local

@@ -73,7 +73,7 @@ class DormandPrince:
         without a say in the error.
         """
         h, now = t - start.t, start
-        rates, powers = np.empty((STAGES, start.y.size)), np.empty((STAGES, 2))
+        rates, powers = np.empty((STAGES, start.y.size)), np.empty((STAGES, start.powers.size))
         rates[0], powers[0] = start.rate, start.powers
         for stage in range(1, STAGES):
             y = start.y + h * (WEIGHTS[stage] @ rates[:stage])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, cast
@@ -11,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.macro.discretisation import Discretisation
-from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.internal_force import deformation_gradient, internal_force, stress_power
+from surrofe2.macro.system import System
 from surrofe2.stress_law import (
     Acceptance,
     Status,
@@ -31,38 +30,36 @@ class Evaluation:
 
     Attributes:
         t: µs.
-        y: (4 n_free,) displacement u and velocity v of the free nodes, µm and µm/µs.
+        within: a time inside the piece of all amplitudes that it belongs to, µs.
+        y: (2 m,) displacement and velocity of the m free unknowns, µm and µm/µs.
+        u, v: (n, 2) displacement and velocity of all nodes and bodies.
         F, F_dot: (n_points, 2, 2).
         response: what the stress law answered.
-        internal, load: (n_free, 2) internal force and load on the free nodes, µN.
-        powers: (2,) internal and load power, pJ/µs.
-        rate: (4 n_free,) rate of y.
+        internal: (n, 2) internal force, µN.
+        forces: (k, n, 2) the other forces of the system, µN.
+        residual: (m,) forces − internal − what prescribed accelerations take, µN.
+        powers: (k + 2,) of the internal force, the other forces and the supports, pJ/µs.
+        rate: (2 m,) rate of y.
     """
 
     t: float
+    within: float
     y: Array
+    u: Array
+    v: Array
     F: Array
     F_dot: Array
     response: StressResponse
     internal: Array
-    load: Array
+    forces: Array
+    residual: Array
     powers: Array
     rate: Array
 
     @property
-    def u(self) -> Array:
-        """(n_free, 2) µm."""
-        return self.y[: self.y.size // 2].reshape(-1, 2)
-
-    @property
-    def v(self) -> Array:
-        """(n_free, 2) µm/µs."""
-        return self.y[self.y.size // 2 :].reshape(-1, 2)
-
-    @property
     def acceleration(self) -> Array:
-        """(n_free, 2) ü, µm/µs²."""
-        return self.rate[self.y.size // 2 :].reshape(-1, 2)
+        """(m,) ü of the free unknowns, µm/µs²."""
+        return self.rate[self.y.size // 2 :]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +78,7 @@ class Switched:
     """Points left their branch of the law within a step: the step must be restarted.
 
     Attributes:
-        y: (4 n_free,) state at which they were found.
+        y: (2 m,) state at which they were found.
         points: (n_points,) int8, as of `StressResponse.switched`.
         message: says so.
     """
@@ -101,39 +98,52 @@ class Tally:
 
 
 class EquationsOfMotion:
-    """ẏ = f(t, y) with y = [u, v] of the free nodes: u̇ = v, v̇ = M⁻¹ (load − internal force).
+    """ẏ = f(t, y), y = [u, v] of the free unknowns: u̇ = v, v̇ = M⁻¹ (forces − internal force).
 
     `evaluate` changes nothing that a later call depends on: the state of the stress law moves on
-    only in `accept` and `restart_step`.
+    only in `accept` and `restart_step`, the piece of the amplitudes only in `enter_piece`.
 
     Attributes:
+        system: what is computed.
+        corners: (p + 1,) ends of the pieces of all amplitudes, µs.
+        piece: number of the one under way.
         clock: how a message calls the time; a quasi-static load has a factor in its place.
         law_state: what the stress law committed last.
         is_committing: whether the law may have committed more than was recorded of the run.
     """
 
     def __init__(
-        self,
-        discretisation: Discretisation,
-        law: StressLaw,
-        amplitude_at: Callable[[float], float],
-        clock: str = "t = {:.6g} µs",
+        self, system: System, law: StressLaw, clock: str = "t = {:.6g} µs", t: float = 0.0
     ) -> None:
-        self.discretisation = discretisation
+        self.system = system
+        self.discretisation = system.discretisation
         self.law = law
-        self.amplitude_at = amplitude_at
         self.clock = clock
+        self.corners = system.problem.corners()
+        self.piece = 0
+        # At a corner the piece before it: whoever goes on from there crosses it.
+        self.enter_piece(max(0, int(np.searchsorted(self.corners, t)) - 1))
         self.tally = Tally()
         self._start: Evaluation
         self.law_state: Any = None
         self.is_committing = False
+
+    @property
+    def piece_end(self) -> float:
+        """Where the piece under way ends, µs."""
+        return float(self.corners[self.piece + 1])
+
+    def enter_piece(self, piece: int) -> None:
+        """From here on amplitudes are those of this piece."""
+        self.piece = piece
+        self.within = 0.5 * float(self.corners[piece] + self.corners[piece + 1])
 
     def evaluate(
         self, t: float, y: Array, *, tangents: bool = False
     ) -> Evaluation | NoStress | Switched:
         """Stress, forces and rate at (t, y); the law's tangents where asked for."""
         self.tally.counts["right_hand_sides"] += 1
-        u, v = y.reshape(2, -1, 2)
+        u, v = self.system.spread(y, t, self.within)
         F, F_dot, J = deformation_gradient(self.discretisation, u, v)
         if not J.min() > 0.0:
             point = int(np.argmin(J > 0.0))
@@ -146,7 +156,7 @@ class EquationsOfMotion:
             return self._failed(t, F, response.status)
         if response.switched is not None:
             return Switched(y, response.switched)
-        now = self._evaluation(t, y, F, F_dot, response)
+        now = self._evaluation(t, y, (u, v), F, F_dot, response)
         if not np.isfinite(now.internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             return self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
@@ -172,12 +182,31 @@ class EquationsOfMotion:
 
         law_state: what the law had committed there.
         """
-        u, v = y.reshape(2, -1, 2)
+        u, v = self.system.spread(y, t, self.within)
         F, F_dot, _ = deformation_gradient(self.discretisation, u, v)
         response = StressResponse(stress, np.zeros(len(F), dtype=np.int8), law_state)
         self.law_state = law_state
-        self._start = self._evaluation(t, y, F, F_dot, response)
+        self._start = self._evaluation(t, y, (u, v), F, F_dot, response)
         return self._start
+
+    def cross_corner(self, now: Evaluation) -> tuple[Evaluation | NoStress, Array]:
+        """The evaluation by which the next piece of the amplitudes begins, and the work of a jump
+        of prescribed velocities.
+        """
+        before = self.within
+        self.enter_piece(self.piece + 1)
+        y, work = self.system.across_corner(now.y, now.t, before, self.within)
+        motion = self.system.spread(y, now.t, self.within)
+        if np.array_equal(motion[1], now.v):
+            self._start = self._evaluation(now.t, y, motion, now.F, now.F_dot, self._start.response)
+            return self._start, work
+        found = self.evaluate(now.t, y)
+        while isinstance(found, Switched):
+            restarted = self.restart_step(found.points)
+            if isinstance(restarted, NoStress):
+                return restarted, work
+            found = self.evaluate(now.t, y)
+        return (found if isinstance(found, NoStress) else self.accept(found)), work
 
     def restart_step(self, points: NDArray[np.int8]) -> Evaluation | NoStress:
         """The start of the step under way with these points on another branch of the law."""
@@ -189,8 +218,8 @@ class EquationsOfMotion:
         self.tally.counts["repeated_steps"] += 1
         return self._begin(start, acceptance)
 
-    def dissipation_rate(self, now: Evaluation) -> float:
-        """∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV, pJ/µs; NaN where there is no σ(F, 0).
+    def dissipation_rates(self, now: Evaluation) -> Array | None:
+        """(n_el,) ∫ J (σ(F, Ḟ) − σ(F, 0)) : L dV of each element, pJ/µs; None without σ(F, 0).
 
         The power of the stress in excess of the equilibrium stress at the same F, deviator and
         pressure at their own points, which is the excess internal force times v.
@@ -199,9 +228,21 @@ class EquationsOfMotion:
         self.tally.counts["dissipation_points"] += len(now.F)
         if still.status.any():
             self.tally.counts["dissipation_failures"] += 1
-            return float("nan")
-        excess = internal_force(self.discretisation, now.F, now.response.stress - still.stress)
-        return float(np.vdot(excess, now.v))
+            return None
+        excess = now.response.stress - still.stress
+        return stress_power(self.discretisation, now.F, now.F_dot, excess)
+
+    def reaction(self, now: Evaluation) -> Array:
+        """(n, 2) force by which supports act on what they hold: M a − forces, µN."""
+        system = self.system
+        a = np.zeros(2 * system.n_rows)
+        a[system.free] = now.acceleration
+        reaction = now.internal - now.forces.sum(axis=0) + system.mass @ a.reshape(-1, 2)
+        pushed = system.prescribed_acceleration(now.t, now.within)
+        if pushed is not None:
+            reaction += system.mass @ pushed
+        reaction.ravel()[system.free] = 0.0
+        return reaction
 
     def no_stress(self, t: float, point: int, F: Array, reason: str) -> NoStress:
         """The failure that names the point."""
@@ -213,9 +254,10 @@ class EquationsOfMotion:
         )
 
     def out_of_balance(self, now: Evaluation, residual: Array, reason: str) -> NoStress:
-        """The failure that names a point near the node with the largest residual (n_free, 2)."""
-        row = int(abs(residual).max(axis=1).argmax())
-        return self.no_stress(now.t, self.discretisation.point_near(row), now.F, reason)
+        """The failure that names a point near the unknown with the largest residual (m,)."""
+        node = int(self.system.free[abs(residual).argmax()]) // 2
+        point = self.discretisation.point_near(node) if node < len(self.discretisation.nodes) else 0
+        return self.no_stress(now.t, point, now.F, reason)
 
     def _begin(self, at: Evaluation, acceptance: Acceptance) -> Evaluation | NoStress:
         """Commit what the law said of an evaluation."""
@@ -233,21 +275,40 @@ class EquationsOfMotion:
                 tangents=None,
                 left_bifurcation=left,
             )
-            at = self._evaluation(at.t, at.y, at.F, at.F_dot, response)
+            at = self._evaluation(at.t, at.y, (at.u, at.v), at.F, at.F_dot, response)
         self._start = at
         return at
 
     def _evaluation(
-        self, t: float, y: Array, F: Array, F_dot: Array, response: StressResponse
+        self,
+        t: float,
+        y: Array,
+        motion: tuple[Array, Array],
+        F: Array,
+        F_dot: Array,
+        response: StressResponse,
     ) -> Evaluation:
         """The forces and the rate by a stress."""
-        v = y[y.size // 2 :].reshape(-1, 2)
-        internal = internal_force(self.discretisation, F, response.stress)
-        load = self.amplitude_at(t) * self.discretisation.load
-        powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
-        acceleration = self.discretisation.solve_mass(load - internal)
-        rate = np.concatenate([v.ravel(), acceleration.ravel()])
-        return Evaluation(t, y, F, F_dot, response, internal, load, powers, rate)
+        system, (u, v) = self.system, motion
+        internal = internal_force(self.discretisation, F, response.stress, system.n_rows)
+        forces = np.zeros((len(system.forces), *u.shape))
+        for k, force in enumerate(system.forces):
+            forces[k] = force.at(t, self.within, u, v)
+        unbalanced = forces.sum(axis=0) - internal
+        pushed = system.prescribed_acceleration(t, self.within)
+        if pushed is not None:
+            unbalanced -= system.mass @ pushed
+        residual = system.pick(unbalanced)
+        rate = np.concatenate([y[y.size // 2 :], system.solve_mass(residual)])
+        powers = np.zeros(len(forces) + 2)
+        powers[0] = np.vdot(internal, v)
+        powers[1:-1] = np.einsum("kni,ni->k", forces, v)
+        now = Evaluation(
+            t, self.within, y, u, v, F, F_dot, response, internal, forces, residual, powers, rate
+        )
+        if system.moving:
+            powers[-1] = np.vdot(self.reaction(now), v)
+        return now
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
         started = perf_counter()

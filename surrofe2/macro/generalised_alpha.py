@@ -3,11 +3,11 @@
 Chung and Hulbert, A time integration algorithm for structural dynamics with improved numerical
 dissipation, J. Appl. Mech. 60 (1993) 371–375, the forces averaged between the ends of the step:
 
-    (1 − α_m) M a₁ + α_m M a₀ + (1 − α_f) (f₁ − l₁) + α_f (f₀ − l₀) = 0
+    (1 − α_m) M a₁ + α_m M a₀ = (1 − α_f) r₁ + α_f r₀
     u₁ = u₀ + h v₀ + h² [(½ − β) a₀ + β a₁],   v₁ = v₀ + h [(1 − γ) a₀ + γ a₁]
 
-with f the internal force and l the load. The algorithmic acceleration a is not ü, which would be
-M⁻¹(l − f); it lags by (α_m − α_f) h, to second order.
+with r what all forces leave on the free unknowns. The algorithmic acceleration a is not ü, which
+would be M⁻¹ r; it lags by (α_m − α_f) h, to second order.
 
 A step of h leaves the error of [u, v] that a third-order method finds: the integral of the
 parabola through the rates [v, ü] at the last three ends of steps (Adams–Moulton), minus the step.
@@ -59,10 +59,10 @@ class Solved:
 
     Attributes:
         now: the evaluation at the end of the step.
-        a: (n_free, 2) algorithmic acceleration there.
+        a: (m,) algorithmic acceleration there.
         residuals: residual relative to the largest of the forces, before each correction and
             at the end.
-        solve: the factorised Newton matrix S of the last correction, S⁻¹ applied to (2 n_free,).
+        solve: the factorised Newton matrix S of the last correction, S⁻¹ applied to (m,).
     """
 
     now: Evaluation
@@ -77,8 +77,8 @@ class _Past:
 
     Attributes:
         h: its length, µs.
-        a: (n_free, 2) algorithmic acceleration at its end.
-        rate: (4 n_free,) [v, ü] at its start, None if there is no step before.
+        a: (m,) algorithmic acceleration at its end.
+        rate: (2 m,) [v, ü] at its start, None if there is no step before.
     """
 
     h: float
@@ -97,7 +97,7 @@ class _Past:
             return cls(1.0, start.acceleration, None)
         h, a, before, then = np.split(memory, [1, 1 + size // 2, 1 + size // 2 + size])
         jump = rate - then
-        return cls(float(h[0]), (a + jump[size // 2 :]).reshape(-1, 2), before + jump)
+        return cls(float(h[0]), a + jump[size // 2 :], before + jump)
 
 
 class GeneralisedAlpha:
@@ -110,8 +110,8 @@ class GeneralisedAlpha:
         self.weights = Weights.of(settings.spectral_radius)
         self._settings = settings
         self._equations = equations
-        self._mass = mass_matrix(equations.discretisation)
-        self._assembly = make_assembly(equations.discretisation)
+        self._mass = mass_matrix(equations.system)
+        self._assembly = make_assembly(equations.system)
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """So short that the displacement gained is what the tolerance allows."""
@@ -131,10 +131,11 @@ class GeneralisedAlpha:
         guess = a
         if found is not None:
             beta = self.weights.beta
-            known = start.u + h * start.v + h**2 * (0.5 - beta) * a
-            guess = (found.y[: found.y.size // 2].reshape(-1, 2) - known) / (h**2 * beta)
+            u, v = np.split(start.y, 2)
+            known = u + h * v + h**2 * (0.5 - beta) * a
+            guess = (found.y[: u.size] - known) / (h**2 * beta)
         elif past.rate is not None:
-            before = past.rate[past.rate.size // 2 :].reshape(-1, 2)
+            before = past.rate[past.rate.size // 2 :]
             guess = a + h / past.h * (start.acceleration - before)
         solved = self.solve(start, a, guess, t)
         if not isinstance(solved, Solved):
@@ -147,7 +148,7 @@ class GeneralisedAlpha:
             mean_power=0.5 * (start.powers + end.powers),
             bulge=0.0,
             power_bulge=0.0,
-            memory=np.concatenate([[h], solved.a.ravel(), start.rate, end.rate]),
+            memory=np.concatenate([[h], solved.a, start.rate, end.rate]),
         )
 
     def solve(
@@ -156,43 +157,54 @@ class GeneralisedAlpha:
         """The step to time t from `start` with algorithmic acceleration a.
 
         Args:
-            guess: (n_free, 2) acceleration at the end that Newton begins with.
+            guess: (m,) acceleration at the end that Newton begins with.
         """
         w, equations, h = self.weights, self._equations, t - start.t
-        u_known = start.u + h * start.v + h**2 * (0.5 - w.beta) * a
-        v_known = start.v + h * (1.0 - w.gamma) * a
-        before = w.alpha_m * (self._mass @ a.ravel()).reshape(a.shape)
-        before += w.alpha_f * (start.internal - start.load)
-        a_end, residuals, solve = guess, [], None
+        u, v = np.split(start.y, 2)
+        u_known = u + h * v + h**2 * (0.5 - w.beta) * a
+        v_known = v + h * (1.0 - w.gamma) * a
+        before = w.alpha_m * (self._mass @ a) - w.alpha_f * start.residual
+        a_end, residuals, solve, floor = guess, [], None, 0.0
         while True:
-            y = np.stack([u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end])
-            now = equations.evaluate(t, y.ravel(), tangents=True)
+            y = np.concatenate([u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end])
+            now = equations.evaluate(t, y, tangents=True)
             if not isinstance(now, Evaluation):
                 return now
-            inertia = (1.0 - w.alpha_m) * (self._mass @ a_end.ravel()).reshape(a.shape)
-            residual = before + inertia + (1.0 - w.alpha_f) * (now.internal - now.load)
-            scale = max(abs(force).max() for force in (now.internal, now.load, inertia, before))
-            residuals.append(abs(residual).max() / max(scale, np.finfo(float).tiny))
+            inertia = (1.0 - w.alpha_m) * (self._mass @ a_end)
+            residual = before + inertia - (1.0 - w.alpha_f) * now.residual
+            if solve is None:
+                solve, floor = self._factorised(now, h)
+            forces = (now.internal, now.forces, inertia, before)
+            scale = max(floor, *(abs(force).max(initial=0.0) for force in forces))
+            residuals.append(abs(residual).max() / scale)
             converged = residuals[-1] <= self._settings.newton_tolerance
-            if solve is None or not converged:
-                if len(residuals) > MAX_ITERATIONS:
-                    reason = (
-                        f"Newton near this point: no convergence in {MAX_ITERATIONS} iterations"
-                    )
-                    return equations.out_of_balance(now, residual, reason)
-                solve = factorised(self._matrix(now, h))
-                if solve is None:
-                    reason = "Newton near this point: the matrix is singular"
-                    return equations.out_of_balance(now, residual, reason)
-                equations.tally.counts["factorisations"] += 1
+            if len(residuals) > 1 and not converged:
+                solve, floor = self._factorised(now, h)
+            if len(residuals) > MAX_ITERATIONS and not converged:
+                reason = f"Newton near this point: no convergence in {MAX_ITERATIONS} iterations"
+                return equations.out_of_balance(now, residual, reason)
+            if solve is None:
+                reason = "Newton near this point: the matrix is singular"
+                return equations.out_of_balance(now, residual, reason)
             if converged:
                 return Solved(now, a_end, tuple(residuals), solve)
-            a_end = a_end - solve(residual.ravel()).reshape(a.shape)
+            a_end = a_end - solve(residual)
+
+    def _factorised(
+        self, now: Evaluation, h: float
+    ) -> tuple[Callable[[Array], Array] | None, float]:
+        """S⁻¹ if there is one, and the least scale of a residual: the force that moves the
+        stiffest unknown by what the tolerance allows, for a body at rest has no other.
+        """
+        matrix = self._matrix(now, h)
+        self._equations.tally.counts["factorisations"] += 1
+        acceleration = self._settings.absolute_tolerance / (h**2 * self.weights.beta)
+        return factorised(matrix), float(abs(matrix.diagonal()).max()) * acceleration
 
     def _matrix(self, now: Evaluation, h: float) -> csc_matrix:
         """S = (1 − α_m) M + (1 − α_f) (h γ C + h² β K), the derivative of the residual by a₁."""
         w = self.weights
-        K, C = self._assembly.tangents(now.F, now.response)
+        K, C = self._assembly.tangents(now)
         return csc_matrix(
             (1.0 - w.alpha_m) * self._mass
             + (1.0 - w.alpha_f) * (h * w.gamma * C + h**2 * w.beta * K)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.errors import InputError
-from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import CENTRE, N_POINTS, Discretisation
+from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
 
 Array = NDArray[np.float64]
@@ -57,14 +57,15 @@ class Frames:
     def of(
         cls, discretisation: Discretisation, t: float, u: Array, v: Array, F: Array, stress: Array
     ) -> Frames:
-        """Those of one time, from unknowns (n_free, 2) and values at the points."""
-        mean_stress = element_mean_stress(discretisation, F, stress)
+        """Those of one time, from values (n, 2) at nodes and bodies and at the points."""
+        mean_stress, n = element_mean_stress(discretisation, F, stress), len(discretisation.nodes)
+        n_q = discretisation.points_per_element
         return cls(
             t=np.array([t]),
-            displacement=discretisation.on_all_nodes(u)[None],
-            velocity=discretisation.on_all_nodes(v)[None],
+            displacement=u[None, :n],
+            velocity=v[None, :n],
             stress=mean_stress[None],
-            F=F[None, CENTRE::N_POINTS],
+            F=F[None, n_q - 1 :: n_q],
         )
 
     def followed_by(self, other: Frames) -> Frames:
@@ -81,16 +82,15 @@ class MacroState:
     is whatever the law makes it: who writes a file adds it to the arrays by the law's own means.
 
     Attributes:
-        t: µs. y: (4 n_free,) displacement and velocity of the free nodes.
+        t: µs. y: (2 m,) displacement and velocity of the free unknowns.
         next_step: length proposed for the next step, µs.
         memory: what the integrator knows besides y; empty if and only if it is the explicit one.
-        work: (2,) internal and load work since t = 0, pJ.
-        rows: (r, 6) at the output times passed: t, displacement of the watched point, kinetic
-            energy, internal and load work.
-        samples: (s, 2) t and rate of dissipation, µs and pJ/µs, at ends of steps.
+        work: (k,) since t = 0 of what `Evaluation.powers` lists, pJ.
+        rows: (r, c) at the output times passed, the columns of `columns_of`.
+        samples: (s, 1 + regions) t and rates of dissipation, µs and pJ/µs, at ends of steps.
         frames: whole fields.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
-        nodes, load, amplitude: what the run was of; a resumed run must have the same.
+        identity: digest of the problem; a resumed run must have the same.
         counts, effort, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.
@@ -105,9 +105,7 @@ class MacroState:
     samples: Array
     frames: Frames
     extremes: Array
-    nodes: Array
-    load: Array
-    amplitude: Array
+    identity: Array
     counts: dict[str, int]
     effort: dict[str, int]
     wall_time: dict[str, float]
@@ -147,22 +145,37 @@ class MacroState:
         return cls(**values | {"frames": Frames(**values["frames"])})
 
 
+def columns_of(system: System) -> list[str]:
+    """What a row of a run's history holds, in its order.
+
+    t; for each watched point its displacement; for each boundary its mean displacement; for each
+    support, surface load and body the force it exerts on the tissue; for each body its
+    displacement and the depth of the deepest penetration; kinetic energy; works.
+    """
+    vectors = [f"displacement {name}" for name in system.problem.watched]
+    vectors += [f"mean displacement {name}" for name in system.boundaries]
+    vectors += [f"force {name}" for name in system.force_names]
+    vectors += [f"position {contact.name}" for contact in system.contacts]
+    both = [f"{name} {axis}" for name in vectors for axis in "xy"]
+    depths = [f"penetration {contact.name}" for contact in system.contacts]
+    works = ["internal", *(force.name for force in system.forces), "motion"]
+    return ["t", *both, *depths, "contact", "kinetic", *(f"work {name}" for name in works)]
+
+
 class Recorder:
     """Records a run in a state that is replaced as a whole, so that no interrupt can tear it."""
 
     def __init__(
         self,
         equations: EquationsOfMotion,
-        load_case: LoadCase,
         settings: MacroSettings,
         resume: MacroState | None = None,
     ) -> None:
-        self._equations = equations
-        self._discretisation = equations.discretisation
-        self._end = load_case.duration
-        self._amplitude = np.array(load_case.amplitude, dtype=np.float64).reshape(-1, 2)
-        self._t = load_case.output_times()
-        self._frame_fractions = np.linspace(0.0, load_case.duration, settings.frames)
+        self._equations, self._system = equations, equations.system
+        problem = self._system.problem
+        self.end = problem.duration
+        self._t = problem.output_times()
+        self._frame_fractions = np.linspace(0.0, problem.duration, settings.frames)
         # A run that began without samples has no dissipation up to here to add to.
         self._record_dissipation = settings.record_dissipation and (
             resume is None or len(resume.samples) > 0
@@ -172,25 +185,25 @@ class Recorder:
         if resume is not None:
             self._state = resume
 
-    def begin(self, stepper: Stepper) -> None:
-        """Record the state at rest at t = 0."""
+    def begin(self, stepper: Stepper, work: Array) -> None:
+        """Record the start; `work` is that of the jump of prescribed velocities there."""
         start = stepper.now
         extremes = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2)).copy()
         widen_extremes(extremes, start.F, start.F_dot)
+        samples = np.zeros((0, 1 + len(self._system.regions)))
+        if self._record_dissipation:
+            samples = self._with_sample(samples, start)
         self._state = MacroState(
             t=start.t,
             y=start.y,
             next_step=stepper.next_length,
             memory=stepper.memory,
-            work=np.zeros(2),
-            rows=self._row(start.t, start.y, np.zeros(2))[None],
-            # At rest nothing dissipates.
-            samples=np.zeros((1 if self._record_dissipation else 0, 2)),
+            work=work,
+            rows=self._row(start.t, start.y, work, self._forces(start))[None],
+            samples=samples,
             frames=self._frame(start),
             extremes=extremes,
-            nodes=self._discretisation.nodes,
-            load=self._discretisation.load,
-            amplitude=self._amplitude,
+            identity=self._system.identity(),
             **self._standing(stepper),
         )
         self._equations.is_committing = False
@@ -200,15 +213,17 @@ class Recorder:
         before, end = self._state, step.end
         passed, due = len(before.rows), self._rows_due(end.t)
         rows, samples, frames = [before.rows], before.samples, before.frames
-        for t in self._t[passed:due]:
-            within = min(t, end.t)
-            work = before.work + step.work(within)
-            rows.append(self._row(t, step.interpolate(within), work)[None])
+        if due > passed:
+            first, last = self._forces(step.start), self._forces(end)
+            for t in self._t[passed:due]:
+                within = min(t, end.t)
+                part = (within - step.start.t) / step.length
+                forces = (1.0 - part) * first + part * last
+                work = before.work + step.work(within)
+                rows.append(self._row(t, step.interpolate(within), work, forces)[None])
         # About every other output time, and at the last.
         if self._record_dissipation and (due // 2 > passed // 2 or passed < due == self._t.size):
-            rate = self._equations.dissipation_rate(end)
-            if not np.isnan(rate):
-                samples = np.vstack([samples, [end.t, rate]])
+            samples = self._with_sample(samples, end)
         if self._frames_due(end.t) > self._frames_due(step.start.t):
             frames = frames.followed_by(self._frame(end))
         extremes = before.extremes.copy()
@@ -252,19 +267,40 @@ class Recorder:
 
     def _rows_due(self, t: float) -> int:
         """Output times up to t; rounding may put the last one beyond the duration."""
-        return self._t.size if t >= self._end else int(np.searchsorted(self._t, t, side="right"))
+        return self._t.size if t >= self.end else int(np.searchsorted(self._t, t, side="right"))
 
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
-    def _row(self, t: float, y: Array, work: Array) -> Array:
-        """t, displacement of the watched point, kinetic energy ½ v·M v, and work."""
-        u, v = y.reshape(2, -1, 2)
-        kinetic = 0.5 * np.vdot(v, self._discretisation.mass @ v)
-        return np.concatenate([[t], self._discretisation.at_watched_point(u), [kinetic], work])
+    def _with_sample(self, samples: Array, now: Evaluation) -> Array:
+        """With a row of time and each region's dissipation; as it was where that is not known."""
+        # At rest nothing dissipates.
+        rates = np.zeros(0) if not now.v.any() else self._equations.dissipation_rates(now)
+        if rates is None:
+            return samples
+        by_region = [rates[elements].sum() if rates.size else 0.0
+                     for elements in self._system.regions.values()]  # fmt: skip
+        return np.vstack([samples, [now.t, *by_region]])
+
+    def _forces(self, now: Evaluation) -> Array:
+        """(k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
+        return self._system.resultants(now.forces, self._equations.reaction(now))
+
+    def _row(self, t: float, y: Array, work: Array, forces: Array) -> Array:
+        """What `columns_of` lists, with the kinetic energy ½ v·M v."""
+        system = self._system
+        u, v = system.spread(y, t, self._equations.within)
+        kinetic = 0.5 * np.vdot(v, system.mass @ v)
+        bodies = u[len(system.discretisation.nodes) :]
+        vectors = [system.at_watched_points(u), system.mean_displacements(u), forces, bodies]
+        depths = [contact.penetration(u) for contact in system.contacts]
+        stored = sum(contact.energy(u) for contact in system.contacts)
+        flat = [part.ravel() for part in vectors]
+        return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
     def _frame(self, now: Evaluation) -> Frames:
-        return Frames.of(self._discretisation, now.t, now.u, now.v, now.F, now.response.stress)
+        stress = now.response.stress
+        return Frames.of(self._system.discretisation, now.t, now.u, now.v, now.F, stress)
 
 
 @kernel

@@ -27,7 +27,7 @@ class Modes:
 
     Attributes:
         eigenvalues: (m,) λ, 1/µs.
-        shapes: (m, n_free, 2) φ, its largest entry 1.
+        shapes: (k, n, 2) φ of all nodes and bodies, its largest entry 1.
         creeping: (k,) real eigenvalues found on the way: motion without oscillation, 1/µs.
     """
 
@@ -77,7 +77,7 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     size = rest.stiffness.shape[0]
     unit = identity(size, format="csc")
     A = csc_matrix(bmat([[None, unit], [-rest.stiffness, -rest.damping]]))
-    B = csc_matrix(block_diag([unit, mass_matrix(rest.discretisation)]))
+    B = csc_matrix(block_diag([unit, mass_matrix(rest.system)]))
     if size <= DENSE_LIMIT:
         values, vectors = eig(A.toarray(), B.toarray())
     else:
@@ -91,7 +91,9 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
         )
     shapes = vectors[:size, chosen].T
     largest = shapes[np.arange(len(shapes)), abs(shapes).argmax(axis=1)]
-    shapes = (shapes / largest[:, None]).reshape(len(shapes), size // 2, 2)
+    everywhere = np.zeros((len(shapes), 2 * rest.system.n_rows), dtype=complex)
+    everywhere[:, rest.system.free] = shapes / largest[:, None]
+    shapes = everywhere.reshape(len(shapes), -1, 2)
     real = values[abs(values.imag) <= 1e-9 * abs(values)].real
     return Modes(values[chosen], shapes, np.sort(real)[::-1])
 

@@ -12,10 +12,12 @@ from scipy.sparse import csc_matrix
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.history import Frames
+from surrofe2.macro.problem import Problem
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
+from surrofe2.macro.simulation import as_problem, system_of
+from surrofe2.macro.system import System
 from surrofe2.macro.tangents import Assembly, factorised, make_assembly
 from surrofe2.stress_law import StressLaw, require_tangents
 
@@ -29,27 +31,29 @@ _DECREASE = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """The bar at rest under a constant load.
+    """The tissue at rest under constant loads.
 
     Attributes:
-        discretisation: mesh, mass and load.
-        factor: factor of the body force.
-        u: (n_free, 2) displacement of the free nodes, µm.
+        system: mesh, mass and forces.
+        factor: of all loads and prescribed motions.
+        u: (n, 2) displacement of nodes and bodies, µm.
         F, stress: (n_points, 2, 2) deformation gradient; Cauchy stress, µN/µm.
-        stiffness, damping: (2 n_free, 2 n_free) K = ∂f/∂u and C = ∂f/∂v there.
-        path: (steps + 1, 3) factor and displacement of the watched point at each load step, from
-            (0, 0, 0) on.
+        stiffness, damping: (m, m) of the free unknowns, as of `Assembly.tangents`.
+        forces: (k, 2) forces on the tissue, of `System.force_names`, µN.
+        path: (steps + 1, 3) factor and displacement of the first watched point at each load step,
+            from (0, 0, 0) on.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
         counts: load steps, halvings, Newton iterations.
     """
 
-    discretisation: Discretisation
+    system: System
     factor: float
     u: Array
     F: Array
     stress: Array
     stiffness: csc_matrix
     damping: csc_matrix
+    forces: Array
     path: Array
     residuals: tuple[float, ...]
     counts: dict[str, int]
@@ -57,11 +61,12 @@ class Rest:
     @property
     def watched(self) -> Array:
         """(2,) displacement of the watched point, µm."""
-        return self.discretisation.at_watched_point(self.u)
+        watched: Array = self.system.at_watched_points(self.u)[0]
+        return watched
 
 
 def find_rest(
-    load_case: LoadCase,
+    problem: Problem | LoadCase,
     law: StressLaw,
     settings: MacroSettings = SECTION_6_2,
     *,
@@ -69,14 +74,14 @@ def find_rest(
     load_steps: int = 1,
     reached: Callable[[Rest], None] | None = None,
 ) -> Rest:
-    """Equilibrium internal force(u, v = 0) = factor · load, reached from factor 0.
+    """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
 
     Each load step starts from the last equilibrium; Newton's correction is halved until the
     residual falls and every point has a stress, and a load step that cannot be solved is halved.
 
     Args:
-        factor: of the body force; 0 is the bar without load. The load case's amplitude in time
-            has no say here.
+        problem: as of `simulate`. Its amplitudes in time have no say here.
+        factor: of all loads and prescribed motions; 0 is the tissue without load.
         load_steps: load steps to begin with.
         reached: called with each equilibrium on the way, the one without load first.
 
@@ -90,10 +95,10 @@ def find_rest(
         raise InputError(f"factor: {factor}; it must be finite")
     if load_steps < 1:
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
-    discretisation = make_discretisation(load_case, settings.elements, law.density)
-    equations = EquationsOfMotion(discretisation, law, lambda x: x, clock="load factor {:.6g}")
-    newton = _Newton(equations, make_assembly(discretisation), settings.newton_tolerance)
-    found = newton.rest_at(0.0, np.zeros((len(discretisation.free), 2)), np.zeros((1, 3)))
+    system = system_of(as_problem(problem, settings), law, proportional=True)
+    equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
+    newton = _Newton(equations, make_assembly(system), settings)
+    found = newton.rest_at(0.0, np.zeros(system.free.size), np.zeros((1, 3)))
     if isinstance(found, NoStress):
         raise SimulationError(f"the load cannot start: {found.message}")
     rest, step, failed = found, factor / load_steps, False
@@ -102,7 +107,7 @@ def find_rest(
     while rest.factor != factor:
         left = factor - rest.factor
         target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
-        found = newton.rest_at(target, rest.u, rest.path)
+        found = newton.rest_at(target, system.pick(rest.u), rest.path)
         if isinstance(found, NoStress):
             equations.tally.counts["halvings"] += 1
             step, failed = 0.5 * (target - rest.factor), True
@@ -123,7 +128,9 @@ def find_rest(
 def rest_frames(path: Sequence[Rest]) -> Frames:
     """Whole fields of states of rest, the factor of the load in the place of time."""
     each = (
-        Frames.of(rest.discretisation, rest.factor, rest.u, 0.0 * rest.u, rest.F, rest.stress)
+        Frames.of(
+            rest.system.discretisation, rest.factor, rest.u, 0.0 * rest.u, rest.F, rest.stress
+        )
         for rest in path
     )
     return reduce(Frames.followed_by, each)
@@ -133,7 +140,7 @@ def rest_frames(path: Sequence[Rest]) -> Frames:
 class _Newton:
     equations: EquationsOfMotion
     assembly: Assembly
-    tolerance: float
+    settings: MacroSettings
 
     def rest_at(self, factor: float, u: Array, path: Array) -> Rest | NoStress:
         """The equilibrium at `factor` by Newton from u; the law commits it.
@@ -147,18 +154,19 @@ class _Newton:
         if isinstance(found, NoStress):
             return found
         now, residuals = found
-        discretisation = self.equations.discretisation
-        K, C = self.assembly.tangents(now.F, now.response)
+        system = self.equations.system
+        K, C = self.assembly.tangents(now)
         self.equations.tally.counts["load_steps"] += factor != 0.0
-        here = np.append(factor, discretisation.at_watched_point(now.u))
+        here = np.append(factor, system.at_watched_points(now.u)[0])
         return Rest(
-            discretisation=discretisation,
+            system=system,
             factor=factor,
             u=now.u,
             F=now.F,
             stress=now.response.stress,
             stiffness=K,
             damping=C,
+            forces=system.resultants(now.forces, self.equations.reaction(now)),
             path=np.vstack([path, here]) if factor != path[-1, 0] else path,
             residuals=tuple(residuals),
             counts=self.counts(),
@@ -174,15 +182,15 @@ class _Newton:
     ) -> tuple[Evaluation, list[float]] | NoStress | Switched:
         """The equilibrium on one branch of the law, and the residuals on the way to it.
 
-        Newton goes on where the equilibrium of the bar has lost that of a point.
+        Newton goes on where the equilibrium of the tissue has lost that of a point.
         """
-        y = np.concatenate([u.ravel(), np.zeros(u.size)])
+        y = np.concatenate([u, np.zeros(u.size)])
         residuals: list[float] = []
         while True:
             now = self.equations.evaluate(factor, y, tangents=True)
             while isinstance(now, Evaluation):
-                residuals.append(_relative_residual(self.equations.discretisation, now))
-                if residuals[-1] <= self.tolerance:
+                residuals.append(self.relative_residual(now))
+                if residuals[-1] <= self.settings.newton_tolerance:
                     break
                 now = self.corrected(now, last=len(residuals) > MAX_ITERATIONS)
             else:
@@ -200,16 +208,16 @@ class _Newton:
         Args:
             last: that there were corrections enough.
         """
-        equations, residual = self.equations, now.internal - now.load
+        equations, residual = self.equations, -now.residual
         if last:
             reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
             return equations.out_of_balance(now, residual, reason)
-        K, _ = self.assembly.tangents(now.F, now.response)
+        K, _ = self.assembly.tangents(now)
         equations.tally.counts["factorisations"] += 1
         solve = factorised(K)
         if solve is None:
-            return equations.out_of_balance(now, residual, "the stiffness of the bar is singular")
-        correction = np.append(solve(residual.ravel()), np.zeros(residual.size))
+            return equations.out_of_balance(now, residual, "the stiffness is singular")
+        correction = np.append(solve(residual), np.zeros(residual.size))
         size = np.linalg.norm(residual)
         fraction, reason = 1.0, "the line search found no smaller residual"
         while fraction >= _LEAST_FRACTION:
@@ -218,17 +226,18 @@ class _Newton:
                 return trial
             if isinstance(trial, NoStress):
                 reason = trial.message
-            elif np.linalg.norm(trial.internal - trial.load) <= (1.0 - _DECREASE * fraction) * size:
+            elif np.linalg.norm(trial.residual) <= (1.0 - _DECREASE * fraction) * size:
                 return trial
             fraction *= 0.5
         return equations.out_of_balance(now, residual, reason)
 
-
-def _relative_residual(discretisation: Discretisation, now: Evaluation) -> float:
-    """Largest residual relative to the largest of internal force, load, and load at factor 1.
-
-    A bar without any body force takes 1 µm/µs² for its load.
-    """
-    load = abs(discretisation.load).max() or discretisation.mass.sum(axis=1).max()
-    scale = max(load, abs(now.internal).max(), abs(now.load).max())
-    return float(abs(now.internal - now.load).max() / scale)
+    def relative_residual(self, now: Evaluation) -> float:
+        """Largest residual relative to the largest of internal force, other forces, those at
+        factor 1, and the force that moves the stiffest unknown by what the tolerance allows.
+        """
+        K, _ = self.assembly.tangents(now)
+        full = [force.at(1.0, now.within, now.u, now.v) for force in self.equations.system.forces]
+        forces = (now.internal, now.forces, *full)
+        least = float(abs(K.diagonal()).max()) * self.settings.absolute_tolerance
+        scale = max(least, *(abs(force).max(initial=0.0) for force in forces))
+        return float(abs(now.residual).max() / scale)

@@ -15,12 +15,14 @@ from threadpoolctl import threadpool_limits
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import Discretisation, make_discretisation
+from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
-from surrofe2.macro.history import Frames, MacroState, Recorder
+from surrofe2.macro.history import Frames, MacroState, Recorder, columns_of
+from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
+from surrofe2.macro.system import System, make_system
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
 
@@ -63,14 +65,20 @@ class MacroRun:
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:
-        curve: displacement of the watched point at the output times.
+        curve: displacement of the first watched point at the output times.
         energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal`
-            and `load`, the work of the internal and of the load forces since t = 0, integrated
-            along with the equations of motion by the same method; `balance`, load − kinetic −
-            internal, zero but for the error of the time integration; `dissipated`, the work of
-            the stress in excess of σ(F, 0), from samples at the ends of steps joined by a
-            monotone cubic (second order or better), NaN where not recorded.
-        nodes: (n_nodes, 2) reference positions, µm; quads: (n_el, 4) their nodes.
+            and, by the names of the conditions, the work of the internal and of all other forces
+            since t = 0, integrated along with the equations of motion by the same method;
+            `motion`, that of prescribed motion; `contact`, what is stored in contact, a part of
+            the work of bodies; `balance`, all other works − gain of kinetic energy − internal,
+            zero but for the error of the time integration; `dissipated`, the work of the stress
+            in excess of σ(F, 0), from samples at the ends of steps joined by a monotone cubic
+            (second order or better), NaN where not recorded, and by region ``dissipated NAME``.
+        curves: displacement of every watched point by name.
+        history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
+            forces of supports, surface loads and bodies on the tissue (µN), positions and
+            penetration of bodies (µm); forces are linear between ends of steps.
+        nodes: (n_nodes, 2) reference positions, µm; elements: (n_el, 4 or 6) their nodes.
         frames: whole fields at a few times.
         met: extremes of deformation and rate.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest).
@@ -80,13 +88,15 @@ class MacroRun:
             questions for σ(F, 0), which come on top.
         effort: sums of what the law's answers say they cost, those for dissipation included.
         threads: that numba could use.
-        finished: whether the end of the load case was reached.
+        finished: whether the end of the problem was reached.
     """
 
     curve: DisplacementCurve
     energies: dict[str, Array]
+    curves: dict[str, DisplacementCurve]
+    history: dict[str, Array]
     nodes: Array
-    quads: NDArray[np.int64]
+    elements: NDArray[np.int64]
     frames: Frames
     met: MetRange
     wall_time: dict[str, float]
@@ -97,7 +107,7 @@ class MacroRun:
 
 
 def simulate(
-    load_case: LoadCase,
+    problem: Problem | LoadCase,
     law: StressLaw,
     settings: MacroSettings = SECTION_6_2,
     *,
@@ -106,30 +116,30 @@ def simulate(
     checkpoint_interval: float = 30.0,
     resume: MacroState | None = None,
 ) -> MacroRun:
-    """Motion of the clamped bar under its body force (sections 4 and 6.2).
+    """Motion of a tissue under all that acts on it (sections 4 and 6.2).
 
-    M ü = ∫ ρ N g dV − ∫ σ ∇N dv on bilinear quadrilaterals, the stress by selective reduced
-    integration, in time by Dormand–Prince 5(4) or, with `settings.integrator` "implicit", by
-    generalised-α, for which the law must give tangents. The law is asked at five points an
-    element, all at once; a step with a point that has no stress, or whose end the law does not
-    accept, is tried again at half the length.
+    M ü = forces − ∫ σ ∇N dv, the stress by selective reduced integration, in time by
+    Dormand–Prince 5(4) or, with `settings.integrator` "implicit", by generalised-α, for which the
+    law must give tangents. The law is asked at all points at once; a step with a point that has no
+    stress, or whose end the law does not accept, is tried again at half the length.
 
     Args:
-        load_case: the bar, its load, the duration and what is watched.
+        problem: the tissue and what acts on it; a `LoadCase` is the clamped bar of section 6.2 on
+            `settings.elements` elements.
         law: any stress law; its density times the area is the mass.
-        settings: mesh, tolerances, what is kept.
+        settings: mesh of a bar, tolerances, what is kept.
         progress: called with (t, duration) in µs after every step.
         checkpoint: called with the state of the run when `checkpoint_interval` seconds have
             passed since it last was, and upon an interrupt, which then goes its way; but not
             where that comes while the law commits a step, of which it may have taken down a part.
         checkpoint_interval: s.
-        resume: a state that `checkpoint` was given, of the same load case, mesh and density.
-            The results are those of the uninterrupted run to the bit where the law goes on from
+        resume: a state that `checkpoint` was given, of the same problem and density. The results
+            are those of the uninterrupted run to the bit where the law goes on from
             `MacroState.law_state`, or has no state; else it starts cold.
 
     Raises:
-        InputError: `checkpoint_interval` is negative, or the integrator is "implicit" and the law
-            has no tangents.
+        InputError: `checkpoint_interval` is negative, the problem names what its mesh has not, or
+            the integrator is "implicit" and the law has no tangents.
         SimulationError: ten halvings in a row found no acceptable step, or the error asks for
             steps below rounding; `partial` is the `MacroRun` up to there (None if the law fails
             already where the run starts).
@@ -139,33 +149,58 @@ def simulate(
         raise InputError(
             f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
         )
-    discretisation = make_discretisation(load_case, settings.elements, law.density)
+    problem = as_problem(problem, settings)
+    system = system_of(problem, law)
     if resume is not None:
-        _check_same_run(resume, discretisation, load_case, settings)
-    equations = EquationsOfMotion(discretisation, law, load_case.amplitude_at)
-    recorder = Recorder(equations, load_case, settings, resume)
-    stepper = _make_stepper(equations, settings, load_case.duration, resume)
-    if resume is None:
-        recorder.begin(stepper)
-    last_checkpoint = monotonic()
+        _check_same_run(resume, system, settings)
+    equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
+    recorder = Recorder(equations, settings, resume)
+    stepper = _make_stepper(equations, settings, recorder, resume)
+    duration, last_checkpoint = problem.duration, monotonic()
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
         with threadpool_limits(1, user_api="blas"):
-            while stepper.now.t < load_case.duration:
+            while stepper.now.t < duration:
                 recorder.record(stepper.advance(), stepper)
                 if progress is not None:
-                    progress(stepper.now.t, load_case.duration)
+                    progress(stepper.now.t, duration)
                 if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
                     checkpoint(recorder.checkpoint())
                     last_checkpoint = monotonic()
     except SimulationError as error:
-        partial = _make_run(discretisation, recorder.state(), finished=False)
+        partial = _make_run(system, recorder.state(), finished=False)
         raise SimulationError(str(error), partial=partial) from error
     except KeyboardInterrupt:
         if checkpoint is not None and not equations.is_committing:
             checkpoint(recorder.checkpoint())
         raise
-    return _make_run(discretisation, recorder.state(), finished=True)
+    return _make_run(system, recorder.state(), finished=True)
+
+
+def as_problem(problem: Problem | LoadCase, settings: MacroSettings) -> Problem:
+    """A load case as the bar that it is."""
+    return bar(problem, settings.elements) if isinstance(problem, LoadCase) else problem
+
+
+def system_of(problem: Problem, law: StressLaw, *, proportional: bool = False) -> System:
+    """The system of a problem with the law's density and, where bodies touch it, its modulus."""
+    if not problem.bodies:
+        return make_system(problem, law.density, proportional=proportional)
+    modulus = _modulus(law, n_points_of(problem.mesh))
+    return make_system(problem, law.density, modulus=modulus, proportional=proportional)
+
+
+def _modulus(law: StressLaw, n_points: int) -> float:
+    """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
+    strain, largest = 1e-4, 0.0
+    still = np.zeros((n_points, 2, 2))
+    for k in (0, 1):
+        F = np.tile(np.eye(2), (n_points, 1, 1))
+        before = law.respond(F, still).stress[:, k, k]
+        F[:, k, k] += strain
+        after = law.respond(F, still).stress[:, k, k]
+        largest = max(largest, float(np.nanmax(after - before)) / strain)
+    return largest
 
 
 def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method:
@@ -177,33 +212,60 @@ def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method
 
 
 def _make_stepper(
-    equations: EquationsOfMotion, settings: MacroSettings, end: float, resume: MacroState | None
+    equations: EquationsOfMotion,
+    settings: MacroSettings,
+    recorder: Recorder,
+    resume: MacroState | None,
 ) -> Stepper:
-    """A stepper at rest at t = 0, or where `resume` was taken."""
-    method, tally = make_method(equations, settings), equations.tally
+    """A stepper at t = 0, recorded, or where `resume` was taken."""
+    method, tally, end = make_method(equations, settings), equations.tally, recorder.end
     if resume is None:
-        start = equations.begin(0.0, np.zeros(4 * len(equations.discretisation.free)))
-        return Stepper(equations, method, settings, end, start)
+        y, work = equations.system.start(equations.within)
+        stepper = Stepper(equations, method, settings, end, equations.begin(0.0, y))
+        recorder.begin(stepper, work)
+        return stepper
     tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)
     tally.law_seconds = resume.wall_time["law"]
     going_on = equations.resume(resume.t, resume.y, resume.stress, resume.law_state)
     return Stepper(equations, method, settings, end, going_on, resume.next_step, resume.memory)
 
 
-def _make_run(discretisation: Discretisation, state: MacroState, finished: bool) -> MacroRun:
+def _make_run(system: System, state: MacroState, finished: bool) -> MacroRun:
     """The results that `state` holds."""
-    t, *displacement, kinetic, internal, load = state.rows.T
+    found = dict(zip(columns_of(system), state.rows.T, strict=True))
+    t, kinetic, internal = found["t"], found["kinetic"], found["work internal"]
+    curves = {
+        name: DisplacementCurve(
+            t, np.stack([found[f"displacement {name} {axis}"] for axis in "xy"], axis=1)
+        )
+        for name in system.problem.watched
+    }
+    works = {
+        name.removeprefix("work "): column
+        for name, column in found.items()
+        if name.startswith("work ") and (name != "work motion" or system.moving)
+    }
+    works.pop("internal")
+    dissipated = {
+        f"dissipated {name}".strip(): _dissipated(t, state.samples[:, [0, 1 + k]])
+        for k, name in enumerate(system.regions)
+    }
+    started = kinetic[0] - sum(work[0] for work in works.values())
+    kept = ("mean displacement", "force", "position", "penetration")
     return MacroRun(
-        curve=DisplacementCurve(t, np.stack(displacement, axis=1)),
+        curve=next(iter(curves.values())),
         energies={
             "kinetic": kinetic,
             "internal": internal,
-            "load": load,
-            "dissipated": _dissipated(t, state.samples),
-            "balance": load - kinetic - internal,
+            **works,
+            **({"contact": found["contact"]} if system.contacts else {}),
+            **dissipated,
+            "balance": started + sum(works.values()) - kinetic - internal,
         },
-        nodes=discretisation.nodes,
-        quads=discretisation.quads,
+        curves=curves,
+        history={name: column for name, column in found.items() if name.startswith(kept)},
+        nodes=system.discretisation.nodes,
+        elements=system.discretisation.elements,
         frames=state.frames,
         met=MetRange(*state.extremes.swapaxes(0, 1)),
         wall_time=state.wall_time,
@@ -262,20 +324,15 @@ def _end_slope(h: float, next_h: float, slope: float, next_slope: float) -> floa
     return 3.0 * slope if slope * next_slope < 0.0 and abs(d) > 3.0 * abs(slope) else d
 
 
-def _check_same_run(
-    state: MacroState, discretisation: Discretisation, load_case: LoadCase, settings: MacroSettings
-) -> None:
+def _check_same_run(state: MacroState, system: System, settings: MacroSettings) -> None:
     begun = "implicit" if state.memory.size else "explicit"
-    if state.t > 0.0 and begun != settings.integrator:
+    corner = state.t in system.problem.corners()
+    if state.t > 0.0 and begun != settings.integrator and not corner:
         raise MismatchError(
             f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {begun} "
             "run: resume with that or run anew"
         )
-    for name, there, here in (
-        ("mesh", state.nodes, discretisation.nodes),
-        ("load or density", state.load, discretisation.load),
-        ("amplitude of the load", state.amplitude, np.reshape(load_case.amplitude, (-1, 2))),
-        ("output times", state.rows[:, 0], load_case.output_times()[: len(state.rows)]),
-    ):
-        if there.shape != here.shape or not np.allclose(there, here, rtol=1e-12, atol=0.0):
-            raise MismatchError(f"resume: the {name} is not that of the checkpoint; run anew")
+    if not np.array_equal(state.identity, system.identity()):
+        raise MismatchError(
+            "resume: the problem or its density is not that of the checkpoint; run anew"
+        )

@@ -1,4 +1,4 @@
-"""Tangents of the internal force, assembled and sparse: K = ∂f/∂u and C = ∂f/∂v."""
+"""Tangents of all forces, assembled and sparse: K = ∂(f − l)/∂u and C = ∂(f − l)/∂v."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from scipy.sparse import csc_matrix, kron
 from scipy.sparse.linalg import splu
 
 from surrofe2.errors import InputError
-from surrofe2.macro.discretisation import N_GAUSS, N_POINTS, Discretisation
-from surrofe2.stress_law import StressResponse, Tangents
+from surrofe2.macro.equations_of_motion import Evaluation
+from surrofe2.macro.system import System
+from surrofe2.stress_law import StressResponse
 from surrofe2.tensors import det
 
 Array = NDArray[np.float64]
@@ -21,68 +22,78 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
-    """Adds up element matrices; unknown 2 a + i is component i of free node a.
+    """Adds up element matrices for the m free unknowns of a system.
 
     Attributes:
-        discretisation: whose.
-        size: number of unknowns, 2 n_free.
-        kept: (k,) entries of the flattened (n_el, 8, 8) element matrices between free nodes.
+        system: whose.
+        kept: (k,) entries of the flattened element matrices between free unknowns.
         slot: (k,) place of each of them among the stored values, many to one.
         indices, indptr: of the compressed columns.
     """
 
-    discretisation: Discretisation
-    size: int
+    system: System
     kept: Index
     slot: Index
     indices: Index
     indptr: Index
 
     def sum(self, element_matrices: Array) -> csc_matrix:
-        """Sum of (n_el, 8, 8) element matrices, sparse (2 n_free, 2 n_free)."""
+        """Sum of the elements' matrices between their 2 k unknowns, sparse (m, m)."""
         values = np.bincount(
             self.slot, weights=element_matrices.ravel()[self.kept], minlength=self.indices.size
         )
-        return csc_matrix((values, self.indices, self.indptr), shape=(self.size, self.size))
+        size = self.system.free.size
+        return csc_matrix((values, self.indices, self.indptr), shape=(size, size))
 
-    def tangents(self, F: Array, response: StressResponse) -> tuple[csc_matrix, csc_matrix]:
-        """K = ∂f/∂u (µN/µm) and C = ∂f/∂v (µN µs/µm) of `internal_force`, (2 n_free, 2 n_free).
+    def tangents(self, now: Evaluation) -> tuple[csc_matrix, csc_matrix]:
+        """K = ∂(f − l)/∂u (µN/µm) and C = ∂(f − l)/∂v (µN µs/µm), (m, m), at an evaluation.
 
-        With Δu = Σ_b Δu_b N_b both are Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress
-        of a point, see `effective_tangents`. Neither need be symmetric.
-
-        Args:
-            F: (n_points, 2, 2) deformation gradient.
-            response: of the stress law there, with tangents.
+        f is the internal force and l all others. With Δu = Σ_b Δu_b N_b, that of f is
+        Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress of a point, see
+        `effective_tangents`. Neither need be symmetric.
         """
-        if response.tangents is None:
+        if now.response.tangents is None:
             raise InputError("tangents: the stress law gave none; ask it for them")
-        gradients = self.discretisation.gradients
-        weighted = self.discretisation.weights[:, :, None, None] * gradients
+        K, C = self.internal(now.F, now.response)
+        free = self.system.free
+        for force in self.system.forces:
+            slopes = force.slopes(now.t, now.within, now.u, now.v)
+            if slopes is not None:
+                K, C = (X + Y[free][:, free] for X, Y in zip((K, C), slopes, strict=True))
+        return csc_matrix(K), csc_matrix(C)
+
+    def internal(self, F: Array, response: StressResponse) -> tuple[csc_matrix, csc_matrix]:
+        """The part of the internal force in `tangents`."""
+        space = self.system.discretisation
+        gradients = space.gradients
+        weighted = space.weights[:, :, None, None] * gradients
+        slopes = effective_tangents(F, response, space.points_per_element)
         matrices = []
-        for slope in effective_tangents(F, response.stress, response.tangents):
+        for slope in slopes:
             # Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k) of each element.
-            slope = slope.reshape(-1, N_POINTS, 2, 2, 2, 2)
+            slope = slope.reshape(len(gradients), -1, 2, 2, 2, 2)
             right = np.einsum("eqijkl,eqbl->eqijbk", slope, gradients)
             matrices.append(self.sum(np.einsum("eqaj,eqijbk->eaibk", weighted, right)))
         return matrices[0], matrices[1]
 
 
-def make_assembly(discretisation: Discretisation) -> Assembly:
-    """Where the entries of the element matrices go; made once for a discretisation."""
-    size = 2 * len(discretisation.free)
-    unknowns = (2 * discretisation.rows[:, :, None] + np.arange(2)).reshape(-1, 8)
-    held = np.repeat(discretisation.rows < 0, 2, axis=1)
+def make_assembly(system: System) -> Assembly:
+    """Where the entries of the element matrices go; made once for a system."""
+    size, elements = system.free.size, system.discretisation.elements
+    number = np.full(2 * system.n_rows, -1)
+    number[system.free] = np.arange(size)
+    unknowns = number[(2 * elements[:, :, None] + np.arange(2)).reshape(len(elements), -1)]
     row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
-    kept = np.flatnonzero(~(held[:, :, None] | held[:, None, :]))
+    kept = np.flatnonzero((row >= 0) & (column >= 0))
     code, slot = np.unique((column * size + row).ravel()[kept], return_inverse=True)
     indptr = np.searchsorted(code, size * np.arange(size + 1))
-    return Assembly(discretisation, size, kept, slot, code % size, indptr)
+    return Assembly(system, kept, slot, code % size, indptr)
 
 
-def mass_matrix(discretisation: Discretisation) -> csc_matrix:
-    """(2 n_free, 2 n_free) consistent mass of both components, ng."""
-    return csc_matrix(kron(discretisation.mass, np.eye(2)))
+def mass_matrix(system: System) -> csc_matrix:
+    """(m, m) mass between the free unknowns, ng."""
+    both = csc_matrix(kron(system.mass, np.eye(2)))
+    return csc_matrix(both[system.free][:, system.free])
 
 
 def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
@@ -94,15 +105,19 @@ def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
     return solve
 
 
-def effective_tangents(F: Array, stress: Array, tangents: Tangents) -> tuple[Array, Array]:
+def effective_tangents(
+    F: Array, response: StressResponse, points_per_element: int
+) -> tuple[Array, Array]:
     """∂T/∂F and ∂T/∂Ḟ, (n_points, 2, 2, 2, 2), T the part of P that a point contributes.
 
-    The force is Σ w T ∇N with T = J dev(σ) F⁻ᵀ at Gauss points and J tr(σ)/2 F⁻ᵀ at the centre.
+    The force is Σ w T ∇N with T = J dev(σ) F⁻ᵀ at Gauss points and J tr(σ)/2 F⁻ᵀ at the last.
     As J tr σ = P : F, the pressure part is T_c = ½ (P : F) F⁻ᵀ, the deviator's P − T_c, and
 
         ∂T_c,ij/∂F_kl = ½ (P_kl + F_mn ∂P_mn/∂F_kl) F⁻ᵀ_ij − ½ (P : F) F⁻ᵀ_il F⁻ᵀ_kj
         ∂T_c,ij/∂Ḟ_kl = ½ F_mn ∂P_mn/∂Ḟ_kl F⁻ᵀ_ij
     """
+    tangents, stress = response.tangents, response.stress
+    assert tangents is not None
     inverse_T = np.asarray(np.linalg.inv(F), dtype=np.float64).transpose(0, 2, 1)
     P = det(F)[:, None, None] * stress @ inverse_T
     work = np.einsum("nij,nij->n", P, F)
@@ -111,7 +126,7 @@ def effective_tangents(F: Array, stress: Array, tangents: Tangents) -> tuple[Arr
     by_F -= 0.5 * np.einsum("n,nil,nkj->nijkl", work, inverse_T, inverse_T)
     rate_slope = np.einsum("nij,nijkl->nkl", F, tangents.P_by_F_dot)
     by_F_dot = 0.5 * np.einsum("nij,nkl->nijkl", inverse_T, rate_slope)
-    gauss = np.arange(len(F)) % N_POINTS < N_GAUSS
+    gauss = np.arange(len(F)) % points_per_element < points_per_element - 1
     by_F[gauss] = tangents.P_by_F[gauss] - by_F[gauss]
     by_F_dot[gauss] = tangents.P_by_F_dot[gauss] - by_F_dot[gauss]
     return by_F, by_F_dot

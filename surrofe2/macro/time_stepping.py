@@ -1,5 +1,7 @@
 """Time steps of either method: their length from their error, halved where the law fails.
 
+Every corner of an amplitude is the end of a step; there the method begins anew, with a short step.
+
 A method tries one step and hands back a `StepResult`, or why there is none. Here its error decides
 whether the step is kept, the law is asked to accept its end, and the next length is chosen. A trial
 in which points leave their branch of the law is repeated at its length.
@@ -7,7 +9,7 @@ in which points leave their branch of the law is repeated at its length.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -38,9 +40,10 @@ class StepResult:
     Attributes:
         start, end: evaluations at both ends.
         error: root mean square of the error of y relative to the tolerances; kept up to 1.
-        mean_power: (2,) of the internal force and the load, pJ/µs.
-        bulge, power_bulge: b of y, (4 n_free,), and of the work, (2,); 0 if there is none.
+        mean_power: (k,) of what `Evaluation.powers` lists, pJ/µs.
+        bulge, power_bulge: b of y and of the work; 0 if there is none.
         memory: for the step that begins at its end; empty where the method needs none.
+        work_before: of a jump of prescribed velocities where it begins, pJ; 0 if there is none.
     """
 
     start: Evaluation
@@ -50,6 +53,7 @@ class StepResult:
     bulge: Array | float
     power_bulge: Array | float
     memory: Array
+    work_before: Array | float = 0.0
 
     @property
     def length(self) -> float:
@@ -57,15 +61,16 @@ class StepResult:
         return self.end.t - self.start.t
 
     def interpolate(self, t: float) -> Array:
-        """(4 n_free,) y at a time within the step."""
+        """(2 m,) y at a time within the step."""
         start, end = self.start, self.end
         mean = (end.y - start.y) / self.length
         return start.y + self._integral(t, mean, start.rate, end.rate, self.bulge)
 
     def work(self, t: float) -> Array:
-        """(2,) internal and load work from the start to t, pJ."""
+        """(k,) work from the start to t, pJ."""
         powers = self.start.powers, self.end.powers
-        return self._integral(t, self.mean_power, *powers, self.power_bulge)
+        since = self._integral(t, self.mean_power, *powers, self.power_bulge)
+        return self.work_before + since
 
     def _integral(self, t: float, mean: Array, first: Array, last: Array, b: Any) -> Array:
         s = (t - self.start.t) / self.length
@@ -144,17 +149,13 @@ class Stepper:
         memory: Array = NO_MEMORY,
     ) -> None:
         self._equations, self._method = equations, method
-        self._largest, self._t_end = settings.largest_step, t_end
+        self._largest = min(settings.largest_step, equations.system.problem.resolved_by)
+        self._t_end = t_end
         if not isinstance(start, Evaluation):
             raise SimulationError(f"the run cannot start: {start.message}")
         self.now, self.memory = start, memory
-        length: float | NoStress | Switched
-        length = next_length or method.first_length(self.now, t_end)
-        while isinstance(length, Switched):
-            length = self._restart(length) or method.first_length(self.now, t_end)
-        if isinstance(length, NoStress):
-            raise SimulationError(f"the run cannot start: {length.message}")
-        self.next_length = min(length, self._largest)
+        self._work_before: Array | float = 0.0
+        self.next_length = next_length or self._first_length("the run cannot start")
 
     def advance(self) -> StepResult:
         """The next accepted step.
@@ -167,6 +168,8 @@ class Stepper:
             SimulationError: ten halvings in a row, or the error asks for a step below rounding.
         """
         counts, control = self._equations.tally.counts, self._method.control
+        if self.now.t >= self._equations.piece_end:
+            self._cross_corner()
         halvings, rejected, found = 0, False, None
         while True:
             t = self._target()
@@ -193,10 +196,11 @@ class Stepper:
                     # After a failure do not grow straight back into it.
                     wanted = length * (min(ratio, 1.0) if halvings else ratio)
                     # A step cut short to meet the end says nothing against the longer one.
-                    longest = max(wanted, self.next_length if t == self._t_end else 0.0)
+                    longest = max(wanted, self.next_length if t == self._end() else 0.0)
                     self.next_length = min(self._largest, longest)
                     self.now, self.memory = start, trial.memory
-                    return trial
+                    work, self._work_before = self._work_before, 0.0
+                    return replace(trial, work_before=work)
                 failure = start
             if failure is not None:
                 counts["failed_trials"] += 1
@@ -210,11 +214,32 @@ class Stepper:
     def _target(self) -> float:
         """Time to step to."""
         t = self.now.t
-        left, h = self._t_end - t, min(self.next_length, self._largest)
+        left, h = self._end() - t, min(self.next_length, self._largest)
         h = max(h, _ROUNDING * float(np.spacing(t)))
         if h * (1.0 + 1e-9) >= left:
-            return self._t_end
+            return self._end()
         return t + (0.5 * left if self._method.control.splits_rest and 2.0 * h > left else h)
+
+    def _end(self) -> float:
+        """The end of the run, or of the piece of the amplitudes if that comes first."""
+        return min(self._t_end, self._equations.piece_end)
+
+    def _cross_corner(self) -> None:
+        """Begin anew on the other side of a corner of an amplitude."""
+        start, self._work_before = self._equations.cross_corner(self.now)
+        if isinstance(start, NoStress):
+            raise SimulationError(f"the load jumps where there is no stress: {start.message}")
+        self.now, self.memory = start, NO_MEMORY
+        self.next_length = self._first_length("the run cannot go on at a corner of the load")
+
+    def _first_length(self, failure: str) -> float:
+        """Length of a first step by the method; `failure` is said where there is none."""
+        length = self._method.first_length(self.now, self._end())
+        while isinstance(length, Switched):
+            length = self._restart(length) or self._method.first_length(self.now, self._end())
+        if isinstance(length, NoStress):
+            raise SimulationError(f"{failure}: {length.message}")
+        return min(length, self._largest)
 
     def _restart(self, found: Switched) -> NoStress | None:
         """Begin the step under way on the branches that points switched to."""

@@ -29,7 +29,6 @@ from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.macro.discretisation import N_POINTS
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
@@ -37,6 +36,7 @@ from surrofe2.rve.reference_state import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 
+_POINTS_OF_A_QUADRILATERAL = 5
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
 _AT_REST = 1e-6
@@ -188,7 +188,7 @@ def warm_up(
     begin = time.perf_counter()
     nx, ny = settings.elements
     for law in laws:
-        for points in (1, min(N_POINTS * nx * ny, _MANY_POINTS)):
+        for points in (1, min(_POINTS_OF_A_QUADRILATERAL * nx * ny, _MANY_POINTS)):
             F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)

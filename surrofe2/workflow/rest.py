@@ -60,7 +60,10 @@ def rest_study(
     def store(record: RunRecord, last: Rest) -> RunRecord:
         write_load_path(folder, last.path)
         write_fields(
-            folder, last.discretisation.nodes, last.discretisation.quads, rest_frames(path)
+            folder,
+            last.system.discretisation.nodes,
+            last.system.discretisation.elements,
+            rest_frames(path),
         )
         wall = {"total": time.perf_counter() - begin, "compilation": compilation}
         met = {"watched": [float(u) for u in last.watched]}

@@ -60,7 +60,7 @@ def run_study(
         outputs.store(chosen.table)
         write_curve(folder, run.curve)
         write_energies(folder, run.curve.t, run.energies)
-        write_fields(folder, run.nodes, run.quads, run.frames)
+        write_fields(folder, run.nodes, run.elements, run.frames)
         return replace(
             record,
             wall_time={**run.wall_time, "compilation": compilation},

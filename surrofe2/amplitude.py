@@ -1,0 +1,226 @@
+"""Factors in time by which loads, motions and rigid bodies follow their largest value.
+
+A factor is smooth but at its corners, where it or its rate jumps. Time integration ends a step at
+each corner, so a step only ever sees one smooth piece; `within` names that piece by any time inside
+it, for at a corner itself both sides may differ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from surrofe2.errors import InputError
+from surrofe2.settings import check_settings, setting
+from surrofe2.units import NONE, TIME
+
+Value = tuple[float, float, float]
+"""A factor, its rate (1/µs) and the rate of that (1/µs²)."""
+
+
+@runtime_checkable
+class Amplitude(Protocol):
+    """A factor in time."""
+
+    def at(self, t: float, within: float) -> Value:
+        """The factor and its rates at time t (µs) of the smooth piece that holds `within`."""
+
+    def corners(self) -> tuple[float, ...]:
+        """Times (µs) at which the factor or its rate jumps, increasing."""
+
+    @property
+    def resolved_by(self) -> float:
+        """Longest step (µs) that sees the factor's shape; infinite where it has none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constant:
+    """The same factor at all times."""
+
+    value: float = setting(1.0, "the factor")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "amplitude")
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        return self.value, 0.0, 0.0
+
+    def corners(self) -> tuple[float, ...]:
+        """None."""
+        return ()
+
+    @property
+    def resolved_by(self) -> float:
+        """Infinite."""
+        return math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Linear between points, constant before the first and after the last."""
+
+    points: tuple[tuple[float, float], ...] = setting((), "(time, factor)", f"({TIME}, {NONE})")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "amplitude")
+        if not self.points:
+            raise InputError("amplitude.points: []; it must have at least one (time, factor)")
+        if (np.diff([t for t, _ in self.points]) <= 0.0).any():
+            raise InputError(f"amplitude.points: {list(self.points)}; times must increase")
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        k = int(np.searchsorted([time for time, _ in self.points], within, side="right"))
+        if k in (0, len(self.points)):
+            return self.points[0 if k == 0 else -1][1], 0.0, 0.0
+        (begin, first), (end, last) = self.points[k - 1], self.points[k]
+        slope = (last - first) / (end - begin)
+        return first + slope * (t - begin), slope, 0.0
+
+    def corners(self) -> tuple[float, ...]:
+        """The times of the table."""
+        return tuple(t for t, _ in self.points)
+
+    @property
+    def resolved_by(self) -> float:
+        """Infinite: every piece is straight."""
+        return math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ramp:
+    """From 0 to 1 between two times; a smooth one begins and ends without rate and acceleration.
+
+    With s = (t − begin)/(end − begin) the factor is s, or s³ (10 − 15 s + 6 s²) if smooth.
+    """
+
+    begin: float = setting(0.0, "time up to which the factor is 0", TIME)
+    end: float = setting(about="time from which the factor is 1", unit=TIME)
+    smooth: bool = setting(False, "whether rate and acceleration are continuous")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "amplitude")
+        if not self.end > self.begin:
+            raise InputError(f"amplitude.end: {self.end}; it must be after begin, {self.begin} µs")
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        if within <= self.begin or within >= self.end:
+            return float(within >= self.end), 0.0, 0.0
+        length = self.end - self.begin
+        s = (t - self.begin) / length
+        if not self.smooth:
+            return s, 1.0 / length, 0.0
+        value = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        rate = 30.0 * s**2 * (1.0 - s) ** 2 / length
+        return value, rate, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2
+
+    def corners(self) -> tuple[float, ...]:
+        """Begin and end."""
+        return self.begin, self.end
+
+    @property
+    def resolved_by(self) -> float:
+        """An eighth of a smooth ramp."""
+        return (self.end - self.begin) / 8.0 if self.smooth else math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sine:
+    """offset + sin(2π frequency (t − begin) + phase) from `begin` on, its first value before."""
+
+    frequency: float = setting(about="oscillations in a µs", unit="1/µs", above=0.0)
+    phase: float = setting(0.0, "angle at begin", "°")
+    offset: float = setting(0.0, "the mean factor")
+    begin: float = setting(0.0, "time at which the oscillation begins", TIME)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "amplitude")
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        omega, phase = 2.0 * math.pi * self.frequency, math.radians(self.phase)
+        if within <= self.begin:
+            return self.offset + math.sin(phase), 0.0, 0.0
+        angle = omega * (t - self.begin) + phase
+        rate = omega * math.cos(angle)
+        return self.offset + math.sin(angle), rate, -(omega**2) * math.sin(angle)
+
+    def corners(self) -> tuple[float, ...]:
+        """Where it begins."""
+        return (self.begin,)
+
+    @property
+    def resolved_by(self) -> float:
+        """An eighth of a period."""
+        return 1.0 / (8.0 * self.frequency)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pulse:
+    """From 0 to 1 and back to 0 within `length`: by a half sine, a triangle or at once."""
+
+    begin: float = setting(0.0, "time at which the factor leaves 0", TIME)
+    length: float = setting(about="time until it is 0 again", unit=TIME, above=0.0)
+    shape: Literal["half-sine", "triangle", "rectangle"] = setting("half-sine", "of the pulse")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "amplitude")
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        s, place = (t - self.begin) / self.length, (within - self.begin) / self.length
+        if not 0.0 < place < 1.0:
+            return 0.0, 0.0, 0.0
+        if self.shape == "rectangle":
+            return 1.0, 0.0, 0.0
+        if self.shape == "triangle":
+            slope = 2.0 if place < 0.5 else -2.0
+            return (2.0 * s if place < 0.5 else 2.0 - 2.0 * s), slope / self.length, 0.0
+        omega = math.pi / self.length
+        value = math.sin(math.pi * s)
+        return value, omega * math.cos(math.pi * s), -(omega**2) * value
+
+    def corners(self) -> tuple[float, ...]:
+        """Begin, end, and the top of a triangle."""
+        middle = (self.begin + 0.5 * self.length,) if self.shape == "triangle" else ()
+        return self.begin, *middle, self.begin + self.length
+
+    @property
+    def resolved_by(self) -> float:
+        """An eighth of a half sine."""
+        return self.length / 8.0 if self.shape == "half-sine" else math.inf
+
+
+KINDS: dict[str, type] = {
+    "constant": Constant,
+    "table": Table,
+    "ramp": Ramp,
+    "sine": Sine,
+    "pulse": Pulse,
+}
+"""Amplitudes by the name that recipes use."""
+
+ONE = Constant()
+
+
+@dataclass(frozen=True, slots=True)
+class Proportional:
+    """The time itself: loads that grow together, with a load factor in the place of time."""
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        return t, 1.0, 0.0
+
+    def corners(self) -> tuple[float, ...]:
+        """None."""
+        return ()
+
+    @property
+    def resolved_by(self) -> float:
+        """Infinite."""
+        return math.inf

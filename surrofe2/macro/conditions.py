@@ -1,0 +1,122 @@
+"""What acts on a tissue: supports, prescribed motion, loads, foundations, initial velocity.
+
+Each condition names the boundary or region it acts `on`; None is the whole mesh. Conditions with an
+amplitude give their largest value, which the amplitude multiplies in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from surrofe2.amplitude import ONE, Amplitude
+from surrofe2.settings import check_settings, setting
+from surrofe2.units import ACCELERATION, LENGTH
+
+SPEED = "µm/µs"
+LINE_FORCE = "µN/µm"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """What all conditions have.
+
+    Attributes:
+        name: by which results call it; by default its kind and where it acts.
+    """
+
+    on: str | None = setting(None, "boundary or region; left out: everywhere")
+    name: str | None = setting(None, "by which results call it")
+
+    def __post_init__(self) -> None:
+        check_settings(self, self.kind())
+
+    @classmethod
+    def kind(cls) -> str:
+        """What recipes call it, such as body_force."""
+        letters = (f"_{letter.lower()}" if letter.isupper() else letter for letter in cls.__name__)
+        return "".join(letters)[1:]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrivenCondition(Condition):
+    """A condition that follows an amplitude in time."""
+
+    amplitude: Amplitude = ONE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fixed(Condition):
+    """Components of displacement that stay zero."""
+
+    on: str = setting(about="boundary or region")
+    components: Literal["x", "y", "xy"] = setting("xy", "components that are held")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Symmetry(Condition):
+    """A straight boundary along x or y that is a mirror: its normal component stays zero."""
+
+    on: str = setting(about="boundary")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrescribedMotion(DrivenCondition):
+    """Components of displacement that follow an amplitude; None leaves a component free."""
+
+    on: str = setting(about="boundary or region")
+    displacement: tuple[float | None, float | None] = setting(
+        about='largest displacement in x and y; left out or "free": not prescribed', unit=LENGTH
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traction(DrivenCondition):
+    """Dead load: force per unloaded length, of fixed direction."""
+
+    on: str = setting(about="boundary")
+    traction: tuple[float, float] = setting(about="force per unloaded length", unit=LINE_FORCE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pressure(DrivenCondition):
+    """Follower load: force per current length against the outward normal."""
+
+    on: str = setting(about="boundary")
+    pressure: float = setting(about="force per current length", unit=LINE_FORCE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyForce(DrivenCondition):
+    """Force per mass (g in eq. 58)."""
+
+    acceleration: tuple[float, float] = setting(about="force per mass", unit=ACCELERATION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foundation(Condition):
+    """Springs and dashpots along a boundary to a base that does not move."""
+
+    on: str = setting(about="boundary")
+    stiffness: float = setting(0.0, "spring per unloaded length", "µN/µm²", least=0.0)
+    damping: float = setting(0.0, "dashpot per unloaded length", "µN µs/µm²", least=0.0)
+    components: Literal["x", "y", "xy"] = setting("xy", "components that it holds")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitialVelocity(Condition):
+    """Velocity at t = 0 of all nodes that are not held."""
+
+    velocity: tuple[float, float] = setting(about="at t = 0", unit=SPEED)
+
+
+CONDITIONS: tuple[type[Condition], ...] = (
+    Fixed,
+    Symmetry,
+    PrescribedMotion,
+    Traction,
+    Pressure,
+    BodyForce,
+    Foundation,
+    InitialVelocity,
+)

@@ -1,0 +1,112 @@
+"""What is computed: a mesh, what acts on it, for how long, and what is watched."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.amplitude import ONE, Amplitude, Table
+from surrofe2.errors import InputError
+from surrofe2.load_case import LoadCase
+from surrofe2.macro.conditions import BodyForce, Condition, DrivenCondition, Fixed
+from surrofe2.macro.mesh import Mesh
+from surrofe2.macro.rigid_bodies import RigidBody
+
+Array = NDArray[np.float64]
+
+TAKEN = ("kinetic", "internal", "dissipated", "balance", "motion")
+"""Names of energies, which no condition may have."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """A tissue and what happens to it.
+
+    Attributes:
+        mesh: with the names of its boundaries and regions.
+        conditions: supports, loads, initial velocity.
+        bodies: rigid bodies that touch it.
+        duration: length of the run, µs.
+        output_interval: time between rows of the results, µs.
+        watched: reference positions whose displacement is recorded, µm, by name; the first is
+            the one of the displacement curve. The tissue's middle if there is none.
+
+    Raises:
+        InputError: two things have one name, or a number is out of range.
+    """
+
+    mesh: Mesh
+    conditions: tuple[Condition, ...]
+    bodies: tuple[RigidBody, ...] = ()
+    duration: float = 250.0
+    output_interval: float = 0.5
+    watched: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, value in (("duration", self.duration), ("output_interval", self.output_interval)):
+            if not 0.0 < value < np.inf:
+                raise InputError(f"problem.{name}: {value}; it must be positive and finite (µs)")
+        names = [*map(label, self.conditions), *(body.name for body in self.bodies)]
+        for name, number in Counter(names).items():
+            if number > 1:
+                raise InputError(f"problem: {number} conditions are called {name}; name them apart")
+            if name in TAKEN:
+                raise InputError(f"problem: a condition is called {name}; an energy has that name")
+        if not self.watched:
+            low, high = self.mesh.extent
+            nearest = abs(self.mesh.nodes - 0.5 * (low + high)).sum(axis=1).argmin()
+            x, y = self.mesh.nodes[nearest]
+            object.__setattr__(self, "watched", {"middle": (float(x), float(y))})
+
+    def amplitudes(self) -> Iterator[Amplitude]:
+        """Those of all conditions and bodies."""
+        for condition in self.conditions:
+            if isinstance(condition, DrivenCondition):
+                yield condition.amplitude
+        yield from (body.amplitude for body in self.bodies)
+
+    def places(self) -> Iterator[str | None]:
+        """Boundaries and regions that conditions and bodies act on."""
+        yield from (condition.on for condition in self.conditions)
+        yield from (body.on for body in self.bodies)
+
+    def corners(self) -> Array:
+        """(m,) times in µs at which a step must end, from 0 to the end of the run."""
+        inner = [t for amplitude in self.amplitudes() for t in amplitude.corners()]
+        inside = [t for t in inner if 0.0 < t < self.duration]
+        return np.array(sorted({0.0, *inside, self.duration}))
+
+    @property
+    def resolved_by(self) -> float:
+        """Longest step (µs) that sees the shape of all amplitudes."""
+        return min((each.resolved_by for each in self.amplitudes()), default=np.inf)
+
+    def output_times(self) -> Array:
+        """(m,) times in µs at which results are kept: multiples of the interval, and the end."""
+        count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
+        times: Array = self.output_interval * np.arange(count + 1.0)
+        return times if np.isclose(times[-1], self.duration) else np.append(times, self.duration)
+
+
+def label(condition: Condition) -> str:
+    """What results call a condition: its name, or its kind and where it acts."""
+    if condition.name is not None:
+        return condition.name
+    return f"{condition.kind()} {condition.on}" if condition.on else condition.kind()
+
+
+def bar(load_case: LoadCase, elements: tuple[int, int]) -> Problem:
+    """A rectangle, clamped along its left side, under a body force: the bar of section 6.2."""
+    amplitude = Table(points=load_case.amplitude) if load_case.amplitude else ONE
+    load = BodyForce(name="load", acceleration=load_case.body_force, amplitude=amplitude)
+    return Problem(
+        mesh=Mesh.rectangle(load_case.width, load_case.height, elements),
+        conditions=(Fixed(on="left", name="clamp"), load),
+        duration=load_case.duration,
+        output_interval=load_case.output_interval,
+        watched={"point": load_case.watched},
+    )

@@ -1,0 +1,328 @@
+"""A problem made discrete: unknowns, mass, prescribed motion and forces.
+
+The rows of displacement and velocity (n, 2) are the nodes of the mesh and then the rigid bodies.
+Unknown 2 a + i is component i of row a; those that are held or prescribed are no unknowns of the
+motion. y holds the displacement of the free unknowns, then their velocity.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix, diags
+from scipy.sparse.linalg import splu
+
+from surrofe2.errors import InputError
+from surrofe2.macro.conditions import InitialVelocity
+from surrofe2.macro.contact import Contact, make_contact
+from surrofe2.macro.discretisation import Discretisation, make_discretisation
+from surrofe2.macro.forces import Force, make_loads, traction_load
+from surrofe2.macro.problem import Problem
+from surrofe2.macro.supports import Support, make_supports
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """Everything of a problem that never changes.
+
+    Attributes:
+        problem: of which it is made.
+        discretisation: its finite elements.
+        mass: (n, n) mass of one displacement component, ng; n nodes and bodies.
+        free: (m,) unknowns that move freely, increasing.
+        supports: of the others; `moving` those with a motion.
+        forces: besides the tissue's own.
+        solve_mass: inverse of the mass of the free unknowns, applied to (m,).
+        initial_velocity: (n, 2) µm/µs.
+        watched: nodes and weights of each watched point.
+        boundary_weights: (n_nodes,) weights of the mean over each boundary that is acted on.
+    """
+
+    problem: Problem
+    discretisation: Discretisation
+    mass: csc_matrix
+    free: Index
+    supports: tuple[Support, ...]
+    forces: tuple[Force, ...]
+    solve_mass: Callable[[Array], Array]
+    initial_velocity: Array
+    watched: tuple[tuple[Index, Array], ...]
+    boundary_weights: Mapping[str, Array]
+
+    @property
+    def n_rows(self) -> int:
+        """Nodes and rigid bodies."""
+        return int(self.mass.shape[0])
+
+    @property
+    def moving(self) -> tuple[Support, ...]:
+        """Supports that move."""
+        return tuple(support for support in self.supports if support.largest.any())
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The contacts among the forces."""
+        return tuple(force for force in self.forces if isinstance(force, Contact))
+
+    def spread(self, y: Array, t: float, within: float) -> tuple[Array, Array]:
+        """Displacement and velocity (n, 2) of all rows from y (2 m,) and the prescribed motion."""
+        u, v = np.zeros((2, 2 * self.n_rows))
+        u[self.free], v[self.free] = np.split(y, 2)
+        for support in self.moving:
+            value, rate, _ = support.amplitude.at(t, within)
+            u[support.unknowns] = value * support.largest
+            v[support.unknowns] = rate * support.largest
+        return u.reshape(-1, 2), v.reshape(-1, 2)
+
+    def pick(self, rows: Array) -> Array:
+        """(m,) free unknowns of (n, 2)."""
+        return rows.ravel()[self.free]
+
+    def prescribed_acceleration(self, t: float, within: float) -> Array | None:
+        """(n, 2) of supports that move, zero elsewhere; None if none accelerates."""
+        a, accelerates = np.zeros(2 * self.n_rows), False
+        for support in self.moving:
+            second = support.amplitude.at(t, within)[2]
+            a[support.unknowns] = second * support.largest
+            accelerates |= second != 0.0
+        return a.reshape(-1, 2) if accelerates else None
+
+    def start(self, within: float) -> tuple[Array, Array]:
+        """y at t = 0, and the work (1 + forces + 1,) of what sets supports into motion.
+
+        Raises:
+            InputError: a prescribed displacement is not zero at t = 0.
+        """
+        for support in self.moving:
+            if abs(support.amplitude.at(0.0, within)[0]) > 1e-12:
+                raise InputError(
+                    f"{support.name}.amplitude: {support.amplitude.at(0.0, within)[0]:g} at t = 0; "
+                    "a prescribed motion must begin at 0"
+                )
+        velocity = self.pick(self.initial_velocity)
+        y = np.concatenate([np.zeros(self.free.size), velocity])
+        return self._driven(y, self.initial_velocity, 0.0, within)
+
+    def across_corner(self, y: Array, t: float, before: float, after: float) -> tuple[Array, Array]:
+        """y behind a corner of an amplitude, and the work of the jump.
+
+        Where a prescribed velocity jumps, the free velocities follow so that the momentum of
+        every free unknown is kept.
+
+        Args:
+            before, after: times within the pieces on both sides.
+
+        Raises:
+            InputError: a prescribed displacement jumps.
+        """
+        for support in self.moving:
+            left, right = (support.amplitude.at(t, side)[0] for side in (before, after))
+            if abs(right - left) > 1e-9:
+                raise InputError(
+                    f"{support.name}.amplitude: jumps from {left:g} to {right:g} at t = {t:g} µs; "
+                    "a prescribed motion must not jump"
+                )
+        return self._driven(y, self.spread(y, t, before)[1], t, after)
+
+    def _driven(self, y: Array, v: Array, t: float, after: float) -> tuple[Array, Array]:
+        """y with the velocities behind a jump of the supports' from those of v (n, 2), and work."""
+        work = np.zeros(2 + len(self.forces))
+        jump = self.spread(y, t, after)[1] - v
+        jump.ravel()[self.free] = 0.0
+        if not jump.any():
+            return y, work
+        m = self.free.size
+        y = y.copy()
+        y[m:] -= self.solve_mass(self.pick(self.mass @ jump))
+        new = self.spread(y, t, after)[1]
+        # The impulse acts on the supports alone, at the mean of both velocities.
+        work[-1] = 0.5 * np.vdot(new + v, self.mass @ (new - v))
+        return y, work
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Boundaries that conditions and bodies act on."""
+        return tuple(self.boundary_weights)
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        """Supports and forces whose resultants are recorded."""
+        return *(each.name for each in self.supports), *(each.name for each in self.forces)
+
+    def resultants(self, forces: Array, reaction: Array) -> Array:
+        """(k, 2) resultants on the tissue of supports and forces, µN.
+
+        Args:
+            forces: (f, n, 2) of all forces. reaction: (n, 2) of all supports.
+        """
+        n = len(self.discretisation.nodes)
+        held = []
+        for support in self.supports:
+            part = np.zeros(2 * self.n_rows)
+            part[support.unknowns] = reaction.ravel()[support.unknowns]
+            held.append(part.reshape(-1, 2).sum(axis=0))
+        return np.array([*held, *forces[:, :n].sum(axis=1)]).reshape(-1, 2)
+
+    def mean_displacements(self, u: Array) -> Array:
+        """(b, 2) mean displacement of each of `boundaries` by unloaded length, µm."""
+        means = [w @ u[: w.size] for w in self.boundary_weights.values()]
+        return np.array(means).reshape(-1, 2)
+
+    @property
+    def regions(self) -> dict[str, Index]:
+        """Elements of the regions, and of the whole tissue under the name ``""``."""
+        mesh = self.problem.mesh
+        return {"": np.arange(len(mesh.elements)), **mesh.regions}
+
+    def identity(self) -> Array:
+        """(32,) digest of everything that decides the motion but the law and the settings."""
+        digest = hashlib.sha256()
+        arrays = [
+            self.discretisation.nodes,
+            self.discretisation.elements,
+            self.mass.data,
+            self.free,
+        ]
+        for array in (*arrays, self.initial_velocity, *(each.unknowns for each in self.supports)):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        problem = self.problem
+        words = [
+            problem.conditions,
+            problem.bodies,
+            problem.output_interval,
+            *problem.watched.items(),
+        ]
+        digest.update(repr(words).encode())
+        return np.frombuffer(digest.digest(), dtype=np.uint8).astype(np.float64)
+
+    def at_watched_points(self, u: Array) -> Array:
+        """(w, 2) values of a field (n, 2) at the watched points."""
+        return np.stack([weights @ u[nodes] for nodes, weights in self.watched])
+
+
+def make_system(
+    problem: Problem,
+    density: Array | float,
+    *,
+    modulus: float = 1.0,
+    proportional: bool = False,
+) -> System:
+    """The problem on its mesh.
+
+    Args:
+        density: mass per reference area, ng/µm², one or (n_points,).
+        modulus: of the tissue, µN/µm, for the defaults of contact.
+        proportional: whether all loads and motions grow in proportion to t, which is then a
+            factor, instead of following their amplitudes.
+
+    Raises:
+        InputError: a condition names what the mesh has not, or two hold the same component.
+    """
+    mesh, space = problem.mesh, make_discretisation(problem.mesh)
+    per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
+    nodal = space.mass(per_element)
+    n_nodes, n = len(mesh.nodes), len(mesh.nodes) + len(problem.bodies)
+    body_mass = [1.0 if body.mass is None else body.mass for body in problem.bodies]
+    mass = nodal if not body_mass else csc_matrix(_block_diagonal(nodal, body_mass))
+    supports = make_supports(problem, proportional)
+    held = [support.unknowns for support in supports]
+    free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
+    wave_speed = float(np.sqrt(modulus / per_element.max()))
+    forces = [
+        *make_loads(problem, space, per_element, n, proportional),
+        *(
+            make_contact(
+                body, n_nodes + k, mesh.nodes,
+                mesh.boundary(body.on, f"{body.name}.on"), modulus, wave_speed,
+            )
+            for k, body in enumerate(problem.bodies)
+        ),
+    ]  # fmt: skip
+    return System(
+        problem=problem,
+        discretisation=space,
+        mass=mass,
+        free=free,
+        supports=supports,
+        forces=tuple(forces),
+        solve_mass=_mass_solver(mass, free),
+        initial_velocity=_initial_velocity(problem, n),
+        watched=tuple(
+            space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
+            for name, at in problem.watched.items()
+        ),
+        boundary_weights=_boundary_weights(problem),
+    )
+
+
+def _boundary_weights(problem: Problem) -> dict[str, Array]:
+    mesh = problem.mesh
+    names = [name for name in mesh.boundaries if name in set(problem.places())]
+    unit = (1.0, 1.0)
+    loads = {
+        name: traction_load(mesh.nodes, mesh.boundaries[name], unit, len(mesh.nodes))[:, 0]
+        for name in names
+    }
+    return {name: load / load.sum() for name, load in loads.items()}
+
+
+def _block_diagonal(nodal: csc_matrix, masses: Sequence[float]) -> csc_matrix:
+    padded = nodal.copy()
+    n = nodal.shape[0] + len(masses)
+    padded.resize((n, n))
+    return padded + diags(np.concatenate([np.zeros(nodal.shape[0]), masses]))
+
+
+def _initial_velocity(problem: Problem, n: int) -> Array:
+    velocity = np.zeros((n, 2))
+    for condition in problem.conditions:
+        if isinstance(condition, InitialVelocity):
+            nodes = problem.mesh.nodes_of(condition.on, "initial_velocity.on")
+            velocity[nodes] = condition.velocity
+    for k, body in enumerate(problem.bodies):
+        if body.mass is not None:
+            velocity[len(problem.mesh.nodes) + k] = body.velocity
+    return velocity
+
+
+def _mass_solver(mass: csc_matrix, free: Index) -> Callable[[Array], Array]:
+    """Inverse of the mass of the free unknowns; one factor where x and y are free alike."""
+    rows = [free[free % 2 == k] // 2 for k in (0, 1)]
+    if np.array_equal(*rows):
+        solve = _factorised_mass(mass, rows[0])
+
+        def solve_both(r: Array) -> Array:
+            result: Array = solve(r.reshape(-1, 2)).ravel()
+            return result
+
+        return solve_both
+    places = [np.flatnonzero(free % 2 == k) for k in (0, 1)]
+    solvers = [_factorised_mass(mass, each) if each.size else None for each in rows]
+
+    def solve_each(r: Array) -> Array:
+        result = np.empty_like(r)
+        for place, solve in zip(places, solvers, strict=True):
+            if solve is not None:
+                result[place] = solve(r[place])
+        return result
+
+    return solve_each
+
+
+def _factorised_mass(mass: csc_matrix, rows: Index) -> Callable[[Array], Array]:
+    """Symmetric positive definite, so no pivoting and an ordering that keeps symmetry."""
+    factor = splu(
+        csc_matrix(mass[rows][:, rows]),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    solve: Callable[[Array], Array] = factor.solve
+    return solve
