@@ -136,8 +136,8 @@ class StressLaw(Protocol):
     """
 
     @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
+    def density(self) -> float | Array:
+        """Mass per reference area, ng/µm²: one for all points, or (n,)."""
 
     @property
     def has_tangents(self) -> bool:

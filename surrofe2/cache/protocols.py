@@ -26,7 +26,7 @@ class Surrogate(Protocol):
         """How its RVE was initialised."""
 
     @property
-    def density(self) -> float:
+    def density(self) -> float | NDArray[np.float64]:
         """Mass per reference area, ng/µm²."""
 
     @property

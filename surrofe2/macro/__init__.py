@@ -16,6 +16,7 @@ from surrofe2.macro.conditions import (
     Symmetry,
     Traction,
 )
+from surrofe2.macro.discretisation import points_by_region
 from surrofe2.macro.history import Frames, MacroState
 from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
 from surrofe2.macro.modes import Modes, find_modes
@@ -52,6 +53,7 @@ __all__ = [
     "Traction",
     "find_modes",
     "find_rest",
+    "points_by_region",
     "rest_frames",
     "simulate",
 ]

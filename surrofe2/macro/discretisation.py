@@ -13,6 +13,7 @@ straight. Every array over points has this order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,6 +152,26 @@ def n_points_of(mesh: Mesh) -> int:
     """Points at which the stress law is asked on a mesh."""
     k = mesh.elements.shape[1]
     return len(mesh.elements) * (get_quadrature(ELEMENT[k].refdom, GAUSS_ORDER[k])[1].size + 1)
+
+
+def points_by_region(mesh: Mesh, names: Sequence[str]) -> dict[str, Index]:
+    """Numbers of the points in each of the regions, which together must be the whole mesh.
+
+    Raises:
+        InputError: an element is in none of them or in two, or there is no region of a name.
+    """
+    claims = np.zeros(len(mesh.elements), dtype=np.int64)
+    for name in names:
+        claims[mesh.region(name, "regions")] += 1
+    wrong = np.flatnonzero(claims != 1)
+    if wrong.size:
+        x, y = mesh.nodes[mesh.elements[wrong[0]]].mean(axis=0)
+        raise InputError(
+            f"regions: element {wrong[0]} at ({x:.6g}, {y:.6g}) µm is in {claims[wrong[0]]} of "
+            f"{', '.join(names)}; every element must be in one"
+        )
+    n_q = n_points_of(mesh) // len(mesh.elements)
+    return {name: (n_q * mesh.region(name)[:, None] + np.arange(n_q)).ravel() for name in names}
 
 
 def reference_shapes(k: int, points: Array) -> tuple[Array, Array]:

@@ -148,7 +148,7 @@ class WatchedLaw:
         self.met: list[State] = []
 
     @property
-    def density(self) -> float:
+    def density(self) -> float | Array:
         """Mass per reference area, ng/µm²."""
         return self.law.density
 

@@ -1,0 +1,154 @@
+"""One stress law for tissue of several cell types: each point asks the law of its region."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+from surrofe2.stress_law import Acceptance, StressLaw, StressResponse, SwitchingLaw, Tangents
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class RegionalLaw:
+    """Laws by region, each asked for its own points all at once.
+
+    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost.
+
+    Attributes:
+        laws: by name of the region.
+        points: by name, (k,) numbers of the region's points.
+        density: (n,) mass per reference area at each point, ng/µm².
+    """
+
+    def __init__(self, laws: Mapping[str, StressLaw], points: Mapping[str, Index]) -> None:
+        """A law of `laws` for each entry of `points`, which together number 0 … n − 1 once.
+
+        Raises:
+            InputError: a region has no law, or a point belongs to no region or to two.
+        """
+        for name in points:
+            if name not in laws:
+                raise InputError(f"laws: none for region {name}; there are {', '.join(laws)}")
+        everyone = np.sort(np.concatenate([*points.values()]))
+        missing = np.setdiff1d(np.arange(everyone.size), everyone)
+        if missing.size:
+            raise InputError(
+                f"points: point {missing[0]} is in no region or another one in two; "
+                "every point belongs to one region"
+            )
+        self.laws = {name: laws[name] for name in points}
+        self.points = dict(points)
+        self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
+        self.density = np.empty(everyone.size)
+        for law, own in self._parts:
+            self.density[own] = law.density
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether all laws have them."""
+        return all(law.has_tangents for law in self.laws.values())
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        """As of `StressLaw`, for all n points."""
+        if len(F) != self.density.size:
+            raise InputError(f"F: {len(F)} points; the regions have {self.density.size}")
+        states = (None,) * len(self._parts) if state is None else state
+        answers = [
+            law.respond(F[own], F_dot[own], part, tangents=tangents)
+            for (law, own), part in zip(self._parts, states, strict=True)
+        ]
+        effort: dict[str, int] = {}
+        for answer in answers:
+            for name, value in answer.effort.items():
+                effort[name] = effort.get(name, 0) + int(value)
+        return StressResponse(
+            stress=self._gathered([answer.stress for answer in answers]),
+            status=self._gathered([answer.status for answer in answers]),
+            state=tuple(answer.state for answer in answers),
+            effort=effort,
+            tangents=self._tangents(answers) if tangents else None,
+            switched=self._where_any([answer.switched for answer in answers], np.int8),
+            left_bifurcation=self._where_any([each.left_bifurcation for each in answers], bool),
+        )
+
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        """As of `StressLaw`."""
+
+        def ask(law: StressLaw, own: Index, part: StressResponse) -> Acceptance:
+            return law.accept(F[own], F_dot[own], part)
+
+        return self._accepted(ask, response)
+
+    def restart_step(
+        self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
+    ) -> Acceptance:
+        """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
+
+        def ask(law: StressLaw, own: Index, part: StressResponse) -> Acceptance:
+            if not switched[own].any():
+                return Acceptance(part.status, part.state)
+            switching = cast(SwitchingLaw, law)
+            return switching.restart_step(F[own], F_dot[own], part, switched[own])
+
+        return self._accepted(ask, response)
+
+    def _accepted(
+        self,
+        ask: Callable[[StressLaw, Index, StressResponse], Acceptance],
+        response: StressResponse,
+    ) -> Acceptance:
+        """What all laws say of their parts of a response, put together."""
+        said = []
+        for (law, own), state in zip(self._parts, response.state, strict=True):
+            left = response.left_bifurcation
+            part = replace(
+                response,
+                stress=response.stress[own],
+                status=response.status[own],
+                state=state,
+                tangents=None,
+                switched=None,
+                left_bifurcation=None if left is None else left[own],
+            )
+            said.append((ask(law, own, part), part))
+        changed = any(answer.stress is not None for answer, _ in said)
+        stresses = [part.stress if a.stress is None else a.stress for a, part in said]
+        return Acceptance(
+            status=self._gathered([answer.status for answer, _ in said]),
+            state=tuple(answer.state for answer, _ in said),
+            stress=self._gathered(stresses) if changed else None,
+            left_bifurcation=self._where_any([a.left_bifurcation for a, _ in said], bool),
+        )
+
+    def _tangents(self, answers: Sequence[StressResponse]) -> Tangents:
+        given = [cast(Tangents, answer.tangents) for answer in answers]
+        return Tangents(
+            self._gathered([each.P_by_F for each in given]),
+            self._gathered([each.P_by_F_dot for each in given]),
+        )
+
+    def _gathered(self, values: Sequence[NDArray]) -> NDArray:
+        """(n, …) from the values of each law's points."""
+        whole = np.empty((self.density.size, *values[0].shape[1:]), values[0].dtype)
+        for (_, own), value in zip(self._parts, values, strict=True):
+            whole[own] = value
+        return whole
+
+    def _where_any(self, values: Sequence[NDArray | None], kind: Any) -> NDArray | None:
+        """(n,) marks of those laws that gave some; None if none did."""
+        if all(value is None for value in values):
+            return None
+        whole = np.zeros(self.density.size, kind)
+        for (_, own), value in zip(self._parts, values, strict=True):
+            if value is not None:
+                whole[own] = value
+        return whole
