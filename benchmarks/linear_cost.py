@@ -13,8 +13,9 @@ from benchmarks.row import Row
 from benchmarks.setting import Array, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
-from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.problem import bar
+from surrofe2.macro.system import System, make_system
 from surrofe2.report.figures import BLUE, GREEN, VERMILION, new_figure, write_png
 
 TITLE = "Cost over the number of points"
@@ -55,21 +56,21 @@ def run(setting: Setting) -> list[Row]:
         "true FE²": rve(PRESET),
         "cached FE²": setting.cached(PRESET, tolerance=np.inf),
     }
-    bars = [make_discretisation(LoadCase(), (n, n), rve(PRESET).density) for n in sizes]
-    points = np.array([float(bar.n_points) for bar in bars])
+    bars = [make_system(bar(LoadCase(), (n, n)), rve(PRESET).density) for n in sizes]
+    points = np.array([float(system.discretisation.n_points) for system in bars])
     steps = setting.pick(8, 3)
     costs = [
-        Costs(label, points, np.array([_seconds(bar, law, steps) for bar in bars]))
+        Costs(label, points, np.array([_seconds(system, law, steps) for system in bars]))
         for label, law in laws.items()
     ]
     write_cost_plot(setting.out / "cost.png", costs, all_cores())
     return [row for cost in costs for row in _rows(setting, cost)]
 
 
-def _seconds(bar: Discretisation, law: StressLaw, steps: int) -> Array:
+def _seconds(system: System, law: StressLaw, steps: int) -> Array:
     """(steps,) seconds of a right-hand side, acceptance of the steps included."""
-    equations = EquationsOfMotion(bar, law, LoadCase().amplitude_at)
-    shape = _shape(bar)
+    equations = EquationsOfMotion(system, law)
+    shape = _shape(system)
     taken: list[float] = []
     for step in range(steps + 1):
         states = [_motion(shape, START + (step * STAGES + k) * STAGE) for k in range(STAGES)]
@@ -85,10 +86,10 @@ def _seconds(bar: Discretisation, law: StressLaw, steps: int) -> Array:
     return np.array(taken[1:])
 
 
-def _shape(bar: Discretisation) -> Array:
-    """(n_free, 2) bent bar whose free side moves by 1 µm: −(x/W)² down, fibres turned along."""
-    x, y = bar.nodes[bar.free].T / LoadCase().width
-    return np.stack([2.0 * x * (y - 0.5), -(x**2)], axis=1)
+def _shape(system: System) -> Array:
+    """(m,) bent bar whose free side moves by 1 µm: −(x/W)² down, fibres turned along."""
+    x, y = system.discretisation.nodes.T / LoadCase().width
+    return system.pick(np.stack([2.0 * x * (y - 0.5), -(x**2)], axis=1))
 
 
 def _motion(shape: Array, t: float) -> Array:

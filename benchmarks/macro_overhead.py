@@ -11,14 +11,11 @@ from benchmarks.row import Row
 from benchmarks.setting import Array, Setting
 from benchmarks.timing import ratio, side_by_side, threads
 from surrofe2 import LoadCase
-from surrofe2.macro.discretisation import (
-    N_GAUSS,
-    N_POINTS,
-    Discretisation,
-    make_discretisation,
-)
+from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.problem import bar
+from surrofe2.macro.system import System, make_system
 from surrofe2.stress_law import Acceptance, StressResponse
 
 TITLE = "A right-hand side but for its stress law"
@@ -55,15 +52,17 @@ def run(setting: Setting) -> list[Row]:
 
 
 def _overhead(setting: Setting, n: int, name: str, limit: float, *, per_point: bool) -> Row:
-    load = LoadCase()
-    bar = make_discretisation(load, (n, n), DENSITY)
-    law = ReadyLaw(bar.n_points)
-    equations = EquationsOfMotion(bar, law, load.amplitude_at)
-    y = 1e-3 * np.random.default_rng(1).uniform(-1.0, 1.0, 4 * len(bar.free))
+    system = make_system(bar(LoadCase(), (n, n)), DENSITY)
+    points = system.discretisation.n_points
+    law = ReadyLaw(points)
+    equations = EquationsOfMotion(system, law)
+    y = 1e-3 * np.random.default_rng(1).uniform(-1.0, 1.0, 2 * system.free.size)
+    load = system.forces[0].at(0.0, equations.within, *system.spread(y, 0.0, equations.within))
     ours, plain = side_by_side(
-        [partial(equations.evaluate, 0.0, y), partial(_plainly, bar, law, y)], setting.pick(25, 7)
+        [partial(equations.evaluate, 0.0, y), partial(_plainly, system, law, load, y)],
+        setting.pick(25, 7),
     )
-    scale = 1e6 / (bar.n_points if per_point else 1)
+    scale = 1e6 / (points if per_point else 1)
     return Row(
         name=f"{n} × {n} elements: {name}",
         value=ours.median * scale,
@@ -73,41 +72,41 @@ def _overhead(setting: Setting, n: int, name: str, limit: float, *, per_point: b
         baseline="the same in numpy: einsum and add.at (mass solve shared)",
         baseline_value=plain.median * scale,
         ratio=ratio(plain, ours),
-        error=_distance(bar, law, y),
+        error=_distance(system, law, y),
         error_of="largest difference of the internal force from numpy's / its largest",
     )
 
 
-def _distance(bar: Discretisation, law: ReadyLaw, y: Array) -> float:
-    u, v = y.reshape(2, -1, 2)
-    F, F_dot, _ = deformation_gradient(bar, u, v)
+def _distance(system: System, law: ReadyLaw, y: Array) -> float:
+    space = system.discretisation
+    F, F_dot, _ = deformation_gradient(space, *system.spread(y, 0.0, 0.0))
     stress = law.respond(F, F_dot).stress
-    expected = _force_plainly(bar, F, stress)
-    return float(abs(internal_force(bar, F, stress) - expected).max() / abs(expected).max())
+    expected = _force_plainly(space, F, stress)
+    return float(abs(internal_force(space, F, stress) - expected).max() / abs(expected).max())
 
 
-def _plainly(bar: Discretisation, law: ReadyLaw, y: Array) -> Array:
-    u, v = y.reshape(2, -1, 2)
-    identity = np.eye(2)
+def _plainly(system: System, law: ReadyLaw, load: Array, y: Array) -> Array:
+    space, identity = system.discretisation, np.eye(2)
     F, F_dot = (
-        np.einsum("eai,eqaj->eqij", bar.on_all_nodes(field)[bar.quads], bar.gradients)
-        for field in (u, v)
+        np.einsum("eai,eqaj->eqij", field[space.elements], space.gradients)
+        for field in system.spread(y, 0.0, 0.0)
     )
     F = (F + identity).reshape(-1, 2, 2)
     stress = law.respond(F, F_dot.reshape(-1, 2, 2)).stress
-    acceleration = bar.solve_mass(bar.load - _force_plainly(bar, F, stress))
-    return np.concatenate([v.ravel(), acceleration.ravel()])
+    acceleration = system.solve_mass(system.pick(load - _force_plainly(space, F, stress)))
+    return np.concatenate([y[y.size // 2 :], acceleration])
 
 
-def _force_plainly(bar: Discretisation, F: Array, stress: Array) -> Array:
+def _force_plainly(space: Discretisation, F: Array, stress: Array) -> Array:
     """Σ J w σ F⁻ᵀ ∇N with the deviator at the Gauss points and the pressure at the centre."""
     J = np.linalg.det(F)
     slopes = np.linalg.inv(F).swapaxes(1, 2)
     pressure = 0.5 * np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-    gauss: NDArray[np.bool_] = np.arange(len(F)) % N_POINTS < N_GAUSS
+    n_q = space.points_per_element
+    gauss: NDArray[np.bool_] = np.arange(len(F)) % n_q < n_q - 1
     part = np.where(gauss[:, None, None], stress - pressure, pressure)
-    nominal = (part @ slopes * J[:, None, None]).reshape(-1, N_POINTS, 2, 2)
-    by_node = np.einsum("eq,eqij,eqaj->eai", bar.weights, nominal, bar.gradients, optimize=True)
-    force = np.zeros_like(bar.nodes)
-    np.add.at(force, bar.quads, by_node)
-    return force[bar.free]
+    nominal = (part @ slopes * J[:, None, None]).reshape(-1, n_q, 2, 2)
+    by_node = np.einsum("eq,eqij,eqaj->eai", space.weights, nominal, space.gradients, optimize=True)
+    force = np.zeros_like(space.nodes)
+    np.add.at(force, space.elements, by_node)
+    return force

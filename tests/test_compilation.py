@@ -14,13 +14,15 @@ import surrofe2
 
 PACKAGE = Path(surrofe2.__file__).parent
 
-# A kernel that bakes in a constant of a file without kernels: points an element, 5.
-POINTS = """
+# A kernel that bakes in a constant of a file without kernels: 7 inputs of a law. It changes as
+# many entries of `extent`.
+INPUTS = """
 import numpy as np
-from surrofe2.macro.internal_force import deformation
-still = np.zeros((4, 2))
-F, _, _ = deformation(np.arange(4)[None], np.zeros((1, 9, 4, 2)), still, still)
-print(len(F), deformation.stats.cache_hits.total(), deformation.stats.cache_misses.total())
+from surrofe2.cache.table.ellipsoids import set_bound
+extent = np.zeros(9)
+set_bound(np.ones(9), 20.0, np.eye(9), extent)
+print((extent != 0.0).sum(), set_bound.stats.cache_hits.total(),
+      set_bound.stats.cache_misses.total())
 """
 
 
@@ -31,11 +33,11 @@ def copy(tmp_path):
     return tmp_path / "surrofe2"
 
 
-def points_an_element(copy):
-    """What the copy's kernel answers in a new process: points, cache hits, cache misses."""
+def inputs_of_a_law(copy):
+    """What the copy's kernel answers in a new process: inputs, cache hits, cache misses."""
     folders = {"PYTHONPATH": str(copy.parent), "NUMBA_CACHE_DIR": str(copy.parent / "kernels")}
     done = subprocess.run(
-        [sys.executable, "-c", POINTS],
+        [sys.executable, "-c", INPUTS],
         env={**os.environ, **folders},
         cwd=copy.parent,
         capture_output=True,
@@ -46,14 +48,14 @@ def points_an_element(copy):
 
 
 def test_an_edited_constant_of_another_file_is_compiled_anew(copy):
-    assert points_an_element(copy) == (5, 0, 1)
-    assert points_an_element(copy) == (5, 1, 0)
-    constants = copy / "macro" / "discretisation.py"
+    assert inputs_of_a_law(copy) == (7, 0, 1)
+    assert inputs_of_a_law(copy) == (7, 1, 0)
+    constants = copy / "tensors.py"
     text = constants.read_text(encoding="utf-8")
     assert "surrofe2.compilation" not in text
-    assert text.count("\nN_POINTS = 5\n") == 1
-    constants.write_text(text.replace("\nN_POINTS = 5\n", "\nN_POINTS = 7\n"), encoding="utf-8")
-    assert points_an_element(copy) == (7, 0, 1)
+    assert text.count("\nINPUTS = 7\n") == 1
+    constants.write_text(text.replace("\nINPUTS = 7\n", "\nINPUTS = 5\n"), encoding="utf-8")
+    assert inputs_of_a_law(copy) == (5, 0, 1)
 
 
 def test_the_digest_covers_every_source_file(copy):

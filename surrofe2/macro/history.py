@@ -90,7 +90,7 @@ class MacroState:
         samples: (s, 1 + regions) t and rates of dissipation, µs and pJ/µs, at ends of steps.
         frames: whole fields.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
-        identity: digest of the problem; a resumed run must have the same.
+        identity: (k, 32) digests of the problem's parts; a resumed run must have the same.
         counts, effort, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.

@@ -93,7 +93,7 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     largest = shapes[np.arange(len(shapes)), abs(shapes).argmax(axis=1)]
     everywhere = np.zeros((len(shapes), 2 * rest.system.n_rows), dtype=complex)
     everywhere[:, rest.system.free] = shapes / largest[:, None]
-    shapes = everywhere.reshape(len(shapes), -1, 2)
+    shapes = everywhere.reshape(len(shapes), rest.system.n_rows, 2)
     real = values[abs(values.imag) <= 1e-9 * abs(values)].real
     return Modes(values[chosen], shapes, np.sort(real)[::-1])
 

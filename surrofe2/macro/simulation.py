@@ -22,7 +22,7 @@ from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import Frames, MacroState, Recorder, columns_of
 from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.system import System, make_system
+from surrofe2.macro.system import PARTS, System, make_system
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
 
@@ -332,7 +332,6 @@ def _check_same_run(state: MacroState, system: System, settings: MacroSettings) 
             f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {begun} "
             "run: resume with that or run anew"
         )
-    if not np.array_equal(state.identity, system.identity()):
-        raise MismatchError(
-            "resume: the problem or its density is not that of the checkpoint; run anew"
-        )
+    for name, begun_with, now in zip(PARTS, state.identity, system.identity(), strict=True):
+        if not np.array_equal(begun_with, now):
+            raise MismatchError(f"resume: {name}: not that of the checkpoint; run anew")

@@ -27,6 +27,9 @@ from surrofe2.macro.supports import Support, make_supports
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+PARTS = ("mesh", "density", "conditions", "bodies", "output times", "watched points")
+"""What a system's identity is made of, in this order."""
+
 
 @dataclass(frozen=True, slots=True)
 class System:
@@ -182,29 +185,30 @@ class System:
         return {"": np.arange(len(mesh.elements)), **mesh.regions}
 
     def identity(self) -> Array:
-        """(32,) digest of everything that decides the motion but the law and the settings."""
-        digest = hashlib.sha256()
-        arrays = [
-            self.discretisation.nodes,
-            self.discretisation.elements,
-            self.mass.data,
-            self.free,
-        ]
-        for array in (*arrays, self.initial_velocity, *(each.unknowns for each in self.supports)):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        problem = self.problem
-        words = [
-            problem.conditions,
-            problem.bodies,
-            problem.output_interval,
-            *problem.watched.items(),
-        ]
-        digest.update(repr(words).encode())
-        return np.frombuffer(digest.digest(), dtype=np.uint8).astype(np.float64)
+        """(k, 32) digests of `PARTS`, which decide the motion but for law and settings."""
+        problem, space = self.problem, self.discretisation
+        held = [each.unknowns for each in self.supports]
+        named = {**problem.mesh.boundaries, **problem.mesh.regions}
+        parts: tuple[list[Array | Index | str], ...] = (
+            [space.nodes, space.elements, repr([*named]), *named.values()],
+            [self.mass.data],
+            [repr(problem.conditions), self.free, self.initial_velocity, *held],
+            [repr(problem.bodies)],
+            [repr(problem.output_interval)],
+            [repr([*problem.watched.items()])],
+        )
+        return np.array([_digest(part) for part in parts], dtype=np.float64)
 
     def at_watched_points(self, u: Array) -> Array:
         """(w, 2) values of a field (n, 2) at the watched points."""
         return np.stack([weights @ u[nodes] for nodes, weights in self.watched])
+
+
+def _digest(contents: list[Array | Index | str]) -> list[int]:
+    digest = hashlib.sha256()
+    for each in contents:
+        digest.update(each.encode() if isinstance(each, str) else each.tobytes())
+    return list(digest.digest())
 
 
 def make_system(

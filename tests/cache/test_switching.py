@@ -10,11 +10,10 @@ from surrofe2.cache.branches import extrapolate
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
-from surrofe2.macro.discretisation import make_discretisation
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import Stepper
 from tests.laws import Learnt, Truth, shear_error
+from tests.macro.bars import equations_of_bar
 
 LOAD_CASE = LoadCase(
     width=60.0, height=40.0, watched=(60.0, 20.0), duration=12.0, output_interval=0.25
@@ -154,9 +153,9 @@ def test_a_repeated_step_has_the_length_of_the_first_trial():
     cached = CachedLaw(surrogate, Truth(), CacheSettings(audit=0.0))
     steps, lengths = [], []
     for law in (Truth(), cached):
-        bar = make_discretisation(LOAD_CASE, (2, 3), law.density)
-        equations = EquationsOfMotion(bar, law, LOAD_CASE.amplitude_at)
-        loose, y = replace(SETTINGS, absolute_tolerance=1e3), np.zeros(4 * len(bar.free))
+        equations = equations_of_bar(LOAD_CASE, (2, 3), law)
+        loose = replace(SETTINGS, absolute_tolerance=1e3)
+        y = np.zeros(2 * equations.system.free.size)
         method = make_method(equations, loose)
         stepper = Stepper(equations, method, loose, 6.0, equations.begin(0.0, y), 0.4)
         steps.append(stepper.advance())

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import skfem
+from dataclasses import replace
+
+import numpy as np
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings
-from surrofe2.macro.discretisation import make_discretisation_on, make_mesh
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.problem import bar
+from surrofe2.macro.system import make_system
 
 LOAD_CASE = LoadCase(
     width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.25
@@ -15,15 +19,31 @@ SETTINGS = MacroSettings(elements=(2, 3), frames=13)
 PLATE = LoadCase(width=30.0, height=20.0, watched=(30.0, 10.0), body_force=(0.3, -0.2))
 
 
-def distorted_bar(rng, elements=(5, 4), density=0.08):
+def bar_system(load_case, elements, density=0.08):
+    return make_system(bar(load_case, elements), density)
+
+
+def equations_of_bar(load_case, elements, law):
+    return EquationsOfMotion(bar_system(load_case, elements, law.density), law)
+
+
+def distorted_bar(rng, elements=(5, 4), density=0.08, load_case=PLATE):
     """Inner nodes moved at random: elements that are no rectangles."""
-    mesh = make_mesh(PLATE, elements)
-    nodes = mesh.p.copy()
-    inner = mesh.interior_nodes()
-    nodes[:, inner] += rng.uniform(-0.8, 0.8, (2, inner.size))
-    return make_discretisation_on(skfem.MeshQuad(nodes, mesh.t), PLATE, density)
+    problem = bar(load_case, elements)
+    x = problem.mesh.nodes
+    size = [load_case.width, load_case.height]
+    inner = ((x > 0.0) & (x < size)).all(axis=1)
+    moved = x + inner[:, None] * rng.uniform(-0.8, 0.8, x.shape)
+    return make_system(replace(problem, mesh=replace(problem.mesh, nodes=moved)), density)
 
 
-def random_state(bar, rng, size=0.5):
-    u, v = rng.uniform(-size, size, (2, len(bar.free), 2))
-    return u, v
+def random_state(system, rng, size=0.5):
+    """Displacement and velocity (n, 2), zero where the system holds nodes."""
+    u, v = np.zeros((2, 2 * system.n_rows))
+    u[system.free], v[system.free] = rng.uniform(-size, size, (2, system.free.size))
+    return u.reshape(-1, 2), v.reshape(-1, 2)
+
+
+def state_vector(system, u, v):
+    """y of a displacement and a velocity (n, 2)."""
+    return np.concatenate([system.pick(u), system.pick(v)])

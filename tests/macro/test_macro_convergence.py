@@ -7,9 +7,9 @@ from skfem.helpers import ddot, dot
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.macro.discretisation import make_discretisation, make_mesh
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
+from tests.macro.bars import bar_system
 
 UNIT_SQUARE = LoadCase(width=1.0, height=1.0, watched=(1.0, 0.5), body_force=(0.0, 0.0))
 
@@ -32,23 +32,22 @@ def static_error(n, law):
     The loads ∫ P(u*) : ∇N dV contain its tractions; the stiffness is that of the internal force
     at small displacements, column by column.
     """
-    bar = make_discretisation(UNIT_SQUARE, (n, n), law.density)
-    n_unknowns = 2 * len(bar.free)
+    system = bar_system(UNIT_SQUARE, (n, n), law.density)
+    bar, free = system.discretisation, system.free
     small = 1e-6
-    still = np.zeros((len(bar.free), 2))
-    stiffness = np.empty((n_unknowns, n_unknowns))
-    for k in range(n_unknowns):
-        u = np.zeros(n_unknowns)
-        u[k] = small
+    still = np.zeros_like(bar.nodes)
+    stiffness = np.empty((free.size, free.size))
+    for k in range(free.size):
+        u = np.zeros(bar.nodes.size)
+        u[free[k]] = small
         columns = []
         for sign in (1.0, -1.0):
             F, F_dot, _ = deformation_gradient(bar, sign * u.reshape(-1, 2), still)
-            columns.append(internal_force(bar, F, law.respond(F, F_dot).stress).ravel())
+            columns.append(system.pick(internal_force(bar, F, law.respond(F, F_dot).stress)))
         stiffness[:, k] = (columns[0] - columns[1]) / (2 * small)
 
-    basis = skfem.Basis(
-        make_mesh(UNIT_SQUARE, (n, n)), skfem.ElementVector(skfem.ElementQuad1()), intorder=6
-    )
+    mesh = skfem.MeshQuad(bar.nodes.T.copy(), bar.elements.T.copy())
+    basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementQuad1()), intorder=6)
 
     def traction_and_body_load(v, w):
         gradient = manufactured_gradient(*w.x)
@@ -57,7 +56,7 @@ def static_error(n, law):
 
     load = skfem.LinearForm(traction_and_body_load).assemble(basis)
     solution = np.zeros(basis.N)
-    free_dofs = basis.nodal_dofs[:, bar.free].T.ravel()
+    free_dofs = basis.nodal_dofs.T.ravel()[free]
     solution[free_dofs] = np.linalg.solve(stiffness, load[free_dofs])
     squared = skfem.Functional(
         lambda w: dot(w["u"] - manufactured(*w.x), w["u"] - manufactured(*w.x))

@@ -79,15 +79,16 @@ def test_checkpoints_come_with_every_step_when_asked_and_seldom_by_default():
     ("change", "name"),
     [
         ({"width": 61.0}, "mesh"),
-        ({"body_force": (0.0, -0.1)}, "load"),
-        ({"amplitude": ((0.0, 1.0), (1.0, 1.0))}, "amplitude"),
+        ({"body_force": (0.0, -0.1)}, "conditions"),
+        ({"amplitude": ((0.0, 1.0), (1.0, 1.0))}, "conditions"),
         ({"output_interval": 0.2}, "output times"),
+        ({"watched": (60.0, 10.0)}, "watched points"),
     ],
 )
 def test_checkpoint_of_another_run_is_refused(change, name):
     states = []
     simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
-    with pytest.raises(MismatchError, match=name):
+    with pytest.raises(MismatchError, match=f"resume: {name}: not that"):
         simulate(replace(LOAD_CASE, **change), KelvinVoigt(), SETTINGS, resume=states[-2])
 
 
@@ -122,7 +123,7 @@ def test_results_belong_together():
     assert frames.t[-1] == LOAD_CASE.duration
     assert frames.t.size <= SETTINGS.frames
     assert (np.diff(frames.t) > 0.0).all()
-    corners = run.nodes[run.quads]
+    corners = run.nodes[run.elements]
     along, up = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
     assert (along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0] > 0.0).all(), "counter-clockwise"
     held = run.nodes[:, 0] == 0.0
@@ -131,8 +132,8 @@ def test_results_belong_together():
     watched = np.isin(run.nodes, [60.0]).any(axis=1) & (abs(run.nodes[:, 1] - 20.0) < 7.0)
     last = frames.displacement[-1, watched].mean(axis=0)
     np.testing.assert_allclose(last, run.curve.displacement[-1], rtol=1e-10)
-    gradient = np.diff(frames.displacement[-1, run.quads][:, [0, 1]], axis=1)[:, 0]
-    gradient += np.diff(frames.displacement[-1, run.quads][:, [3, 2]], axis=1)[:, 0]
+    gradient = np.diff(frames.displacement[-1, run.elements][:, [0, 1]], axis=1)[:, 0]
+    gradient += np.diff(frames.displacement[-1, run.elements][:, [3, 2]], axis=1)[:, 0]
     np.testing.assert_allclose(frames.F[-1, :, :, 0], [1, 0] + gradient / (2 * 30.0), atol=1e-12)
     assert frames.stress.shape == (frames.t.size, 6, 2, 2)
 

@@ -8,14 +8,13 @@ from scipy.integrate import RK45
 
 from surrofe2.errors import SimulationError
 from surrofe2.macro import simulate
-from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.dormand_prince import DormandPrince
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import NO_MEMORY, Stepper
 from surrofe2.stress_law import Status
 from tests.laws import Failing, KelvinVoigt
-from tests.macro.bars import LOAD_CASE, SETTINGS
+from tests.macro.bars import LOAD_CASE, SETTINGS, equations_of_bar
 
 
 class FailsAtQuestions:
@@ -40,9 +39,8 @@ class FailsAtQuestions:
 
 
 def stepper_of(law, first_step=0.4):
-    bar = make_discretisation(LOAD_CASE, (2, 3), law.density)
-    equations = EquationsOfMotion(bar, law, LOAD_CASE.amplitude_at)
-    y = np.zeros(4 * len(bar.free))
+    equations = equations_of_bar(LOAD_CASE, (2, 3), law)
+    y = np.zeros(2 * equations.system.free.size)
     loose = replace(SETTINGS, absolute_tolerance=1e3)
     method = make_method(equations, loose)
     return Stepper(
@@ -195,7 +193,7 @@ class Oscillator:
         rate = np.array([y[1], -y[0]])
         powers = np.array([3.0 * y[0] ** 2 * y[1], 0.0])
         nothing = np.empty((0, 2, 2))
-        return Evaluation(t, y, *[nothing] * 5, powers, rate)
+        return Evaluation(t, t, y, *[nothing] * 8, powers, rate)
 
 
 def exact(t):
