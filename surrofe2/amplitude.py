@@ -210,11 +210,11 @@ ONE = Constant()
 
 @dataclass(frozen=True, slots=True)
 class Proportional:
-    """The time itself: loads that grow together, with a load factor in the place of time."""
+    """Loads that grow together, with a load factor in the place of time; what they move rests."""
 
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
-        return t, 1.0, 0.0
+        """As of `Amplitude`, without a rate."""
+        return t, 0.0, 0.0
 
     def corners(self) -> tuple[float, ...]:
         """None."""
