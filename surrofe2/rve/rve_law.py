@@ -15,13 +15,20 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import RveTopology, pack, unpack
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particle_state import Drive
+from surrofe2.rve.particles import Particles, look_into
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
 from surrofe2.rve.solve import covered_by, dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.simd import TILE
-from surrofe2.stress_law import Acceptance, Status, StressResponse, check_deformation
+from surrofe2.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    check_deformation,
+    describe,
+)
 
 _RENEW_AFTER = {"slow-manifold": 9}
 _RENEW_AFTER_ELSE = 4
@@ -109,6 +116,27 @@ class RveLaw:
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
         return rest_state(self.unit_cell.position, self.unit_cell.factors, points)
+
+    def particles(self, F: Any, F_dot: Any, state: RveState | None = None) -> Particles:
+        """The particles behind the stress at n points: positions, forces, pressures, walls.
+
+        Args:
+            F, F_dot, state: as of `respond`.
+
+        Raises:
+            InputError: as `respond`, or a point has no stress.
+        """
+        answer = self.respond(F, F_dot, state)
+        failed = np.flatnonzero(answer.status)
+        if failed.size:
+            raise InputError(f"point {failed[0]}: {describe(answer.status[failed[0]])}")
+        found: RveState = answer.state
+        F, F_dot = check_deformation(F, F_dot)
+        z, fluctuation = (
+            unpack(tiles, found.points).transpose(0, 2, 1)
+            for tiles in (found.z, found.beyond_affine)
+        )
+        return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
         """The state whose `to_arrays` gave these, to the bit."""

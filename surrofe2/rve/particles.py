@@ -1,0 +1,234 @@
+"""A look into RVEs: their particles, forces, pressures and walls at given points.
+
+Everything is computed from positions by the pair laws of docs/theory.md in plain numpy, so it is
+also an independent check of the kernels: the virial of these forces is the law's stress.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.plant_cell.arrangement import make_arrangement
+from surrofe2.plant_cell.pair_lists import Patch
+from surrofe2.rve.unit_cell import UnitCell
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Particles:
+    """The particles of n RVEs, walls first, then fluid, of one periodic unit each.
+
+    Attributes:
+        F, F_dot: (n, 2, 2) at which they are.
+        position: (n, p, 2) µm, velocity: (n, p, 2) µm/µs.
+        force: (n, p, 2) total force on each, zero but for what the solver leaves, µN.
+        density: (n, f) of fluid particles, ng/µm². pressure: (n, f) µN/µm: the turgor.
+        bonds: (b, 2) own wall particles i, j of each wall spring; bond_shift: (b, 2) lattice
+            shift of the image of j that is meant.
+        tension: (n, b) µN. stretch: (n, b) length of each spring over its rest length.
+        contact_pressure: (n, walls) largest force of the fluid on one side of the wall particle
+            per length of wall, µN/µm.
+        area_ratio: (n, cells) area within the walls over that in the reference.
+        stress: (n, 2, 2) Cauchy stress as the virial of all pairs, µN/µm.
+        is_wall: (p,). fluid_cell: (f,) plant cell of each fluid particle.
+        lattice: (2, 2) periods of the reference, its columns, µm; they move along with F.
+    """
+
+    F: Array
+    F_dot: Array
+    position: Array
+    velocity: Array
+    force: Array
+    density: Array
+    pressure: Array
+    bonds: Index
+    bond_shift: Index
+    tension: Array
+    stretch: Array
+    contact_pressure: Array
+    area_ratio: Array
+    stress: Array
+    is_wall: NDArray[np.bool_]
+    fluid_cell: Index
+    lattice: Array
+
+    def extremes(self) -> dict[str, Array]:
+        """What bruises a tissue, (n,) each: by name with its unit, largest or range over an RVE."""
+        return {
+            "largest_wall_stretch": self.stretch.max(axis=1),
+            "largest_wall_tension_uN": self.tension.max(axis=1),
+            "mean_turgor_uN_per_um": self.pressure.mean(axis=1),
+            "lowest_turgor_uN_per_um": self.pressure.min(axis=1),
+            "highest_turgor_uN_per_um": self.pressure.max(axis=1),
+            "smallest_cell_area_ratio": self.area_ratio.min(axis=1),
+            "largest_cell_area_ratio": self.area_ratio.max(axis=1),
+            "largest_contact_pressure_uN_per_um": self.contact_pressure.max(axis=1),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """Pairs of one kind at n points: own particles i, j, the lattice shift of j and, from i to j,
+    r, w and |r|.
+    """
+
+    i: Index
+    j: Index
+    shift: Index
+    r: Array
+    w: Array
+    length: Array
+
+    @property
+    def rate(self) -> Array:
+        """(n, k) n·w, µm/µs."""
+        rate: Array = np.einsum("nki,nki->nk", self.r, self.w) / self.length
+        return rate
+
+
+def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Array) -> Particles:
+    """The particles of RVEs at material positions z, x = F z, with velocities Ḟ z + fluctuation.
+
+    Args:
+        F, F_dot: (n, 2, 2).
+        z: (n, p, 2) µm. fluctuation: (n, p, 2) µm/µs.
+    """
+    cell, patch = unit.cell, unit.patches[-1]
+    arrangement = make_arrangement(cell)
+    x, v = np.einsum("nij,npj->npi", F, z), np.einsum("nij,npj->npi", F_dot, z) + fluctuation
+    force, virial = np.zeros_like(x), np.zeros((len(F), 2, 2))
+
+    def pairs_of(listed: NDArray[np.int32]) -> _Pairs:
+        return _pairs(patch, listed, x, v, F, F_dot)
+
+    def act(pairs: _Pairs, forces: Array) -> None:
+        for n in range(len(F)):
+            np.add.at(force[n], pairs.i, forces[n])
+            np.add.at(force[n], pairs.j, -forces[n])
+        virial[:] += np.einsum("nki,nkj->nij", forces, pairs.r)
+
+    bonds = pairs_of(patch.bonds)
+    tension = cell.wall_stiffness * (bonds.length - unit.rest_length)
+    tension += unit.constants.wall_damping * bonds.rate
+    act(bonds, (tension / bonds.length)[:, :, None] * bonds.r)
+
+    contacts = pairs_of(patch.contacts)
+    along = _contact_tension(unit, contacts) / contacts.length
+    pushes = along[:, :, None] * contacts.r
+    act(contacts, pushes)
+
+    fluid = pairs_of(patch.fluid_pairs)
+    density, forces = _fluid(unit, patch, fluid)
+    act(fluid, forces)
+
+    starts = patch.fluid_start.astype(np.int64)
+    fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
+    spacing = unit.rest_length
+    area = np.linalg.det(F) * patch.area
+    rims = _rim_areas(arrangement.rims, x, patch.lattice, F)
+    at_rest = _rim_areas(arrangement.rims, unit.position[None], patch.lattice, np.eye(2)[None])
+    return Particles(
+        F=F,
+        F_dot=F_dot,
+        position=x,
+        velocity=v,
+        force=force,
+        density=density,
+        pressure=cell.sound_speed**2 * density,
+        bonds=np.stack([bonds.i, bonds.j], axis=1),
+        bond_shift=bonds.shift,
+        tension=tension,
+        stretch=bonds.length / unit.rest_length,
+        contact_pressure=_push_on_walls(patch, contacts, pushes, fluid_cell) / spacing,
+        area_ratio=rims / at_rest,
+        stress=virial / area[:, None, None],
+        is_wall=np.arange(patch.particles) < patch.walls,
+        fluid_cell=fluid_cell,
+        lattice=patch.lattice,
+    )
+
+
+def _pairs(
+    patch: Patch, listed: NDArray[np.int32], x: Array, v: Array, F: Array, rate: Array
+) -> _Pairs:
+    """Listed local pairs, images brought back to their owners and moved by the lattice."""
+    own = np.concatenate([np.arange(patch.particles), patch.owner]).astype(np.int64)
+    shift = _shift_of(patch, listed[:, 1]) - _shift_of(patch, listed[:, 0])
+    offset = shift @ patch.lattice.T
+    i, j = own[listed[:, 0]], own[listed[:, 1]]
+    r = x[:, j] - x[:, i] + np.einsum("nij,kj->nki", F, offset)
+    w = v[:, j] - v[:, i] + np.einsum("nij,kj->nki", rate, offset)
+    return _Pairs(i, j, shift, r, w, np.linalg.norm(r, axis=2))
+
+
+def _shift_of(patch: Patch, local: NDArray[np.int32]) -> Index:
+    shift = np.concatenate([np.zeros((patch.particles, 2), np.int64), patch.shift])
+    picked: Index = shift[local].astype(np.int64)
+    return picked
+
+
+def _contact_tension(unit: UnitCell, pairs: _Pairs) -> Array:
+    """(n, k) tension of eq. (2), µN; repulsion is negative."""
+    c, r = unit.constants, pairs.length
+    fade = (r / c.cutoff) ** 6
+    spring = c.repulsion * (r**-6 - c.cutoff**-6)
+    dashpot = c.contact_damping * r**-3.5 * (1.0 - fade) * pairs.rate
+    return np.where(r < c.cutoff, dashpot - spring, 0.0)
+
+
+def _fluid(unit: UnitCell, patch: Patch, pairs: _Pairs) -> tuple[Array, Array]:
+    """(n, f) densities, eq. (7), and (n, k, 2) forces on i, eq. (8)."""
+    cell, h = unit.cell, unit.constants.smoothing_length
+    s = pairs.length / h
+    scale = 10.0 / (7.0 * np.pi) / h**2
+    outer, inner = np.maximum(2.0 - s, 0.0), np.maximum(1.0 - s, 0.0)
+    kernel = scale * (0.25 * outer**3 - inner**3)
+    slope = scale / h * (3.0 * inner**2 - 0.75 * outer**2) / pairs.length
+    i, j = pairs.i - patch.walls, pairs.j - patch.walls
+    mass, n_fluid = unit.constants.fluid_mass, patch.particles - patch.walls
+    density = np.full((len(s), n_fluid), mass * scale)
+    for n in range(len(s)):
+        np.add.at(density[n], i, mass * kernel[n])
+        np.add.at(density[n], j, mass * kernel[n])
+    a, b = 1.0 / density[:, i], 1.0 / density[:, j]
+    along = mass**2 * slope * cell.sound_speed**2 * (a + b)
+    against = -2.0 * mass**2 * slope * unit.constants.viscosity * a * b
+    return density, along[:, :, None] * pairs.r + against[:, :, None] * pairs.w
+
+
+def _push_on_walls(patch: Patch, pairs: _Pairs, pushes: Array, fluid_cell: Index) -> Array:
+    """(n, walls) largest force that the fluid of one plant cell exerts on each wall particle, µN.
+
+    A plant cell and its image, which lie on both sides of a wall, count as two.
+    """
+    first, second = pairs.i < patch.walls, pairs.j < patch.walls
+    mixed = np.flatnonzero(first != second)
+    wall_first = first[mixed]
+    wall = np.where(wall_first, pairs.i[mixed], pairs.j[mixed])
+    fluid = np.where(wall_first, pairs.j[mixed], pairs.i[mixed]) - patch.walls
+    shift = np.where(wall_first, 1, -1)[:, None] * pairs.shift[mixed]
+    sides = np.column_stack([wall, fluid_cell[fluid], shift])
+    unique, side = np.unique(sides, axis=0, return_inverse=True)
+    largest = np.zeros((len(pushes), patch.walls))
+    for n in range(len(pushes)):
+        total = np.zeros((len(unique), 2))
+        np.add.at(total, side.ravel(), pushes[n, mixed] * np.where(wall_first, 1, -1)[:, None])
+        np.maximum.at(largest[n], unique[:, 0], np.linalg.norm(total, axis=1))
+    return largest
+
+
+def _rim_areas(rims: tuple[NDArray[np.int32], ...], x: Array, lattice: Array, F: Array) -> Array:
+    """(n, cells) areas of the polygons through the wall particles around each plant cell."""
+    areas = []
+    for rim in rims:
+        offset = np.einsum("nij,kj->nki", F, rim[:, 1:] @ lattice.T)
+        corner = x[:, rim[:, 0]] + offset
+        following = np.roll(corner, -1, axis=1)
+        cross = corner[..., 0] * following[..., 1] - corner[..., 1] * following[..., 0]
+        areas.append(0.5 * abs(cross.sum(axis=1)))
+    return np.stack(areas, axis=1)
