@@ -1,0 +1,169 @@
+"""Slopes of pressure, foundation and contact against differences, and Newton that uses them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.macro import (
+    BodyForce,
+    Circle,
+    Corner,
+    Fixed,
+    Foundation,
+    MacroSettings,
+    Plane,
+    PrescribedMotion,
+    Pressure,
+    Problem,
+    RigidBody,
+    Symmetry,
+    Traction,
+    find_rest,
+)
+from surrofe2.macro.system import make_system
+from tests.laws import KelvinVoigt
+from tests.macro.meshes import HEIGHT, WIDTH, plate
+
+LAW = KelvinVoigt()
+SHAPES = {
+    "plane": Plane(normal=(0.1, -1.0)),
+    "circle": Circle(radius=12.0),
+    "corner": Corner(axis=(0.2, 1.0), angle=120.0, radius=5.0),
+}
+ABOVE = {"plane": -0.4, "circle": 10.0, "corner": -2.0}
+"""Height of a body's position above the top's middle: each is in the tissue by 0.4 to 2 µm."""
+
+
+def body(shape, **settings):
+    """A body that overlaps the top."""
+    settings = {"position": (0.5 * WIDTH, HEIGHT + ABOVE[shape]), **settings}
+    settings = {"name": "body", "on": "top", **settings}
+    return RigidBody(shape=SHAPES[shape], **settings)
+
+
+def assert_slopes(force, u, v, step=1e-6):
+    """slopes() is −∂f/∂u and −∂f/∂v to 1e-6 of their largest entry."""
+    slopes = [slope.toarray() for slope in force.slopes(0.3, 0.3, u, v)]
+    scale = abs(slopes[0]).max()
+    assert scale > 0.1
+    for which, slope in enumerate(slopes):
+        for k in range(u.size):
+            change = np.zeros((2, u.size))
+            change[which, k] = step
+            du, dv = change.reshape(2, *u.shape)
+            up = force.at(0.3, 0.3, u + du, v + dv)
+            difference = (up - force.at(0.3, 0.3, u - du, v - dv)).ravel() / (2.0 * step)
+            allowed = 1e-6 * max(scale, abs(slope).max())
+            assert abs(-slope[:, k] - difference).max() < allowed, (which, k)
+    return slopes
+
+
+@pytest.mark.parametrize("kind", ["quads", "triangles"])
+def test_slopes_of_pressure_and_foundation(kind, rng):
+    conditions = (
+        Pressure(on="right", pressure=-3.0),
+        Foundation(on="top", stiffness=2.0, damping=0.7),
+    )
+    system = make_system(Problem(mesh=plate(kind, rng, (2, 2)), conditions=conditions), 0.08)
+    u, v = rng.uniform(-0.5, 0.5, (2, system.n_rows, 2))
+    for force in system.forces:
+        slopes = assert_slopes(force, u, v)
+    assert abs(slopes[1]).max() > 0.1
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["quads", "triangles"])
+def test_slopes_of_contact(kind, shape, friction, rng):
+    """By displacement and velocity of the nodes and of the body itself."""
+    struck = body(shape, friction=friction, mass=40.0, slip_speed=0.05, stiffness=50.0)
+    struck = replace(struck, smoothing=0.1)
+    problem = Problem(mesh=plate(kind, rng, (3, 2)), conditions=(), bodies=(struck,))
+    system = make_system(problem, 0.08)
+    (contact,) = system.contacts
+    u, v = rng.uniform(-0.1, 0.1, (2, system.n_rows, 2))
+    gap, _, _ = contact._gaps(u)
+    assert 3 <= (gap < -contact.smoothing).sum() < gap.size
+    slopes = assert_slopes(contact, u, v)
+    row = slice(2 * contact.row, 2 * contact.row + 2)
+    assert abs(slopes[0][row, row]).max() > 1.0
+    assert (abs(slopes[1]).max() > 0.1) == (friction > 0.0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_contact_force_is_the_slope_of_its_energy_and_balances(shape, rng):
+    problem = Problem(mesh=plate("quads", rng), conditions=(), bodies=(body(shape, mass=40.0),))
+    (contact,) = make_system(problem, 0.08, modulus=100.0).contacts
+    u = rng.uniform(-0.1, 0.1, (len(problem.mesh.nodes) + 1, 2))
+    force = contact.at(0.0, 0.0, u, 0.0 * u)
+    assert abs(force).max() > 1.0
+    assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).max()
+    for k in np.flatnonzero(force):
+        change = np.zeros(u.size)
+        change[k] = 1e-6
+        change = change.reshape(u.shape)
+        slope = (contact.energy(u + change) - contact.energy(u - change)) / 2e-6
+        assert abs(force.flat[k] + slope) < 1e-6 * abs(force).max()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_friction_brakes_by_coulombs_law_where_sliding_is_fast(shape, rng):
+    """At a hundred times the slip speed: µ times the pressure force, against the sliding."""
+    rough = body(shape, friction=0.3, slip_speed=1e-4)
+    problem = Problem(mesh=plate("quads", rng), conditions=(), bodies=(rough,))
+    (contact,) = make_system(problem, 0.08, modulus=100.0).contacts
+    u = np.zeros((len(problem.mesh.nodes) + 1, 2))
+    v = np.tile([1e-2, 0.0], (len(u), 1))
+    v[-1] = 0.0
+    pressure = contact.at(0.0, 0.0, u, 0.0 * v)
+    drag = contact.at(0.0, 0.0, u, v) - pressure
+    power = np.vdot(drag, v)
+    assert power < 0.0
+    # Power of friction µ p |w| over the points, w the sliding along the surface.
+    gap, normal, _ = contact._gaps(u)
+    along = 1e-2 * abs(normal[:, 1])
+    expected = -0.3 * (contact._pressure(gap)[0] * along) @ contact.lengths.ravel()
+    assert power == pytest.approx(expected, rel=1e-3)
+
+
+NEWTON = {
+    "fixed, traction": ((Fixed(on="bottom"), Traction(on="top", traction=(6.0, 3.0))), ()),
+    "symmetry, motion": (
+        (
+            Symmetry(on="left"),
+            Symmetry(on="bottom"),
+            PrescribedMotion(on="right", displacement=(3.0, None)),
+        ),
+        (),
+    ),
+    "pressure": ((Fixed(on="bottom"), Pressure(on="top", pressure=20.0)), ()),
+    "body force": ((Fixed(on="left"), BodyForce(acceleration=(0.0, -3.0))), ()),
+    "foundation": (
+        (Foundation(on="bottom", stiffness=3.0), Traction(on="right", traction=(8.0, 8.0))),
+        (),
+    ),
+    **{
+        shape: (
+            (Fixed(on="bottom"), Traction(on="right", traction=(4.0, 0.0))),
+            (replace(body(shape, stiffness=20.0, smoothing=0.5), displacement=(0.0, -0.5)),),
+        )
+        for shape in SHAPES
+    },
+}
+
+
+@pytest.mark.parametrize("name", NEWTON)
+@pytest.mark.parametrize("kind", ["quads", "triangles"])
+def test_newton_converges_quadratically(kind, name, rng):
+    """r₊ ≤ c r² from 0.01 on, down to rounding, with every condition and every body."""
+    conditions, bodies = NEWTON[name]
+    problem = Problem(mesh=plate(kind, rng, (3, 3)), conditions=conditions, bodies=bodies)
+    rest = find_rest(problem, LAW, MacroSettings(newton_tolerance=1e-12))
+    residuals = np.array(rest.residuals)
+    assert abs(rest.F - np.eye(2)).max() > 0.02
+    assert residuals[-1] < 1e-12
+    near = np.flatnonzero(residuals < 3e-2)
+    assert near.size >= 2
+    for before, after in zip(residuals[near[:-1]], residuals[near[1:]], strict=True):
+        assert after < max(20.0 * before**2, 1e-12), residuals
