@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from surrofe2.plant_cell.arrangement import make_arrangement
 from surrofe2.plant_cell.pair_lists import Patch
@@ -107,9 +108,8 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         return _pairs(patch, listed, x, v, F, F_dot)
 
     def act(pairs: _Pairs, forces: Array) -> None:
-        for n in range(len(F)):
-            np.add.at(force[n], pairs.i, forces[n])
-            np.add.at(force[n], pairs.j, -forces[n])
+        force[:] += _summed(pairs.i, forces, patch.particles)
+        force[:] -= _summed(pairs.j, forces, patch.particles)
         virial[:] += np.einsum("nki,nkj->nij", forces, pairs.r)
 
     bonds = pairs_of(patch.bonds)
@@ -191,10 +191,7 @@ def _fluid(unit: UnitCell, patch: Patch, pairs: _Pairs) -> tuple[Array, Array]:
     slope = scale / h * (3.0 * inner**2 - 0.75 * outer**2) / pairs.length
     i, j = pairs.i - patch.walls, pairs.j - patch.walls
     mass, n_fluid = unit.constants.fluid_mass, patch.particles - patch.walls
-    density = np.full((len(s), n_fluid), mass * scale)
-    for n in range(len(s)):
-        np.add.at(density[n], i, mass * kernel[n])
-        np.add.at(density[n], j, mass * kernel[n])
+    density = mass * (scale + _summed(i, kernel, n_fluid) + _summed(j, kernel, n_fluid))
     a, b = 1.0 / density[:, i], 1.0 / density[:, j]
     along = mass**2 * slope * cell.sound_speed**2 * (a + b)
     against = -2.0 * mass**2 * slope * unit.constants.viscosity * a * b
@@ -214,12 +211,21 @@ def _push_on_walls(patch: Patch, pairs: _Pairs, pushes: Array, fluid_cell: Index
     shift = np.where(wall_first, 1, -1)[:, None] * pairs.shift[mixed]
     sides = np.column_stack([wall, fluid_cell[fluid], shift])
     unique, side = np.unique(sides, axis=0, return_inverse=True)
-    largest = np.zeros((len(pushes), patch.walls))
-    for n in range(len(pushes)):
-        total = np.zeros((len(unique), 2))
-        np.add.at(total, side.ravel(), pushes[n, mixed] * np.where(wall_first, 1, -1)[:, None])
-        np.maximum.at(largest[n], unique[:, 0], np.linalg.norm(total, axis=1))
-    return largest
+    outward = pushes[:, mixed] * np.where(wall_first, 1.0, -1.0)[:, None]
+    total = np.linalg.norm(_summed(side.ravel(), outward, len(unique)), axis=2)
+    largest = np.zeros((patch.walls, len(pushes)))
+    np.maximum.at(largest, unique[:, 0], total.T)
+    return largest.T
+
+
+def _summed(target: Index, values: Array, size: int) -> Array:
+    """(n, size, …) sums of values (n, k, …) by their targets (k,)."""
+    sums = np.zeros((size, len(values), *values.shape[2:]))
+    matrix = csr_matrix(
+        (np.ones(target.size), (target, np.arange(target.size))), (size, target.size)
+    )
+    sums[:] = (matrix @ values.swapaxes(0, 1).reshape(target.size, -1)).reshape(sums.shape)
+    return sums.swapaxes(0, 1)
 
 
 def _rim_areas(rims: tuple[NDArray[np.int32], ...], x: Array, lattice: Array, F: Array) -> Array:
