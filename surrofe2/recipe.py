@@ -51,7 +51,7 @@ class Recipe:
     preset: str
     cell: CellParameters
     rve: RveSettings
-    range: SamplingRange
+    range: SamplingRange | None = None
     samples: SampleSettings
     training: TrainingSettings
     calibration: CalibrationSettings
@@ -63,6 +63,19 @@ class Recipe:
     data_file: str | None = None
     training_file: str | None = None
     added_files: tuple[str, ...] = ()
+
+    def sampling_range(self) -> SamplingRange:
+        """The range of (F, Ḟ), for what cannot do without.
+
+        Raises:
+            InputError: the recipe has none.
+        """
+        if self.range is None:
+            raise InputError(
+                f"{self.path.name}: range: missing; this command needs the section [range] with "
+                "stretch, shear and rate (1/µs)"
+            )
+        return self.range
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -86,14 +99,10 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        names = (
-            "rve", "range", "samples", "training", "calibration", "load", "macro", "tissue",
-            "table", "cache",
-        )  # fmt: skip
-        sections = {name: asdict(getattr(self, name)) for name in names}
+        entries = asdict(self)
+        sections = {name: entries[name] for name in SECTIONS if entries[name] is not None}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
-        sections["samples"]["file"] = self.data_file
-        sections["samples"]["add"] = self.added_files
+        sections["samples"] |= {"file": self.data_file, "add": self.added_files}
         sections["training"]["file"] = self.training_file
         plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
         return plainly
@@ -112,6 +121,8 @@ SECTIONS: dict[str, type] = {
     "table": TableSettings,
     "cache": CacheSettings,
 }
+_NOT_NEEDED = ("range",)
+"""Sections that a recipe may do without; each other one has a default for all it must have."""
 _EXTRA_KEYS: dict[tuple[str, str], tuple[Any, Any]] = {
     ("cell", "preset"): (str, "printed"),
     ("samples", "file"): (str | None, None),
@@ -161,7 +172,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
     made: dict[str, Any] = {
         name: _make(name, kind, given[name], [key for part, key in _EXTRA_KEYS if part == name])
         for name, kind in SECTIONS.items()
-        if name != "cell"
+        if name != "cell" and not (name in _NOT_NEEDED and name not in table)
     }
     _make("cell", CellParameters, given["cell"], ["preset"])
     return Recipe(

@@ -50,7 +50,6 @@ INTROSPECTION = {
     "simd.py": "instructions of llvmlite by name",
     "cli/__init__.py": "commands are imported when they are called; streams of other programs",
     "io/tables.py": "",
-    "recipe.py": "",
 }
 """Files that call getattr or hasattr, and why they may; those without a reason are to go."""
 

@@ -5,11 +5,11 @@ time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit)
 simulation (a run). Without time: quasi_static, modes.
 """
 
-from surrofe2.macro.history import Frames, MacroState
+from surrofe2.macro.history import Frames, MacroState, MetRange
 from surrofe2.macro.modes import Modes, find_modes
-from surrofe2.macro.quasi_static import Rest, find_rest, rest_frames
+from surrofe2.macro.quasi_static import Rest, find_rest
 from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.simulation import MacroRun, MetRange, simulate
+from surrofe2.macro.simulation import MacroRun, simulate
 
 __all__ = [
     "Frames",
@@ -21,6 +21,5 @@ __all__ = [
     "Rest",
     "find_modes",
     "find_rest",
-    "rest_frames",
     "simulate",
 ]

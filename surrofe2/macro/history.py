@@ -147,6 +147,47 @@ class MacroState:
         return cls(**values | {"frames": Frames(**values["frames"])})
 
 
+@dataclass(frozen=True, slots=True)
+class MetRange:
+    """Lowest and highest entries that any point met at the end of any step, (2, 2, 2) each.
+
+    With F = R U: a sampling range over (U, RᵀḞ) that holds these holds the run.
+    """
+
+    F: Array
+    F_dot: Array
+    U: Array
+    RT_F_dot: Array
+
+    @classmethod
+    def of(cls, extremes: Array) -> MetRange:
+        """From lowest and highest entries as `widen_extremes` has them."""
+        return cls(*extremes.swapaxes(0, 1))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The extremes, and `stretch`, `shear`, `rate` of the sampling range that holds them."""
+        bounds = {"stretch": self.stretch, "shear": self.shear, "rate": self.rate}
+        return asdict(self) | bounds
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """Lowest and highest of U₁₁ and U₂₂."""
+        low, high = self.U
+        return float(low.diagonal().min()), float(high.diagonal().max())
+
+    @property
+    def shear(self) -> float:
+        """Largest |U₁₂|."""
+        low, high = self.U
+        return float(max(-low[0, 1], high[0, 1]))
+
+    @property
+    def rate(self) -> float:
+        """Largest entry of |RᵀḞ|, 1/µs."""
+        low, high = self.RT_F_dot
+        return float(max(-low.min(), high.max()))
+
+
 class Recorder:
     """Records a run in a state that is replaced as a whole, so that no interrupt can tear it."""
 
@@ -175,7 +216,7 @@ class Recorder:
     def begin(self, stepper: Stepper) -> None:
         """Record the state at rest at t = 0."""
         start = stepper.now
-        extremes = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2)).copy()
+        extremes = NO_EXTREMES.copy()
         widen_extremes(extremes, start.F, start.F_dot)
         self._state = MacroState(
             t=start.t,
@@ -265,6 +306,10 @@ class Recorder:
 
     def _frame(self, now: Evaluation) -> Frames:
         return Frames.of(self._discretisation, now.t, now.u, now.v, now.F, now.response.stress)
+
+
+NO_EXTREMES = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2))
+"""Of no point yet."""
 
 
 @kernel

@@ -57,6 +57,10 @@ class RveLaw:
         solver: str | None = None,
         reference: ReferenceState | None = None,
     ) -> None:
+        if not isinstance(cell, CellParameters):
+            raise InputError(
+                f"cell: {cell!r}; it must be CellParameters, as CellParameters.preset(name) makes"
+            )
         if not isinstance(settings, RveSettings | None):
             raise InputError(
                 f"rve: {settings!r}; settings must be an RveSettings, "

@@ -58,14 +58,14 @@ def generate_data_set(
         InputError: tangents are wanted of RVEs that have none.
         MismatchError: the file holds a data set of other settings, and not `fresh`.
     """
-    path, settings = recipe.data_path(), recipe.samples
+    path, settings, wanted = recipe.data_path(), recipe.samples, recipe.sampling_range()
     if settings.tangents and recipe.rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
     law = law or laws.true_law(recipe)
     header = DataSetHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),
-        range=recipe.range,
+        range=wanted,
         count=settings.count,
         seed=settings.seed,
         chunk=chunk,
@@ -80,9 +80,8 @@ def generate_data_set(
         report(data.completed, f"{failures} failed")
         while data.completed < settings.count:
             start = data.completed
-            F, F_dot = sample(
-                recipe.range, min(chunk, settings.count - start), settings.seed, start=start
-            )
+            rows = min(chunk, settings.count - start)
+            F, F_dot = sample(wanted, rows, settings.seed, start=start)
             answer = law.respond(F, F_dot, tangents=settings.tangents)
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())

@@ -145,10 +145,10 @@ def make_table(
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
     if spread is None:
-        spread = found[0].spread if found else sampled_spread(law, recipe.range)
+        spread = found[0].spread if found else sampled_spread(law, recipe.sampling_range())
     tolerance = recipe.table.tolerance * spread
     table = StressTable(
-        law, tolerance, recipe.range, spread, most_records=recipe.table.most_records
+        law, tolerance, recipe.sampling_range(), spread, most_records=recipe.table.most_records
     )
     for stored in found:
         table.restore(merged(table.records, stored.records, tolerance, table.images))

@@ -66,7 +66,7 @@ def run_study(
             wall_time={**run.wall_time, "compilation": compilation},
             counts={**run.counts, **run.effort, **counts_of(chosen.table)},
             cache=_cache_report(chosen, whole=record.status == "finished"),
-            met=_met(run),
+            met=run.met.to_dict(),
             threads=run.threads,
         )
 
@@ -108,11 +108,6 @@ def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] |
     if not isinstance(chosen.law, CachedLaw):
         return None
     return chosen.law.report() if whole else chosen.law.history()
-
-
-def _met(run: MacroRun) -> dict[str, Any]:
-    summary = {"stretch": run.met.stretch, "shear": run.met.shear, "rate": run.met.rate}
-    return asdict(run.met) | summary
 
 
 def change_rve(recipe: Recipe, initialisation: str | None, solver: str | None = None) -> Recipe:

@@ -107,7 +107,7 @@ def _check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
     for name, here, there in (
         ("cell", recipe.cell, samples.cell),
         ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
-        ("range", recipe.range, samples.range),
+        ("range", recipe.sampling_range(), samples.range),
         ("samples.seed", recipe.samples.seed, samples.seed),
         ("samples.count", recipe.samples.count, len(samples.F)),
     ):

@@ -221,11 +221,12 @@ def test_foreign_state_is_refused():
         ({"initialisation": "magic"}, "rve.initialisation: 'magic'; it must be one of"),
         ({"solver": "guess"}, "rve.solver: 'guess'; it must be one of direct, iterated"),
         ({"settings": "elastic"}, "rve: 'elastic'; settings must be an RveSettings"),
+        ({"cell": "printed"}, "cell: 'printed'; it must be CellParameters"),
     ],
 )
 def test_bad_settings_are_named(settings, message):
     with pytest.raises(InputError, match=message):
-        RveLaw(CellParameters.preset("printed"), **settings)
+        RveLaw(**{"cell": CellParameters.preset("printed"), **settings})
 
 
 def test_no_points_no_stress():
