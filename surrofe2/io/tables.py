@@ -75,9 +75,9 @@ def stored(table: StressTable, recipe: Mapping[str, Any]) -> StoredTable:
 def write_table(path: Path, table: StoredTable) -> None:
     """Write a table, whole or not at all."""
     with replacing(path) as partial, h5py.File(partial, "w") as file:
-        for name, unit in _UNITS.items():
-            file[name] = getattr(table.records, name)
-            file[name].attrs["unit"] = unit
+        for name, values in table.records._asdict().items():
+            file[name] = values
+            file[name].attrs["unit"] = _UNITS[name]
         file.attrs.update(
             stamp(SCHEMA, SCHEMA_VERSION, table.cell, table.initialisation, table.recipe),
             range=json.dumps(asdict(table.range)),
@@ -115,8 +115,8 @@ def read_table(path: str | Path) -> StoredTable:
 
 def _check_whole(table: StoredTable, fingerprint: str) -> None:
     count = len(table.records.centre)
-    for name, shape in _SHAPES.items():
-        values = getattr(table.records, name)
+    for name, values in table.records._asdict().items():
+        shape = _SHAPES[name]
         if values.shape != (count, *shape) or not np.isfinite(values).all():
             raise ValueError(f"{name} is damaged")
     if table.cell.fingerprint != fingerprint:

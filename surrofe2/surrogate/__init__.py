@@ -2,8 +2,8 @@
 
 Reading order: `settings`, `features` (what is learnt), `network`, `piola`, `training_task`,
 `training`; where it may be trusted: `domain`, `error_bound`, `deformation_paths`,
-`calibration`; and for speed `network_arrays`, `polynomial`, `tanh`, `compiled_frame`,
-`compiled_network`, `compiled_bound`, `compiled_lookup`, all put together in `surrogate_law`. Only
+`calibration`; and for speed `network_arrays`, `polynomial`, `compiled_frame`, `compiled_network`,
+`compiled_bound`, `compiled_lookup`, all put together in `surrogate_law`. Only
 `network`, `training_task` and `training` import torch, so `train` is imported when it is first
 asked for.
 """

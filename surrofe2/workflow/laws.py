@@ -30,6 +30,7 @@ from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.discretisation import N_POINTS
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
@@ -43,33 +44,38 @@ _AT_REST = 1e-6
 """Largest stress of an undeformed RVE, µN/µm."""
 
 
-def true_law(recipe: Recipe) -> RveLaw:
-    """The RVEs of a recipe, around their kept reference state."""
-    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe))
+def true_law(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> RveLaw:
+    """The RVEs of a recipe, around their kept reference state, see `kept_reference`."""
+    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe, surrogate))
 
 
-def kept_reference(recipe: Recipe) -> ReferenceState:
+def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> ReferenceState:
     """The settled reference state of a recipe's cell.
 
-    From the cache folder, where the first command puts it, else from the data set, else settled.
+    From the cache folder, where the first command puts it, else from the surrogate or from the
+    data set, else settled.
     """
     cell = recipe.cell
     path = reference_path(cell)
     known = read_reference(path, cell)
     if known is not None:
         return known
-    if recipe.data_file is not None:
+    if surrogate is not None:
+        known = surrogate.reference
+    if known is None and recipe.data_file is not None:
         known = read_attached(recipe.data_path(), cell)
-    if known is None or not _is_at_rest(RveLaw(cell, reference=known)):
+    if known is None or not _is_usable(known, cell):
         known = settle_reference(cell)
     with suppress(FileError):  # a folder that cannot be written keeps nothing
         write_reference(path, known)
     return known
 
 
-def _is_at_rest(law: RveLaw) -> bool:
-    """Whether a reference that other sources may have settled is free of stress by these."""
-    answer = law.respond(np.eye(2)[None], np.zeros((1, 2, 2)))
+def _is_usable(known: ReferenceState, cell: CellParameters) -> bool:
+    """Whether a reference that other sources may have settled is this cell's, free of stress."""
+    if known.fingerprint != cell.fingerprint:
+        return False
+    answer = RveLaw(cell, reference=known).respond(np.eye(2)[None], np.zeros((1, 2, 2)))
     return not answer.status.any() and bool(np.abs(answer.stress).max() < _AT_REST)
 
 
@@ -120,7 +126,7 @@ def choose_law(
     _check_surrogate(recipe, surrogate, path)
     if kind == "surrogate":
         return ChosenLaw(surrogate, (surrogate,), record)
-    rve = true_law(recipe)
+    rve = true_law(recipe, surrogate)
     if not (recipe.table.enabled or tables):
         law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
         return ChosenLaw(law, (surrogate, rve), record)
