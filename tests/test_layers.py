@@ -39,8 +39,7 @@ LONG_FUNCTIONS = {"run"}
 """Functions with more than eight arguments. run: the options of a command."""
 
 INTROSPECTION = {
-    "__init__.py": "public names are imported when they are asked for",
-    "surrogate/__init__.py": "public names are imported when they are asked for",
+    "public_names.py": "public names are imported when they are asked for",
     "simd.py": "instructions of llvmlite by name",
     "cli/__init__.py": "commands are imported when they are called; streams of other programs",
 }

@@ -6,6 +6,8 @@ command is called, so `surrofe2 --help` imports nothing heavy.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
 import shlex
 import sys
@@ -169,7 +171,13 @@ def options(
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line.
+
+    Libraries and kernels are a million objects that stay: to look for garbage among them over and
+    over, and once more at the end, would take a fifth of a short command.
+    """
+    gc.set_threshold(100_000)
+    atexit.register(gc.freeze)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

@@ -5,21 +5,17 @@ time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit)
 simulation (a run). Without time: quasi_static, modes.
 """
 
-from surrofe2.macro.history import Frames, MacroState, MetRange
-from surrofe2.macro.modes import Modes, find_modes
-from surrofe2.macro.quasi_static import Rest, find_rest
-from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.simulation import MacroRun, simulate
+from __future__ import annotations
 
-__all__ = [
-    "Frames",
-    "MacroRun",
-    "MacroSettings",
-    "MacroState",
-    "MetRange",
-    "Modes",
-    "Rest",
-    "find_modes",
-    "find_rest",
-    "simulate",
-]
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.macro.history import Frames, MacroState, MetRange
+    from surrofe2.macro.modes import Modes, find_modes
+    from surrofe2.macro.quasi_static import Rest, find_rest
+    from surrofe2.macro.settings import MacroSettings
+    from surrofe2.macro.simulation import MacroRun, simulate
+
+__getattr__, __dir__ = public_names(__name__)

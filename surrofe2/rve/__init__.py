@@ -7,9 +7,16 @@ iteration), `equilibrium_modes` and `slow_manifold`, `continuation` (far loads),
 `micro_integration` (the reference of all initialisations).
 """
 
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.rve_state import RveState
-from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings
+from __future__ import annotations
 
-__all__ = ["INITIALISATIONS", "SOLVERS", "ReferenceState", "RveLaw", "RveSettings", "RveState"]
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.plant_cell.reference_state import ReferenceState
+    from surrofe2.rve.rve_law import RveLaw
+    from surrofe2.rve.rve_state import RveState
+    from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings
+
+__getattr__, __dir__ = public_names(__name__)

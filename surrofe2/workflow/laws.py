@@ -40,6 +40,8 @@ from surrofe2.surrogate import SurrogateLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
+_INSTANT = LoadCase(duration=1e-3, watched=(0.0, 0.0))
+"""Watched at a node, for which nothing has to be searched."""
 _AT_REST = 1e-6
 """Largest stress of an undeformed RVE, µN/µm."""
 
@@ -186,23 +188,25 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
 def warm_up(
     laws: tuple[StressLaw, ...], settings: MacroSettings, table: StressTable | None = None
 ) -> float:
-    """Compile all that a run with these settings calls, outside its clock; seconds it took.
+    """Load or compile all that a run with these settings calls, outside its clock; seconds it took.
 
-    Each law is asked for a single point and for as many as the run has, up to where no law takes
-    another way for more; and a bar of one element moves for an instant.
+    Each law is asked for as many points as the run has, up to where no law takes another way for
+    more, and where laws share the points for a single one; and a small bar moves for an instant.
     """
     begin = time.perf_counter()
     nx, ny = settings.elements
+    most = min(N_POINTS * nx * ny, _MANY_POINTS)
     for law in laws:
-        for points in (1, min(N_POINTS * nx * ny, _MANY_POINTS)):
+        for points in (1, most) if len(laws) > 1 else (most,):
             F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
             if isinstance(law, SurrogateLaw):
                 law.status_and_bound(F, 0.0 * F)
-    for law in laws if settings.integrator == "implicit" else laws[-1:]:
+    small = replace(settings, elements=(min(nx, 2), min(ny, 2)))
+    for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
-            simulate(LoadCase(duration=1e-3), law, replace(settings, elements=(1, 1)))
+            simulate(_INSTANT, law, small)
     if table is not None:
         table.warm_up()
     return time.perf_counter() - begin
