@@ -11,7 +11,7 @@ import difflib
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -184,6 +184,12 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         added_files=extras["samples.add"],
         **made,
     )
+
+
+def changed(settings: T, **given: Any) -> T:
+    """The settings of a section with other entries; None leaves an entry as it is."""
+    wanted = {name: value for name, value in given.items() if value is not None}
+    return replace(settings, **wanted)  # type: ignore[type-var]
 
 
 def _make(section: str, kind: type[T], table: Mapping[str, Any], extras: Iterable[str] = ()) -> T:

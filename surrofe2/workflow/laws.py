@@ -32,7 +32,7 @@ from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.discretisation import N_POINTS
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.recipe import Recipe
+from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.reference_state import settle_reference
 from surrofe2.stress_law import StressLaw
@@ -210,6 +210,13 @@ def warm_up(
     if table is not None:
         table.warm_up()
     return time.perf_counter() - begin
+
+
+def open_study(path: Path, threads: int | None) -> Recipe:
+    """The recipe of a study, for which so many threads are used."""
+    recipe = load_recipe(path)
+    use_threads(threads)
+    return recipe
 
 
 def use_threads(wanted: int | None) -> int:

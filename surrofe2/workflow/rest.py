@@ -18,7 +18,6 @@ from surrofe2.io.run_folder import RunRecord, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import choose_law, warm_up
-from surrofe2.workflow.run import change_rve
 from surrofe2.workflow.run_lifecycle import (
     Report,
     Stage,
@@ -128,7 +127,7 @@ def find_all_modes(
 
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
-    law = choose_law(change_rve(recipe, method), "rve").law
+    law = choose_law(replace(recipe, rve=replace(recipe.rve, initialisation=method)), "rve").law
     rest = find_rest(recipe.load, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {

@@ -110,28 +110,6 @@ def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] |
     return chosen.law.report() if whole else chosen.law.history()
 
 
-def change_rve(recipe: Recipe, initialisation: str | None, solver: str | None = None) -> Recipe:
-    """The recipe with another way to initialise its RVEs."""
-    usual = recipe.rve
-    rve = replace(
-        usual,
-        initialisation=initialisation or usual.initialisation,
-        solver=solver or usual.solver,
-    )
-    return replace(recipe, rve=rve)
-
-
-def change_cache(recipe: Recipe, tolerance: float | None, audit: float | None = None) -> Recipe:
-    """The recipe with another tolerance or audit of the cache."""
-    usual = recipe.cache
-    cache = replace(
-        usual,
-        tolerance=usual.tolerance if tolerance is None else tolerance,
-        audit=usual.audit if audit is None else audit,
-    )
-    return replace(recipe, cache=cache)
-
-
 def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
     wall, counts = record.wall_time, record.counts
@@ -213,25 +191,22 @@ class RunOutputs:
 
     def _take(self, F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
         if self._writer is None:
-            self._writer = self._open()
+            header = harvest_header(self.recipe)
+            self._writer = HarvestWriter(self.folder / HARVEST, header)
         self._writer(F, F_dot, stress, status, why)
 
-    def _open(self) -> HarvestWriter:
-        recipe = self.recipe
-        header = HarvestHeader(
-            cell=recipe.cell,
-            rve=asdict(recipe.rve),
-            recipe=recipe.to_dict(),
-        )
-        return HarvestWriter(self.folder / HARVEST, header)
+
+def harvest_header(recipe: Recipe) -> HarvestHeader:
+    """Where answers for a recipe come from."""
+    return HarvestHeader(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
 
 
 def counts_of(table: StressTable | None) -> dict[str, int]:
     """What became of a table, for the record of a run."""
     if table is None:
         return {}
-    changed = {name.removeprefix("table_"): count for name, count in table.counts.items()}
-    return {"table_records": table.size, **{f"table_{name}": n for name, n in changed.items()}}
+    changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+    return {"table_records": table.size, **changed}
 
 
 def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:
