@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError
-from surrofe2.io.append_arrays import Column, append_rows, completed, create_arrays, grow
+from surrofe2.io.arrays import Column, append_rows, completed, create_arrays, grow
 from surrofe2.io.files import opened_hdf5, plain
-from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell
+from surrofe2.io.provenance import check_same_rve, reading, stamp, stored_cell
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.units import RATE, STRESS
 
@@ -116,14 +115,10 @@ def read_harvest(path: str | Path) -> Harvest:
         FileError: not a harvest of this schema, or damaged.
     """
     path = Path(path)
-    with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
-        try:
-            count = completed(file)
-            arrays = {name: file[name][:count] for name in _COLUMNS}
-            cell, initialisation = stored_cell(file)
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(f"{path}: not a whole surrofe2 harvest: {error}") from None
+    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
+        count = completed(file)
+        arrays = {name: file[name][:count] for name in _COLUMNS}
+        cell, initialisation = stored_cell(file)
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(count, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()

@@ -13,9 +13,8 @@ import numpy as np
 
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
-from surrofe2.errors import FileError
-from surrofe2.io.files import opened_hdf5, replacing
-from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell, stored_range
+from surrofe2.io.files import replacing
+from surrofe2.io.provenance import check_same_rve, reading, stamp, stored_cell, stored_range
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.tensors import INPUTS
@@ -93,23 +92,18 @@ def read_table(path: str | Path) -> StoredTable:
     Raises:
         FileError: not a table of this schema, truncated or damaged.
     """
-    path = Path(path)
-    with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
-        try:
-            cell, initialisation = stored_cell(file)
-            table = StoredTable(
-                records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
-                cell=cell,
-                initialisation=initialisation,
-                range=stored_range(file),
-                tolerance=float(file.attrs["tolerance"]),
-                spread=float(file.attrs["stress_spread"]),
-                recipe=json.loads(file.attrs["recipe"]),
-            )
-            _check_whole(table, str(file.attrs["cell_fingerprint"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(f"{path}: not a whole surrofe2 table: {error}") from None
+    with reading(Path(path), SCHEMA, SCHEMA_VERSION) as file:
+        cell, initialisation = stored_cell(file)
+        table = StoredTable(
+            records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
+            cell=cell,
+            initialisation=initialisation,
+            range=stored_range(file),
+            tolerance=float(file.attrs["tolerance"]),
+            spread=float(file.attrs["stress_spread"]),
+            recipe=json.loads(file.attrs["recipe"]),
+        )
+        _check_whole(table, str(file.attrs["cell_fingerprint"]))
     return table
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.io.kept_curves import KeptCurve, KeptCurves
+from surrofe2.io.kept import KeptCurve, KeptCurves
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters

@@ -18,7 +18,7 @@ from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spr
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
-from surrofe2.io.reference_states import (
+from surrofe2.io.kept import (
     read_attached,
     read_reference,
     reference_path,
@@ -64,7 +64,7 @@ def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> Ref
         return known
     if surrogate is not None:
         known = surrogate.reference
-    if known is None and recipe.data_file is not None:
+    if known is None and recipe.samples.file is not None:
         known = read_attached(recipe.data_path(), cell)
     if known is None or not _is_usable(known, cell):
         known = settle_reference(cell)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surrofe2.io.kept_curves import KeptCurves
+from surrofe2.io.kept import KeptCurves
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Study, study_is_there, study_paths, write_study
 from surrofe2.studies import (

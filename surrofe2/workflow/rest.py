@@ -19,11 +19,12 @@ from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import choose_law, warm_up
 from surrofe2.workflow.run_lifecycle import (
+    Recording,
     Report,
     Stage,
     describe_platform,
     new_record,
-    recording,
+    record_run,
     silent,
     time_text,
     untold,
@@ -67,12 +68,8 @@ def rest_study(
         met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
-    record = new_record(recipe, "rve")
-    stated = {"factor": factor, "load_steps": load_steps}
-    record = replace(record, recipe={**record.recipe, "rest": stated})
-    with recording(folder, record, store, fresh=fresh) as current:
-        if current.is_finished:
-            return current.record
+    def compute(current: Recording) -> Rest:
+        nonlocal frames, begin, compilation
         chosen = choose_law(recipe, "rve")
         compilation = warm_up(chosen.parts, recipe.macro)
         begin = time.perf_counter()
@@ -89,7 +86,7 @@ def rest_study(
             current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | spent)
             report(rest.factor / factor if factor else 1.0, "")
 
-        found = find_rest(
+        return find_rest(
             recipe.load,
             chosen.law,
             recipe.macro,
@@ -98,8 +95,11 @@ def rest_study(
             reached=reached,
             resume=arrays,
         )
-        current.finish(found)
-    return current.record
+
+    record = new_record(recipe, "rve")
+    stated = {"factor": factor, "load_steps": load_steps}
+    record = replace(record, recipe={**record.recipe, "rest": stated})
+    return record_run(folder, record, compute, store, fresh=fresh)
 
 
 def rest_summary(record: RunRecord) -> str:

@@ -21,9 +21,10 @@ from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import ChosenLaw, choose_law, warm_up
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
+    Recording,
     Report,
     new_record,
-    recording,
+    record_run,
     time_text,
     untold,
 )
@@ -70,10 +71,8 @@ def run_study(
             threads=run.threads,
         )
 
-    record = new_record(recipe, kind, chosen.surrogate)
-    with recording(folder, record, store, fresh=fresh) as current:
-        if current.is_finished:
-            return current.record
+    def compute(current: Recording) -> MacroRun:
+        nonlocal compilation
         arrays = current.last_state()
         state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
         if arrays is not None and state is not None and isinstance(chosen.law, CachedLaw):
@@ -87,7 +86,7 @@ def run_study(
             current.checkpoint(arrays, _cache_report(chosen))
 
         compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
-        done = simulate(
+        return simulate(
             recipe.load,
             chosen.law,
             recipe.macro,
@@ -96,8 +95,9 @@ def run_study(
             checkpoint_interval=CHECKPOINT_INTERVAL,
             resume=state,
         )
-        current.finish(done)
-    return current.record
+
+    record = new_record(recipe, kind, chosen.surrogate)
+    return record_run(folder, record, compute, store, fresh=fresh)
 
 
 def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] | None:

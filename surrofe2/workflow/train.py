@@ -14,7 +14,7 @@ from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import START_OVER, check_same, reported
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
-from surrofe2.io.reference_states import read_attached
+from surrofe2.io.kept import read_attached
 from surrofe2.io.surrogates import (
     read_surrogate,
     read_training,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.io.reference_states import read_attached, read_reference, write_reference
+from surrofe2.io.kept import read_attached, read_reference, write_reference
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.rve import RveLaw

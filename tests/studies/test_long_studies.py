@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from surrofe2.cli import app
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError
-from surrofe2.io.kept_curves import KeptCurves
+from surrofe2.io.kept import KeptCurves
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import fit_damped_modes
 from surrofe2.studies import bar_comparison, damping, scale_separation
