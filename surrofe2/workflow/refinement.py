@@ -19,7 +19,7 @@ from surrofe2.io.files import check_same, read_json, replacing, reported, write_
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
-from surrofe2.report.tables import Quantity, percent
+from surrofe2.report.tables import NONE, Quantity, percent
 from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
@@ -90,7 +90,12 @@ QUANTITIES: tuple[Quantity[Round], ...] = (
     Quantity("unknown", "", "", lambda row: row.unknown),
     Quantity("samples", "", "", lambda row: row.samples),
     Quantity("held-out RMS", "", percent(".2g"), lambda row: row.held_out),
-    Quantity("audit 99 %", "", percent(".2g"), lambda row: row.audit),
+    Quantity(
+        "audit 99 %",
+        "",
+        "",  # a column even where no round was audited
+        lambda row: NONE if row.audit is None else percent(".2g")(row.audit),
+    ),
     Quantity("time", "", time_text, lambda row: row.seconds),
 )
 
