@@ -11,9 +11,9 @@ import difflib
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.errors import FileError, InputError
@@ -23,7 +23,7 @@ from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_settings, check_value, setting
+from surrofe2.settings import check_settings, check_value, hints_of, setting
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 from surrofe2.units import NONE
@@ -108,18 +108,12 @@ class Recipe:
 
 
 SECTIONS: dict[str, type] = {
-    "cell": CellParameters,
-    "rve": RveSettings,
-    "range": SamplingRange,
-    "samples": SampleSettings,
-    "training": TrainingSettings,
-    "calibration": CalibrationSettings,
-    "load": LoadCase,
-    "macro": MacroSettings,
-    "tissue": TissueSettings,
-    "table": TableSettings,
-    "cache": CacheSettings,
+    name: kind
+    for name, hint in hints_of(Recipe).items()
+    for kind in (get_args(hint) or (hint,))
+    if isinstance(kind, type) and is_dataclass(kind)
 }
+"""The fields of a recipe that are settings, by name."""
 _NOT_NEEDED = ("range",)
 """Sections that a recipe may do without; each other one has a default for all it must have."""
 _EXTRA_KEYS: dict[str, tuple[str, Any, Any]] = {

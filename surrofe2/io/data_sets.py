@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.arrays import Column, append_rows, completed, create_arrays
-from surrofe2.io.files import check_same, flat, opened_hdf5, plain, replacing
+from surrofe2.io.files import check_same, flat, opened_hdf5, replacing
 from surrofe2.io.kept import attached
-from surrofe2.io.provenance import reading, stamp, stored_cell, stored_range
-from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, StressResponse, describe
@@ -42,21 +41,18 @@ _TANGENT_COLUMNS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DataSetHeader:
+class DataSetHeader(Origin):
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
     `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and the `reference` state of
     the RVEs are carried along and not compared.
     """
 
-    cell: CellParameters
-    rve: Mapping[str, Any]
     range: SamplingRange
     count: int
     seed: int
     chunk: int
     version: str
-    recipe: Mapping[str, Any]
     reference: ReferenceState | None = None
     tangents: bool = False
 
@@ -135,15 +131,13 @@ def _attributes(header: DataSetHeader) -> dict[str, Any]:
     given = {
         "status": "writing",
         "compared": json.dumps(flat(header.compared())),
-        "rve": json.dumps(plain(header.rve)),
         "range": json.dumps(asdict(header.range)),
         "count": header.count,
         "seed": header.seed,
     }
     if header.reference is not None:
         given["rest_length"] = header.reference.rest_length
-    initialisation = str(header.rve["initialisation"])
-    return stamp(SCHEMA, SCHEMA_VERSION, header.cell, initialisation, header.recipe) | given
+    return header.attributes(SCHEMA, SCHEMA_VERSION) | given
 
 
 def finish_data_set(path: Path) -> None:

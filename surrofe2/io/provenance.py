@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +17,21 @@ from surrofe2.errors import FileError, MismatchError, Surrofe2Error
 from surrofe2.io.files import opened_hdf5, plain
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Where the answers in a file come from: plant cells, settings of their RVEs, recipe."""
+
+    cell: CellParameters
+    rve: Mapping[str, Any]
+    recipe: Mapping[str, Any]
+
+    def attributes(self, schema: str, schema_version: int) -> dict[str, Any]:
+        """As of `stamp`, and the settings of the RVEs."""
+        initialisation = str(self.rve["initialisation"])
+        stamped = stamp(schema, schema_version, self.cell, initialisation, self.recipe)
+        return {**stamped, "rve": json.dumps(plain(self.rve))}
 
 
 def stamp(

@@ -22,11 +22,7 @@ SWEEP_FILES = ("sweep.json", "sweep.png")
 
 
 def compare_runs(folders: Sequence[Path], out: Path, *, fresh: bool = False) -> Comparison:
-    """Compare runs and write comparison.json and comparison.png into `out`.
-
-    Raises:
-        MismatchError: `out` holds a comparison of other runs, and not `fresh`.
-    """
+    """Compare runs and write comparison.json and comparison.png into `out`."""
     runs = [read_run(folder) for folder in folders]
     result = compare_stored(runs)
     of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}

@@ -27,7 +27,7 @@ from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate_surrogate
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.run import HARVEST, harvest_header, run_study
+from surrofe2.workflow.run import HARVEST, origin_of, run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent, time_text
 from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
 
@@ -118,12 +118,9 @@ def refine_surrogate(
 
     Args:
         rounds: how many at most.
-        fresh: start over, whatever the folder holds.
-        stage: begins the display of a stage.
         tell: called with each finished round.
 
     Raises:
-        MismatchError: the folder has rounds of another recipe, and not `fresh`.
         SimulationError: the last round is not settled.
     """
     done = _open(recipe, out, fresh)
@@ -294,7 +291,7 @@ def _write_samples(
     done, total = 0, sum(len(F) for F, _, _ in asked)
     with replacing(path) as partial:
         partial.unlink(missing_ok=True)
-        writer = HarvestWriter(partial, harvest_header(recipe))
+        writer = HarvestWriter(partial, origin_of(recipe))
         writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
         for F, F_dot, why in asked:
             for first in range(0, len(F), CHUNK):

@@ -50,12 +50,10 @@ def rest_study(
 
     Args:
         factor: of the body force, at the end.
-        fresh: start over, whatever the folder holds.
-        report: called with the part of the load that is on, 0 to 1, and a remark.
+        report: is told the part of the load that is on, 0 to 1.
 
     Raises:
         SimulationError: a load step finds no equilibrium.
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     frames: Frames | None = None
     begin = compilation = 0.0

@@ -13,7 +13,8 @@ from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.io.fields import write_fields
 from surrofe2.io.files import check_same
-from surrofe2.io.harvest import HarvestHeader, HarvestWriter
+from surrofe2.io.harvest import HarvestWriter
+from surrofe2.io.provenance import Origin
 from surrofe2.io.run_folder import RunRecord, file_fingerprint, write_curve, write_energies
 from surrofe2.io.tables import check_table, read_table, stored, write_table
 from surrofe2.macro import MacroRun, MacroState, simulate
@@ -46,12 +47,10 @@ def run_study(
     Args:
         tables: files of tables to start from; the run's own is written into the folder.
         harvest: whether true answers of a cached run are kept in the folder.
-        fresh: start over, whatever the folder holds.
-        report: called with the time reached in µs and a remark.
+        report: is told the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.on_true_answer)
@@ -191,14 +190,13 @@ class RunOutputs:
 
     def _take(self, F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
         if self._writer is None:
-            header = harvest_header(self.recipe)
-            self._writer = HarvestWriter(self.folder / HARVEST, header)
+            self._writer = HarvestWriter(self.folder / HARVEST, origin_of(self.recipe))
         self._writer(F, F_dot, stress, status, why)
 
 
-def harvest_header(recipe: Recipe) -> HarvestHeader:
+def origin_of(recipe: Recipe) -> Origin:
     """Where answers for a recipe come from."""
-    return HarvestHeader(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
+    return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
 
 
 def counts_of(table: StressTable | None) -> dict[str, int]:
@@ -215,8 +213,7 @@ def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> in
     Ellipsoids are tested for the smallest tolerance of the files.
 
     Raises:
-        MismatchError: they are not of the same cell parameters and initialisation, or `out` is of
-            other files, and not `fresh`.
+        MismatchError: they are not of the same cell parameters and initialisation.
     """
     of = {"files": [file_fingerprint(path) for path in files]}
     if out.exists() and not fresh:

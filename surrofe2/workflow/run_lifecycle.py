@@ -102,9 +102,6 @@ def record_run(
     """Open a run folder, compute and record how that ends; an earlier call's finished run is kept.
 
     A run that fails or is interrupted leaves what it computed.
-
-    Raises:
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     earlier = open_run_folder(folder, record, fresh=fresh)
     if earlier is not None and earlier.status == "finished":

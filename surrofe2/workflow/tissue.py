@@ -40,12 +40,10 @@ def run_tissue(
     """Run the recipe's load case on a tissue of plant cells and write the run folder.
 
     Args:
-        fresh: start over, whatever the folder holds.
-        report: called with the time reached in µs and a remark.
+        report: is told the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     cells = cells_that_fill(recipe.load, recipe.cell)
     compilation = 0.0
