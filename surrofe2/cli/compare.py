@@ -65,7 +65,7 @@ def sweep(
         result = run_sweep(
             study, out, numbers, surrogate_file=surrogate, fresh=fresh, stage=console.progress
         )
-    title = f"Against true FE² of {result.true_wall_time:.3g} s"
+    title = f"Against true FE² of {result.reference.wall_time:.3g} s"
     console.show_table(title, *result.table.for_people())
     console.print_line(
         "stress error: what 99 % of the audited answers keep, and how many were above the "
@@ -79,17 +79,18 @@ def show_comparison(result: Comparison, of: str = "") -> None:
     title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
     console.show_table(title, *result.table.for_people())
     for run in result.runs:
-        if run.audit is not None and run.audit["audited"]:
-            console.print_line(f"{run.name}: {audit_line(run.audit)}")
+        if run.cache and run.cache["audit"]["audited"]:
+            console.print_line(f"{run.name}: {audit_line(run.cache)}")
 
 
-def audit_line(audit: Mapping[str, Any]) -> str:
-    """What an audit found, in short."""
+def audit_line(cache: Mapping[str, Any]) -> str:
+    """What the audit of a cached run found, in short."""
+    audit = cache["audit"]
     quantiles = ", ".join(
         f"{value:.2g} µN/µm at {100 * float(share):g} %"
         for share, value in audit["quantiles"].items()
     )
-    off = "; the cache was switched off" if audit["trust"]["off"] else ""
+    off = "; the cache was switched off" if cache["trust"]["off"] else ""
     return (
         f"{audit['audited']} answers audited, {audit['violations']} above the tolerance of "
         f"{float(audit['tolerance']):.2g} µN/µm; error {quantiles}{off}"

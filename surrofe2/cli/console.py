@@ -141,8 +141,14 @@ SurrogateFile = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Surrogate file; default: the recipe's."),
 ]
-Preset = Annotated[
-    Literal["printed", "water"], typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")
+CellName = Annotated[
+    str,
+    typer.Option(
+        "--cell",
+        "--preset",
+        metavar="NAME|RECIPE",
+        help="printed or water, with fluid particles of 2.7 or 0.27 ng, or a TOML file.",
+    ),
 ]
 Initialisation = Annotated[
     str | None, typer.Option(help="How RVEs are initialised; default: the recipe's.")

@@ -7,7 +7,7 @@ the fixed point of constrained runs, which Newton finds to 1e-11 µN.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,17 +163,26 @@ QUANTITIES: tuple[Quantity[tuple[str, Relaxation]], ...] = (
 )
 
 
-def describe(ways: dict[str, Relaxation], preset: str) -> Study:
+def describe(ways: dict[str, Relaxation]) -> Study:
     """Figure 6: error of the state at the left, mean force at the right."""
     error, force = "error of the state (µm and µm/µs)", "mean particle force (µN)"
+
+    def panel(label: str, values: Callable[[Relaxation], Array]) -> Panel:
+        curves = (
+            Curve(
+                m,
+                ways[m].iterations.astype(float),
+                values(ways[m]),
+                _LABELS[m],
+                markers=m == DIRECT,
+            )
+            for m in _LABELS
+        )
+        return Panel("iterations", label, tuple(curves), log_x=True, log_y=True)
+
     return Study(
-        name=f"fig6-{preset}",
-        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$, "
-        f"preset “{preset}”",
-        panels=(
-            _panel(error, [_curve(m, ways[m].iterations, ways[m].error) for m in _LABELS]),
-            _panel(force, [_curve(m, ways[m].iterations, ways[m].mean_force) for m in _LABELS]),
-        ),
+        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$",
+        panels=(panel(error, lambda way: way.error), panel(force, lambda way: way.mean_force)),
         columns=2,
         table=Table(QUANTITIES, tuple(ways.items())),
         series={
@@ -183,12 +192,3 @@ def describe(ways: dict[str, Relaxation], preset: str) -> Study:
             error: np.concatenate([way.error for way in ways.values()]),
         },
     )
-
-
-def _panel(label: str, curves: Sequence[Curve]) -> Panel:
-    return Panel("iterations", label, tuple(curves), log_x=True, log_y=True)
-
-
-def _curve(method: str, iterations: NDArray[np.int64], values: Array) -> Curve:
-    y = np.where(values > 0.0, values, np.nan)
-    return Curve(method, iterations.astype(float), y, _LABELS[method], markers=method == DIRECT)

@@ -139,7 +139,7 @@ QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
 )
 
 
-def describe(found: StabilityMap, preset: str) -> Study:
+def describe(found: StabilityMap) -> Study:
     """The map: one panel for each plane; the onset along each way."""
     planes = found.planes.values()
     F = np.concatenate([plane.F for plane in planes])
@@ -149,8 +149,7 @@ def describe(found: StabilityMap, preset: str) -> Study:
         for key, plane in found.planes.items()
     }
     return Study(
-        name=f"stability-{preset}",
-        title=f"Stable equilibria of the plant cell at rest, preset “{preset}”",
+        title="Stable equilibria of the plant cell at rest",
         panels=tuple(_panel(plane) for plane in planes),
         columns=2,
         table=Table(QUANTITIES, tuple(found.onset.items())),

@@ -10,9 +10,8 @@ from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json
 from surrofe2.io.run_folder import file_fingerprint, read_run
 from surrofe2.recipe import Recipe
-from surrofe2.report.comparison import Comparison
+from surrofe2.report.comparison import Comparison, write_comparison_plot
 from surrofe2.report.comparison import compare as compare_stored
-from surrofe2.report.comparison_plot import write_comparison_plot
 from surrofe2.report.sweep import Sweep, make_sweep, write_sweep_plot
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Stage, silent
