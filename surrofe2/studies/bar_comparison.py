@@ -217,10 +217,6 @@ GROWING: tuple[Quantity[ComparedBar], ...] = (
 )
 
 
-def _decrements(row: ComparedBar) -> list[float]:
-    return [each.get(row.run) for each in DECREMENTS] if row.run else []
-
-
 def _excesses(row: ComparedBar) -> list[float]:
     return [row.off.get(each.name, 0.0) for each in DECREMENTS]  # the tissue itself: 0
 
@@ -239,8 +235,8 @@ DAMPING: tuple[Quantity[ComparedBar], ...] = (
     of_run("period", "µs", ".2f", lambda run: run.fit.first.period),
     of_run("decrement", "", ".4f", lambda run: run.fit.first.decrement),
     of_run("standard error", "", ".4f", lambda run: run.fit.decrement_error),
-    Quantity("lowest of all fits", "", ".4f", lambda row: min(_decrements(row))),
-    Quantity("highest of all fits", "", ".4f", lambda row: max(_decrements(row))),
+    of_run("lowest of all fits", "", ".4f", lambda run: min(each.get(run) for each in DECREMENTS)),
+    of_run("highest of all fits", "", ".4f", lambda run: max(each.get(run) for each in DECREMENTS)),
     Quantity("excess over the tissue's", "%", "+.1f", lambda row: _excesses(row)[0]),
     Quantity("lowest excess", "%", "+.1f", lambda row: min(_excesses(row))),
     Quantity("highest excess", "%", "+.1f", lambda row: max(_excesses(row))),

@@ -144,10 +144,6 @@ def describe(found: StabilityMap) -> Study:
     planes = found.planes.values()
     F = np.concatenate([plane.F for plane in planes])
     category = np.concatenate([plane.category for plane in planes])
-    counts = {
-        key: {label: int((plane.category == k).sum()) for k, label in enumerate(CATEGORIES)}
-        for key, plane in found.planes.items()
-    }
     return Study(
         title="Stable equilibria of the plant cell at rest",
         panels=tuple(_panel(plane) for plane in planes),
@@ -160,7 +156,12 @@ def describe(found: StabilityMap) -> Study:
             "F_xy (1)": F[:, 0, 1],
             "equilibrium": [CATEGORIES[k] for k in category],
         },
-        results={"counts": counts},
+        results={
+            "counts": {
+                key: {label: int((plane.category == k).sum()) for k, label in enumerate(CATEGORIES)}
+                for key, plane in found.planes.items()
+            }
+        },
     )
 
 
