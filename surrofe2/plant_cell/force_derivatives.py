@@ -30,9 +30,15 @@ import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
-from surrofe2.plant_cell.forces import fluid_specific_volume
+from surrofe2.plant_cell.forces import (
+    add_pair,
+    central_elastic,
+    central_slopes,
+    difference,
+    fluid_specific_volume,
+    pair_at,
+)
 from surrofe2.plant_cell.jacobian import add_at, central_gradient
-from surrofe2.plant_cell.pairs import add_pair, central_elastic, central_slopes, difference, pair_at
 from surrofe2.plant_cell.sph_kernel import spline, spline_bend, spline_slope, spline_third
 from surrofe2.simd import TILE, load, spread, store
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import RveTopology, pack, unpack
+from surrofe2.plant_cell.tiles import Topology, pack, unpack
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.rve_state import RveState, rest_state
@@ -150,9 +150,9 @@ class RveLaw:
         if status.any():
             stress[status != Status.OK] = np.nan
         slopes = solution.tangents() if tangents else None
-        left = None if solution.state.left is None else unpack(solution.state.left, points)
+        state = solution.state
         return StressResponse(
-            stress, status, solution.state, solution.effort(), slopes, left_bifurcation=left
+            stress, status, state, solution.effort(), slopes, left_bifurcation=state.left_points
         )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
@@ -202,7 +202,7 @@ class RveLaw:
             return Acceptance(status, state)
         return Acceptance(status, state, stress, left)
 
-    def _covering_topology(self, state: RveState) -> RveTopology:
+    def _covering_topology(self, state: RveState) -> Topology:
         """The shortest pair lists that cover every point, else the longest."""
         for level, topology in enumerate(self.unit_cell.topologies):
             if covered_by(self.unit_cell, level, state.F, state.z).all():

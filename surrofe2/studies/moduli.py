@@ -108,7 +108,7 @@ def turgor(cell: CellParameters) -> Turgor:
     t = cell.tissue_thickness
     return Turgor(
         mean=float(np.mean(speed / per_density)) / t,
-        virial=float(-np.sum(pull * square)) / (2.0 * unit.area * t),
+        virial=float(-np.sum(pull * square)) / (2.0 * topology.area * t),
     )
 
 

@@ -22,8 +22,8 @@ from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.newton import SOLVE, newton, stress_at
-from surrofe2.rve.particle_state import Drive, empty_answer
+from surrofe2.rve.newton import SOLVE, newton
+from surrofe2.rve.particle_state import Drive, empty_answer, stress_at
 from surrofe2.rve.rve_state import Factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE

@@ -116,7 +116,7 @@ def find_onset(
     z, s, step = unit.position.T[None].copy(), 0.0, _MARCH
     while s < length:
         trial = walker.newton((np.eye(2) + (s + step) * way)[None], z)
-        if trial.good[0]:
+        if trial.stable[0]:
             z, s = trial.z, s + step
         elif step < _CLOSE:
             return s

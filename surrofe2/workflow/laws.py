@@ -34,7 +34,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.rve.reference_state import settle_reference
+from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 
