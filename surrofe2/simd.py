@@ -82,9 +82,6 @@ for _symbol, _method in (
     (operator.sub, "fsub"),
     (operator.mul, "fmul"),
     (operator.truediv, "fdiv"),
-):
-    _operator(_symbol, _method)
-for _symbol, _method in (
     (operator.iadd, "fadd"),
     (operator.isub, "fsub"),
     (operator.imul, "fmul"),

@@ -29,14 +29,7 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.block_pattern import make_pattern
 from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import (
-    Constants,
-    Topology,
-    make_workspace,
-    pack,
-    tiles_for,
-    unpack,
-)
+from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
 from surrofe2.rve.newton import set_elastic_jacobian
 from surrofe2.rve.particle_state import list_covers, place, stored_energy
 from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax

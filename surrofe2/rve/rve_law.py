@@ -98,17 +98,7 @@ class RveLaw:
     @property
     def has_tangents(self) -> bool:
         """Whether the solver is direct; tangents would hide how loosely the iteration stops."""
-        return self.solver == "direct"
-
-    @property
-    def solver(self) -> str:
-        """How the micro problem is solved."""
-        return self.settings.solver
-
-    @property
-    def reference_position(self) -> NDArray[np.float64]:
-        """(particles, 2) relaxed reference positions, walls first, µm."""
-        return self.unit_cell.position.copy()
+        return self.settings.solver == "direct"
 
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
@@ -138,7 +128,7 @@ class RveLaw:
                 f"state: not a state of an RveLaw for {points} points; pass what an earlier "
                 "answer for the same points carried, or None"
             )
-        if tangents and self.solver == "iterated":
+        if tangents and not self.has_tangents:
             raise InputError(
                 "tangents: not with solver iterated, whose loose stop they would hide; "
                 "use solver direct"
@@ -163,7 +153,7 @@ class RveLaw:
         The state of the answer stays as it is; the new one shares with it what was not renewed.
         """
         state = response.state
-        unchecked = self.initialisation == "cauchy-born" or self.solver == "iterated"
+        unchecked = self.initialisation == "cauchy-born" or not self.has_tangents
         if unchecked or state.is_checked:
             return Acceptance(response.status, state)
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)

@@ -31,12 +31,7 @@ from surrofe2.plant_cell.force_derivatives import elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
-from surrofe2.rve.equilibrium_modes import (
-    along,
-    equilibrium_modes,
-    set_velocities,
-    unit_velocities,
-)
+from surrofe2.rve.equilibrium_modes import along, equilibrium_modes, set_velocities, unit_velocities
 from surrofe2.rve.newton import (
     Stop,
     add_slopes,

@@ -22,13 +22,7 @@ from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import (
-    Constants,
-    Topology,
-    make_constants,
-    pack,
-    unpack,
-)
+from surrofe2.plant_cell.tiles import Constants, Topology, make_constants, pack, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate_tile
 from surrofe2.rve.newton import SOLVE, newton, renew, solve_tiles
 from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, stored_energy
