@@ -140,9 +140,14 @@ class RveLaw:
         if status.any():
             stress[status != Status.OK] = np.nan
         slopes = solution.tangents() if tangents else None
-        state = solution.state
+        left = solution.state.left_points
         return StressResponse(
-            stress, status, state, solution.effort(), slopes, left_bifurcation=state.left_points
+            stress,
+            status,
+            solution.state,
+            solution.effort(),
+            slopes,
+            left_bifurcation=left if left.any() else None,
         )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:

@@ -292,7 +292,7 @@ class Solution:
         factors = self.state.factors.put(index, walked.solved.factors.take(row))
         self.state = replace(self.state, factors=factors)
         if walked.left.any():
-            left = unpack(self.state.left, self.status.size)
+            left = unpack(self.state.left, self.status.size).copy()
             left[index] |= walked.left[row]
             self.state = replace(self.state, left=pack(left))
 
