@@ -1,9 +1,9 @@
 """Representative volume elements: (F, Ḟ) in, stress out.
 
-In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `unit_cell` (what
-an RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and
-stress of given positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's
-iteration), `equilibrium_modes` and `slow_manifold`, `continuation` (far loads), `tangents`,
+In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `unit_cell` (what an
+RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and stress of given
+positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's iteration),
+`equilibrium_modes` and `slow_manifold`, `continuation` (far loads), `tangents`,
 `micro_integration` (the reference of all initialisations).
 """
 
