@@ -128,7 +128,7 @@ def write_cost_plot(path: Path, costs: Sequence[Costs], threads: int) -> None:
     for k, cost in enumerate(costs):
         milli = 1e3 * cost.median
         label = (
-            f"{cost.label}: time ~ points$^{{{cost.exponent:.2f}}}$, "
+            f"{cost.label} ~ points$^{{{cost.exponent:.2f}}}$, "
             f"{1e3 * milli[-1] / cost.points[-1]:.2g} µs a point"
         )
         curves.append(Curve(cost.label, cost.points, milli, label, colour=k))
