@@ -95,7 +95,7 @@ def _plainly(bar: Discretisation, law: ReadyLaw, y: Array) -> Array:
     )
     F = (F + identity).reshape(-1, 2, 2)
     stress = law.respond(F, F_dot.reshape(-1, 2, 2)).stress
-    acceleration = bar.solve_mass(bar.load - _force_plainly(bar, F, stress))
+    acceleration = bar.inverse_mass @ (bar.load - _force_plainly(bar, F, stress))
     return np.concatenate([v.ravel(), acceleration.ravel()])
 
 

@@ -11,16 +11,10 @@ Every array over points has this order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import skfem
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
-from skfem.quadrature import get_quadrature
-from skfem.refdom import RefQuad
 
 from surrofe2.load_case import LoadCase
 
@@ -30,6 +24,54 @@ Index = NDArray[np.int64]
 N_GAUSS = 4
 CENTRE = 4
 N_POINTS = 5
+_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+"""Of the reference square, counter-clockwise."""
+_LEFT, _RIGHT = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
+_POINTS = np.array([[_LEFT, _LEFT], [_LEFT, _RIGHT], [_RIGHT, _LEFT], [_RIGHT, _RIGHT], [0.5, 0.5]])
+_WEIGHTS = np.array([0.25, 0.25, 0.25, 0.25, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class GridMass:
+    """Consistent mass matrix M of one displacement component on a grid, ng: `along_x` ⊗ `along_y`.
+
+    Bilinear shape functions are products of those of lines, and so is M; its inverse is the
+    product of theirs (Lynch, Rice and Thomas 1964, Numer. Math. 6, 185-199). Fields are
+    (n_free, …), y running first.
+    """
+
+    along_x: Array
+    along_y: Array
+
+    @classmethod
+    def of(cls, x: Array, y: Array, density: float) -> GridMass:
+        """Of the nodes at x, without the first, and y; density in ng/µm²."""
+        return cls(density * _line_mass(x)[1:, 1:], _line_mass(y))
+
+    def __matmul__(self, field: Array) -> Array:
+        """M applied to a field."""
+        return _on_grid(self.along_x, self.along_y, field)
+
+    def inverse(self) -> GridMass:
+        """M⁻¹."""
+        return GridMass(
+            *(np.asarray(np.linalg.inv(m), np.float64) for m in (self.along_x, self.along_y))
+        )
+
+
+def _line_mass(x: Array) -> Array:
+    """(n, n) ∫ N_a N_b dx of linear shape functions."""
+    mass, third = np.zeros((len(x), len(x))), np.diff(x) / 3.0
+    k = np.arange(len(third))
+    mass[k, k] += third
+    mass[k + 1, k + 1] += third
+    mass[k, k + 1] = mass[k + 1, k] = third / 2.0
+    return mass
+
+
+def _on_grid(along_x: Array, along_y: Array, field: Array) -> Array:
+    columns = (along_x @ field.reshape(len(along_x), -1)).reshape(len(along_x), len(along_y), -1)
+    return (along_y @ columns).reshape(field.shape)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +92,7 @@ class Discretisation:
         shape: (5, 4) shape functions at the points.
         mass: (n_free, n_free) consistent mass of one displacement component, ng (eq. 59 with the
             reference density over the reference area, which mass conservation makes constant).
-        solve_mass: mass⁻¹ applied to (n_free, 2), factorised once.
+        inverse_mass: mass⁻¹.
         load: (n_free, 2) ∫ ρ N g dV at amplitude 1, µN. Eq. (58) prints ∇N and no ρ.
         watched_rows, watched_weights: (k,) unknowns and shape function values of the watched point.
     """
@@ -62,8 +104,8 @@ class Discretisation:
     gradients: Array
     weights: Array
     shape: Array
-    mass: csc_matrix
-    solve_mass: Callable[[Array], Array]
+    mass: GridMass
+    inverse_mass: GridMass
     load: Array
     watched_rows: Index
     watched_weights: Array
@@ -97,78 +139,48 @@ def make_discretisation(
     load_case: LoadCase, elements: tuple[int, int], density: float
 ) -> Discretisation:
     """The bar of `load_case` on elements[0] × elements[1] equal rectangles."""
-    return make_discretisation_on(make_mesh(load_case, elements), load_case, density)
-
-
-def make_mesh(load_case: LoadCase, elements: tuple[int, int]) -> skfem.MeshQuad:
-    """elements[0] × elements[1] equal rectangles."""
-    mesh = skfem.MeshQuad.init_tensor(
-        np.linspace(0.0, load_case.width, elements[0] + 1),
-        np.linspace(0.0, load_case.height, elements[1] + 1),
-    )
-    clockwise_to_counter = [0, 3, 2, 1]
-    return skfem.MeshQuad(mesh.p, mesh.t[clockwise_to_counter])
-
-
-def make_discretisation_on(
-    mesh: skfem.MeshQuad, load_case: LoadCase, density: float
-) -> Discretisation:
-    """The bar of `load_case` on any mesh of quadrilaterals that covers it."""
-    basis = skfem.Basis(mesh, skfem.ElementQuad1())
-    nodes = np.ascontiguousarray(mesh.p.T)
-    quads = np.ascontiguousarray(basis.element_dofs.T, dtype=np.int64)
+    x = np.linspace(0.0, load_case.width, elements[0] + 1)
+    y = np.linspace(0.0, load_case.height, elements[1] + 1)
+    nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    number = np.arange(len(nodes)).reshape(len(x), len(y))
+    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    quads = np.stack(corners, axis=-1).reshape(-1, 4)
     free = np.flatnonzero(nodes[:, 0] > 0.0)
     row_of_node = np.full(len(nodes), -1)
     row_of_node[free] = np.arange(free.size)
-
-    gauss_points, gauss_weights = get_quadrature(RefQuad, 3)
-    at_points = skfem.Basis(
-        mesh,
-        skfem.ElementQuad1(),
-        quadrature=(
-            np.concatenate([gauss_points, [[0.5], [0.5]]], axis=1),
-            np.append(gauss_weights, 1.0),
-        ),
-    )
-    gradients = np.stack([at_points.basis[a][0].grad for a in range(4)])
-
-    mass = density * skfem.BilinearForm(lambda u, v, w: u * v).assemble(basis)
-    mass = csc_matrix(mass[free][:, free])
-    nodal_mass = density * skfem.LinearForm(lambda v, w: 1.0 * v).assemble(basis)
-    watched = _shape_functions_at(np.array(load_case.watched), basis, nodes)[free]
+    gradients, weights, shape = at_points(nodes, quads)
+    nodal_area = np.bincount(quads.ravel(), (weights[:, :N_GAUSS] @ shape[:N_GAUSS]).ravel())
+    watched_x, watched_y = load_case.watched
+    watched = np.outer(_shape_functions(x, watched_x), _shape_functions(y, watched_y)).ravel()[free]
     watched_rows = np.flatnonzero(watched)
+    mass = GridMass.of(x, y, density)
     return Discretisation(
         nodes=nodes,
         quads=quads,
         free=free,
         rows=row_of_node[quads],
-        gradients=np.ascontiguousarray(gradients.transpose(2, 3, 0, 1)),
-        weights=np.ascontiguousarray(at_points.dx),
-        shape=np.stack([np.asarray(at_points.basis[a][0])[0] for a in range(4)], axis=1),
+        gradients=gradients,
+        weights=weights,
+        shape=shape,
         mass=mass,
-        solve_mass=_factorise(mass),
-        load=np.outer(nodal_mass[free], load_case.body_force),
+        inverse_mass=mass.inverse(),
+        load=np.outer(density * nodal_area[free], load_case.body_force),
         watched_rows=watched_rows,
         watched_weights=watched[watched_rows],
     )
 
 
-def _shape_functions_at(point: Array, basis: skfem.Basis, nodes: Array) -> Array:
-    """(n_nodes,) shape functions at a point; at a node without a search, which is slow to load."""
-    at = (nodes == point).all(axis=1)
-    if at.any():
-        return at.astype(np.float64)
-    values: Array = basis.probes(point[:, None]).toarray()[0]
-    return values
+def at_points(nodes: Array, quads: Index) -> tuple[Array, Array, Array]:
+    """`gradients`, `weights` and `shape` of a `Discretisation` with these elements."""
+    # A shape function is the product over x and y of ξ or 1 − ξ, whichever is 1 at its corner.
+    factor = 1.0 - abs(_CORNERS - _POINTS[:, None])
+    slope = (2.0 * _CORNERS - 1.0) * factor[..., ::-1]
+    jacobian = np.einsum("eai,qaj->eqij", nodes[quads], slope)
+    gradients = slope @ np.linalg.inv(jacobian)
+    weights = np.linalg.det(jacobian) * _WEIGHTS
+    return np.ascontiguousarray(gradients), weights, factor.prod(axis=-1)
 
 
-def _factorise(mass: csc_matrix) -> Callable[[Array], Array]:
-    """Symmetric positive definite, so no pivoting and an ordering that keeps symmetry."""
-    factor = splu(
-        mass,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    solve: Callable[[Array], Array] = factor.solve
-    return solve
+def _shape_functions(x: Array, at: float) -> Array:
+    """(n,) linear shape functions of the nodes x at one place."""
+    return np.array([np.interp(at, x, each) for each in np.eye(len(x))])

@@ -245,7 +245,7 @@ class EquationsOfMotion:
         internal = internal_force(self.discretisation, F, response.stress)
         load = self.amplitude_at(t) * self.discretisation.load
         powers = np.array([np.vdot(internal, v), np.vdot(load, v)])
-        acceleration = self.discretisation.solve_mass(load - internal)
+        acceleration = self.discretisation.inverse_mass @ (load - internal)
         rate = np.concatenate([v.ravel(), acceleration.ravel()])
         return Evaluation(t, y, F, F_dot, response, internal, load, powers, rate)
 

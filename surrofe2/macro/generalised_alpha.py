@@ -21,8 +21,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a step is implicit
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
@@ -189,11 +189,11 @@ class GeneralisedAlpha:
                 return Solved(now, a_end, tuple(residuals), solve)
             a_end = a_end - solve(residual.ravel()).reshape(a.shape)
 
-    def _matrix(self, now: Evaluation, h: float) -> csc_matrix:
+    def _matrix(self, now: Evaluation, h: float) -> scipy.sparse.csc_matrix:
         """S = (1 − α_m) M + (1 − α_f) (h γ C + h² β K), the derivative of the residual by a₁."""
         w = self.weights
         K, C = self._assembly.tangents(now.F, now.response)
-        return csc_matrix(
+        return scipy.sparse.csc_matrix(
             (1.0 - w.alpha_m) * self._mass
             + (1.0 - w.alpha_f) * (h * w.gamma * C + h**2 * w.beta * K)
         )

@@ -265,6 +265,9 @@ def _relative_residual(discretisation: Discretisation, now: Evaluation) -> float
 
     A bar without any body force takes 1 µm/µs² for its load.
     """
-    load = abs(discretisation.load).max() or discretisation.mass.sum(axis=1).max()
+    load = (
+        abs(discretisation.load).max()
+        or (discretisation.mass @ np.ones(len(discretisation.free))).max()
+    )
     scale = max(load, abs(now.internal).max(), abs(now.load).max())
     return float(abs(now.internal - now.load).max() / scale)

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where tangents are added up
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, kron
-from scipy.sparse.linalg import splu
 
 from surrofe2.errors import InputError
 from surrofe2.macro.discretisation import N_GAUSS, N_POINTS, Discretisation
@@ -38,14 +37,18 @@ class Assembly:
     indices: Index
     indptr: Index
 
-    def sum(self, element_matrices: Array) -> csc_matrix:
+    def sum(self, element_matrices: Array) -> scipy.sparse.csc_matrix:
         """Sum of (n_el, 8, 8) element matrices, sparse (2 n_free, 2 n_free)."""
         values = np.bincount(
             self.slot, weights=element_matrices.ravel()[self.kept], minlength=self.indices.size
         )
-        return csc_matrix((values, self.indices, self.indptr), shape=(self.size, self.size))
+        return scipy.sparse.csc_matrix(
+            (values, self.indices, self.indptr), shape=(self.size, self.size)
+        )
 
-    def tangents(self, F: Array, response: StressResponse) -> tuple[csc_matrix, csc_matrix]:
+    def tangents(
+        self, F: Array, response: StressResponse
+    ) -> tuple[scipy.sparse.csc_matrix, scipy.sparse.csc_matrix]:
         """K = ∂f/∂u (µN/µm) and C = ∂f/∂v (µN µs/µm) of `internal_force`, (2 n_free, 2 n_free).
 
         With Δu = Σ_b Δu_b N_b both are Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress
@@ -80,15 +83,17 @@ def make_assembly(discretisation: Discretisation) -> Assembly:
     return Assembly(discretisation, size, kept, slot, code % size, indptr)
 
 
-def mass_matrix(discretisation: Discretisation) -> csc_matrix:
+def mass_matrix(discretisation: Discretisation) -> scipy.sparse.csc_matrix:
     """(2 n_free, 2 n_free) consistent mass of both components, ng."""
-    return csc_matrix(kron(discretisation.mass, np.eye(2)))
+    mass = discretisation.mass
+    of_one = scipy.sparse.kron(mass.along_x, mass.along_y)
+    return scipy.sparse.csc_matrix(scipy.sparse.kron(of_one, np.eye(2)))
 
 
-def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
+def factorised(matrix: scipy.sparse.csc_matrix) -> Callable[[Array], Array] | None:
     """matrix⁻¹ applied to (n,) or (n, k); None where the matrix is singular."""
     try:
-        solve: Callable[[Array], Array] = splu(matrix).solve
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(matrix).solve
     except RuntimeError:
         return None
     return solve

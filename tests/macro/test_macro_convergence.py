@@ -7,9 +7,10 @@ from skfem.helpers import ddot, dot
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.macro.discretisation import make_discretisation, make_mesh
+from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
+from tests.macro.bars import make_mesh
 
 UNIT_SQUARE = LoadCase(width=1.0, height=1.0, watched=(1.0, 0.5), body_force=(0.0, 0.0))
 

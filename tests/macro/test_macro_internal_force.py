@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import skfem
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefQuad
 
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
@@ -17,7 +20,7 @@ from surrofe2.macro.internal_force import (
 )
 from surrofe2.tensors import det
 from tests.laws import KelvinVoigt
-from tests.macro.bars import PLATE, distorted_bar, random_state
+from tests.macro.bars import PLATE, distorted_bar, random_state, scikit_fem_mass
 
 
 def unheld(bar):
@@ -190,14 +193,37 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
 
 def test_mass_and_load_are_consistent(rng):
     """½ v·M v for v = x is ρ H W³/6 exactly, and load·v for v = x is ρ g H W²/2."""
-    bar = distorted_bar(rng, density=0.11)
+    bar = make_discretisation(PLATE, (5, 4), 0.11)
     width, height = PLATE.width, PLATE.height
     x = bar.nodes[bar.free, 0]
-    assert 0.5 * x @ bar.mass @ x == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
+    assert 0.5 * x @ (bar.mass @ x) == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
     expected = 0.11 * np.array(PLATE.body_force) * height * width**2 / 2.0
     np.testing.assert_allclose(x @ bar.load, expected, rtol=1e-12)
     field = rng.normal(size=(len(bar.free), 2))
-    np.testing.assert_allclose(bar.mass @ bar.solve_mass(field), field, atol=1e-12)
+    np.testing.assert_allclose(bar.mass @ (bar.inverse_mass @ field), field, atol=1e-12)
+
+
+def test_mass_and_load_are_those_of_scikit_fem(rng):
+    bar = make_discretisation(PLATE, (5, 4), 0.11)
+    mass, nodal_mass = scikit_fem_mass(bar.nodes, bar.quads, 0.11)
+    field = rng.normal(size=(len(bar.free), 2))
+    np.testing.assert_allclose(bar.mass @ field, mass[bar.free][:, bar.free] @ field, rtol=1e-12)
+    expected = np.outer(nodal_mass[bar.free], PLATE.body_force)
+    np.testing.assert_allclose(bar.load, expected, rtol=1e-12)
+
+
+def test_gradients_and_areas_are_those_of_scikit_fem(rng):
+    bar = distorted_bar(rng)
+    mesh = skfem.MeshQuad(bar.nodes.T.copy(), bar.quads.T.copy())
+    gauss, weights = get_quadrature(RefQuad, 3)
+    points = np.concatenate([gauss, [[0.5], [0.5]]], axis=1), np.append(weights, 1.0)
+    basis = skfem.Basis(mesh, skfem.ElementQuad1(), quadrature=points)
+    np.testing.assert_allclose(bar.weights, basis.dx, rtol=1e-12)
+    for a in range(4):
+        function = basis.basis[a][0]
+        np.testing.assert_allclose(bar.shape[:, a], np.asarray(function)[0], atol=1e-14)
+        gradient = function.grad.transpose(1, 2, 0)
+        np.testing.assert_allclose(bar.gradients[:, :, a], gradient, atol=1e-13)
 
 
 def test_watched_point_between_nodes_is_interpolated(rng):
