@@ -2,9 +2,9 @@
 
 Every contender learns from the first n samples of one Sobol sequence and is measured on another:
 error by `stress_error`, relative to the spread of stress there; cost of a query by the wall time of
-80 points at once, the number of the paper's bar. Writes ablation.png, .csv, .json and .md into the
-output folder; docs/ablation.md says what they show. Takes long, so a full run leaves it out: ask
-for it by `python -m benchmarks --only ablation`.
+80 points at once, the number of the paper's bar. Writes ablation-printed.png, .csv, .json and .md
+into the output folder; docs/ablation.md says what they show. Takes long, so a full run leaves it
+out: ask for it by `python -m benchmarks --only ablation`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from benchmarks.timing import threads
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.recipe import Recipe
 from surrofe2.report.figures import Curve, Panel
-from surrofe2.report.study import Study, write_study
+from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import sample
@@ -113,9 +113,9 @@ def run(setting: Setting) -> list[Row]:
                     continue
                 results.append(compete(name, law, few, recipe.training, truth))
                 print(f"    {name}, {count} samples: {_errors(results[-1])}", flush=True)
-    study = describe(results, recipe.training, PRESET)
+    study, of = describe(results, recipe.training), NamedCell(recipe.cell, PRESET)
     asked = {"training": recipe.training.to_dict(), "counts": counts}
-    write_study(setting.out, study, recipe.cell, PRESET, asked)
+    keep_study(setting.out, "ablation", of, asked, lambda: study, fresh=True)
     return [_row(result) for result in results]
 
 
@@ -211,7 +211,7 @@ def is_of(name: str, settings: TrainingSettings) -> bool:
     return change is not None and name not in WITHOUT_SYMMETRY and change(settings) == settings
 
 
-def describe(results: list[Result], training: TrainingSettings, preset: str) -> Study:
+def describe(results: list[Result], training: TrainingSettings) -> Study:
     """Error over samples and error over cost, with the table for people."""
     by_name = {
         name: {result.samples: result for result in results if result.contender == name}
@@ -231,8 +231,7 @@ def describe(results: list[Result], training: TrainingSettings, preset: str) -> 
         ),
     )
     return Study(
-        name="ablation",
-        title=f"Surrogate part by part, and what else there is; preset “{preset}”",
+        title="Surrogate part by part, and what else there is",
         panels=_panels([list(found.values()) for found in by_name.values()]),
         columns=2,
         table=Table(quantities, list(by_name.values())),

@@ -23,7 +23,7 @@ from surrofe2.plant_cell.pair_lists import interacting_groups, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.block_lu import factorise, solve
-from surrofe2.rve.reference_state import SAME_ENERGY, Equilibria, equilibria_in
+from surrofe2.rve.unit_cell import SAME_ENERGY, Equilibria, equilibria_in
 from surrofe2.simd import TILE
 
 SHOWN = (("square", 1), ("square", 9), ("hexagon", 9), ("voronoi", 9))
@@ -119,7 +119,9 @@ def factorisations(repeats: int) -> list[dict[str, Any]]:
         cell = CellParameters(arrangement=arrangement, cells=cells)
         made = make_arrangement(cell)
         patches = make_patches(cell, start_positions(cell), made.tessellation.lattice)
-        sparse = make_pattern(*interacting_groups(made, patches[-1]))
+        topology = patches[-1].topology
+        owner = np.append(np.arange(made.particles), topology.owner)
+        sparse = make_pattern(*interacting_groups(made, owner[topology.contacts]))
         dense = make_pattern(np.zeros(made.particles, dtype=np.int32), [])
         unknowns = 2 * made.particles - 2
         rng = np.random.default_rng(1)
@@ -180,9 +182,9 @@ def picture(preset: str, path: Path) -> None:
     for axes, (arrangement, cells) in zip(figure.subplots(1, len(SHOWN)), SHOWN, strict=True):
         unit = law(preset, arrangement, cells, "constrained-runs").unit_cell
         patch = unit.patches[0]
-        images = unit.position[patch.owner] + patch.shift @ patch.lattice.T
+        images = unit.position[patch.topology.owner] + patch.shift @ patch.lattice.T
         local = np.concatenate([unit.position, images])
-        bonds, fluid = local[patch.bonds], unit.position[patch.walls :]
+        bonds, fluid = local[patch.topology.bonds], unit.position[patch.topology.walls :]
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) @ patch.lattice.T
         for a in range(-3, 4):
             for b in range(-3, 4):

@@ -59,7 +59,8 @@ def _generate(setting: Setting, preset: str, recipe: Recipe, limit: float) -> Ro
 
 def _once(recipe: Recipe) -> tuple[float, Generated]:
     with TemporaryDirectory() as folder:
-        here = replace(recipe, path=Path(folder) / recipe.path.name, data_file="samples.h5")
+        samples = replace(recipe.samples, file="samples.h5")
+        here = replace(recipe, path=Path(folder) / recipe.path.name, samples=samples)
         begin = perf_counter()
         made = generate_data_set(here)
         return perf_counter() - begin, made

@@ -40,7 +40,7 @@ def _evaluate(setting: Setting, reach: int) -> list[Row]:
             partial(repeat_evaluation, times, *tiles, in_lanes),
             partial(
                 repeat_plain_evaluation, times, plain_z, F, rate, topology, unit.constants,
-                unit.area, one_by_one,
+                unit.topologies[0].area, one_by_one,
             ),
         ],
         setting.pick(15, 5),
@@ -48,7 +48,7 @@ def _evaluate(setting: Setting, reach: int) -> list[Row]:
     alone = time_calls(partial(repeat_forces, times, *tiles), setting.pick(15, 5))
     per_rve = 1e6 / (times * POINTS)
     exact = _twin_forces(plain_z, F, rate, setting.pick(4, 1))
-    pairs = sum(len(p) for p in (patch.bonds, patch.contacts, patch.fluid_pairs))
+    pairs = sum(len(p) for p in (topology.bonds, topology.contacts, topology.fluid_pairs))
     pairs_text = f"{pairs} pairs (contacts listed to {patch.reach:g} µm)"
     evaluation = Row(
         name=f"forces, stress and residual of an RVE and core, {pairs_text}",

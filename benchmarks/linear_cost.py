@@ -16,7 +16,7 @@ from surrofe2 import LoadCase, StressLaw
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.problem import bar
 from surrofe2.macro.system import System, make_system
-from surrofe2.report.figures import BLUE, GREEN, VERMILION, new_figure, write_png
+from surrofe2.report.figures import Curve, Panel, write_figure
 
 TITLE = "Cost over the number of points"
 PRESET = "printed"
@@ -24,7 +24,6 @@ SWING, PERIOD = 20.0, 100.0
 """Of the motion of the bar's free side, µm and µs; about those of the bending bar."""
 STAGE, STAGES = 0.1, 6
 """Time between two right-hand sides, µs; how many of them make a step."""
-STYLES = ((VERMILION, "o"), (BLUE, "s"), (GREEN, "^"))
 START = 0.25 * PERIOD
 """Where the motion is fastest; the cold solve there is not counted."""
 
@@ -126,28 +125,24 @@ def _rows(setting: Setting, cost: Costs) -> list[Row]:
 
 def write_cost_plot(path: Path, costs: Sequence[Costs], threads: int) -> None:
     """Milliseconds of a right-hand side over points, both logarithmic, with lines of slope 1."""
-    figure = new_figure(6.4, 4.4)
-    axes = figure.subplots()
-    for cost, (colour, marker) in zip(costs, STYLES, strict=False):
+    curves = []
+    for k, cost in enumerate(costs):
         milli = 1e3 * cost.median
-        axes.plot(
-            cost.points, milli[-1] * cost.points / cost.points[-1], color=colour, linestyle=":",
-            linewidth=1.0,
-        )  # fmt: skip
-        axes.plot(
-            cost.points, milli, color=colour, marker=marker, markersize=6, linewidth=1.6,
-            label=f"{cost.label}: time ~ points$^{{{cost.exponent:.2f}}}$",
-        )  # fmt: skip
-        axes.annotate(
-            f"{1e3 * milli[-1] / cost.points[-1]:.2g} µs a point",
-            (cost.points[-1], milli[-1]), xytext=(-10, 0), textcoords="offset points",
-            ha="right", va="bottom", color=colour,
-        )  # fmt: skip
-    axes.plot([], [], color="0.4", linestyle=":", linewidth=1.0, label="proportional to points")
-    axes.set(xscale="log", yscale="log", xlabel="stress points (five an element)")
-    axes.set_ylabel("a right-hand side (ms)")
-    axes.set_title(f"Cost of the macro scale and its stress law, {threads} threads", fontsize=11)
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False, loc="upper left")
-    axes.set_xlim(0.8 * np.min(costs[0].points), 1.25 * np.max(costs[0].points))
-    write_png(path, figure)
+        label = (
+            f"{cost.label} ~ points$^{{{cost.exponent:.2f}}}$, "
+            f"{1e3 * milli[-1] / cost.points[-1]:.2g} µs a point"
+        )
+        curves.append(Curve(cost.label, cost.points, milli, label, colour=k))
+        proportional = milli[-1] * cost.points / cost.points[-1]
+        dotted = "" if k else "proportional to points"
+        curves.append(
+            Curve("", cost.points, proportional, dotted, markers=False, colour=k, dash=":")
+        )
+    panel = Panel(
+        x_label="stress points (five an element)",
+        y_label="a right-hand side (ms)",
+        curves=tuple(curves),
+        log_x=True,
+        log_y=True,
+    )
+    write_figure(path, f"Cost of the macro scale and its stress law, {threads} threads", [panel])

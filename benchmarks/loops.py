@@ -31,7 +31,7 @@ def repeat_evaluation(
     for _ in range(times):
         for t in range(z.shape[0]):
             work.z[:, :own] = z[t]
-            evaluate(work, Drive(F[t], rate[t]), topology, c, stress, residual)
+            evaluate(work, Drive(F[t], rate[t]), True, topology, c, stress, residual)
             forces[t] = work.f[:, :own]
 
 
@@ -93,7 +93,7 @@ def central_differences(
                 for sign in (1.0, -1.0):
                     work.z[:, :own] = z[t]
                     work.z[:, i] += sign * step * inverse[t, :, axis]
-                    evaluate(work, Drive(F[t], rate[t]), topology, c, stress, residual)
+                    evaluate(work, Drive(F[t], rate[t]), True, topology, c, stress, residual)
                     for j in range(own):
                         for b in range(2):
                             change = sign * work.f[b, j] / (2.0 * step)

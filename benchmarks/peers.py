@@ -82,7 +82,7 @@ def run(setting: Setting) -> list[Row]:
 
 
 def _ours(setting: Setting, tissue: Tissue) -> float:
-    width, height = (float(length) for length in tissue.size)
+    width, height = (count * tissue.cell.cell_side for count in tissue.cells)
     load = LoadCase(width=width, height=height, watched=(width, 0.5 * height))
     dynamics = clamped_and_loaded(load, tissue, TissueSettings())
     steps = setting.pick(500, 50)

@@ -73,7 +73,7 @@ class Setting:
         return replace(
             shipped,
             path=self.out / name,
-            data_file=f"{stem}.h5",
+            samples=replace(shipped.samples, file=f"{stem}.h5"),
             training_file=f"{stem}.safetensors",
         )
 

@@ -11,9 +11,9 @@ import difflib
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.errors import FileError, InputError
@@ -23,7 +23,7 @@ from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_settings, check_value, setting
+from surrofe2.settings import check_settings, check_value, hints_of, setting
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 from surrofe2.units import NONE
@@ -33,11 +33,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleSettings:
-    """How many samples of the range, by which seed of the low-discrepancy sequence."""
+    """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
 
     count: int = setting(16384, "number of samples", least=1)
     seed: int = setting(1, "of the sequence", least=0)
     tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
+    file: str | None = setting(None, "of the data set, relative to the recipe")
+    add: tuple[str, ...] = setting((), "harvests that training takes in besides the data set")
 
     def __post_init__(self) -> None:
         check_settings(self, "samples")
@@ -51,7 +53,7 @@ class Recipe:
     preset: str
     cell: CellParameters
     rve: RveSettings
-    range: SamplingRange
+    range: SamplingRange | None = None
     samples: SampleSettings
     training: TrainingSettings
     calibration: CalibrationSettings
@@ -60,13 +62,24 @@ class Recipe:
     tissue: TissueSettings
     table: TableSettings
     cache: CacheSettings = field(default_factory=CacheSettings)
-    data_file: str | None = None
     training_file: str | None = None
-    added_files: tuple[str, ...] = ()
+
+    def sampling_range(self) -> SamplingRange:
+        """The range of (F, Ḟ), for what cannot do without.
+
+        Raises:
+            InputError: the recipe has none.
+        """
+        if self.range is None:
+            raise InputError(
+                f"{self.path.name}: range: missing; this command needs the section [range] with "
+                "stretch, shear and rate (1/µs)"
+            )
+        return self.range
 
     def data_path(self) -> Path:
         """Where the data set lies."""
-        return self._path_of("samples", self.data_file, "data set (.h5)")
+        return self._path_of("samples", self.samples.file, "data set (.h5)")
 
     def training_path(self) -> Path:
         """Where the trained surrogate lies."""
@@ -74,7 +87,7 @@ class Recipe:
 
     def added_paths(self) -> tuple[Path, ...]:
         """Harvests that training takes in besides the data set."""
-        return tuple(Path(os.path.normpath(self.path.parent / name)) for name in self.added_files)
+        return tuple(Path(os.path.normpath(self.path.parent / name)) for name in self.samples.add)
 
     def _path_of(self, section: str, file: str | None, what: str) -> Path:
         if file is None:
@@ -86,39 +99,28 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        names = (
-            "rve", "range", "samples", "training", "calibration", "load", "macro", "tissue",
-            "table", "cache",
-        )  # fmt: skip
-        sections = {name: asdict(getattr(self, name)) for name in names}
+        entries = asdict(self)
+        sections = {name: entries[name] for name in SECTIONS if entries[name] is not None}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
-        sections["samples"]["file"] = self.data_file
-        sections["samples"]["add"] = self.added_files
         sections["training"]["file"] = self.training_file
         plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
         return plainly
 
 
 SECTIONS: dict[str, type] = {
-    "cell": CellParameters,
-    "rve": RveSettings,
-    "range": SamplingRange,
-    "samples": SampleSettings,
-    "training": TrainingSettings,
-    "calibration": CalibrationSettings,
-    "load": LoadCase,
-    "macro": MacroSettings,
-    "tissue": TissueSettings,
-    "table": TableSettings,
-    "cache": CacheSettings,
+    name: kind
+    for name, hint in hints_of(Recipe).items()
+    for kind in (get_args(hint) or (hint,))
+    if isinstance(kind, type) and is_dataclass(kind)
 }
-_EXTRA_KEYS: dict[tuple[str, str], tuple[Any, Any]] = {
-    ("cell", "preset"): (str, "printed"),
-    ("samples", "file"): (str | None, None),
-    ("samples", "add"): (tuple[str, ...], ()),
-    ("training", "file"): (str | None, None),
+"""The fields of a recipe that are settings, by name."""
+_NOT_NEEDED = ("range",)
+"""Sections that a recipe may do without; each other one has a default for all it must have."""
+_EXTRA_KEYS: dict[str, tuple[str, Any, Any]] = {
+    "cell": ("preset", str, "printed"),
+    "training": ("file", str | None, None),
 }
-"""Keys besides the fields of the sections: type and default."""
+"""Keys besides the fields of the sections: name, type and default."""
 
 
 def load_recipe(path: str | Path) -> Recipe:
@@ -154,31 +156,29 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
     given = {name: dict(table.get(name, {})) for name in SECTIONS}
     extras: dict[str, Any] = {}
-    for (section, key), (kind, default) in _EXTRA_KEYS.items():
+    for section, (key, kind, default) in _EXTRA_KEYS.items():
         value = given[section].pop(key, default)
-        extras[f"{section}.{key}"] = check_value(f"{section}.{key}", value, kind, {})
-    preset = extras["cell.preset"]
+        extras[section] = check_value(f"{section}.{key}", value, kind, {})
     made: dict[str, Any] = {
-        name: _make(name, kind, given[name], [key for part, key in _EXTRA_KEYS if part == name])
+        name: _make(name, kind, given[name])
         for name, kind in SECTIONS.items()
-        if name != "cell"
+        if name in table or name not in _NOT_NEEDED
     }
-    _make("cell", CellParameters, given["cell"], ["preset"])
-    return Recipe(
-        path=path,
-        preset=preset,
-        cell=CellParameters.preset(preset, **given["cell"]),
-        data_file=extras["samples.file"],
-        training_file=extras["training.file"],
-        added_files=extras["samples.add"],
-        **made,
-    )
+    preset = extras["cell"]
+    made["cell"] = CellParameters.preset(preset, **given["cell"])
+    return Recipe(path=path, preset=preset, training_file=extras["training"], **made)
 
 
-def _make(section: str, kind: type[T], table: Mapping[str, Any], extras: Iterable[str] = ()) -> T:
+def changed(settings: T, **given: Any) -> T:
+    """The settings of a section with other entries; None leaves an entry as it is."""
+    wanted = {name: value for name, value in given.items() if value is not None}
+    return replace(settings, **wanted)  # type: ignore[type-var]
+
+
+def _make(section: str, kind: type[T], table: Mapping[str, Any]) -> T:
     """The dataclass of a section; its constructor checks types and bounds."""
     items = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    known = [*items, *extras]
+    known = [*items, *_EXTRA_KEYS.get(section, ())[:1]]
     for key in table:
         if key not in known:
             raise InputError(_unknown(f"{section}.{key}", key, "key", known))

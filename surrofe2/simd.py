@@ -8,11 +8,12 @@ of the machine. Arrays with the lanes last are read and written whole::
 
 ``+ - * /`` and unary minus work between lanes, and between lanes and a float. Plain loops over
 lanes leave the compiler to prove that arrays do not overlap; here a whole vector is read before
-another is written.
+another is written. At the end, tanh of plain arrays that the compiler can do so by itself.
 """
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -22,7 +23,7 @@ from numba.core import cgutils, types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from surrofe2.compilation import FAST
+from surrofe2.compilation import FAST, compiled
 
 TILE = 8
 
@@ -81,9 +82,6 @@ for _symbol, _method in (
     (operator.sub, "fsub"),
     (operator.mul, "fmul"),
     (operator.truediv, "fdiv"),
-):
-    _operator(_symbol, _method)
-for _symbol, _method in (
     (operator.iadd, "fadd"),
     (operator.isub, "fsub"),
     (operator.imul, "fmul"),
@@ -222,3 +220,80 @@ def where_less(typing: Any, left: Any, right: Any, yes: Any, no: Any) -> Any:
 
     kinds = [LANES if kind is LANES else types.float64 for kind in (left, right, yes, no)]
     return LANES(*kinds), generate
+
+
+# without nnan and ninf, so that NaN stays NaN; without reassoc, so that the split of ln 2 holds
+_OPTIONS = {"fastmath": {"nsz", "contract"}, "error_model": "numpy"}
+
+
+@intrinsic
+def _float_of_bits(context: Any, bits: Any) -> Any:
+    """The float64 whose bits are those of an int64."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.bitcast(values[0], ir.DoubleType())
+
+    return types.float64(types.int64), generate
+
+
+@intrinsic
+def _bits_of_float(context: Any, number: Any) -> Any:
+    """The bits of a float64 as an int64."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.bitcast(values[0], ir.IntType(64))
+
+    return types.int64(types.float64), generate
+
+
+# (e^r − 1 − r)/r², interpolated where a Chebyshev polynomial of degree 10 is 0: to 2e-17 of e^r
+_Q0, _Q1, _Q2, _Q3, _Q4, _Q5, _Q6, _Q7, _Q8, _Q9 = (
+    0.5000000000000001,
+    0.16666666666666669,
+    0.04166666666662413,
+    0.008333333333330062,
+    0.0013888888917213717,
+    0.00019841269863053618,
+    2.4801521295954376e-05,
+    2.7557268459997064e-06,
+    2.7620088445409746e-07,
+    2.510038549551032e-08,
+)
+_LOG2_E = 1.0 / math.log(2.0)
+_LN2 = math.log(2.0)  # its rounding shifts y by 1e-16 of itself
+_TO_INTEGER = 1.5 * 2.0**52  # added to a number it leaves its nearest integer in the low bits
+_MOST = 40.0  # tanh 20 is 1 to the last bit
+
+
+@compiled(**_OPTIONS)
+def _tanh(y: float) -> float:
+    """1 − 2/(e^2y + 1), with e^2y = 2^k e^r, k an integer and |r| ≤ ½ ln 2.
+
+    e^r is a polynomial, 2^k is written into the exponent bits: no branch, no call, no table, so
+    that loops become SIMD instructions. The absolute error is below 1e-15; of NaN it is NaN.
+    """
+    z = 2.0 * y
+    z = _MOST if z > _MOST else z
+    z = -_MOST if z < -_MOST else z
+    shifted = z * _LOG2_E + _TO_INTEGER
+    r = z - (shifted - _TO_INTEGER) * _LN2
+    q = _Q9 * r + _Q8
+    q = q * r + _Q7
+    q = q * r + _Q6
+    q = q * r + _Q5
+    q = q * r + _Q4
+    q = q * r + _Q3
+    q = q * r + _Q2
+    q = q * r + _Q1
+    q = q * r + _Q0
+    e = (q * r + 1.0) * r + 1.0
+    e *= _float_of_bits((_bits_of_float(shifted) + 1023) << 52)
+    t = 1.0 - 2.0 / (e + 1.0)
+    return t if y == y else y
+
+
+@compiled(**_OPTIONS)
+def fill_tanh(y: Any) -> None:
+    """Replace each of the numbers y (n,) by its tanh."""
+    for k in range(y.shape[0]):
+        y[k] = _tanh(y[k])

@@ -38,21 +38,12 @@ LONG_KERNELS = 12
 LONG_FUNCTIONS = {"run"}
 """Functions with more than eight arguments. run: the options of a command."""
 
-LOCAL_IMPORTS = {"cache/audit.py"}
-"""Files with imports inside functions of more than torch and matplotlib.
-
-cache/audit.py: scipy.spatial takes long to import, and a run without audits needs none of it.
-"""
-
 INTROSPECTION = {
-    "__init__.py": "public names are imported when they are asked for",
-    "surrogate/__init__.py": "public names are imported when they are asked for",
+    "public_names.py": "public names are imported when they are asked for",
     "simd.py": "instructions of llvmlite by name",
     "cli/__init__.py": "commands are imported when they are called; streams of other programs",
-    "io/tables.py": "",
-    "recipe.py": "",
 }
-"""Files that call getattr or hasattr, and why they may; those without a reason are to go."""
+"""Files that call getattr or hasattr, and why they may."""
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +93,7 @@ def test_no_function_takes_more_than_eight_arguments(trees):
 
 def test_functions_import_nothing_but_what_is_heavy(trees):
     found = {name: set(local_imports(tree)) - set(HEAVY) for name, tree in trees.items()}
-    wrong = {
-        name: imports for name, imports in found.items() if imports and name not in LOCAL_IMPORTS
-    }
+    wrong = {name: imports for name, imports in found.items() if imports}
     assert not wrong
 
 

@@ -132,6 +132,18 @@ def test_missing_key(changed_recipe):
     assert message(InputError, path) == "recipe.toml: range.shear: missing; it must be given"
 
 
+def test_a_missing_range_is_told_by_the_command_that_needs_it(changed_recipe):
+    path = changed_recipe("[range]\nstretch = [0.95, 1.05]\nshear = 0.05\nrate = 0.01\n", "")
+    recipe = load_recipe(path)
+    assert "range" not in recipe.to_dict()
+    with pytest.raises(InputError) as caught:
+        recipe.sampling_range()
+    assert str(caught.value) == (
+        "recipe.toml: range: missing; this command needs the section [range] with stretch, shear "
+        "and rate (1/µs)"
+    )
+
+
 def test_missing_file_key_is_told_by_the_command_that_needs_it(changed_recipe):
     recipe = load_recipe(changed_recipe('file = "cells.h5"\n', ""))
     with pytest.raises(InputError) as caught:

@@ -6,15 +6,15 @@ kept steps: `audit` finds how wrong the answers were, `trust` draws the conclusi
 whether it pays. `table` is a surrogate that learns as it is used.
 """
 
-from surrofe2.cache.cached_law import CachedLaw
-from surrofe2.cache.settings import CacheSettings, TableSettings
-from surrofe2.cache.table.stress_table import ChainedSurrogate, StressTable, sampled_spread
+from __future__ import annotations
 
-__all__ = [
-    "CacheSettings",
-    "CachedLaw",
-    "ChainedSurrogate",
-    "StressTable",
-    "TableSettings",
-    "sampled_spread",
-]
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.cache.cached_law import CachedLaw
+    from surrofe2.cache.settings import CacheSettings, TableSettings
+    from surrofe2.cache.table.stress_table import ChainedSurrogate, StressTable, sampled_spread
+
+__getattr__, __dir__ = public_names(__name__)

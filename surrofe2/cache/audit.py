@@ -242,7 +242,5 @@ def together(F: Array, F_dot: Array) -> Array:
 
 def nearest(known: Array, asked: Array) -> Indices:
     """(n,) the place in `known` (k, 8), k ≥ 1, that is nearest to each of `asked` (n, 8)."""
-    from scipy.spatial import cKDTree  # here, because it takes long to import
-
-    place: Indices = cKDTree(known).query(asked)[1].astype(np.intp)
-    return place
+    places = [((known - one) ** 2).sum(axis=1).argmin() for one in asked]
+    return np.array(places, dtype=np.intp)

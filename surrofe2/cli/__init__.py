@@ -1,11 +1,13 @@
 """The command line: parse, call a workflow, print what came of it.
 
-`COMMANDS` names each command with its line of help; the module of a command is imported when the
-command is called, so `surrofe2 --help` imports nothing heavy.
+`COMMANDS` names each command with its line of help. The module of a command has its name, or stands
+in `MODULES`; it is imported when the command is called, so `surrofe2 --help` imports nothing heavy.
 """
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
 import shlex
 import sys
@@ -35,6 +37,8 @@ COMMANDS = {
     "memory": "Whether a cache on (F, Ḟ) is sound: does stress depend on the past?",
     "table": "Show and merge the tables that runs by --law table leave behind.",
 }
+
+MODULES = {"refine": "train", "sweep": "compare"}
 
 _HELP = """
 FE² for plant tissue, true or through a learnt stress cache.
@@ -84,7 +88,7 @@ class Commands(TyperGroup):
         name, shown, rest = super().resolve_command(ctx, args)
         if name is None or shown is None:
             return name, shown, rest
-        found = getattr(import_module(f"surrofe2.cli.{name}"), name)
+        found = getattr(import_module(f"surrofe2.cli.{MODULES.get(name, name)}"), name)
         if isinstance(found, typer.Typer):
             command: Any = typer.main.get_command(found)
         else:
@@ -169,7 +173,13 @@ def options(
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line.
+
+    Libraries and kernels are a million objects that stay: to look for garbage among them over and
+    over, and once more at the end, would take a fifth of a short command.
+    """
+    gc.set_threshold(100_000)
+    atexit.register(gc.freeze)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

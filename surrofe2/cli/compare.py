@@ -1,22 +1,31 @@
-"""`surrofe2 compare`."""
+"""`surrofe2 compare` and `surrofe2 sweep`: runs against each other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from surrofe2.cli.console import Fresh, print_line, show_table
+from surrofe2.cli import console
+from surrofe2.recipe import changed
 from surrofe2.report.comparison import Comparison
-from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs
+from surrofe2.workflow.comparison import (
+    COMPARISON_FILES,
+    SWEEP_FILES,
+    compare_runs,
+    parse_tolerances,
+    run_sweep,
+)
+from surrofe2.workflow.laws import open_study
 
 
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Run folders, two or more.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")],
-    fresh: Fresh = False,
+    out: console.OutFolder,
+    fresh: console.Fresh = False,
 ) -> None:
     """Compare displacement curves and costs of runs of one load case.
 
@@ -28,25 +37,60 @@ def compare(
     """
     result = compare_runs(runs, out, fresh=fresh)
     show_comparison(result)
-    print_line(f"{out}: {' and '.join(COMPARISON_FILES)}")
+    console.print_line(f"{out}: {' and '.join(COMPARISON_FILES)}")
+
+
+def sweep(
+    recipe: console.RecipeFile,
+    out: console.OutFolder,
+    tolerances: Annotated[
+        str, typer.Option(metavar="X,…", help="Stress tolerances, shares of the spread of stress.")
+    ] = "1e-1,3e-2,1e-2,3e-3,1e-3,3e-4,1e-4",
+    audit: console.Audit = None,
+    surrogate: console.SurrogateFile = None,
+    threads: console.Threads = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Run the load case at several stress tolerances: what a tolerance buys.
+
+    DIR receives a run folder for true FE² and for each tolerance, sweep.json and sweep.png: error
+    of stress and displacement, hits and speed-up over tolerance.
+
+    Example: [bold]surrofe2 sweep data/bending-bar.toml --out out/sweep[/bold]
+    """
+    study = open_study(recipe, threads)
+    study = replace(study, cache=changed(study.cache, audit=audit))
+    numbers = parse_tolerances(tolerances)
+    with console.on_interrupt(f"{out} keeps what is finished"):
+        result = run_sweep(
+            study, out, numbers, surrogate_file=surrogate, fresh=fresh, stage=console.progress
+        )
+    title = f"Against true FE² of {result.reference.wall_time:.3g} s"
+    console.show_table(title, *result.table.for_people())
+    console.print_line(
+        "stress error: what 99 % of the audited answers keep, and how many were above the "
+        "tolerance; right-hand sides: of those of true FE²"
+    )
+    console.print_line(f"{out}: {' and '.join(SWEEP_FILES)} written")
 
 
 def show_comparison(result: Comparison, of: str = "") -> None:
     """The figures of a comparison as a table."""
     title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
-    show_table(title, *result.table.for_people())
+    console.show_table(title, *result.table.for_people())
     for run in result.runs:
-        if run.audit is not None and run.audit["audited"]:
-            print_line(f"{run.name}: {audit_line(run.audit)}")
+        if run.cache and run.cache["audit"]["audited"]:
+            console.print_line(f"{run.name}: {audit_line(run.cache)}")
 
 
-def audit_line(audit: Mapping[str, Any]) -> str:
-    """What an audit found, in short."""
+def audit_line(cache: Mapping[str, Any]) -> str:
+    """What the audit of a cached run found, in short."""
+    audit = cache["audit"]
     quantiles = ", ".join(
         f"{value:.2g} µN/µm at {100 * float(share):g} %"
         for share, value in audit["quantiles"].items()
     )
-    off = "; the cache was switched off" if audit["trust"]["off"] else ""
+    off = "; the cache was switched off" if cache["trust"]["off"] else ""
     return (
         f"{audit['audited']} answers audited, {audit['violations']} above the tolerance of "
         f"{float(audit['tolerance']):.2g} µN/µm; error {quantiles}{off}"

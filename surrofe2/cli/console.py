@@ -1,4 +1,4 @@
-"""What a user sees while a command works, and when it fails."""
+"""What a user sees while a command works, and when it fails; the options that commands share."""
 
 from __future__ import annotations
 
@@ -73,6 +73,13 @@ def on_interrupt(what: str) -> Iterator[None]:
 
 
 @contextmanager
+def working(what: str, total: float, unit: str, kept: str) -> Iterator[Report]:
+    """Show the progress of work, and say what was kept where Ctrl-C ends it."""
+    with on_interrupt(kept), progress(what, total, unit) as report:
+        yield report
+
+
+@contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
     """A function (done, note) that shows how far work is, at which rate, and the time left.
 
@@ -128,17 +135,30 @@ def _lines(what: str, total: float) -> Report:
 AnyInitialisation = Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"]
 
 RecipeFile = Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")]
-RunFolder = Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")]
+OutFolder = Annotated[Path, typer.Option(metavar="DIR", help="The folder to write.")]
 JsonFile = Annotated[Path | None, typer.Option(metavar="FILE", help="All numbers as JSON.")]
 SurrogateFile = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Surrogate file; default: the recipe's."),
 ]
-Preset = Annotated[
-    Literal["printed", "water"], typer.Option(help="Fluid particles of 2.7 or 0.27 ng.")
+CellName = Annotated[
+    str,
+    typer.Option(
+        "--cell",
+        "--preset",
+        metavar="NAME|RECIPE",
+        help="printed or water, with fluid particles of 2.7 or 0.27 ng, or a TOML file.",
+    ),
 ]
 Initialisation = Annotated[
     str | None, typer.Option(help="How RVEs are initialised; default: the recipe's.")
+]
+Audit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        help="Share of the cache's answers that RVEs check, 1: all; default: the recipe's.",
+    ),
 ]
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")

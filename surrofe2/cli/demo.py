@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from surrofe2.cli import console
 from surrofe2.cli.compare import show_comparison
-from surrofe2.cli.console import Fresh, on_interrupt, print_line, progress
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.demo import run_demo
 from surrofe2.workflow.run_lifecycle import time_text
@@ -19,10 +19,8 @@ def demo(
     recipe: Annotated[
         Path, typer.Option("--recipe", metavar="RECIPE", help="The study's TOML file.")
     ] = Path("data/bending-bar.toml"),
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for runs and picture.")] = Path(
-        "out/demo"
-    ),
-    fresh: Fresh = False,
+    out: console.OutFolder = Path("out/demo"),
+    fresh: console.Fresh = False,
 ) -> None:
     """The bending bar by true and by cached FE²: data set, training, runs, comparison.
 
@@ -33,13 +31,13 @@ def demo(
     """
     study = load_recipe(recipe)
     begin = time.perf_counter()
-    with on_interrupt("finished steps and the samples so far are kept"):
-        found = run_demo(study, out, fresh=fresh, stage=progress, tell=print_line)
+    with console.on_interrupt("finished steps and the samples so far are kept"):
+        found = run_demo(study, out, fresh=fresh, stage=console.progress, tell=console.print_line)
     for title, comparison in found:
         show_comparison(comparison, title)
-    print_line(
+    console.print_line(
         "wall time and speed-up: of the runs alone, both warm; imports and warm-up before them, "
         "data set and training are not in them"
     )
     taken = time_text(time.perf_counter() - begin)
-    print_line(f"done in {taken}: {out / 'comparison/comparison.png'}")
+    console.print_line(f"done in {taken}: {out / 'comparison/comparison.png'}")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import AnyInitialisation, Fresh, JsonFile, Preset, print_line, show_table
+from surrofe2.cli.console import (
+    AnyInitialisation,
+    CellName,
+    Fresh,
+    JsonFile,
+    print_line,
+    show_table,
+)
 from surrofe2.io.files import is_there, write_json
-from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.study import NamedCell
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.studies.moduli import (
     CHANGES,
@@ -22,7 +28,7 @@ from surrofe2.studies.moduli import turgor as turgor_of
 
 
 def moduli(
-    preset: Preset = "printed",
+    cell: CellName = "printed",
     initialisation: Annotated[
         AnyInitialisation, typer.Option(help="One initialisation, or all.")
     ] = "all",
@@ -41,37 +47,35 @@ def moduli(
     From the exact tangents of the stress at F = I. The turgor is the mean of c_s² ρ over the fluid
     particles, over the tissue's thickness; it is set by the fluid's mass.
 
-    Example: [bold]surrofe2 moduli --preset water --tables[/bold]
+    Example: [bold]surrofe2 moduli --cell water --tables[/bold]
     """
-    cell = CellParameters.preset(preset)
+    of = NamedCell.of(cell)
     if turgor is not None:
-        cell = with_turgor(cell, turgor)
-    asked = {
-        "version": version("surrofe2"),
-        "cell": cell.to_dict(),
-        "asked": {"initialisation": initialisation, "tables": tables},
-    }
+        of = NamedCell(with_turgor(of.cell, turgor), of.name, of.source)
+    asked = of.identity({"initialisation": initialisation, "tables": tables})
     if out is not None and not fresh and is_there(out, asked):
         print_line(f"{out}: there already")
         return
-    pressure = turgor_of(cell)
+    pressure = turgor_of(of.cell)
     print_line(
-        f"preset {preset}, fluid particles of {cell.fluid_particle_mass:.5g} ng: turgor "
+        f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the fluid)"
     )
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
-    found = {name: cell_moduli(cell, name) for name in chosen}
-    shown = moduli_tables(cell, found)
-    if tables:
+    shown = moduli_tables(of.cell, {name: cell_moduli(of.cell, name) for name in chosen})
+    for title, table in shown.items():
+        show_table(title, *table.for_people())
+    for name, change in CHANGES.items() if tables else ():
         method = "slow-manifold" if initialisation == "all" else initialisation
-        for name, change in CHANGES.items():
-            title = f"Over {name}, {method}: MPa, MPa µs"
-            shown[title] = changed_cells(cell, method, change)
-    for title, each in shown.items():
-        show_table(title, *each.for_people())
+        title = f"Over {name}, {method}: MPa, MPa µs"
+        table = changed_cells(of.cell, method, change)
+        show_table(title, *table.for_people())
+        for row in table.rows:
+            if row.trouble:
+                print_line(f"{name} {row.value:.4g}: {row.trouble}")
+        shown[title] = table
     if out is not None:
         turgors = {"turgor_mean_MPa": pressure.mean, "turgor_virial_MPa": pressure.virial}
-        records = {title: each.to_records() for title, each in shown.items()}
-        about = {"preset": preset, "fingerprint": cell.fingerprint}
-        write_json(out, {**asked, **about, **turgors, "tables": records})
+        records = {title: table.to_records() for title, table in shown.items()}
+        write_json(out, {**asked, "fingerprint": of.cell.fingerprint, **turgors, "tables": records})
         print_line(str(out))

@@ -8,14 +8,15 @@ from typing import Annotated, Literal
 import typer
 
 from surrofe2.cli.console import (
+    CellName,
     Fresh,
-    Preset,
     integers,
     on_interrupt,
     print_line,
     progress,
     show_table,
 )
+from surrofe2.report.study import NamedCell
 from surrofe2.workflow.reproduce import CURVES, Bars, reproduce_figure
 
 Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability"]
@@ -24,7 +25,7 @@ Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stabilit
 def reproduce(
     figure: Annotated[Figure, typer.Argument(help="Which figure.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figure's files.")],
-    preset: Preset = "printed",
+    cell: CellName = "printed",
     meshes: Annotated[
         str | None,
         typer.Option(
@@ -55,20 +56,20 @@ def reproduce(
     equilibrium. The last four are not in the paper; fig8, scales and damping keep each run's
     curve in DIR/curves.
 
-    Example: [bold]surrofe2 reproduce fig5 --preset water --out out/paper[/bold]
+    Example: [bold]surrofe2 reproduce fig5 --cell water --out out/paper[/bold]
 
     Next: look at DIR/fig5-water.png; [bold]surrofe2 reproduce fig8[/bold] compares whole bars.
     """
+    of = NamedCell.of(cell)
     bars = Bars(
-        meshes=integers("--meshes", meshes) if meshes else (),
+        meshes=integers("--meshes", meshes or ("4,8" if figure == "fig8" else "4,8,16")),
         sizes=integers("--sizes", sizes),
         tissue=tissue,
         duration=duration,
     )
     with on_interrupt(f"{out / CURVES} keeps the finished curves of bars"):
-        study, paths = reproduce_figure(figure, preset, out, bars, fresh=fresh, stage=progress)
+        study, paths = reproduce_figure(figure, of, out, bars, fresh=fresh, stage=progress)
     if study is not None:
-        title = f"{study.name}: {' '.join(study.title.split())}"
-        show_table(title, *study.table.for_people())
+        show_table(f"{' '.join(study.title.split())}, {of}", *study.table.for_people())
     for path in paths:
         print_line(f"{path}: there already" if study is None else str(path))

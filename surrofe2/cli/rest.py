@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import (
-    Fresh,
-    Initialisation,
-    RecipeFile,
-    RunFolder,
-    Threads,
-    on_interrupt,
-    print_line,
-    progress,
-)
-from surrofe2.recipe import load_recipe
-from surrofe2.workflow.laws import use_threads
+from surrofe2.cli import console
+from surrofe2.recipe import changed
+from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.rest import rest_study, rest_summary
-from surrofe2.workflow.run import change_rve
 
 
 def rest(
-    recipe: RecipeFile,
-    out: RunFolder,
+    recipe: console.RecipeFile,
+    out: console.OutFolder,
     factor: Annotated[float, typer.Option(help="Of the recipe's body force, at the end.")] = 1.0,
     load_steps: Annotated[
         int, typer.Option(min=1, metavar="N", help="Load steps; halved where one fails.")
     ] = 10,
-    initialisation: Initialisation = None,
-    threads: Threads = None,
-    fresh: Fresh = False,
+    initialisation: console.Initialisation = None,
+    threads: console.Threads = None,
+    fresh: console.Fresh = False,
 ) -> None:
     """Find the tissue at rest under the recipe's body force, by true FE², without time.
 
@@ -43,18 +34,10 @@ def rest(
 
     Next: [bold]surrofe2 modes data/bending-bar.toml[/bold]
     """
-    study = change_rve(load_recipe(recipe), initialisation)
-    use_threads(threads)
-    with (
-        on_interrupt(f"{out} keeps the load steps up to here"),
-        progress("rest", 1.0, "loads") as report,
-    ):
+    study = open_study(recipe, threads)
+    study = replace(study, rve=changed(study.rve, initialisation=initialisation))
+    with console.working("rest", 1.0, "loads", f"{out} keeps the load steps up to here") as report:
         record = rest_study(
-            study,
-            out,
-            factor=factor,
-            load_steps=load_steps,
-            fresh=fresh,
-            report=report,
+            study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )
-    print_line(f"{out}: {rest_summary(record)}")
+    console.print_line(f"{out}: {rest_summary(record)}")

@@ -8,79 +8,53 @@ from typing import Annotated, Literal
 
 import typer
 
-from surrofe2.cli.console import (
-    KEPT_RUN,
-    Fresh,
-    Initialisation,
-    RecipeFile,
-    RunFolder,
-    SurrogateFile,
-    Threads,
-    on_interrupt,
-    print_error,
-    print_line,
-    progress,
-)
-from surrofe2.recipe import load_recipe
-from surrofe2.workflow.laws import use_threads
-from surrofe2.workflow.run import cache_notes, change_cache, change_rve, run_study, run_summary
-
-Law = Annotated[
-    Literal["rve", "surrogate", "cached", "table"],
-    typer.Option(
-        help="True RVEs, the surrogate alone, the surrogate with RVEs where it is out of "
-        "its range, or a table that learns from RVEs as it goes, without any training."
-    ),
-]
-Tables = Annotated[
-    list[Path] | None,
-    typer.Option(
-        metavar="FILE",
-        help="Table (.h5) to start from, e.g. table.h5 of an earlier run; more than one are "
-        "merged. Default: an empty one.",
-    ),
-]
-Harvest = Annotated[
-    bool, typer.Option(help="Keep the true answers of cached runs in DIR/harvest.h5.")
-]
-Solver = Annotated[
-    str | None, typer.Option(help="How constrained runs are solved; default: the recipe's.")
-]
-Integrator = Annotated[
-    Literal["explicit", "implicit"] | None,
-    typer.Option(help="Time integration (implicit: not --law table); default: the recipe's."),
-]
-Tolerance = Annotated[
-    float | None,
-    typer.Option(
-        metavar="X",
-        help="Cached: allowed error of a stress relative to the spread of stress; default: "
-        "the recipe's.",
-    ),
-]
-Audit = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SHARE",
-        help="Cached: share of its answers that RVEs check, 1: all; default: the recipe's.",
-    ),
-]
+from surrofe2.cli import console
+from surrofe2.recipe import changed
+from surrofe2.workflow.laws import open_study
+from surrofe2.workflow.run import cache_notes, run_study, run_summary
 
 
 def run(
-    recipe: RecipeFile,
-    law: Law,
-    out: RunFolder,
-    surrogate: SurrogateFile = None,
-    table: Tables = None,
-    harvest: Harvest = True,
-    initialisation: Initialisation = None,
-    solver: Solver = None,
-    integrator: Integrator = None,
-    tolerance: Tolerance = None,
-    audit: Audit = None,
-    threads: Threads = None,
-    fresh: Fresh = False,
+    recipe: console.RecipeFile,
+    law: Annotated[
+        Literal["rve", "surrogate", "cached", "table"],
+        typer.Option(
+            help="True RVEs, the surrogate alone, the surrogate with RVEs where it is out of "
+            "its range, or a table that learns from RVEs as it goes, without any training."
+        ),
+    ],
+    out: console.OutFolder,
+    surrogate: console.SurrogateFile = None,
+    table: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; more than one are "
+            "merged. Default: an empty one.",
+        ),
+    ] = None,
+    harvest: Annotated[
+        bool, typer.Option(help="Keep the true answers of cached runs in DIR/harvest.h5.")
+    ] = True,
+    initialisation: console.Initialisation = None,
+    solver: Annotated[
+        str | None, typer.Option(help="How constrained runs are solved; default: the recipe's.")
+    ] = None,
+    integrator: Annotated[
+        Literal["explicit", "implicit"] | None,
+        typer.Option(help="Time integration (implicit: not --law table); default: the recipe's."),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Cached: allowed error of a stress relative to the spread of stress; default: "
+            "the recipe's.",
+        ),
+    ] = None,
+    audit: console.Audit = None,
+    threads: console.Threads = None,
+    fresh: console.Fresh = False,
 ) -> None:
     """Run the recipe's load case: a tissue clamped at its left, pulled by a body force.
 
@@ -92,15 +66,15 @@ def run(
 
     Next: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
     """
-    study = change_rve(load_recipe(recipe), initialisation, solver)
-    study = change_cache(study, tolerance, audit)
-    if integrator is not None:
-        study = replace(study, macro=replace(study.macro, integrator=integrator))
-    use_threads(threads)
-    with (
-        on_interrupt(KEPT_RUN.format(out)),
-        progress(f"run by {law}", study.load.duration, "µs") as report,
-    ):
+    study = open_study(recipe, threads)
+    study = replace(
+        study,
+        rve=changed(study.rve, initialisation=initialisation, solver=solver),
+        cache=changed(study.cache, tolerance=tolerance, audit=audit),
+        macro=changed(study.macro, integrator=integrator),
+    )
+    kept = console.KEPT_RUN.format(out)
+    with console.working(f"run by {law}", study.load.duration, "µs", kept) as report:
         record = run_study(
             study,
             law,
@@ -111,6 +85,6 @@ def run(
             fresh=fresh,
             report=report,
         )
-    print_line(f"{out}: {run_summary(record)}")
+    console.print_line(f"{out}: {run_summary(record)}")
     for sentence, is_warning in cache_notes(record):
-        (print_error if is_warning else print_line)(sentence)
+        (console.print_error if is_warning else console.print_line)(sentence)

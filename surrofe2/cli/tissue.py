@@ -12,24 +12,15 @@ import typer
 # the first kernel starts, and set to less by surrofe2.compilation unless it is set.
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
-from surrofe2.cli.console import (
-    KEPT_RUN,
-    Fresh,
-    RecipeFile,
-    RunFolder,
-    Threads,
-    on_interrupt,
-    print_line,
-    progress,
-)
-from surrofe2.recipe import load_recipe
-from surrofe2.workflow.laws import use_threads
+from surrofe2.cli import console
+from surrofe2.recipe import changed
+from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.tissue import resized, run_tissue, tissue_summary
 
 
 def tissue(
-    recipe: RecipeFile,
-    out: RunFolder,
+    recipe: console.RecipeFile,
+    out: console.OutFolder,
     cells: Annotated[
         tuple[int, int] | None,
         typer.Option(
@@ -41,8 +32,8 @@ def tissue(
     micro_step: Annotated[
         float | None, typer.Option(metavar="DT", help="Longest step in µs; default: the recipe's.")
     ] = None,
-    threads: Threads = None,
-    fresh: Fresh = False,
+    threads: console.Threads = None,
+    fresh: console.Fresh = False,
 ) -> None:
     """Run the recipe's load case on all particles of the tissue: what FE² approximates.
 
@@ -54,15 +45,11 @@ def tissue(
 
     Next: [bold]surrofe2 compare out/tissue out/rve --out out/comparison[/bold]
     """
-    study = load_recipe(recipe)
+    study = open_study(recipe, threads)
+    study = replace(study, tissue=changed(study.tissue, micro_step=micro_step))
     if cells is not None:
         study = resized(study, cells)
-    if micro_step is not None:
-        study = replace(study, tissue=replace(study.tissue, micro_step=micro_step))
-    use_threads(threads)
-    with (
-        on_interrupt(KEPT_RUN.format(out)),
-        progress("full tissue", study.load.duration, "µs") as report,
-    ):
+    kept = console.KEPT_RUN.format(out)
+    with console.working("full tissue", study.load.duration, "µs", kept) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
-    print_line(f"{out}: {tissue_summary(record)}")
+    console.print_line(f"{out}: {tissue_summary(record)}")

@@ -1,4 +1,4 @@
-"""`surrofe2 train`."""
+"""`surrofe2 train` and `surrofe2 refine`: a surrogate from a data set, and from its own runs."""
 
 from __future__ import annotations
 
@@ -8,23 +8,17 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import (
-    Fresh,
-    RecipeFile,
-    Threads,
-    on_interrupt,
-    print_line,
-    progress,
-    show_table,
-)
-from surrofe2.recipe import load_recipe
-from surrofe2.workflow.laws import use_threads
+from surrofe2.cli import console
+from surrofe2.errors import SimulationError
+from surrofe2.report.tables import Quantity, Table, percent
+from surrofe2.workflow.laws import open_study
+from surrofe2.workflow.refinement import QUANTITIES, SURROGATE, Round, refine_surrogate
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.train import STRESSES, train_surrogate, training_summary
 
 
 def train(
-    recipe: RecipeFile,
+    recipe: console.RecipeFile,
     add: Annotated[
         list[Path] | None,
         typer.Option(
@@ -32,8 +26,8 @@ def train(
             help="Harvest (harvest.h5) of a cached run to train on too; may be repeated.",
         ),
     ] = None,
-    fresh: Fresh = False,
-    threads: Threads = None,
+    fresh: console.Fresh = False,
+    threads: console.Threads = None,
 ) -> None:
     """Fit a surrogate of the plant-cell stress to the recipe's data set.
 
@@ -46,18 +40,66 @@ def train(
 
     Next: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
     """
-    study = load_recipe(recipe)
-    use_threads(threads)
+    study = open_study(recipe, threads)
     begin = time.perf_counter()
-    with on_interrupt("the iterations so far are kept"):
-        trained = train_surrogate(study, fresh=fresh, add=add or (), stage=progress)
+    with console.on_interrupt("the iterations so far are kept"):
+        trained = train_surrogate(study, fresh=fresh, add=add or (), stage=console.progress)
     errors = trained.surrogate.errors
-    rows = []
-    for name in STRESSES:
-        shares = [f"{100 * errors[figure][name]:.2g} %" for figure in ("rms", "worst")]
-        rows.append([name, f"{errors['spread'][name]:.3g}", *shares])
-    columns = ["stress", "spread (µN/µm)", "RMS", "worst"]
-    show_table(f"Held-out errors, {errors['points']} samples", columns, rows)
-    print_line(trained.bound)
+    quantities: list[Quantity[str]] = [
+        Quantity("stress", "", "", lambda name: name),
+        Quantity("spread", "µN/µm", ".3g", lambda name: errors["spread"][name]),
+        Quantity("RMS", "", percent(".2g"), lambda name: errors["rms"][name]),
+        Quantity("worst", "", percent(".2g"), lambda name: errors["worst"][name]),
+    ]
+    title = f"Held-out errors, {errors['points']} samples"
+    console.show_table(title, *Table(quantities, STRESSES).for_people())
+    console.print_line(trained.bound)
     taken = time_text(time.perf_counter() - begin)
-    print_line(f"{trained.path}: {training_summary(trained)}, {taken}")
+    console.print_line(f"{trained.path}: {training_summary(trained)}, {taken}")
+
+
+def refine(
+    recipe: console.RecipeFile,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the rounds; default: out/refine-RECIPE."),
+    ] = None,
+    rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds at most.")] = 6,
+    fresh: console.Fresh = False,
+    threads: console.Threads = None,
+) -> None:
+    """Teach the surrogate what the recipe's own run meets.
+
+    Runs through the cache, collects the states that the surrogate did not know well enough, asks
+    RVEs there and around, trains again, and so on until a run has no unknown state and its audit
+    holds. DIR receives refine.json (the table of rounds) and surrogate.safetensors.
+
+    Example: [bold]surrofe2 refine data/bending-bar-triple-load.toml[/bold]
+
+    Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.safetensors[/bold]
+    """
+    study = open_study(recipe, threads)
+    folder = out or Path("out") / f"refine-{recipe.stem}"
+    begin = time.perf_counter()
+    found: list[Round] = []
+
+    def tell(row: Round) -> None:
+        found.append(row)
+        console.print_line(row.sentence)
+
+    try:
+        with console.on_interrupt(f"{folder} keeps the finished rounds"):
+            refine_surrogate(
+                study, folder, rounds=rounds, fresh=fresh, stage=console.progress, tell=tell
+            )
+    except SimulationError:
+        show_rounds(found)
+        raise
+    show_rounds(found)
+    taken = time_text(time.perf_counter() - begin)
+    console.print_line(f"{folder / SURROGATE}: settled after {len(found)} rounds, {taken}")
+
+
+def show_rounds(found: list[Round]) -> None:
+    """The table of rounds."""
+    console.show_table("Rounds", *Table(QUANTITIES, found).for_people())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.append_arrays import Column, append_rows, completed, create_arrays
-from surrofe2.io.files import check_same, flat, opened_hdf5, plain, replacing
-from surrofe2.io.provenance import check_schema, stamp, stored_cell, stored_range
-from surrofe2.io.reference_states import attached
-from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.io.arrays import Column, append_rows, completed, create_arrays
+from surrofe2.io.files import check_same, flat, opened_hdf5, replacing
+from surrofe2.io.kept import attached
+from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, StressResponse, describe
@@ -42,21 +41,18 @@ _TANGENT_COLUMNS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DataSetHeader:
+class DataSetHeader(Origin):
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
     `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and the `reference` state of
     the RVEs are carried along and not compared.
     """
 
-    cell: CellParameters
-    rve: Mapping[str, Any]
     range: SamplingRange
     count: int
     seed: int
     chunk: int
     version: str
-    recipe: Mapping[str, Any]
     reference: ReferenceState | None = None
     tangents: bool = False
 
@@ -87,16 +83,6 @@ class DataSetWriter:
     def completed(self) -> int:
         """How many rows are safely in the file."""
         return completed(self._file)
-
-    @property
-    def count(self) -> int:
-        """How many rows it will have."""
-        return int(self._file["F"].shape[0])
-
-    @property
-    def finished(self) -> bool:
-        """Whether nothing is left to do."""
-        return bool(self._file.attrs["status"] == "finished")
 
     def append(
         self, F: NDArray[np.float64], F_dot: NDArray[np.float64], answer: StressResponse
@@ -132,9 +118,9 @@ def writing_data_set(
     """
     if not path.exists() or fresh:
         columns = _COLUMNS | (_TANGENT_COLUMNS if header.tangents else {})
-        create_arrays(path, columns, header.count, _attributes(header), _fixed(header))
-    with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
+        fixed = {} if header.reference is None else attached(header.reference)
+        create_arrays(path, columns, header.count, _attributes(header), fixed)
+    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
         there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
         check_same(path, header.compared(), there)
     with opened_hdf5(path, "r+") as file:
@@ -145,19 +131,13 @@ def _attributes(header: DataSetHeader) -> dict[str, Any]:
     given = {
         "status": "writing",
         "compared": json.dumps(flat(header.compared())),
-        "rve": json.dumps(plain(header.rve)),
         "range": json.dumps(asdict(header.range)),
         "count": header.count,
         "seed": header.seed,
     }
     if header.reference is not None:
         given["rest_length"] = header.reference.rest_length
-    initialisation = str(header.rve["initialisation"])
-    return stamp(SCHEMA, SCHEMA_VERSION, header.cell, initialisation, header.recipe) | given
-
-
-def _fixed(header: DataSetHeader) -> dict[str, np.ndarray]:
-    return {} if header.reference is None else attached(header.reference)
+    return header.attributes(SCHEMA, SCHEMA_VERSION) | given
 
 
 def finish_data_set(path: Path) -> None:
@@ -179,7 +159,7 @@ def finish_data_set(path: Path) -> None:
             file["failed/index"] = index
             reasons = [describe(code) for code in status[index]]
             file.create_dataset("failed/reason", data=reasons, dtype=h5py.string_dtype())
-            file.attrs["fingerprint"] = _samples_of(path, file).fingerprint
+            file.attrs["fingerprint"] = _samples_of(file).fingerprint
             file.attrs["status"] = "finished"
 
 
@@ -191,33 +171,29 @@ def read_data_set(path: str | Path) -> StressSamples:
         InputError: it is not finished.
     """
     path = Path(path)
-    with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
+    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
         if file.attrs["status"] != "finished":
             raise InputError(
                 f"{path}: unfinished, {completed(file)} of {file['F'].shape[0]} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        samples = _samples_of(path, file)
+        samples = _samples_of(file)
         if samples.fingerprint != file.attrs["fingerprint"]:
             raise FileError(f"{path}: its numbers changed since it was written; generate it anew")
     return samples
 
 
-def _samples_of(path: Path, file: h5py.File) -> StressSamples:
-    try:
-        given = [name for name in TANGENTS if name in file]
-        arrays = {name: file[name][:] for name in ("F", "F_dot", "stress", "status", *given)}
-        cell, initialisation = stored_cell(file)
-        length = file.attrs.get("rest_length")
-        return StressSamples(
-            **arrays,
-            cell=cell,
-            initialisation=initialisation,
-            range=stored_range(file),
-            seed=int(file.attrs["seed"]),
-            rest_length=None if length is None else float(length),
-            left_bifurcation=file[LEFT][:].astype(np.bool_) if LEFT in file else None,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileError(f"{path}: not a whole surrofe2 data set: {error}") from None
+def _samples_of(file: h5py.File) -> StressSamples:
+    given = [name for name in TANGENTS if name in file]
+    arrays = {name: file[name][:] for name in ("F", "F_dot", "stress", "status", *given)}
+    cell, initialisation = stored_cell(file)
+    length = file.attrs.get("rest_length")
+    return StressSamples(
+        **arrays,
+        cell=cell,
+        initialisation=initialisation,
+        range=stored_range(file),
+        seed=int(file.attrs["seed"]),
+        rest_length=None if length is None else float(length),
+        left_bifurcation=file[LEFT][:].astype(np.bool_) if LEFT in file else None,
+    )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError
-from surrofe2.io.append_arrays import Column, append_rows, completed, create_arrays, grow
-from surrofe2.io.files import opened_hdf5, plain
-from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell
+from surrofe2.io.arrays import Column, append_rows, completed, create_arrays, grow
+from surrofe2.io.files import opened_hdf5
+from surrofe2.io.provenance import Origin, check_same_rve, reading, stored_cell
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.units import RATE, STRESS
 
@@ -36,15 +33,6 @@ _COLUMNS = {
     "status": Column(kind=np.int8),
     "why": Column(kind=np.int8, meaning=WHY),
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HarvestHeader:
-    """Where a harvest's answers come from; cell and initialisation must match where it goes on."""
-
-    cell: CellParameters
-    rve: Mapping[str, Any]
-    recipe: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,13 +58,13 @@ class HarvestWriter:
         MismatchError: the file to be continued is of other parameters.
     """
 
-    def __init__(self, path: Path, header: HarvestHeader) -> None:
-        self.path, self.header = path, header
+    def __init__(self, path: Path, origin: Origin) -> None:
+        self.path, self.origin = path, origin
         self._waiting: list[tuple[NDArray[Any], ...]] = []
         self._count = 0
         if path.exists():
             there = read_harvest(path)
-            check_harvest(path, there, header.cell, header.rve["initialisation"])
+            check_harvest(path, there, origin.cell, origin.rve["initialisation"])
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
@@ -94,7 +82,8 @@ class HarvestWriter:
         parts = map(np.concatenate, zip(*self._waiting, strict=True))
         rows = dict(zip(_COLUMNS, parts, strict=True))
         if not self.path.exists():
-            create_arrays(self.path, _COLUMNS, max(CHUNK, 2 * self._count), self._attributes())
+            attributes = self.origin.attributes(SCHEMA, SCHEMA_VERSION)
+            create_arrays(self.path, _COLUMNS, max(CHUNK, 2 * self._count), attributes)
         with opened_hdf5(self.path, "r") as file:
             needed, room = completed(file) + self._count, len(file["F"])
         if needed > room:
@@ -102,11 +91,6 @@ class HarvestWriter:
         with opened_hdf5(self.path, "r+") as file:
             append_rows(self.path, file, rows)
         self._waiting, self._count = [], 0
-
-    def _attributes(self) -> dict[str, Any]:
-        header, initialisation = self.header, str(self.header.rve["initialisation"])
-        stamped = stamp(SCHEMA, SCHEMA_VERSION, header.cell, initialisation, header.recipe)
-        return {**stamped, "rve": json.dumps(plain(header.rve))}
 
 
 def read_harvest(path: str | Path) -> Harvest:
@@ -116,14 +100,10 @@ def read_harvest(path: str | Path) -> Harvest:
         FileError: not a harvest of this schema, or damaged.
     """
     path = Path(path)
-    with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
-        try:
-            count = completed(file)
-            arrays = {name: file[name][:count] for name in _COLUMNS}
-            cell, initialisation = stored_cell(file)
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(f"{path}: not a whole surrofe2 harvest: {error}") from None
+    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
+        count = completed(file)
+        arrays = {name: file[name][:count] for name in _COLUMNS}
+        cell, initialisation = stored_cell(file)
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(count, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -11,10 +13,25 @@ from typing import Any
 
 import h5py
 
-from surrofe2.errors import FileError, MismatchError
-from surrofe2.io.files import plain
+from surrofe2.errors import FileError, MismatchError, Surrofe2Error
+from surrofe2.io.files import opened_hdf5, plain
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Where the answers in a file come from: plant cells, settings of their RVEs, recipe."""
+
+    cell: CellParameters
+    rve: Mapping[str, Any]
+    recipe: Mapping[str, Any]
+
+    def attributes(self, schema: str, schema_version: int) -> dict[str, Any]:
+        """As of `stamp`, and the settings of the RVEs."""
+        initialisation = str(self.rve["initialisation"])
+        stamped = stamp(schema, schema_version, self.cell, initialisation, self.recipe)
+        return {**stamped, "rve": json.dumps(plain(self.rve))}
 
 
 def stamp(
@@ -48,18 +65,26 @@ def stored_range(file: h5py.File) -> SamplingRange:
     return SamplingRange(**json.loads(file.attrs["range"]))
 
 
-def check_schema(path: Path, file: h5py.File, schema: str, schema_version: int) -> None:
-    """Refuse an HDF5 file of another schema ("surrofe2-…") or version.
+@contextmanager
+def reading(path: Path, schema: str, schema_version: int) -> Iterator[h5py.File]:
+    """An open HDF5 file of a schema ("surrofe2-…"), from which the block reads.
 
     Raises:
-        FileError: it is of another one.
+        FileError: missing, foreign, of another schema or version, or an entry is missing or wrong.
     """
     kind = schema.removeprefix("surrofe2-").replace("-", " ")
-    if file.attrs.get("schema") != schema:
-        raise FileError(f"{path}: an HDF5 file, but not a surrofe2 {kind}")
-    found = int(file.attrs["schema_version"])
-    if found != schema_version:
-        raise FileError(f"{path}: {kind} schema {found}; this surrofe2 reads {schema_version}")
+    with opened_hdf5(path, "r") as file:
+        if file.attrs.get("schema") != schema:
+            raise FileError(f"{path}: an HDF5 file, but not a surrofe2 {kind}")
+        found = int(file.attrs["schema_version"])
+        if found != schema_version:
+            raise FileError(f"{path}: {kind} schema {found}; this surrofe2 reads {schema_version}")
+        try:
+            yield file
+        except Surrofe2Error:
+            raise
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(f"{path}: not a whole surrofe2 {kind}: {error}") from None
 
 
 def check_same_rve(

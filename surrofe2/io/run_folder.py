@@ -42,7 +42,8 @@ class RunRecord:
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
             audit with the errors found, trust with what became of it, cost against true RVEs.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
-            recipe's range that would hold the run. Of a rest, where the `watched` point came to.
+            recipe's range that would hold the run. Of a rest, also where the `watched` point
+            came to.
     """
 
     status: str
@@ -76,11 +77,14 @@ class RunRecord:
         """Everything the numbers depend on, by the names a recipe uses."""
         flat: dict[str, Any] = {
             f"{name}.{key}": self.recipe[name][key]
-            for name in ("cell", "rve", "load", "macro", "tissue", "rest", *self._sections_of_law())
+            for name in ("cell", "rve", "load", "macro", "tissue", *self._sections_of_law())
             for key in self.recipe.get(name, {})
         }
         surrogate = self.surrogate and self.surrogate["fingerprint"]
+        rest = self.recipe.get("rest", {})  # of other runs, whose law may be the same, nothing
         return flat | {
+            "rest.factor": rest.get("factor"),
+            "rest.load_steps": rest.get("load_steps"),
             "law": self.law,
             "initialisation": self.initialisation,
             "solver": self.solver,

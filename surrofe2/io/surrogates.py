@@ -19,9 +19,10 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from surrofe2 import units
-from surrofe2.errors import FileError
+from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain, replacing, reported
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Calibration
@@ -45,6 +46,8 @@ def write_surrogate(law: SurrogateLaw, path: Path) -> None:
     tensors: Tensors = {f"network.{k}": v for k, v in law.network.to_tensors().items()}
     if law.domain is not None:
         tensors |= {f"domain.{name}": array for name, array in law.domain.to_tensors().items()}
+    if law.reference is not None:
+        tensors |= {f"reference.{k}": array for k, array in law.reference.to_arrays().items()}
     n = law.network
     content = {
         "version": law.version,
@@ -75,6 +78,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
     try:
         cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
+        reference = _part(tensors, "reference")
         law = SurrogateLaw(
             network=NetworkParameters.from_tensors(
                 **content["network"], tensors=_part(tensors, "network")
@@ -89,9 +93,10 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             version=content["version"],
             domain=domain and Domain.from_tensors(domain["square"], _part(tensors, "domain")),
             calibration=calibration and Calibration.from_dict(calibration),
+            reference=ReferenceState.from_arrays(reference) if reference else None,
         )
         fingerprint = content["cell_fingerprint"]
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, InputError):
         raise FileError(
             f"{path}: a surrofe2 surrogate with missing or damaged entries; {_ANEW}"
         ) from None

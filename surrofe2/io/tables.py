@@ -13,9 +13,8 @@ import numpy as np
 
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
-from surrofe2.errors import FileError
-from surrofe2.io.files import opened_hdf5, replacing
-from surrofe2.io.provenance import check_same_rve, check_schema, stamp, stored_cell, stored_range
+from surrofe2.io.files import replacing
+from surrofe2.io.provenance import check_same_rve, reading, stamp, stored_cell, stored_range
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.tensors import INPUTS
@@ -75,9 +74,9 @@ def stored(table: StressTable, recipe: Mapping[str, Any]) -> StoredTable:
 def write_table(path: Path, table: StoredTable) -> None:
     """Write a table, whole or not at all."""
     with replacing(path) as partial, h5py.File(partial, "w") as file:
-        for name, unit in _UNITS.items():
-            file[name] = getattr(table.records, name)
-            file[name].attrs["unit"] = unit
+        for name, values in table.records._asdict().items():
+            file[name] = values
+            file[name].attrs["unit"] = _UNITS[name]
         file.attrs.update(
             stamp(SCHEMA, SCHEMA_VERSION, table.cell, table.initialisation, table.recipe),
             range=json.dumps(asdict(table.range)),
@@ -93,30 +92,25 @@ def read_table(path: str | Path) -> StoredTable:
     Raises:
         FileError: not a table of this schema, truncated or damaged.
     """
-    path = Path(path)
-    with opened_hdf5(path, "r") as file:
-        check_schema(path, file, SCHEMA, SCHEMA_VERSION)
-        try:
-            cell, initialisation = stored_cell(file)
-            table = StoredTable(
-                records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
-                cell=cell,
-                initialisation=initialisation,
-                range=stored_range(file),
-                tolerance=float(file.attrs["tolerance"]),
-                spread=float(file.attrs["stress_spread"]),
-                recipe=json.loads(file.attrs["recipe"]),
-            )
-            _check_whole(table, str(file.attrs["cell_fingerprint"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(f"{path}: not a whole surrofe2 table: {error}") from None
+    with reading(Path(path), SCHEMA, SCHEMA_VERSION) as file:
+        cell, initialisation = stored_cell(file)
+        table = StoredTable(
+            records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
+            cell=cell,
+            initialisation=initialisation,
+            range=stored_range(file),
+            tolerance=float(file.attrs["tolerance"]),
+            spread=float(file.attrs["stress_spread"]),
+            recipe=json.loads(file.attrs["recipe"]),
+        )
+        _check_whole(table, str(file.attrs["cell_fingerprint"]))
     return table
 
 
 def _check_whole(table: StoredTable, fingerprint: str) -> None:
     count = len(table.records.centre)
-    for name, shape in _SHAPES.items():
-        values = getattr(table.records, name)
+    for name, values in table.records._asdict().items():
+        shape = _SHAPES[name]
         if values.shape != (count, *shape) or not np.isfinite(values).all():
             raise ValueError(f"{name} is damaged")
     if table.cell.fingerprint != fingerprint:

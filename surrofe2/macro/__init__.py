@@ -6,54 +6,32 @@ equations_of_motion, time_stepping, dormand_prince (explicit); tangents, general
 (implicit); history, simulation (a run). Without time: quasi_static, modes.
 """
 
-from surrofe2.macro.conditions import (
-    BodyForce,
-    Fixed,
-    Foundation,
-    InitialVelocity,
-    PrescribedMotion,
-    Pressure,
-    Symmetry,
-    Traction,
-)
-from surrofe2.macro.discretisation import points_by_region
-from surrofe2.macro.history import Frames, MacroState
-from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
-from surrofe2.macro.modes import Modes, find_modes
-from surrofe2.macro.problem import Problem
-from surrofe2.macro.quasi_static import Rest, find_rest, rest_frames
-from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody
-from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.simulation import MacroRun, MetRange, simulate
+from __future__ import annotations
 
-__all__ = [
-    "BodyForce",
-    "Box",
-    "Circle",
-    "Corner",
-    "Disc",
-    "Fixed",
-    "Foundation",
-    "Frames",
-    "HalfPlane",
-    "InitialVelocity",
-    "MacroRun",
-    "MacroSettings",
-    "MacroState",
-    "Mesh",
-    "MetRange",
-    "Modes",
-    "Plane",
-    "PrescribedMotion",
-    "Pressure",
-    "Problem",
-    "Rest",
-    "RigidBody",
-    "Symmetry",
-    "Traction",
-    "find_modes",
-    "find_rest",
-    "points_by_region",
-    "rest_frames",
-    "simulate",
-]
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.macro.conditions import (
+        BodyForce,
+        Fixed,
+        Foundation,
+        InitialVelocity,
+        PrescribedMotion,
+        Pressure,
+        Symmetry,
+        Traction,
+    )
+    from surrofe2.macro.discretisation import points_by_region
+    from surrofe2.macro.extremes import MetRange
+    from surrofe2.macro.history import Frames, MacroState
+    from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
+    from surrofe2.macro.modes import Modes, find_modes
+    from surrofe2.macro.problem import Problem
+    from surrofe2.macro.quasi_static import Rest, find_rest
+    from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody
+    from surrofe2.macro.settings import MacroSettings
+    from surrofe2.macro.simulation import MacroRun, simulate
+
+__getattr__, __dir__ = public_names(__name__)

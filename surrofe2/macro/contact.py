@@ -15,10 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a body is touched
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
-from surrofe2.macro.forces import Slopes, side_points
+from surrofe2.macro.forces import Matrix, Slopes, side_points
 from surrofe2.macro.rigid_bodies import RigidBody, Shape
 
 Array = NDArray[np.float64]
@@ -133,7 +133,7 @@ class Contact:
         moving = np.einsum("qa,mai->mqi", self.shapes, v[self.sides]).reshape(-1, 2)
         return tangent, np.einsum("ni,ni->n", moving - v[self.row], tangent)
 
-    def _assembled(self, blocks: Array, touching: Index, size: int) -> csc_matrix:
+    def _assembled(self, blocks: Array, touching: Index, size: int) -> Matrix:
         """Σ L B ⊗ (N, −1) (N, −1)ᵀ over the points that touch, (size, size)."""
         side, q = np.divmod(touching, 3)
         weights = np.column_stack([self.shapes[q], -np.ones(len(q))])
@@ -143,7 +143,9 @@ class Contact:
         matrices = np.einsum("pa,pb,pij->paibj", weights, weights, scaled)
         n = unknowns.shape[1]
         row, column = np.repeat(unknowns, n, axis=1), np.tile(unknowns, (1, n))
-        return csc_matrix((matrices.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
+        return scipy.sparse.csc_matrix(
+            (matrices.ravel(), (row.ravel(), column.ravel())), shape=(size, size)
+        )
 
 
 def make_contact(

@@ -7,11 +7,11 @@ positions of rigid bodies are numbered on after the nodes of the mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a force has slopes
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, kron
 
 from surrofe2.amplitude import ONE, Amplitude, Proportional
 from surrofe2.macro.conditions import (
@@ -26,7 +26,9 @@ from surrofe2.macro.problem import Problem, label
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Slopes = tuple[csc_matrix, csc_matrix]
+Matrix = Any
+"""Sparse by columns, or dense where it is small; scipy.sparse is not loaded to name it."""
+Slopes = tuple[Matrix, Matrix]
 
 
 class Force(Protocol):
@@ -72,7 +74,7 @@ class FollowerPressure:
 
     name: str
     unloaded: Array
-    slope: csc_matrix
+    slope: Matrix
     amplitude: Amplitude
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
@@ -90,8 +92,8 @@ class SpringsAndDashpots:
     """f = −K u − C v with constant matrices (2 n, 2 n)."""
 
     name: str
-    stiffness: csc_matrix
-    damping: csc_matrix
+    stiffness: Matrix
+    damping: Matrix
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
         """As of `Force`."""
@@ -123,7 +125,9 @@ def traction_load(nodes: Array, sides: Index, traction: tuple[float, float], n: 
     return load
 
 
-def pressure_load(nodes: Array, sides: Index, pressure: float, n: int) -> tuple[Array, csc_matrix]:
+def pressure_load(
+    nodes: Array, sides: Index, pressure: float, n: int
+) -> tuple[Array, scipy.sparse.csc_matrix]:
     """f₀ (n, 2) and B (2 n, 2 n) of a follower pressure, f_a = −p ∫ N_a (dy, −dx)."""
     shape, slopes = side_shapes(sides.shape[1])
     coupling = np.einsum("q,qa,qb->ab", SIDE_RULE[1], shape, slopes)
@@ -135,19 +139,21 @@ def pressure_load(nodes: Array, sides: Index, pressure: float, n: int) -> tuple[
     row = np.repeat(unknowns, 2 * k, axis=1)
     column = np.tile(unknowns, (1, 2 * k))
     values = np.tile(block.reshape(-1), len(sides))
-    slope = csc_matrix((values, (row.ravel(), column.ravel())), shape=(2 * n, 2 * n))
+    slope = scipy.sparse.csc_matrix((values, (row.ravel(), column.ravel())), shape=(2 * n, 2 * n))
     positions = np.zeros((n, 2))
     positions[: len(nodes)] = nodes
     return (slope @ positions.ravel()).reshape(n, 2), slope
 
 
-def side_mass(nodes: Array, sides: Index, components: str, n: int) -> csc_matrix:
+def side_mass(nodes: Array, sides: Index, components: str, n: int) -> Matrix:
     """(2 n, 2 n) ∫ N_a N_b dL over reference sides for the components, µm."""
     lengths, shape, _ = side_points(nodes, sides)
     blocks = np.einsum("mq,qa,qb->mab", lengths, shape, shape)
     row, column = np.broadcast_arrays(sides[:, :, None], sides[:, None, :])
-    scalar = csc_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(n, n))
-    return csc_matrix(kron(scalar, np.diag([float("x" in components), float("y" in components)])))
+    scalar = scipy.sparse.csc_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(n, n))
+    return scipy.sparse.csc_matrix(
+        scipy.sparse.kron(scalar, np.diag([float("x" in components), float("y" in components)]))
+    )
 
 
 def make_loads(
@@ -168,7 +174,8 @@ def make_loads(
             case BodyForce():
                 inside = np.zeros(len(mesh.elements))
                 inside[mesh.region(condition.on, where)] = 1.0
-                nodal = np.asarray(space.mass(density * inside).sum(axis=1)).ravel()
+                entries, row, _ = space.mass(density * inside)
+                nodal = np.bincount(row, entries)
                 load = np.zeros((n, 2))
                 load[: nodal.size] = np.outer(nodal, condition.acceleration)
                 loads.append(DeadLoad(name, load, amplitude))

@@ -21,10 +21,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a step is implicit
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.forces import Matrix
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix
 from surrofe2.macro.time_stepping import StepControl, StepResult
@@ -203,11 +204,11 @@ class GeneralisedAlpha:
         acceleration = self._settings.absolute_tolerance / (h**2 * self.weights.beta)
         return factorised(matrix), float(abs(matrix.diagonal()).max()) * acceleration
 
-    def _matrix(self, now: Evaluation, h: float) -> csc_matrix:
+    def _matrix(self, now: Evaluation, h: float) -> Matrix:
         """S = (1 − α_m) M + (1 − α_f) (h γ C + h² β K), the derivative of the residual by a₁."""
         w = self.weights
         K, C = self._assembly.tangents(now)
-        return csc_matrix(
+        return scipy.sparse.csc_matrix(
             (1.0 - w.alpha_m) * self._mass
             + (1.0 - w.alpha_f) * (h * w.gamma * C + h**2 * w.beta * K)
         )

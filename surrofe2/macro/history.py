@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
 from surrofe2.errors import InputError
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.macro.internal_force import element_mean_stress
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
@@ -188,7 +188,7 @@ class Recorder:
     def begin(self, stepper: Stepper, work: Array) -> None:
         """Record the start; `work` is that of the jump of prescribed velocities there."""
         start = stepper.now
-        extremes = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2)).copy()
+        extremes = NO_EXTREMES.copy()
         widen_extremes(extremes, start.F, start.F_dot)
         samples = np.zeros((0, 1 + len(self._system.regions)))
         if self._record_dissipation:
@@ -301,28 +301,3 @@ class Recorder:
     def _frame(self, now: Evaluation) -> Frames:
         stress = now.response.stress
         return Frames.of(self._system.discretisation, now.t, now.u, now.v, now.F, stress)
-
-
-@kernel
-def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
-    """Widen (2, 4, 2, 2) lowest and highest values by F, Ḟ, U = RᵀF and RᵀḞ of all points.
-
-    R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂.
-    """
-    values = np.empty((4, 2, 2))
-    for p in range(F.shape[0]):
-        c, s = F[p, 0, 0] + F[p, 1, 1], F[p, 1, 0] - F[p, 0, 1]
-        norm = np.sqrt(c * c + s * s)
-        c, s = c / norm, s / norm
-        for j in range(2):
-            for i in range(2):
-                values[0, i, j] = F[p, i, j]
-                values[1, i, j] = F_dot[p, i, j]
-            for k in range(2):
-                values[2 + k, 0, j] = c * values[k, 0, j] + s * values[k, 1, j]
-                values[2 + k, 1, j] = c * values[k, 1, j] - s * values[k, 0, j]
-        for k in range(4):
-            for i in range(2):
-                for j in range(2):
-                    extremes[0, k, i, j] = min(extremes[0, k, i, j], values[k, i, j])
-                    extremes[1, k, i, j] = max(extremes[1, k, i, j], values[k, i, j])

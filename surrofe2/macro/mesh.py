@@ -9,8 +9,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from surrofe2.errors import InputError
 
@@ -245,18 +243,21 @@ def _check_orientation(nodes: Array, elements: Index) -> None:
 
 
 def _check_pieces(nodes: Array, elements: Index) -> None:
-    first = np.repeat(elements[:, 0], elements.shape[1] - 1)
-    ones = np.ones(first.size)
-    shape = (len(nodes), len(nodes))
-    pieces, label = connected_components(
-        coo_matrix((ones, (first, elements[:, 1:].ravel())), shape), False
-    )
-    if pieces > 1:
-        smallest = int(np.bincount(label).argmin())
-        node = int(np.argmax(label == smallest))
+    """Every node takes the lowest label around it until none changes."""
+    label = np.arange(len(nodes))
+    while True:
+        lowest = label.copy()
+        np.minimum.at(lowest, elements, label[elements].min(axis=1, keepdims=True))
+        lowest = lowest[lowest]
+        if np.array_equal(lowest, label):
+            break
+        label = lowest
+    names, sizes = np.unique(label, return_counts=True)
+    if names.size > 1:
+        node = int(names[sizes.argmin()])
         raise InputError(
-            f"mesh: {pieces} pieces that do not touch, the smallest of "
-            f"{np.bincount(label).min()} nodes at {_at(nodes[node])}; it must be one"
+            f"mesh: {names.size} pieces that do not touch, the smallest of {sizes.min()} nodes "
+            f"at {_at(nodes[node])}; it must be one"
         )
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
+from surrofe2.macro.forces import Matrix
 from surrofe2.macro.history import Frames
 from surrofe2.macro.problem import Problem
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
@@ -27,6 +27,7 @@ MAX_HALVINGS = 10
 MAX_ITERATIONS = 20
 _LEAST_FRACTION = 1.0 / 64.0
 _DECREASE = 1e-4
+_COUNTS = ("load_steps", "halvings", "factorisations")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,8 @@ class Rest:
             from (0, 0, 0) on.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
         counts: load steps, halvings, Newton iterations.
+        next_step: factor of the next load step.
+        extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
     """
 
     system: System
@@ -51,12 +54,26 @@ class Rest:
     u: Array
     F: Array
     stress: Array
-    stiffness: csc_matrix
-    damping: csc_matrix
+    stiffness: Matrix
+    damping: Matrix
     forces: Array
     path: Array
     residuals: tuple[float, ...]
     counts: dict[str, int]
+    next_step: float
+    extremes: Array
+
+    @property
+    def frame(self) -> Frames:
+        """Whole fields, the factor of the load in the place of time."""
+        u, space = self.u, self.system.discretisation
+        return Frames.of(space, self.factor, u, 0.0 * u, self.F, self.stress)
+
+    def to_arrays(self) -> dict[str, Array]:
+        """What `find_rest` goes on from."""
+        numbers = {"factor": self.factor, "next_step": self.next_step, **self.counts}
+        arrays = {name: np.array(value) for name, value in numbers.items()}
+        return arrays | {"u": self.u, "path": self.path, "extremes": self.extremes}
 
     @property
     def watched(self) -> Array:
@@ -73,6 +90,7 @@ def find_rest(
     factor: float = 1.0,
     load_steps: int = 1,
     reached: Callable[[Rest], None] | None = None,
+    resume: Mapping[str, Array] | None = None,
 ) -> Rest:
     """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
 
@@ -84,9 +102,12 @@ def find_rest(
         factor: of all loads and prescribed motions; 0 is the tissue without load.
         load_steps: load steps to begin with.
         reached: called with each equilibrium on the way, the one without load first.
+        resume: `Rest.to_arrays` of an equilibrium of the same problem on the way to the same
+            factor; the law starts cold there.
 
     Raises:
         InputError: the law has no tangents.
+        MismatchError: `resume` is of another mesh.
         SimulationError: a load step halved ten times finds no equilibrium; `partial` is the last
             `Rest`.
     """
@@ -98,11 +119,23 @@ def find_rest(
     system = system_of(as_problem(problem, settings), law, proportional=True)
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     newton = _Newton(equations, make_assembly(system), settings)
-    found = newton.rest_at(0.0, np.zeros(system.free.size), np.zeros((1, 3)))
+    start = resume or {
+        "factor": np.zeros(()),
+        "next_step": np.array(factor / load_steps),
+        "u": np.zeros((system.n_rows, 2)),
+        "path": np.zeros((1, 3)),
+        "extremes": NO_EXTREMES,
+    }
+    if start["u"].shape != (system.n_rows, 2):
+        raise MismatchError("resume: the mesh is not that of the state; start anew")
+    found = newton.rest_at(float(start["factor"]), system.pick(start["u"]), start["path"])
     if isinstance(found, NoStress):
         raise SimulationError(f"the load cannot start: {found.message}")
-    rest, step, failed = found, factor / load_steps, False
-    if reached is not None:
+    if resume is not None:
+        newton.set_counts(resume)
+    step, failed = float(start["next_step"]), False
+    rest = _on_the_way(found, start["extremes"], step)
+    if reached is not None and resume is None:
         reached(rest)
     while rest.factor != factor:
         left = factor - rest.factor
@@ -118,22 +151,18 @@ def find_rest(
                     partial=rest,
                 )
             continue
-        rest = found
+        step, failed = min(step if failed else 2.0 * step, factor / load_steps, key=abs), False
+        rest = _on_the_way(found, rest.extremes, step)
         if reached is not None:
             reached(rest)
-        step, failed = min(step if failed else 2.0 * step, factor / load_steps, key=abs), False
     return replace(rest, counts=newton.counts())
 
 
-def rest_frames(path: Sequence[Rest]) -> Frames:
-    """Whole fields of states of rest, the factor of the load in the place of time."""
-    each = (
-        Frames.of(
-            rest.system.discretisation, rest.factor, rest.u, 0.0 * rest.u, rest.F, rest.stress
-        )
-        for rest in path
-    )
-    return reduce(Frames.followed_by, each)
+def _on_the_way(found: Rest, met: Array, next_step: float) -> Rest:
+    """An equilibrium with what the load met up to there, and how it goes on."""
+    extremes = met.copy()
+    widen_extremes(extremes, found.F, np.zeros_like(found.F))
+    return replace(found, extremes=extremes, next_step=next_step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,12 +199,18 @@ class _Newton:
             path=np.vstack([path, here]) if factor != path[-1, 0] else path,
             residuals=tuple(residuals),
             counts=self.counts(),
+            next_step=0.0,
+            extremes=NO_EXTREMES,
         )
 
     def counts(self) -> dict[str, int]:
         """As of `Rest`."""
-        counts = self.equations.tally.counts
-        return {name: counts[name] for name in ("load_steps", "halvings", "factorisations")}
+        return {name: self.equations.tally.counts[name] for name in _COUNTS}
+
+    def set_counts(self, there: Mapping[str, Array]) -> None:
+        """Go on from counts that were reached before."""
+        for name in _COUNTS:
+            self.equations.tally.counts[name] = int(there[name])
 
     def balanced(
         self, factor: float, u: Array

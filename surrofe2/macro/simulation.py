@@ -18,6 +18,7 @@ from surrofe2.load_case import LoadCase
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import Frames, MacroState, Recorder, columns_of
 from surrofe2.macro.problem import Problem, bar
@@ -27,37 +28,6 @@ from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class MetRange:
-    """Lowest and highest entries that any point met at the end of any step, (2, 2, 2) each.
-
-    With F = R U: a sampling range over (U, RᵀḞ) that holds these holds the run.
-    """
-
-    F: Array
-    F_dot: Array
-    U: Array
-    RT_F_dot: Array
-
-    @property
-    def stretch(self) -> tuple[float, float]:
-        """Lowest and highest of U₁₁ and U₂₂."""
-        low, high = self.U
-        return float(low.diagonal().min()), float(high.diagonal().max())
-
-    @property
-    def shear(self) -> float:
-        """Largest |U₁₂|."""
-        low, high = self.U
-        return float(max(-low[0, 1], high[0, 1]))
-
-    @property
-    def rate(self) -> float:
-        """Largest entry of |RᵀḞ|, 1/µs."""
-        low, high = self.RT_F_dot
-        return float(max(-low.min(), high.max()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +237,7 @@ def _make_run(system: System, state: MacroState, finished: bool) -> MacroRun:
         nodes=system.discretisation.nodes,
         elements=system.discretisation.elements,
         frames=state.frames,
-        met=MetRange(*state.extremes.swapaxes(0, 1)),
+        met=MetRange.of(state.extremes),
         wall_time=state.wall_time,
         counts=state.counts,
         effort=state.effort,

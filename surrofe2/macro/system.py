@@ -8,24 +8,24 @@ motion. y holds the displacement of the free unknowns, then their velocity.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a mesh is large
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, diags
-from scipy.sparse.linalg import splu
 
 from surrofe2.errors import InputError
 from surrofe2.macro.conditions import InitialVelocity
 from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.discretisation import Discretisation, make_discretisation
-from surrofe2.macro.forces import Force, make_loads, traction_load
+from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
 from surrofe2.macro.problem import Problem
 from surrofe2.macro.supports import Support, make_supports
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+DENSE_LIMIT = 300
 
 PARTS = ("mesh", "density", "conditions", "bodies", "output times", "watched points")
 """What a system's identity is made of, in this order."""
@@ -50,7 +50,7 @@ class System:
 
     problem: Problem
     discretisation: Discretisation
-    mass: csc_matrix
+    mass: Matrix
     free: Index
     supports: tuple[Support, ...]
     forces: tuple[Force, ...]
@@ -191,7 +191,7 @@ class System:
         named = {**problem.mesh.boundaries, **problem.mesh.regions}
         parts: tuple[list[Array | Index | str], ...] = (
             [space.nodes, space.elements, repr([*named]), *named.values()],
-            [self.mass.data],
+            [self.mass @ np.ones(self.n_rows)],
             [repr(problem.conditions), self.free, self.initial_velocity, *held],
             [repr(problem.bodies)],
             [repr(problem.output_interval)],
@@ -231,10 +231,8 @@ def make_system(
     """
     mesh, space = problem.mesh, make_discretisation(problem.mesh)
     per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
-    nodal = space.mass(per_element)
     n_nodes, n = len(mesh.nodes), len(mesh.nodes) + len(problem.bodies)
-    body_mass = [1.0 if body.mass is None else body.mass for body in problem.bodies]
-    mass = nodal if not body_mass else csc_matrix(_block_diagonal(nodal, body_mass))
+    mass = _mass_matrix(problem, space.mass(per_element), n)
     supports = make_supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
@@ -277,11 +275,16 @@ def _boundary_weights(problem: Problem) -> dict[str, Array]:
     return {name: load / load.sum() for name, load in loads.items()}
 
 
-def _block_diagonal(nodal: csc_matrix, masses: Sequence[float]) -> csc_matrix:
-    padded = nodal.copy()
-    n = nodal.shape[0] + len(masses)
-    padded.resize((n, n))
-    return padded + diags(np.concatenate([np.zeros(nodal.shape[0]), masses]))
+def _mass_matrix(problem: Problem, tissue: tuple[Array, Index, Index], n: int) -> Matrix:
+    """Mass of one component of nodes and bodies, dense where that is small."""
+    entries, row, column = tissue
+    bodies = np.arange(n - len(problem.bodies), n)
+    masses = [1.0 if body.mass is None else body.mass for body in problem.bodies]
+    entries = np.concatenate([entries, masses])
+    row, column = np.concatenate([row, bodies]), np.concatenate([column, bodies])
+    if n > DENSE_LIMIT:
+        return scipy.sparse.csc_matrix((entries, (row, column)), shape=(n, n))
+    return np.bincount(n * row + column, entries, n * n).reshape(n, n)
 
 
 def _initial_velocity(problem: Problem, n: int) -> Array:
@@ -296,7 +299,7 @@ def _initial_velocity(problem: Problem, n: int) -> Array:
     return velocity
 
 
-def _mass_solver(mass: csc_matrix, free: Index) -> Callable[[Array], Array]:
+def _mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
     """Inverse of the mass of the free unknowns; one factor where x and y are free alike."""
     rows = [free[free % 2 == k] // 2 for k in (0, 1)]
     if np.array_equal(*rows):
@@ -320,10 +323,18 @@ def _mass_solver(mass: csc_matrix, free: Index) -> Callable[[Array], Array]:
     return solve_each
 
 
-def _factorised_mass(mass: csc_matrix, rows: Index) -> Callable[[Array], Array]:
-    """Symmetric positive definite, so no pivoting and an ordering that keeps symmetry."""
-    factor = splu(
-        csc_matrix(mass[rows][:, rows]),
+def _factorised_mass(mass: Matrix, rows: Index) -> Callable[[Array], Array]:
+    """Inverse of the mass between these rows.
+
+    The matrix is symmetric and positive definite, so a sparse one needs no pivoting and an
+    ordering that keeps symmetry.
+    """
+    part = mass[rows][:, rows]
+    if isinstance(part, np.ndarray):
+        inverse = np.linalg.inv(part)
+        return lambda r: inverse @ r
+    factor = scipy.sparse.linalg.splu(
+        scipy.sparse.csc_matrix(part),
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where tangents are added up
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, kron
-from scipy.sparse.linalg import splu
 
 from surrofe2.errors import InputError
 from surrofe2.macro.equations_of_motion import Evaluation
+from surrofe2.macro.forces import Matrix
 from surrofe2.macro.system import System
 from surrofe2.stress_law import StressResponse
 from surrofe2.tensors import det
@@ -37,15 +37,15 @@ class Assembly:
     indices: Index
     indptr: Index
 
-    def sum(self, element_matrices: Array) -> csc_matrix:
+    def sum(self, element_matrices: Array) -> Matrix:
         """Sum of the elements' matrices between their 2 k unknowns, sparse (m, m)."""
         values = np.bincount(
             self.slot, weights=element_matrices.ravel()[self.kept], minlength=self.indices.size
         )
         size = self.system.free.size
-        return csc_matrix((values, self.indices, self.indptr), shape=(size, size))
+        return scipy.sparse.csc_matrix((values, self.indices, self.indptr), shape=(size, size))
 
-    def tangents(self, now: Evaluation) -> tuple[csc_matrix, csc_matrix]:
+    def tangents(self, now: Evaluation) -> tuple[Matrix, Matrix]:
         """K = ∂(f − l)/∂u (µN/µm) and C = ∂(f − l)/∂v (µN µs/µm), (m, m), at an evaluation.
 
         f is the internal force and l all others. With Δu = Σ_b Δu_b N_b, that of f is
@@ -60,9 +60,9 @@ class Assembly:
             slopes = force.slopes(now.t, now.within, now.u, now.v)
             if slopes is not None:
                 K, C = (X + Y[free][:, free] for X, Y in zip((K, C), slopes, strict=True))
-        return csc_matrix(K), csc_matrix(C)
+        return scipy.sparse.csc_matrix(K), scipy.sparse.csc_matrix(C)
 
-    def internal(self, F: Array, response: StressResponse) -> tuple[csc_matrix, csc_matrix]:
+    def internal(self, F: Array, response: StressResponse) -> tuple[Matrix, Matrix]:
         """The part of the internal force in `tangents`."""
         space = self.system.discretisation
         gradients = space.gradients
@@ -90,16 +90,16 @@ def make_assembly(system: System) -> Assembly:
     return Assembly(system, kept, slot, code % size, indptr)
 
 
-def mass_matrix(system: System) -> csc_matrix:
+def mass_matrix(system: System) -> Matrix:
     """(m, m) mass between the free unknowns, ng."""
-    both = csc_matrix(kron(system.mass, np.eye(2)))
-    return csc_matrix(both[system.free][:, system.free])
+    both = scipy.sparse.csc_matrix(scipy.sparse.kron(system.mass, np.eye(2)))
+    return scipy.sparse.csc_matrix(both[system.free][:, system.free])
 
 
-def factorised(matrix: csc_matrix) -> Callable[[Array], Array] | None:
+def factorised(matrix: Matrix) -> Callable[[Array], Array] | None:
     """matrix⁻¹ applied to (n,) or (n, k); None where the matrix is singular."""
     try:
-        solve: Callable[[Array], Array] = splu(matrix).solve
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(matrix).solve
     except RuntimeError:
         return None
     return solve

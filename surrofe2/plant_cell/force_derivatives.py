@@ -30,11 +30,17 @@ import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
-from surrofe2.plant_cell.forces import fluid_specific_volume
+from surrofe2.plant_cell.forces import (
+    add_pair,
+    central_elastic,
+    central_slopes,
+    difference,
+    fluid_specific_volume,
+    pair_at,
+)
 from surrofe2.plant_cell.jacobian import add_at, central_gradient
-from surrofe2.plant_cell.pairs import add_pair, central_elastic, central_slopes, difference, pair_at
-from surrofe2.plant_cell.sph_kernel import spline, spline_bend, spline_slope, spline_third
-from surrofe2.simd import TILE, load, spread, store
+from surrofe2.plant_cell.sph_kernel import spline_bend, spline_third
+from surrofe2.simd import TILE, load, store
 
 FIELDS = 4
 
@@ -141,31 +147,29 @@ def _add_central_rates(work, f_rate, pairs, is_bond, c):
 
 
 @kernel
+def _set_volumes(work, topology, c, rate):
+    """work.slope, work.volume V = 1/ρ and its rate V̇ (fluid, TILE) along work.v."""
+    pairs, first = topology.fluid_pairs, topology.walls
+    fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
+    rate[:] = 0.0
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        rx, ry = difference(work.x, i, j)
+        wx, wy = difference(work.v, i, j)
+        density_rate = c.fluid_mass * load(work.slope, k) * (rx * wx + ry * wy)
+        store(load(rate, i - first) + density_rate, rate, i - first)
+        store(load(rate, j - first) + density_rate, rate, j - first)
+    for p in range(rate.shape[0]):
+        here = load(work.volume, p)
+        store(-here * here * load(rate, p), rate, p)
+
+
+@kernel
 def _add_fluid_rates(work, f_rate, volume_rate, topology, c):
     slope, volume = work.slope, work.volume
     pairs, first = topology.fluid_pairs, topology.walls
     h = c.smoothing_length
-    own = c.fluid_mass * spline(spread(0.0), h)
-    for p in range(volume.shape[0]):
-        store(own, volume, p)
-        store(0.0, volume_rate, p)
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        p, q = i - first, j - first
-        pair = pair_at(work.x, work.v, i, j)
-        s = pair.length * (1.0 / h)
-        fall = spline_slope(s, h)
-        store(fall * pair.inverse, slope, k)
-        density = c.fluid_mass * spline(s, h)
-        density_rate = c.fluid_mass * fall * pair.rate
-        store(load(volume, p) + density, volume, p)
-        store(load(volume, q) + density, volume, q)
-        store(load(volume_rate, p) + density_rate, volume_rate, p)
-        store(load(volume_rate, q) + density_rate, volume_rate, q)
-    for p in range(volume.shape[0]):
-        inverse = 1.0 / load(volume, p)
-        store(inverse, volume, p)
-        store(-inverse * inverse * load(volume_rate, p), volume_rate, p)
+    _set_volumes(work, topology, c, volume_rate)
     strength = c.fluid_mass * c.fluid_mass * c.sound_speed_squared
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -222,8 +226,8 @@ def _set_volume_changes(work, u, topology, c, rate, change, both):
     pairs, first = topology.fluid_pairs, topology.walls
     h, mass = c.smoothing_length, c.fluid_mass
     slope, volume = work.slope, work.volume
-    fluid_specific_volume(work.x, topology, c, slope, volume)
-    rate[:], change[:], both[:] = 0.0, 0.0, 0.0
+    _set_volumes(work, topology, c, rate)
+    change[:], both[:] = 0.0, 0.0
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         p, q = i - first, j - first
@@ -232,9 +236,6 @@ def _set_volume_changes(work, u, topology, c, rate, change, both):
         steep = load(slope, k)
         bend = spline_bend(steep, pair.length, pair.inverse, h)
         along = rx * wx + ry * wy
-        density = mass * steep * along
-        store(load(rate, p) + density, rate, p)
-        store(load(rate, q) + density, rate, q)
         for m in range(FIELDS):
             px, py = field_difference(u, m, i, j)
             stretch = rx * px + ry * py
@@ -247,7 +248,6 @@ def _set_volume_changes(work, u, topology, c, rate, change, both):
     for p in range(volume.shape[0]):
         here = load(volume, p)
         falls = -here * here
-        store(falls * load(rate, p), rate, p)
         for m in range(FIELDS):
             density = load(change, m, p)
             twice = 2.0 * here * load(rate, p) * density

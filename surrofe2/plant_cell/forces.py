@@ -1,25 +1,122 @@
-"""Particle forces of a tile of plant cells: the pair laws of eqs. (1), (2), (8) summed up.
+"""Pairs of particles, and the forces of a tile of plant cells: eqs. (1), (2), (8) summed up.
 
 Kernels work on local particles, own ones first, then images: x, v, f are (2, local, TILE) in µm,
-µm/µs, µN. `fold_images` adds what images feel to their owners.
+µm/µs, µN. `fold_images` adds what images feel to their owners. A central pair is a bond between
+wall neighbours (eq. 1) or a contact (eq. 2); `is_bond` is the same for all pairs of a list.
+Tension t > 0 pulls the two together; the force on i is t n, n = r/|r|.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from surrofe2.compilation import kernel
-from surrofe2.plant_cell.fluid import fluid_coefficients
-from surrofe2.plant_cell.pairs import (
-    add_pair,
-    central_energy,
-    central_tension,
-    difference,
-    norm,
-    pair_at,
+from surrofe2.compilation import kernel, pair_law
+from surrofe2.plant_cell.contact import (
+    contact_bend,
+    contact_elastic,
+    contact_energy,
+    contact_force,
+    contact_slopes,
 )
+from surrofe2.plant_cell.fluid import fluid_coefficients
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
-from surrofe2.simd import TILE, load, spread, store
+from surrofe2.plant_cell.wall import wall_energy, wall_force
+from surrofe2.simd import TILE, inverse_root, load, spread, store
+
+
+class Pair(NamedTuple):
+    """r = x_j − x_i and w = v_j − v_i, lanes each.
+
+    length is |r|, inverse 1/|r|, (nx, ny) = r/|r|, rate n·w.
+    """
+
+    rx: float
+    ry: float
+    wx: float
+    wy: float
+    nx: float
+    ny: float
+    length: float
+    inverse: float
+    rate: float
+
+
+@pair_law
+def difference(x, i, j):
+    """x_j − x_i, both components."""
+    return load(x, 0, j) - load(x, 0, i), load(x, 1, j) - load(x, 1, i)
+
+
+@pair_law
+def norm(rx, ry):
+    """(|r|, 1/|r|)."""
+    square = rx * rx + ry * ry
+    inverse = inverse_root(square)
+    return square * inverse, inverse
+
+
+@pair_law
+def pair_at(x, v, i, j):
+    """The `Pair` of particles i and j; what a kernel does not use of it costs nothing."""
+    rx, ry = difference(x, i, j)
+    wx, wy = difference(v, i, j)
+    length, inverse = norm(rx, ry)
+    rate = (rx * wx + ry * wy) * inverse
+    return Pair(rx, ry, wx, wy, rx * inverse, ry * inverse, length, inverse, rate)
+
+
+@pair_law
+def add_pair(f, i, j, fx, fy):
+    """f on i, −f on j."""
+    store(load(f, 0, i) + fx, f, 0, i)
+    store(load(f, 1, i) + fy, f, 1, i)
+    store(load(f, 0, j) - fx, f, 0, j)
+    store(load(f, 1, j) - fy, f, 1, j)
+
+
+@pair_law
+def central_tension(pair, is_bond, c):
+    """t(|r|, n·w), µN."""
+    if is_bond:
+        tension = wall_force(pair.length, pair.rate, c)
+    else:
+        tension = contact_force(pair.length, pair.inverse, pair.rate, c)
+    return tension
+
+
+@pair_law
+def central_slopes(pair, is_bond, c):
+    """(t, ∂t/∂|r|, ∂t/∂(n·w))."""
+    tension = central_tension(pair, is_bond, c)
+    if is_bond:
+        by_length, by_rate = spread(c.wall_stiffness), spread(c.wall_damping)
+    else:
+        by_length, by_rate = contact_slopes(pair.length, pair.inverse, pair.rate, c)
+    return tension, by_length, by_rate
+
+
+@pair_law
+def central_elastic(pair, is_bond, c):
+    """(t, t′, t″) by |r|, dashpots off."""
+    if is_bond:
+        tension = wall_force(pair.length, 0.0, c)
+        slope, bend = spread(c.wall_stiffness), spread(0.0)
+    else:
+        tension, slope = contact_elastic(pair.length, pair.inverse, c)
+        bend = contact_bend(pair.length, pair.inverse, c)
+    return tension, slope, bend
+
+
+@pair_law
+def central_energy(length, inverse, is_bond, c):
+    """Stored energy, pJ."""
+    if is_bond:
+        energy = wall_energy(length, c)
+    else:
+        energy = contact_energy(length, inverse, c)
+    return energy
 
 
 @kernel
@@ -111,14 +208,23 @@ def add_central_energy(x, pairs, share, is_bond, c, energy):
 
 
 @kernel
-def elastic_energy(x, topology, c, energy):
-    """energy (1, TILE): stored energy of bonds, contacts and fluid (Σ m c_s² ln ρ), pJ."""
+def add_fluid_energy(x, topology, exists, c, energy):
+    """Add Σ m c_s² ln ρ, pJ; exists (own, TILE): 0 where there is no particle. None: all are."""
     slope = np.empty((topology.fluid_pairs.shape[0], TILE))
     volume = np.empty((topology.particles - topology.walls, TILE))
     fluid_specific_volume(x, topology, c, slope, volume)
+    for p in range(volume.shape[0]):
+        for lane in range(TILE):
+            part = c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
+            if exists is not None:
+                part = exists[topology.walls + p, lane] * part
+            energy[0, lane] -= part
+
+
+@kernel
+def elastic_energy(x, topology, c, energy):
+    """energy (1, TILE): stored energy of bonds, contacts and fluid, pJ."""
     store(0.0, energy, 0)
     add_central_energy(x, topology.bonds, None, True, c, energy)
     add_central_energy(x, topology.contacts, None, False, c, energy)
-    for p in range(volume.shape[0]):
-        for lane in range(TILE):
-            energy[0, lane] -= c.fluid_mass * c.sound_speed_squared * np.log(volume[p, lane])
+    add_fluid_energy(x, topology, None, c, energy)

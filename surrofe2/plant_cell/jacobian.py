@@ -20,8 +20,7 @@ import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
-from surrofe2.plant_cell.forces import fluid_specific_volume
-from surrofe2.plant_cell.pairs import central_slopes, difference, pair_at
+from surrofe2.plant_cell.forces import central_slopes, difference, fluid_specific_volume, pair_at
 from surrofe2.plant_cell.sph_kernel import spline_bend
 from surrofe2.simd import TILE, load, spread, store
 

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement
+from surrofe2.plant_cell.block_pattern import make_pattern, sparse_pays
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import Topology
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -49,45 +51,25 @@ class Unlisted:
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Particles of a periodic unit, images, and who interacts with whom (local indices).
+    """Particles of a periodic unit and who interacts with whom.
 
     Attributes:
-        position: (n, 2) reference positions of the unit's own particles, µm.
+        position: (n, 2) reference positions of the unit's own particles, µm; walls come first.
         mass: (n,) ng.
-        walls: number of wall particles; they come first, fluid after them.
         lattice: (2, 2) µm, its columns the periods.
-        owner: (g,) own particle of each image; image k has the local index n + k.
         shift: (g, 2) integer lattice shift of each image.
-        bonds, contacts, fluid_pairs: (·, 2) local indices i, j.
+        topology: images and pair lists.
         reach: reference distance (µm) up to which all contacts are listed.
-        fluid_start: (cells + 1,) first fluid particle of each plant cell, counted from the first
-            of all; their pairs are listed in that order.
         unlisted: the contacts beyond.
     """
 
     position: Array
     mass: Array
-    walls: int
     lattice: Array
-    owner: Ints
     shift: Ints
-    bonds: Ints
-    contacts: Ints
-    fluid_pairs: Ints
+    topology: Topology
     reach: float
-    fluid_start: Ints
     unlisted: Unlisted
-
-    @property
-    def particles(self) -> int:
-        """Number of the unit's own particles."""
-        return len(self.position)
-
-    @property
-    def area(self) -> float:
-        """Reference area of the unit, µm²."""
-        (xx, xy), (yx, yy) = self.lattice.tolist()
-        return float(abs(xx * yy - xy * yx))
 
 
 def make_patches(
@@ -95,6 +77,8 @@ def make_patches(
     position: Array,
     lattice: Array,
     levels: tuple[tuple[float, float], ...] = LEVELS,
+    *,
+    sparse: bool | None = None,
 ) -> tuple[Patch, ...]:
     """Pair lists of an arrangement, one for each of the `levels`.
 
@@ -102,38 +86,54 @@ def make_patches(
         position: (n, 2) reference positions, µm.
         lattice: (2, 2), its columns the lattice vectors, µm.
         levels: reach in cut-offs, of contacts in one plant cell and of others; see `LEVELS`.
+        sparse: whether matrices have blocks of interacting groups alone; None: where that pays.
     """
-    arrangement = make_arrangement(cell)
+    arrangement, particles = make_arrangement(cell), len(position)
     walls, cutoff = arrangement.walls, cell.repulsion_cutoff
     every, distance, common = _contacts(arrangement, position, lattice, FARTHEST * cutoff)
-    starts = walls + arrangement.fluid_start
+    mass = np.full(particles, cell.fluid_mass)
+    mass[:walls] = cell.wall_particle_mass
+    counts = np.array(arrangement.fluid_counts)
     fluid = np.concatenate(
         [first + np.stack(np.triu_indices(count, 1), axis=1)
-         for first, count in zip(starts, arrangement.fluid_counts, strict=False)]
+         for first, count in zip(walls + arrangement.fluid_start, counts, strict=False)]
     )  # fmt: skip
     inside = np.pad(fluid, ((0, 0), (0, 2))).astype(np.int32)
-    mass = np.full(len(position), cell.fluid_mass)
-    mass[:walls] = cell.wall_particle_mass
+    within = [distance <= np.where(common, near * cutoff, far * cutoff) for near, far in levels]
+    pattern = make_pattern(*interacting_groups(arrangement, every[within[-1]]))
+    if not (sparse or (sparse is None and sparse_pays(pattern))):
+        pattern = make_pattern(np.zeros(particles, dtype=np.int32), [])
     patches = []
-    for together, apart in levels:
-        listed = distance <= np.where(common, together * cutoff, apart * cutoff)
+    for level, listed in zip(levels, within, strict=True):
         lists = [_sorted(pairs) for pairs in (arrangement.bonds, every[listed], inside)]
-        owner, shift, (bonds, contacts, fluid_pairs) = _localised(lists, len(position))
-        rest = every[~listed]
-        unlisted = Unlisted(
-            np.ascontiguousarray(rest[:, :2]), rest[:, 2:] @ lattice.T, FARTHEST * cutoff
+        owner, shift, (bonds, contacts, fluid_pairs) = _localised(lists, particles)
+        topology = Topology(
+            bonds=bonds,
+            contacts=contacts,
+            fluid_pairs=fluid_pairs,
+            owner=owner,
+            image_offset=np.ascontiguousarray(shift @ lattice.T),
+            particles=particles,
+            walls=walls,
+            fluid_start=arrangement.fluid_start,
+            fluid_pair_start=np.append(0, np.cumsum(counts * (counts - 1) // 2)).astype(np.int32),
+            area=abs(float(np.linalg.det(lattice))),
+            **pattern._asdict(),
         )
-        patches.append(
-            Patch(
-                position, mass, walls, lattice, owner, shift, bonds, contacts, fluid_pairs,
-                min(together, apart) * cutoff, arrangement.fluid_start, unlisted,
-            )
-        )  # fmt: skip
+        rest, reach = every[~listed], min(level) * cutoff
+        ends = np.ascontiguousarray(rest[:, :2])
+        unlisted = Unlisted(ends, rest[:, 2:] @ lattice.T, FARTHEST * cutoff)
+        patches.append(Patch(position, mass, lattice, shift, topology, reach, unlisted))
     return tuple(patches)
 
 
-def interacting_groups(arrangement: Arrangement, patch: Patch) -> tuple[Ints, set[tuple[int, int]]]:
-    """(n,) group of each particle, the walls of an edge or a plant cell's fluid; coupled groups."""
+def interacting_groups(
+    arrangement: Arrangement, contacts: Ints
+) -> tuple[Ints, set[tuple[int, int]]]:
+    """(n,) group of each particle, the walls of an edge or a plant cell's fluid; coupled groups.
+
+    contacts: (k, 2) or more columns, the first two the particles that may touch, by their owners.
+    """
     first = int(arrangement.wall_edge.max()) + 1
     counts = arrangement.fluid_counts
     labels = np.concatenate(
@@ -143,9 +143,8 @@ def interacting_groups(arrangement: Arrangement, patch: Patch) -> tuple[Ints, se
     for k, rim in enumerate(arrangement.rims):
         around = {*labels[rim[:, 0]].tolist(), first + k}
         pairs |= {(g, h) for g in around for h in around}
-    own = np.concatenate([np.arange(patch.particles), patch.owner])
-    for listed in (patch.bonds, patch.contacts):
-        pairs |= {(g, h) for g, h in np.unique(labels[own[listed]], axis=0).tolist()}
+    for listed in (arrangement.bonds, contacts):
+        pairs |= {(g, h) for g, h in np.unique(labels[listed[:, :2]], axis=0).tolist()}
     return labels, pairs
 
 

@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.block_pattern import Pattern, make_pattern
-from surrofe2.plant_cell.pair_lists import Patch
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.simd import TILE
 
@@ -41,25 +39,13 @@ class Constants(NamedTuple):
 
 
 class Topology(NamedTuple):
-    """Pair lists of a `Patch`.
+    """Who interacts, by local indices, and the `Pattern` of matrices: numba nests no tuples.
 
-    fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid and pairs begin.
-    """
-
-    bonds: Ints
-    contacts: Ints
-    fluid_pairs: Ints
-    owner: Ints
-    image_offset: Reals
-    particles: int
-    walls: int
-    fluid_start: Ints
-    fluid_pair_start: Ints
-
-
-class RveTopology(NamedTuple):
-    """A `Topology`, its area and the `Pattern` of its matrices: numba takes no tuple of tuples.
-
+    bonds, contacts, fluid_pairs: (·, 2) local i, j. particles, of which `walls` come first: own.
+    owner, image_offset: (g,) own particle of each image, (g, 2) µm from there to it; image k has
+        the local index particles + k.
+    fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid, counted from the
+        first of all, and its pairs begin.
     area: of the reference, µm².
     """
 
@@ -131,26 +117,6 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
         sound_speed_squared=cell.sound_speed**2,
         viscosity=cell.viscosity,
     )
-
-
-def make_topology(patch: Patch, pattern: Pattern | None = None) -> RveTopology:
-    """Kernel form of a patch; matrices are dense, one group of all particles, unless it is said."""
-    counts = np.diff(patch.fluid_start).astype(np.int64)
-    contiguous = np.ascontiguousarray  # kernels are compiled for one layout
-    lists = Topology(
-        bonds=contiguous(patch.bonds),
-        contacts=contiguous(patch.contacts),
-        fluid_pairs=contiguous(patch.fluid_pairs),
-        owner=contiguous(patch.owner),
-        image_offset=contiguous(patch.shift @ patch.lattice.T),
-        particles=patch.particles,
-        walls=patch.walls,
-        fluid_start=contiguous(patch.fluid_start),
-        fluid_pair_start=np.append(0, np.cumsum(counts * (counts - 1) // 2)).astype(np.int32),
-    )
-    if pattern is None:
-        pattern = make_pattern(np.zeros(patch.particles, dtype=np.int32), [])
-    return RveTopology(**lists._asdict(), area=patch.area, **pattern._asdict())
 
 
 def tiles_for(points: int) -> int:

@@ -4,6 +4,6 @@ tables           one list of quantities, rendered for console, CSV, JSON and Mar
 figures          panels of curves in one style, as PNG
 study            what a study hands over, and its files
 damped_fit       period and decrement of a displacement curve
-comparison       runs against a reference; comparison_plot draws it
+comparison       runs against a reference, with their picture
 sweep            cached runs over stress tolerances
 """

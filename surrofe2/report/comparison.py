@@ -1,15 +1,21 @@
-"""How far displacement curves of one load case are apart, and what each run cost."""
+"""How far displacement curves of one load case are apart, what each run cost, and the picture."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from surrofe2.displacement_curve import CurveDifference, difference
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.run_folder import RunRecord, StoredRun
+from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
+
+_BINS_A_DECADE = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +28,7 @@ class ComparedRun:
         wall_time: seconds of law and macro together; compilation is not in it.
         speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
             is None where this run needed none of it.
-        audit: of a cached run, the errors its audit found and the tolerance, µN/µm; else None.
+        cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
     """
 
     name: str
@@ -32,7 +38,7 @@ class ComparedRun:
     wall_time: float
     counts: Mapping[str, int]
     speed_up: Mapping[str, float | None]
-    audit: Mapping[str, Any] | None = None
+    cache: Mapping[str, Any] = field(default_factory=dict)
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
@@ -49,7 +55,7 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Runs against a reference; `reference` is its folder, `reference_run` what it cost."""
+    """Runs of one load case against a reference, whose folder and cost are kept too."""
 
     reference: str
     load: Mapping[str, Any]
@@ -96,16 +102,11 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
                     f"{run.folder}: load.{key} is {here.get(key)}, in {reference.folder} "
                     f"{load.get(key)}; compare runs of one load case"
                 )
-    return Comparison(
-        reference=reference.folder.name,
-        load=load,
-        reference_run=_compared(reference, reference),
-        runs=tuple(_compared(run, reference) for run in others),
-    )
+    compared = (_compared(run, reference) for run in (reference, *others))
+    return Comparison(reference.folder.name, load, next(compared), tuple(compared))
 
 
 def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
-    cache = run.record.cache
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
@@ -117,7 +118,7 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
             name: cost(reference.record) / cost(run.record) if cost(run.record) else None
             for name, cost in _COSTS.items()
         },
-        audit=None if cache is None else {**cache["audit"], "trust": cache["trust"]},
+        cache=run.record.cache or {},
     )
 
 
@@ -130,4 +131,90 @@ _COSTS: Mapping[str, Callable[[RunRecord], float]] = {
     "wall_time": lambda record: record.wall_time["total"],
     "law_time_per_stress": _law_time,
     "rve_solves": lambda record: record.counts.get("rve_solves", 0),
+    "right_hand_sides": lambda record: record.counts.get("right_hand_sides", 0),
 }
+
+
+def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[StoredRun]) -> None:
+    """Draw displacement curves, their differences, audits and the table into a PNG."""
+    reference, *others = order_runs(runs)
+    t, there = reference.curve.t, reference.curve.displacement
+    scale = np.linalg.norm(there, axis=1).max()
+    curves = [Curve("reference", t, there[:, 1], _label(reference, reference), markers=False)]
+    differences: list[Curve] = []
+    audits: list[Curve] = []
+    for k, run in enumerate(others):
+        u = run.curve.displacement
+        curves.append(Curve("", run.curve.t, u[:, 1], _label(run, reference), markers=False))
+        apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
+        share = 100.0 * np.linalg.norm(apart, axis=0) / scale
+        differences.append(Curve("", run.curve.t, share, markers=False))
+        cache = run.record.cache
+        if cache is not None and cache["audit"]["quantiles"]:
+            audits += _audit_curves(k, cache["audit"])
+    panels = [
+        Panel("", "displacement $u_y$ (µm)", tuple(curves)),
+        Panel(
+            x_label="time $t$ (µs)",
+            y_label="difference (% of\nlargest displacement)",
+            curves=tuple(differences),
+            height=0.55,
+        ),
+    ]
+    if audits:
+        label = "error of the cache's stress found by audits (µN/µm); dotted: 99 % are below"
+        panels.append(
+            Panel(label, "audited\nanswers (%)", tuple(audits), log_x=True, zero=True, height=0.55)
+        )
+    write_figure(path, _title(reference), panels, table=comparison.table)
+
+
+def _title(reference: StoredRun) -> str:
+    recipe = reference.record.recipe
+    load, elements = recipe["load"], recipe["macro"]["elements"]
+    g = float(np.hypot(*load["body_force"]))
+    return (
+        f"Watched point of a {load['width']:g} × {load['height']:g} µm tissue, "
+        f"body force {g:g} µm/µs², {elements[0]} × {elements[1]} elements,\n"
+        f"cell preset “{recipe['cell']['preset']}”, {reference.record.initialisation}"
+    )
+
+
+def _label(run: StoredRun, reference: StoredRun) -> str:
+    """The folder, and what differs from the title's preset and initialisation."""
+    record, usual = run.record, reference.record
+    notes = [] if run.folder.name == record.law else [record.law]
+    if record.recipe["cell"]["preset"] != usual.recipe["cell"]["preset"]:
+        notes.append(record.recipe["cell"]["preset"])
+    if record.initialisation != usual.initialisation:
+        notes.append(record.initialisation)
+    return f"{run.folder.name} ({', '.join(notes)})" if notes else run.folder.name
+
+
+def _audit_curves(k: int, audit: Mapping[str, Any]) -> list[Curve]:
+    """Share of run k's audited answers over their error, its 99 % quantile and the tolerance."""
+    edges, shares = coarse_histogram(audit["histogram"])
+    high = np.array([0.0, 100.0 * shares.max()])
+
+    def line(x: float, dash: str, label: str = "") -> Curve:
+        return Curve("", np.full(2, x), high, label, markers=False, colour=k, dash=dash)
+
+    percent = np.concatenate([[0.0], 100.0 * shares])
+    found = [Curve("", edges, percent, markers=False, colour=k, dash="-", steps=True)]
+    found.append(line(audit["quantiles"]["0.99"], ":"))
+    if np.isfinite(tolerance := float(audit["tolerance"])):
+        above = f"tolerance: {audit['violations']} of {audit['audited']:,} above"
+        found.append(line(tolerance, "--", above))
+    return found
+
+
+def coarse_histogram(histogram: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """(b + 1,) edges and (b,) shares of a stored histogram in ten bins a decade."""
+    fine, counts = np.array(histogram["bins"]), np.array(histogram["counts"], dtype=np.float64)
+    many = histogram["bins_a_decade"] // _BINS_A_DECADE
+    # Fine bin k ends at the smallest edge times 10^(k / bins a decade).
+    coarse = -(-fine // many)
+    first, last = coarse.min(), coarse.max()
+    shares = np.bincount(coarse - first, weights=counts) / counts.sum()
+    powers = np.arange(first - 1, last + 1) / _BINS_A_DECADE
+    return histogram["smallest_edge"] * 10.0**powers, shares

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.io.files import replacing
+from surrofe2.report.tables import Table
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ _TURNS: tuple[dict[str, str], ...] = (
 _DASHES = ("-", "--", "-.", ":")
 """Of lines without markers, in turn."""
 _PANEL_SIZE = (4.6, 3.1)  # inches
-_LEGEND_HEIGHT = 0.7
+_LEGEND_HEIGHT, _LINE_HEIGHT = 0.7, 0.32
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +62,13 @@ class Curve:
 
     Attributes:
         name: decides colour, dash and marker, so that a name looks alike in all figures.
-        x, y: (m,) values in the units of the panel's axes; NaN leaves a gap.
+        x, y: (m,) values in the units of the panel's axes; NaN leaves a gap, as does a value that a
+            logarithm does not show.
         label: for the legend; empty: the name.
         markers: whether single points are marked.
+        colour: which one of those for curves without a style; None: the next one.
+        dash: of matplotlib; empty: as the name or the turn has it.
+        steps: whether y holds from the point before on, filled below; for histograms.
     """
 
     name: str
@@ -71,6 +76,9 @@ class Curve:
     y: Array
     label: str = ""
     markers: bool = True
+    colour: int | None = None
+    dash: str = ""
+    steps: bool = False
 
     def __post_init__(self) -> None:
         if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
@@ -87,6 +95,7 @@ class Panel:
     Attributes:
         x_ticks: where x is marked, by these numbers; empty: wherever it suits.
         zero: whether the line y = 0 is drawn and in sight.
+        height: of the panel, relative to the usual.
     """
 
     x_label: str
@@ -97,48 +106,67 @@ class Panel:
     log_y: bool = False
     x_ticks: tuple[float, ...] = ()
     zero: bool = False
+    height: float = 1.0
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """A figure of this size in inches, drawn without a screen."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+def write_figure(
+    path: Path,
+    title: str,
+    panels: Sequence[Panel],
+    columns: int = 1,
+    table: Table[Any] | None = None,
+) -> None:
+    """Draw panels, so many in a row, into a PNG; below all of them the table and one legend."""
+    rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
+    heights = [_PANEL_SIZE[1] * max(panel.height for panel in row) for row in rows]
+    if table is not None:
+        heights.append(_LINE_HEIGHT * (len(table.rows) + 2))
+    width = max(_PANEL_SIZE[0] * columns, 6.4 if table is None else 8.0)
+    size = (width, sum(heights) + _LEGEND_HEIGHT)
+    figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure
-
-
-def write_png(path: Path, figure: Figure) -> None:
-    """Write a figure, whole or not at all."""
+    axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
+    for place in axes.flat[len(panels) :]:
+        place.axis("off")
+    for place, panel in zip(axes.flat, panels, strict=False):
+        _draw_panel(place, panel)
+    if table is not None:
+        _draw_table(axes[-1, 0], table)
+    figure.suptitle(title, fontsize=11)
+    _draw_legend(figure, axes.flat)
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=150)
 
 
-def write_figure(path: Path, title: str, panels: Sequence[Panel], columns: int = 1) -> None:
-    """Draw panels, so many in a row, into a PNG; one legend below all of them."""
-    rows = -(-len(panels) // columns)
-    width = max(_PANEL_SIZE[0] * columns, 6.4)
-    figure = new_figure(width, _PANEL_SIZE[1] * rows + _LEGEND_HEIGHT)
-    axes = figure.subplots(rows, columns, squeeze=False)
-    for place, panel in zip(axes.flat, panels, strict=False):
-        draw_panel(place, panel)
-    for place in axes.flat[len(panels) :]:
-        place.axis("off")
-    figure.suptitle(title, fontsize=11)
-    draw_legend(figure, axes.flat)
-    write_png(path, figure)
+def _draw_table(axes: Axes, table: Table[Any]) -> None:
+    headings, rows = table.for_people()
+    drawn = axes.table(rows, colLabels=headings, loc="center", cellLoc="center", edges="horizontal")
+    drawn.auto_set_font_size(False)
+    drawn.set_fontsize(8)
+    drawn.scale(1.0, 1.25)
+    for entry in drawn.get_celld().values():
+        entry.set_linewidth(0.5)
+        entry.set_edgecolor("0.6")
 
 
-def draw_panel(axes: Axes, panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: Panel) -> None:
     """Draw curves, labels and scales."""
     others = 0
     for curve in panel.curves:
         style = _STYLES.get(curve.name)
         if style is None:
-            style = _other_style(others, curve.markers)
+            style = _other_style(others if curve.colour is None else curve.colour, curve.markers)
             others += 1
         style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **style}
         if not curve.markers:
             style.pop("marker", None)
-        axes.plot(curve.x, curve.y, label=curve.label or curve.name, **style)
+        if curve.dash:
+            style["linestyle"] = curve.dash
+        y = np.where(np.asarray(curve.y) > 0.0, curve.y, np.nan) if panel.log_y else curve.y
+        if curve.steps:
+            axes.fill_between(curve.x, y, step="pre", color=style["color"], alpha=0.25, linewidth=0)
+            style["drawstyle"] = "steps-pre"
+        axes.plot(curve.x, y, label=curve.label or curve.name, **style)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     if panel.title:
@@ -160,19 +188,15 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     axes.margins(x=0.03)
 
 
-def colour_of(k: int) -> str:
-    """Colour of the k-th curve among those without a style of their own."""
-    return _OTHER[k % len(_OTHER)]
-
-
 def _other_style(k: int, markers: bool) -> dict[str, str]:
     """Colours in turn; where they begin anew, with another marker and dash."""
+    colour = _OTHER[k % len(_OTHER)]
     if not markers:
-        return {"color": colour_of(k), "linestyle": _DASHES[k % len(_DASHES)]}
-    return {"color": colour_of(k), **_TURNS[k // len(_OTHER) % len(_TURNS)]}
+        return {"color": colour, "linestyle": _DASHES[k % len(_DASHES)]}
+    return {"color": colour, **_TURNS[k // len(_OTHER) % len(_TURNS)]}
 
 
-def draw_legend(figure: Figure, places: Iterable[Axes]) -> None:
+def _draw_legend(figure: Figure, places: Iterable[Axes]) -> None:
     """One legend below all axes, each label once; none for a single label."""
     found: dict[str, Any] = {}
     for place in places:

@@ -9,12 +9,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surrofe2.io.files import replacing
-from surrofe2.report.figures import new_figure, write_png
 from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def write_particle_picture(path: Path, title: str, seen: Particles, t: Array) ->
     chosen = np.unique(np.linspace(0, len(t) - 1, min(PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
-    figure = new_figure(3.3 * columns + 1.6, 3.3 * rows + 0.6)
+    figure = _new_figure(3.3 * columns + 1.6, 3.3 * rows + 0.6)
     places = figure.subplots(rows, columns, squeeze=False)
     window = _window(seen)
     for place, k in zip(places.flat, chosen, strict=False):
@@ -40,12 +40,13 @@ def write_particle_picture(path: Path, title: str, seen: Particles, t: Array) ->
         place.axis("off")
     _add_scales(figure, places.ravel().tolist(), drawn)
     figure.suptitle(title, fontsize=11)
-    write_png(path, figure)
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=150)
 
 
 def write_particle_animation(path: Path, title: str, seen: Particles, t: Array) -> None:
     """Draw the RVE at all times t (n,), µs, as an animated GIF."""
-    figure = new_figure(5.6, 4.6)
+    figure = _new_figure(5.6, 4.6)
     place = figure.subplots()
     window = _window(seen)
     drawn = _draw(place, seen, 0, window)
@@ -63,6 +64,13 @@ def write_particle_animation(path: Path, title: str, seen: Particles, t: Array) 
         drawn_file = Path(folder) / "animation.gif"
         animation.save(drawn_file, writer=PillowWriter(fps=_FRAMES_PER_SECOND), dpi=80)
         drawn_file.replace(partial)
+
+
+def _new_figure(width: float, height: float) -> Figure:
+    """A figure of this size in inches, drawn without a screen."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def _draw(

@@ -5,7 +5,7 @@ Plain data, so that a study draws nothing and a drawing computes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -17,8 +17,33 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json, write_text
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe import load_recipe
 from surrofe2.report.figures import Panel, write_figure
 from surrofe2.report.tables import Table, to_csv
+
+
+@dataclass(frozen=True, slots=True)
+class NamedCell:
+    """A plant cell by the name of its source, which is a "preset" or a "recipe"."""
+
+    cell: CellParameters
+    name: str
+    source: str = "preset"
+
+    @classmethod
+    def of(cls, name: str) -> NamedCell:
+        """The plant cell of a preset, or of a recipe where the name ends in .toml."""
+        if not name.endswith(".toml"):
+            return cls(CellParameters.preset(name), name)
+        return cls(load_recipe(name).cell, Path(name).stem, "recipe")
+
+    def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """What numbers about it depend on; asked: what was wanted besides the cell."""
+        known = {"version": version("surrofe2"), self.source: self.name}
+        return {**known, "cell": self.cell.to_dict(), "asked": asked}
+
+    def __str__(self) -> str:
+        return f"{self.source} “{self.name}”"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,8 +51,7 @@ class Study:
     """A finished study.
 
     Attributes:
-        name: stem of its files.
-        title: of the figure, with the preset.
+        title: of the figure.
         panels: row by row; `columns` of them in a row.
         table: what people read; also in JSON as "rows".
         series: what the figure draws, column heading with unit to values, all of one length; for
@@ -35,7 +59,6 @@ class Study:
         results: further numbers for JSON.
     """
 
-    name: str
     title: str
     panels: tuple[Panel, ...]
     columns: int = 1
@@ -46,7 +69,7 @@ class Study:
     def __post_init__(self) -> None:
         lengths = {len(column) for column in self.series.values()}
         if len(lengths) > 1:
-            raise InputError(f"study {self.name}: columns of {sorted(lengths)} rows; must be one")
+            raise InputError(f"study {self.title}: columns of {sorted(lengths)} rows; must be one")
 
     def to_csv(self) -> str:
         """The series, else the table."""
@@ -57,46 +80,41 @@ class Study:
     def to_record(self) -> dict[str, Any]:
         """The numbers with their units."""
         return {
-            "study": self.name,
             "title": " ".join(self.title.split()),
             "units": {"length": "µm", "time": "µs", "mass": "ng", **self.table.units},
             "results": {**self.results, "rows": self.table.to_records()},
         }
 
 
-def study_is_there(
-    out: Path, name: str, cell: CellParameters, preset: str, asked: Mapping[str, Any]
-) -> bool:
-    """Whether the study's numbers are there, computed of this cell as asked.
-
-    Raises:
-        MismatchError: they are there, by other settings.
-    """
-    return is_there(out / f"{name}.json", _identity(cell, preset, asked))
-
-
-def study_paths(out: Path, name: str) -> list[Path]:
-    """The files of a study."""
-    return [out / f"{name}.{suffix}" for suffix in ("png", "csv", "md", "json")]
-
-
-def write_study(
-    out: Path, study: Study, cell: CellParameters, preset: str, asked: Mapping[str, Any]
-) -> list[Path]:
-    """Write figure, series, table and at last the numbers of a study into `out`; the files.
+def keep_study(
+    out: Path,
+    name: str,
+    of: NamedCell,
+    asked: Mapping[str, Any],
+    make: Callable[[], Study],
+    *,
+    fresh: bool = False,
+) -> tuple[Study | None, list[Path]]:
+    """Make a study and write figure, series, table and at last its numbers, unless they are there.
 
     Args:
-        asked: what the study was told besides the cell, for `study_is_there`.
+        name: of the study; its files are NAME-CELL.png, .csv, .md and .json in `out`.
+        asked: what the study is told besides the cell.
+
+    Returns:
+        The study, or None where it was there, and its files.
+
+    Raises:
+        MismatchError: it is there by other settings, and not `fresh`.
     """
-    png, csv, md, json = paths = study_paths(out, study.name)
+    stem, known = f"{name}-{of.name}", of.identity(asked)
+    png, csv, md, json = paths = [out / f"{stem}.{kind}" for kind in ("png", "csv", "md", "json")]
+    if not fresh and is_there(json, known):
+        return None, paths
+    study = make()
     write_text(md, study.table.to_markdown())
     write_text(csv, study.to_csv())
-    write_figure(png, study.title, study.panels, study.columns)
-    write_json(json, study.to_record() | _identity(cell, preset, asked))
-    return paths
-
-
-def _identity(cell: CellParameters, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What the numbers of a study depend on."""
-    known = {"version": version("surrofe2"), "preset": preset, "cell": cell.to_dict()}
-    return {**known, "fingerprint": cell.fingerprint, "asked": asked}
+    write_figure(png, f"{study.title}, {of}", study.panels, study.columns)
+    made = {"study": stem, **study.to_record()}
+    write_json(json, made | known | {"fingerprint": of.cell.fingerprint})
+    return study, paths

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,71 +11,74 @@ import numpy as np
 
 from surrofe2.errors import InputError
 from surrofe2.io.run_folder import StoredRun
-from surrofe2.report.comparison import compare
+from surrofe2.report.comparison import ComparedRun, compare
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 
 
-@dataclass(frozen=True, slots=True)
-class SweepRow:
-    """A cached run at one tolerance against true FE²; stresses relative to their spread.
-
-    Attributes:
-        tolerance: share of the spread of stress.
-        displacement_error: largest difference of the watched point, relative to the largest
-            displacement.
-        hits: share of the stresses that the surrogate answered.
-        audited: answers that RVEs checked; violations: of these, errors above the tolerance.
-        error_99, error_largest: found by the audit; None without audits or spread.
-        speed_up: of wall time.
-        right_hand_sides: relative to true FE².
-        factor: by which the bound counts at the end; off: the cache was switched off.
-    """
-
-    tolerance: float
-    displacement_error: float
-    hits: float
-    audited: int
-    violations: int
-    error_99: float | None
-    error_largest: float | None
-    speed_up: float
-    right_hand_sides: float
-    factor: float
-    off: bool
+def _stress_error(run: ComparedRun, error: float | None) -> float | None:
+    """An error that the audit found, relative to the spread of stress where both are known."""
+    spread = run.cache["tolerance"]["spread"]
+    return error / spread if error is not None and spread else None
 
 
-QUANTITIES: tuple[Quantity[SweepRow], ...] = (
-    Quantity("tolerance", "", percent("g"), lambda row: row.tolerance),
-    Quantity("stress error", "", percent(".2g"), lambda row: row.error_99),
-    Quantity("above", "", "", lambda row: f"{row.violations} of {row.audited}"),
-    Quantity("displacement error", "", percent(".2g"), lambda row: row.displacement_error),
-    Quantity("hits", "", percent(".3g"), lambda row: row.hits),
-    Quantity("speed-up", "×", ".3g", lambda row: row.speed_up),
-    Quantity("right-hand sides", "", percent(".4g"), lambda row: row.right_hand_sides),
-    Quantity("switched off", "", "", lambda row: "yes" if row.off else None),
+def _error_99(run: ComparedRun) -> float | None:
+    return _stress_error(run, run.cache["audit"]["quantiles"].get("0.99"))
+
+
+def _error_largest(run: ComparedRun) -> float | None:
+    audit = run.cache["audit"]
+    return _stress_error(run, audit["largest"] if audit["quantiles"] else None)
+
+
+def _hits(run: ComparedRun) -> float:
+    hits = run.counts["hits"]
+    return hits / max(hits + run.counts["fallbacks"], 1)
+
+
+QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
+    Quantity("tolerance", "", percent("g"), lambda run: float(run.cache["tolerance"]["share"])),
+    Quantity("stress error", "", percent(".2g"), _error_99),
+    Quantity("largest stress error", "", None, _error_largest),
+    Quantity("above", "", "", lambda run: "{violations} of {audited}".format(**run.cache["audit"])),
+    Quantity("displacement error", "", percent(".2g"), lambda run: run.difference.largest),
+    Quantity("hits", "", percent(".3g"), _hits),
+    Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
+    Quantity(
+        "right-hand sides",
+        "",
+        percent(".4g"),
+        lambda run: 1.0 / (run.speed_up["right_hand_sides"] or float("inf")),
+    ),
+    Quantity("factor", "", None, lambda run: run.cache["trust"]["factor"]),
+    Quantity("switched off", "", lambda off: "yes", lambda run: run.cache["trust"]["off"] or None),
 )
+"""Stresses relative to their spread; the stress error is what 99 % of the audited answers keep."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """Rows by falling tolerance, and what they are of."""
+    """Cached runs by falling tolerance, against true FE²."""
 
-    law: str
-    preset: str
-    reference: str
+    reference: ComparedRun
     load: Mapping[str, Any]
-    true_wall_time: float
-    rows: tuple[SweepRow, ...]
+    rows: tuple[ComparedRun, ...]
 
     @property
-    def table(self) -> Table[SweepRow]:
+    def table(self) -> Table[ComparedRun]:
         """What people read of it."""
         return Table(QUANTITIES, self.rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for sweep.json."""
-        return asdict(self)
+        return {
+            "law": self.rows[0].law,
+            "preset": self.reference.preset,
+            "reference": self.reference.name,
+            "load": self.load,
+            "true_wall_time": self.reference.wall_time,
+            "rows": self.table.to_records(),
+        }
 
 
 def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
@@ -85,46 +88,21 @@ def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
         InputError: a run is not by a cached law.
         MismatchError: the runs are of different load cases.
     """
-    rows = sorted((_row(reference, run) for run in runs), key=lambda row: -row.tolerance)
-    record = reference.record
-    return Sweep(
-        law=runs[0].record.law,
-        preset=record.recipe["cell"]["preset"],
-        reference=reference.folder.name,
-        load=record.recipe["load"],
-        true_wall_time=record.wall_time["total"],
-        rows=tuple(rows),
-    )
-
-
-def _row(reference: StoredRun, run: StoredRun) -> SweepRow:
-    cache, counts = run.record.cache, run.record.counts
-    if cache is None:
-        raise InputError(f"{run.folder}: law {run.record.law} has no cache; sweep cached runs")
-    (compared,) = compare([reference, run]).runs
-    audit, spread = cache["audit"], cache["tolerance"]["spread"]
-    known = audit["quantiles"] and spread
-    return SweepRow(
-        tolerance=float(cache["tolerance"]["share"]),
-        displacement_error=compared.difference.largest,
-        hits=counts["hits"] / max(counts["hits"] + counts["fallbacks"], 1),
-        audited=audit["audited"],
-        violations=audit["violations"],
-        error_99=audit["quantiles"]["0.99"] / spread if known else None,
-        error_largest=audit["largest"] / spread if known else None,
-        speed_up=compared.speed_up["wall_time"] or float("nan"),
-        right_hand_sides=counts["right_hand_sides"] / reference.record.counts["right_hand_sides"],
-        factor=cache["trust"]["factor"],
-        off=cache["trust"]["off"],
-    )
+    found = compare([reference, *runs])
+    for run in found.runs:
+        if not run.cache:
+            raise InputError(f"{run.name}: law {run.law} has no cache; sweep cached runs")
+    rows = sorted(found.runs, key=lambda run: -float(run.cache["tolerance"]["share"]))
+    return Sweep(found.reference_run, found.load, tuple(rows))
 
 
 def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     """Draw stress error, displacement error, hits and speed-up over tolerance into a PNG."""
-    tolerance = np.array([row.tolerance for row in sweep.rows])
+    rows = sweep.table.to_records()
+    tolerance = np.array([row["tolerance"] for row in rows])
 
-    def curve(get: Callable[[SweepRow], float | None], label: str = "_", name: str = "") -> Curve:
-        values = np.array([get(row) for row in sweep.rows], dtype=np.float64)  # None: NaN
+    def curve(get: Callable[[dict[str, Any]], Any], label: str = "_", name: str = "") -> Curve:
+        values = np.array([get(row) for row in rows], dtype=np.float64)  # None: NaN
         return Curve(name or label, tolerance, values, label)
 
     def panel(title: str, y_label: str, *curves: Curve, log_y: bool = False) -> Panel:
@@ -135,29 +113,29 @@ def write_sweep_plot(path: Path, sweep: Sweep) -> None:
         panel(
             "stress error found by audits",
             "relative to the spread of stress",
-            curve(lambda row: row.tolerance, "allowed", "reference"),
-            curve(lambda row: row.error_99, "99 % of the errors are below"),
-            curve(lambda row: row.error_largest, "largest error"),
+            curve(lambda row: row["tolerance"], "allowed", "reference"),
+            curve(lambda row: row["stress_error"], "99 % of the errors are below"),
+            curve(lambda row: row["largest_stress_error"], "largest error"),
             log_y=True,
         ),
         panel(
             "largest error of displacement",
             "relative to the largest",
-            curve(lambda row: row.displacement_error),
+            curve(lambda row: row["displacement_error"]),
             log_y=True,
         ),
-        panel("stresses answered by the cache", "hits (%)", curve(lambda row: 100.0 * row.hits)),
+        panel("stresses answered by the cache", "hits (%)", curve(lambda row: 100.0 * row["hits"])),
         panel(
             "speed-up of the run",
             "times faster than true FE²",
-            curve(lambda row: 1.0, f"true FE², {sweep.true_wall_time:.3g} s", "reference"),
-            curve(lambda row: row.speed_up),
-            curve(lambda row: row.speed_up if row.off else None, "switched off"),
+            curve(lambda row: 1.0, f"true FE², {sweep.reference.wall_time:.3g} s", "reference"),
+            curve(lambda row: row["speed_up"]),
+            curve(lambda row: row["speed_up"] if row["switched_off"] else None, "switched off"),
         ),
     )
     load = sweep.load
     title = (
         f"What a stress tolerance buys: {load['width']:g} × {load['height']:g} µm tissue over "
-        f"{load['duration']:g} µs,\ncell preset “{sweep.preset}”, law {sweep.law}"
+        f"{load['duration']:g} µs,\ncell preset “{sweep.reference.preset}”, law {sweep.rows[0].law}"
     )
     write_figure(path, title, panels, columns=2)

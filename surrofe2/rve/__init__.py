@@ -1,15 +1,22 @@
 """Representative volume elements: (F, Ḟ) in, stress out.
 
-In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `reference_state` and
-`unit_cell` (what an RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and
-stress of given positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's
-iteration), `equilibrium_modes` and `slow_manifold`, `continuation` (far loads), `tangents`,
+In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `unit_cell` (what an
+RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and stress of given
+positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's iteration),
+`equilibrium_modes` and `slow_manifold`, `continuation` (far loads), `tangents`,
 `micro_integration` (the reference of all initialisations).
 """
 
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.rve_state import RveState
-from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings
+from __future__ import annotations
 
-__all__ = ["INITIALISATIONS", "SOLVERS", "ReferenceState", "RveLaw", "RveSettings", "RveState"]
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.plant_cell.reference_state import ReferenceState
+    from surrofe2.rve.rve_law import RveLaw
+    from surrofe2.rve.rve_state import RveState
+    from surrofe2.rve.settings import INITIALISATIONS, SOLVERS, RveSettings
+
+__getattr__, __dir__ = public_names(__name__)

@@ -21,7 +21,6 @@ Forces and Hessian are by x of all particles but the held one, ordered x₁, y�
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -30,18 +29,10 @@ from numpy.typing import NDArray
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.block_pattern import make_pattern
 from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import (
-    Constants,
-    RveTopology,
-    make_workspace,
-    pack,
-    tiles_for,
-    unpack,
-)
-from surrofe2.rve.newton import SOLVE, newton, set_elastic_jacobian, solve_tiles
-from surrofe2.rve.particle_state import Drive, empty_answer, energies, list_covers, place
-from surrofe2.rve.rve_state import Factors
-from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
+from surrofe2.rve.newton import set_elastic_jacobian
+from surrofe2.rve.particle_state import list_covers, place, stored_energy
+from surrofe2.rve.unit_cell import Equilibria, UnitCell, relax
 from surrofe2.simd import TILE, load, store
 from surrofe2.tensors import rotation, transpose
 
@@ -82,21 +73,6 @@ def has_room(unit: UnitCell, level: int, F: Reals, z: Reals) -> Flags:
     return covered
 
 
-class Solved(NamedTuple):
-    """What Newton's method found at m points, points first; see `newton.newton`."""
-
-    z: Reals
-    stress: Reals
-    iterations: NDArray[np.int32]
-    stable: Flags
-    factors: Factors
-
-    @property
-    def good(self) -> Flags:
-        """(m,) whether it is a stable equilibrium."""
-        return (self.iterations > 0) & self.stable
-
-
 @dataclass(frozen=True, slots=True)
 class Walked:
     """The end of the way of m points.
@@ -109,7 +85,7 @@ class Walked:
         newton_solves: how many it took.
     """
 
-    solved: Solved
+    solved: Equilibria
     arrived: Flags
     unstable: Flags
     left: Flags
@@ -119,7 +95,7 @@ class Walked:
 class Walker:
     """Follows equilibria of one unit cell with one list of contacts."""
 
-    def __init__(self, unit: UnitCell, topology: RveTopology, tolerance: float) -> None:
+    def __init__(self, unit: UnitCell, topology: Topology, tolerance: float) -> None:
         self.unit, self.topology, self.tolerance = unit, topology, tolerance
 
     def walk(self, start: Reals, end: Reals, z: Reals) -> Walked:
@@ -140,10 +116,10 @@ class Walker:
             F = (1.0 - t) * start[active] + t * end[active]
             trial = self.newton(F, z[active])
             solves += len(active)
-            good, there = trial.good & ~_jumped(trial.z, z[active]), trial.z
+            good, there = trial.stable & ~_jumped(trial.z, z[active]), trial.z
             stuck = np.flatnonzero(~good & (step[active] <= shortest[active]))
             if len(stuck):
-                unstable[active[stuck]] = trial.iterations[stuck] > 0
+                unstable[active[stuck]] = trial.found[stuck]
                 there[stuck], good[stuck] = self._leave(F, z[active], trial, stuck)
                 left[active[stuck]] |= good[stuck]
                 solves += len(stuck)
@@ -159,38 +135,24 @@ class Walker:
             active = active[~arrived[active] & ~lost]
         return Walked(self.newton(end, z), arrived, unstable & ~arrived, left, solves + count)
 
-    def newton(self, F: Reals, z: Reals) -> Solved:
+    def newton(self, F: Reals, z: Reals) -> Equilibria:
         """The elastic equilibrium by Newton's method from z (m, 2, n)."""
-        count = len(z)
-        tiles, packed = tiles_for(count), pack(z)
-        factors, task = Factors.empty(tiles, self.topology), np.full(tiles, SOLVE, dtype=np.int8)
-        drive, answer = Drive(pack(F), pack(np.zeros_like(F))), empty_answer(tiles)
-        solve_tiles(
-            newton, drive, packed, factors.address, task, self.topology, self.unit.constants,
-            self.tolerance, answer,
-        )  # fmt: skip
-        return Solved(
-            z=unpack(packed, count),
-            stress=unpack(answer.stress, count),
-            iterations=unpack(answer.iterations, count),
-            stable=unpack(answer.stable, count),
-            factors=factors,
-        )
+        return relax(self.topology, self.unit.constants, z, F, self.tolerance)
 
     def _leave(
-        self, F: Reals, z: Reals, trial: Solved, stuck: NDArray[np.intp]
+        self, F: Reals, z: Reals, trial: Equilibria, stuck: NDArray[np.intp]
     ) -> tuple[Reals, Flags]:
         """z of the points `stuck` in a stable state, and whether there is one.
 
         Down from the unstable equilibrium, or, where none was found or it lies far off, from the
         last stable one.
         """
-        saddle = (trial.iterations > 0) & ~trial.stable & ~_jumped(trial.z, z)
+        saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z)
         begin = np.where(saddle[:, None, None], trial.z, z)[stuck]
         landscape = Landscape.of(F[stuck], self.topology, self.unit.constants)
         below, found = descend(landscape, begin)
         solved = self.newton(F[stuck], below)
-        found &= solved.good & ~paired(landscape, solved.z, np.arange(len(stuck)))
+        found &= solved.stable & ~paired(landscape, solved.z, np.arange(len(stuck)))
         return solved.z, found
 
 
@@ -223,11 +185,11 @@ class Landscape:
     """Elastic energy of m RVEs at deformations F (m, 2, 2); `of` takes any pattern of matrices."""
 
     F: Reals
-    topology: RveTopology
+    topology: Topology
     constants: Constants
 
     @classmethod
-    def of(cls, F: Reals, topology: RveTopology, constants: Constants) -> Landscape:
+    def of(cls, F: Reals, topology: Topology, constants: Constants) -> Landscape:
         """With dense matrices, whatever those of the topology are: all eigenvalues are wanted."""
         dense = make_pattern(np.zeros(topology.particles, dtype=np.int32), [])
         return cls(F, topology._replace(**dense._asdict()), constants)
@@ -238,9 +200,7 @@ class Landscape:
 
     def energy(self, z: Reals) -> Reals:
         """(m,) elastic energy at material positions z (m, 2, n), pJ."""
-        energy = np.empty((tiles_for(len(z)), 1, TILE))
-        energies(pack(self.F), pack(z), self.topology, self.constants, energy)
-        return unpack(energy, len(z))[:, 0]
+        return stored_energy(self.F, z, self.topology, self.constants)
 
     def slopes(self, z: Reals) -> tuple[Reals, Reals]:
         """Forces −∂E/∂x (m, 2n − 2), µN, and Hessian (m, 2n − 2, 2n − 2), µN/µm."""

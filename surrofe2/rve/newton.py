@@ -14,7 +14,7 @@ single precision (they only precondition; the residual is double), and the slope
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.jacobian import force_jacobian
-from surrofe2.plant_cell.tiles import Constants, RveTopology, make_workspace
+from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace
 from surrofe2.rve.block_lu import (
     COLUMNS,
     factorise,
@@ -40,8 +40,6 @@ from surrofe2.rve.particle_state import (
     evaluate,
     keep_lane,
     map_affine,
-    measure,
-    place_images,
     set_images,
 )
 from surrofe2.rve.rve_state import Factors, keep_factors, kept_factors
@@ -58,6 +56,18 @@ LONGEST_STEP = 0.4
 
 SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
 """What `newton` does with a tile; each does what the one before does, too."""
+
+
+class Stop(NamedTuple):
+    """When a lane is done, its residual, µN, within tolerance, and when it is given up.
+
+    That is after `limit` evaluations or where the residual does not fall by the factor
+    `contraction`.
+    """
+
+    tolerance: float
+    contraction: float
+    limit: int
 
 
 @kernel
@@ -91,20 +101,20 @@ def add_slopes(slopes, first, tensor, z):
 
 
 @kernel
-def settle(residual, before, contraction, tolerance, count, limit, source, target, iterations):
-    """How many lanes are left under way at evaluation `count`, at most `limit`.
+def settle(residual, before, stop, count, source, target, iterations):
+    """How many lanes are left under way at evaluation `count`.
 
     iterations becomes count where the residual (1, TILE) is within tolerance; there the lane of
-    source goes to target. It becomes −1 where the residual is not below `contraction` times the
-    one `before` (TILE,), which it then replaces.
+    source goes to target. It becomes −1 where the lane is given up; the residual replaces the one
+    `before` (TILE,).
     """
     left = 0
     for k in range(TILE):
         if iterations[k] == 0:
-            if residual[0, k] <= tolerance:
+            if residual[0, k] <= stop.tolerance:
                 iterations[k] = count
                 keep_lane(source, k, target)
-            elif not residual[0, k] < contraction * before[k] or count == limit:
+            elif not residual[0, k] < stop.contraction * before[k] or count == stop.limit:
                 iterations[k] = -1
             else:
                 left += 1
@@ -187,20 +197,13 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, tolerance, answer
 
     Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
     """
-    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    before, iterations = np.full(TILE, np.inf), answer.iterations
+    sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
+    iterations, stop = answer.iterations, Stop(tolerance, np.inf, NEWTON_LIMIT)
     for k in range(TILE):
         iterations[k] = max(iterations[k], 0)
     for count in range(1, NEWTON_LIMIT + 1):
-        place_images(work, drive.F, topology)
-        if is_affine:
-            map_affine(drive.rate, work.z, work.v)
-        measure(work, drive.F, topology, c, sigma, residual)
-        left = settle(
-            residual, before, np.inf, tolerance, count, NEWTON_LIMIT, sigma, answer.stress,
-            iterations,
-        )  # fmt: skip
-        if left == 0:
+        evaluate(work, drive, is_affine, topology, c, sigma, residual)
+        if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
         set_jacobian(work, drive, topology, c, matrices.matrix, matrices.no_columns)
         factorise(matrices.matrix, topology, False)
@@ -209,6 +212,18 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, tolerance, answer
         limit_step(matrices.step)
         hold(matrices.step, iterations)
         move(matrices.step, drive.F, work.z)
+
+
+@kernel
+def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
+    """As `newton_loop` with kept factors, in lanes where iterations are 0."""
+    sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
+    iterations, step = answer.iterations, np.empty((2 * topology.particles - 2, TILE))
+    for count in range(1, stop.limit + 1):
+        evaluate(work, drive, is_affine, topology, c, sigma, residual)
+        if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
+            break
+        correct(lu, work.f, step, iterations, drive.F, work.z, topology)
 
 
 @parallel_kernel
@@ -227,25 +242,15 @@ def chord(drive, z, before, factors, topology, c, tolerance, answer):
 @kernel
 def chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
     """`chord` for one tile."""
-    iterations = answer.iterations
-    if iterations.max() < 0:
+    if answer.iterations.max() < 0:
         return
-    work, free = make_workspace(topology), 2 * topology.particles - 2
+    work = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
-    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    before, step = np.full(TILE, np.inf), np.empty((free, TILE))
     predict(z, drive, at, slopes, work.z)
-    for count in range(1, CHORD_LIMIT + 1):
-        evaluate(work, drive, topology, c, sigma, residual)
-        left = settle(
-            residual, before, CONTRACTION, tolerance, count, CHORD_LIMIT, sigma, answer.stress,
-            iterations,
-        )  # fmt: skip
-        if left == 0:
-            break
-        correct(lu, work.f, step, iterations, drive.F, work.z, topology)
+    stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT)
+    chord_loop(work, drive, True, lu, topology, c, stop, answer)
     for k in range(TILE):
-        if iterations[k] > 0:
+        if answer.iterations[k] > 0:
             keep_lane(work.z, k, z)
 
 
@@ -294,7 +299,7 @@ def solve_tiles(kernel: Any, *arguments: Any) -> None:
 
 
 def renew(
-    drive: Drive, z: Array, factors: Factors, wanted: Flags, topology: RveTopology, c: Constants
+    drive: Drive, z: Array, factors: Factors, wanted: Flags, topology: Topology, c: Constants
 ) -> Flags:
     """Write the factors of the `wanted` (tiles,) tiles; (tiles, TILE) whether z is stable."""
     answer = empty_answer(len(z))
@@ -334,17 +339,3 @@ def check_stable(work, matrices, F, topology, c, stable):
     set_elastic_jacobian(work, F, topology, c, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, True)
     has_negative_pivots(matrices.matrix, topology, stable)
-
-
-@parallel_kernel
-def stress_at(drive, z, topology, c, answer):
-    """Stress and mean force at given z with affine velocities, all tiles."""
-    for t in numba.prange(z.shape[0]):
-        _stress_tile(drive_of(drive, t), z[t], topology, c, answer_of(answer, t))
-
-
-@kernel
-def _stress_tile(drive, z, topology, c, answer):
-    work = make_workspace(topology)
-    copy_particles(z, work.z)
-    evaluate(work, drive, topology, c, answer.stress, answer.residual)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
-from surrofe2.plant_cell.tiles import make_workspace
+from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
 from surrofe2.simd import TILE, load, root, spread, store
 
 Array = NDArray[np.float64]
@@ -156,11 +156,33 @@ def measure(work, F, topology, c, stress, residual):
 
 
 @kernel
-def evaluate(work, drive, topology, c, stress, residual):
-    """`measure` at work.z with affine velocities v = rate z."""
+def evaluate(work, drive, is_affine, topology, c, stress, residual):
+    """`measure` at work.z with velocities v = rate z if `is_affine`, else those in work.v."""
     place_images(work, drive.F, topology)
-    map_affine(drive.rate, work.z, work.v)
+    if is_affine:
+        map_affine(drive.rate, work.z, work.v)
     measure(work, drive.F, topology, c, stress, residual)
+
+
+@parallel_kernel
+def stress_at(drive, z, topology, c, answer):
+    """Stress and mean force at given z with affine velocities, all tiles."""
+    for t in numba.prange(z.shape[0]):
+        _stress_tile(drive_of(drive, t), z[t], topology, c, answer_of(answer, t))
+
+
+@kernel
+def _stress_tile(drive, z, topology, c, answer):
+    work = make_workspace(topology)
+    copy_particles(z, work.z)
+    evaluate(work, drive, True, topology, c, answer.stress, answer.residual)
+
+
+def stored_energy(F: Array, z: Array, topology: Topology, c: Constants) -> Array:
+    """(m,) elastic energy at F (m, 2, 2) and material positions z (m, 2, n), pJ."""
+    energy = np.empty((tiles_for(len(z)), 1, TILE))
+    energies(pack(F), pack(z), topology, c, energy)
+    return unpack(energy, len(z))[:, 0]
 
 
 @parallel_kernel

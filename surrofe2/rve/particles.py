@@ -108,28 +108,28 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         return _pairs(patch, listed, x, v, F, F_dot)
 
     def act(pairs: _Pairs, forces: Array) -> None:
-        force[:] += _summed(pairs.i, forces, patch.particles)
-        force[:] -= _summed(pairs.j, forces, patch.particles)
+        force[:] += _summed(pairs.i, forces, patch.topology.particles)
+        force[:] -= _summed(pairs.j, forces, patch.topology.particles)
         virial[:] += np.einsum("nki,nkj->nij", forces, pairs.r)
 
-    bonds = pairs_of(patch.bonds)
+    bonds = pairs_of(patch.topology.bonds)
     tension = cell.wall_stiffness * (bonds.length - unit.rest_length)
     tension += unit.constants.wall_damping * bonds.rate
     act(bonds, (tension / bonds.length)[:, :, None] * bonds.r)
 
-    contacts = pairs_of(patch.contacts)
+    contacts = pairs_of(patch.topology.contacts)
     along = _contact_tension(unit, contacts) / contacts.length
     pushes = along[:, :, None] * contacts.r
     act(contacts, pushes)
 
-    fluid = pairs_of(patch.fluid_pairs)
+    fluid = pairs_of(patch.topology.fluid_pairs)
     density, forces = _fluid(unit, patch, fluid)
     act(fluid, forces)
 
-    starts = patch.fluid_start.astype(np.int64)
+    starts = patch.topology.fluid_start.astype(np.int64)
     fluid_cell = np.repeat(np.arange(starts.size - 1), np.diff(starts))
     spacing = unit.rest_length
-    area = np.linalg.det(F) * patch.area
+    area = np.linalg.det(F) * patch.topology.area
     rims = _rim_areas(arrangement.rims, x, patch.lattice, F)
     at_rest = _rim_areas(arrangement.rims, unit.position[None], patch.lattice, np.eye(2)[None])
     return Particles(
@@ -147,7 +147,7 @@ def look_into(unit: UnitCell, F: Array, F_dot: Array, z: Array, fluctuation: Arr
         contact_pressure=_push_on_walls(patch, contacts, pushes, fluid_cell) / spacing,
         area_ratio=rims / at_rest,
         stress=virial / area[:, None, None],
-        is_wall=np.arange(patch.particles) < patch.walls,
+        is_wall=np.arange(patch.topology.particles) < patch.topology.walls,
         fluid_cell=fluid_cell,
         lattice=patch.lattice,
     )
@@ -157,7 +157,9 @@ def _pairs(
     patch: Patch, listed: NDArray[np.int32], x: Array, v: Array, F: Array, rate: Array
 ) -> _Pairs:
     """Listed local pairs, images brought back to their owners and moved by the lattice."""
-    own = np.concatenate([np.arange(patch.particles), patch.owner]).astype(np.int64)
+    own = np.concatenate([np.arange(patch.topology.particles), patch.topology.owner]).astype(
+        np.int64
+    )
     shift = _shift_of(patch, listed[:, 1]) - _shift_of(patch, listed[:, 0])
     offset = shift @ patch.lattice.T
     i, j = own[listed[:, 0]], own[listed[:, 1]]
@@ -167,7 +169,7 @@ def _pairs(
 
 
 def _shift_of(patch: Patch, local: NDArray[np.int32]) -> Index:
-    shift = np.concatenate([np.zeros((patch.particles, 2), np.int64), patch.shift])
+    shift = np.concatenate([np.zeros((patch.topology.particles, 2), np.int64), patch.shift])
     picked: Index = shift[local].astype(np.int64)
     return picked
 
@@ -189,8 +191,8 @@ def _fluid(unit: UnitCell, patch: Patch, pairs: _Pairs) -> tuple[Array, Array]:
     outer, inner = np.maximum(2.0 - s, 0.0), np.maximum(1.0 - s, 0.0)
     kernel = scale * (0.25 * outer**3 - inner**3)
     slope = scale / h * (3.0 * inner**2 - 0.75 * outer**2) / pairs.length
-    i, j = pairs.i - patch.walls, pairs.j - patch.walls
-    mass, n_fluid = unit.constants.fluid_mass, patch.particles - patch.walls
+    i, j = pairs.i - patch.topology.walls, pairs.j - patch.topology.walls
+    mass, n_fluid = unit.constants.fluid_mass, patch.topology.particles - patch.topology.walls
     density = mass * (scale + _summed(i, kernel, n_fluid) + _summed(j, kernel, n_fluid))
     a, b = 1.0 / density[:, i], 1.0 / density[:, j]
     along = mass**2 * slope * cell.sound_speed**2 * (a + b)
@@ -203,17 +205,17 @@ def _push_on_walls(patch: Patch, pairs: _Pairs, pushes: Array, fluid_cell: Index
 
     A plant cell and its image, which lie on both sides of a wall, count as two.
     """
-    first, second = pairs.i < patch.walls, pairs.j < patch.walls
+    first, second = pairs.i < patch.topology.walls, pairs.j < patch.topology.walls
     mixed = np.flatnonzero(first != second)
     wall_first = first[mixed]
     wall = np.where(wall_first, pairs.i[mixed], pairs.j[mixed])
-    fluid = np.where(wall_first, pairs.j[mixed], pairs.i[mixed]) - patch.walls
+    fluid = np.where(wall_first, pairs.j[mixed], pairs.i[mixed]) - patch.topology.walls
     shift = np.where(wall_first, 1, -1)[:, None] * pairs.shift[mixed]
     sides = np.column_stack([wall, fluid_cell[fluid], shift])
     unique, side = np.unique(sides, axis=0, return_inverse=True)
     outward = pushes[:, mixed] * np.where(wall_first, 1.0, -1.0)[:, None]
     total = np.linalg.norm(_summed(side.ravel(), outward, len(unique)), axis=2)
-    largest = np.zeros((patch.walls, len(pushes)))
+    largest = np.zeros((patch.topology.walls, len(pushes)))
     np.maximum.at(largest, unique[:, 0], total.T)
     return largest.T
 

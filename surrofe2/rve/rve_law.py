@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import RveTopology, pack, unpack
+from surrofe2.plant_cell.tiles import Topology, pack, unpack
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.particles import Particles, look_into
@@ -64,6 +64,10 @@ class RveLaw:
         solver: str | None = None,
         reference: ReferenceState | None = None,
     ) -> None:
+        if not isinstance(cell, CellParameters):
+            raise InputError(
+                f"cell: {cell!r}; it must be CellParameters, as CellParameters.preset(name) makes"
+            )
         if not isinstance(settings, RveSettings | None):
             raise InputError(
                 f"rve: {settings!r}; settings must be an RveSettings, "
@@ -101,17 +105,7 @@ class RveLaw:
     @property
     def has_tangents(self) -> bool:
         """Whether the solver is direct; tangents would hide how loosely the iteration stops."""
-        return self.solver == "direct"
-
-    @property
-    def solver(self) -> str:
-        """How the micro problem is solved."""
-        return self.settings.solver
-
-    @property
-    def reference_position(self) -> NDArray[np.float64]:
-        """(particles, 2) relaxed reference positions, walls first, µm."""
-        return self.unit_cell.position.copy()
+        return self.settings.solver == "direct"
 
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
@@ -162,7 +156,7 @@ class RveLaw:
                 f"state: not a state of an RveLaw for {points} points; pass what an earlier "
                 "answer for the same points carried, or None"
             )
-        if tangents and self.solver == "iterated":
+        if tangents and not self.has_tangents:
             raise InputError(
                 "tangents: not with solver iterated, whose loose stop they would hide; "
                 "use solver direct"
@@ -174,9 +168,14 @@ class RveLaw:
         if status.any():
             stress[status != Status.OK] = np.nan
         slopes = solution.tangents() if tangents else None
-        left = None if solution.state.left is None else unpack(solution.state.left, points)
+        left = solution.state.left_points
         return StressResponse(
-            stress, status, solution.state, solution.effort(), slopes, left_bifurcation=left
+            stress,
+            status,
+            solution.state,
+            solution.effort(),
+            slopes,
+            left_bifurcation=left if left.any() else None,
         )
 
     def accept(self, F: Any, F_dot: Any, response: StressResponse) -> Acceptance:
@@ -187,7 +186,7 @@ class RveLaw:
         The state of the answer stays as it is; the new one shares with it what was not renewed.
         """
         state = response.state
-        unchecked = self.initialisation == "cauchy-born" or self.solver == "iterated"
+        unchecked = self.initialisation == "cauchy-born" or not self.has_tangents
         if unchecked or state.is_checked:
             return Acceptance(response.status, state)
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
@@ -226,7 +225,7 @@ class RveLaw:
             return Acceptance(status, state)
         return Acceptance(status, state, stress, left)
 
-    def _covering_topology(self, state: RveState) -> RveTopology:
+    def _covering_topology(self, state: RveState) -> Topology:
         """The shortest pair lists that cover every point, else the longest."""
         for level, topology in enumerate(self.unit_cell.topologies):
             if covered_by(self.unit_cell, level, state.F, state.z).all():

@@ -14,7 +14,7 @@ for as long as any state refers to it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,12 +25,13 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.plant_cell.tiles import RveTopology, pack, put_points, tiles_for, unpack
+from surrofe2.plant_cell.tiles import Topology, pack, put_points, tiles_for, unpack
 from surrofe2.simd import TILE, load, store
 
 Reals = NDArray[np.float64]
 
 SLOPES = 8
+_TILES = ("z", "F", "F_dot", "iterations", "left", "fluctuation", "elastic")
 _BYTES = 4
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
 
@@ -54,7 +55,7 @@ class Factors:
         return cls(tuple(blocks), np.array(address, dtype=np.intp))
 
     @classmethod
-    def empty(cls, tiles: int, topology: RveTopology) -> Factors:
+    def empty(cls, tiles: int, topology: Topology) -> Factors:
         """Uninitialised factors of `tiles` tiles."""
         rows = topology.size + (2 * topology.particles - 2) * SLOPES
         return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
@@ -145,26 +146,24 @@ class RveState:
     Attributes:
         points: n; the last tile is filled up with copies.
         z: (tiles, 2, particles, TILE) material positions, x = F z, µm.
-        fluctuation: same shape, v − L x, µm/µs; None: zero, velocities are affine.
-        elastic: same shape, z of the elastic equilibrium that "slow-manifold" starts from;
-            None: z itself.
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
         factors: kept factorisation and prediction, see `newton`.
         iterations: (tiles, TILE) force evaluations of the last solve.
-        left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here; None:
-            nowhere.
+        left: (tiles, TILE) whether the RVE left its branch at a bifurcation on its way here.
+        fluctuation: as z, v − L x, µm/µs; None: zero, velocities are affine.
+        elastic: as z, of the elastic equilibrium that "slow-manifold" starts from; None: z itself.
         is_checked: whether every point was found stable at this very z, its factors made there.
     """
 
     points: int
     z: Reals
-    fluctuation: Reals | None
-    elastic: Reals | None
     F: Reals
     F_dot: Reals
     factors: Factors
     iterations: NDArray[np.int32]
-    left: NDArray[np.bool_] | None = None
+    left: NDArray[np.bool_]
+    fluctuation: Reals | None = None
+    elastic: Reals | None = None
     is_checked: bool = False
 
     @property
@@ -180,88 +179,59 @@ class RveState:
     @property
     def left_points(self) -> NDArray[np.bool_]:
         """(points,) `left`."""
-        return unpack(flags(self), self.points)
+        return unpack(self.left, self.points)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All of it, for `from_arrays`; shared blocks of factors once."""
-        arrays = {
+        own: dict[str, Any] = {
             "points": np.array(self.points),
-            "z": self.z,
-            "F": self.F,
-            "F_dot": self.F_dot,
-            "iterations": self.iterations,
             "is_checked": np.array(self.is_checked),
-            **self.factors.to_arrays(),
         }
-        for name, values in (
-            ("fluctuation", self.fluctuation), ("elastic", self.elastic), ("left", self.left),
-        ):  # fmt: skip
-            if values is not None:
-                arrays[name] = values
-        return arrays
+        return own | self._tiles(self) | self.factors.to_arrays()
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RveState:
         """The state whose `to_arrays` gave these, to the bit."""
         return cls(
             points=int(arrays["points"]),
-            z=arrays["z"],
-            fluctuation=arrays.get("fluctuation"),
-            elastic=arrays.get("elastic"),
-            F=arrays["F"],
-            F_dot=arrays["F_dot"],
             factors=Factors.from_arrays(arrays),
-            iterations=arrays["iterations"],
-            left=arrays.get("left"),
             is_checked=bool(arrays["is_checked"]),
+            **{name: arrays[name] for name in _TILES if name in arrays},
         )
 
     def take(self, index: NDArray[np.intp]) -> RveState:
         """The state of the points `index` alone."""
         if len(index) == self.points and (index == np.arange(self.points)).all():
             return self
-
-        def taken(tiles: NDArray[Any]) -> NDArray[Any]:
-            return pack(unpack(tiles, self.points)[index])
-
-        return RveState(
-            points=len(index),
-            z=taken(self.z),
-            fluctuation=None if self.fluctuation is None else taken(self.fluctuation),
-            elastic=None if self.elastic is None else taken(self.elastic),
-            F=taken(self.F),
-            F_dot=taken(self.F_dot),
-            factors=self.factors.take(index),
-            iterations=taken(self.iterations),
-            left=None if self.left is None else taken(self.left),
-            is_checked=self.is_checked,
-        )
+        tiles = self._tiles(self).items()
+        taken: dict[str, Any] = {k: pack(unpack(v, self.points)[index]) for k, v in tiles}
+        return replace(self, points=len(index), factors=self.factors.take(index), **taken)
 
     def put(self, index: NDArray[np.intp], part: RveState) -> RveState:
         """This state with the points `index` replaced by those of `part`."""
         index, row = with_copies(index, self.points)
         part = part.take(row)
+        tiles = {name: values.copy() for name, values in self._tiles(part).items()}
+        for name, values in part._tiles(self).items():
+            put_points(tiles[name], index, values)
+        factors = self.factors.put(index, part.factors)
+        is_checked = self.is_checked and part.is_checked
+        return replace(self, factors=factors, is_checked=is_checked, **tiles)
 
-        def put(mine: NDArray[Any], theirs: NDArray[Any]) -> NDArray[Any]:
-            mine = mine.copy()
-            put_points(mine, index, theirs)
-            return mine
-
-        affine = self.fluctuation is None and part.fluctuation is None
-        at_rest = self.elastic is None and part.elastic is None
-        on_branch = self.left is None and part.left is None
-        return RveState(
-            points=self.points,
-            z=put(self.z, part.z),
-            fluctuation=None if affine else put(self.beyond_affine, part.beyond_affine),
-            elastic=None if at_rest else put(self.relaxed, part.relaxed),
-            F=put(self.F, part.F),
-            F_dot=put(self.F_dot, part.F_dot),
-            factors=self.factors.put(index, part.factors),
-            iterations=put(self.iterations, part.iterations),
-            left=None if on_branch else put(flags(self), flags(part)),
-            is_checked=self.is_checked and part.is_checked,
-        )
+    def _tiles(self, other: RveState) -> dict[str, Any]:
+        """Arrays of tiles by name, but those that neither this state nor the other has."""
+        tiles: dict[str, Any] = {
+            "z": self.z,
+            "F": self.F,
+            "F_dot": self.F_dot,
+            "iterations": self.iterations,
+            "left": self.left,
+        }
+        if self.fluctuation is not None or other.fluctuation is not None:
+            tiles["fluctuation"] = self.beyond_affine
+        if self.elastic is not None or other.elastic is not None:
+            tiles["elastic"] = self.relaxed
+        return tiles
 
 
 def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -273,12 +243,6 @@ def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp],
     last = place[index == points - 1]
     copies = np.arange(points, tiles_for(points) * TILE if len(last) else points)
     return np.append(index, copies), np.append(place, np.repeat(last, len(copies)))
-
-
-def flags(state: RveState) -> NDArray[np.bool_]:
-    """`left` of a state, (tiles, TILE)."""
-    on_branch = np.zeros(state.iterations.shape, dtype=np.bool_)
-    return on_branch if state.left is None else state.left
 
 
 def rest_state(position: Reals, factors: Factors, points: int) -> RveState:
@@ -293,10 +257,9 @@ def rest_state(position: Reals, factors: Factors, points: int) -> RveState:
     return RveState(
         points=points,
         z=z,
-        fluctuation=None,
-        elastic=None,
         F=identity,
         F_dot=np.zeros_like(identity),
         factors=factors.repeated(len(z)),
         iterations=np.zeros((len(z), TILE), dtype=np.int32),
+        left=np.zeros((len(z), TILE), dtype=np.bool_),
     )

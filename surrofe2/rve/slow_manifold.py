@@ -31,16 +31,13 @@ from surrofe2.plant_cell.force_derivatives import elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
-from surrofe2.rve.equilibrium_modes import (
-    along,
-    equilibrium_modes,
-    set_velocities,
-    unit_velocities,
-)
+from surrofe2.rve.equilibrium_modes import along, equilibrium_modes, set_velocities, unit_velocities
 from surrofe2.rve.newton import (
+    Stop,
     add_slopes,
     change,
     check_stable,
+    chord_loop,
     correct,
     keep_slopes,
     newton_loop,
@@ -49,13 +46,13 @@ from surrofe2.rve.newton import (
     settle,
 )
 from surrofe2.rve.particle_state import (
+    Answer,
     Drive,
     answer_of,
     copy_particles,
     drive_of,
     keep_lane,
     mean_force,
-    measure,
     place,
     place_images,
 )
@@ -105,16 +102,19 @@ def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
     predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
     add_slopes(slopes, 0, drive.rate, y)
     copy_particles(work.z, relaxed)
-    _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count)
+    stop = Stop(tolerance, CONTRACTION, LIMIT)
+    _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count)
     for axis in range(2):
         for i in range(z.shape[1]):
             offset = load(z, axis, i) - load(elastic, axis, i)
             store(load(relaxed, axis, i) + offset, work.z, axis, i)
     add_slopes(slopes, 4, change(drive.rate, at.rate), work.z)
-    _find_positions(work, drive.F, lu, topology, c, tolerance, answer.stress, count)
+    found = np.minimum(count, 0)
+    positions = Answer(answer.stress, answer.residual, found, answer.stable)
+    chord_loop(work, drive, False, lu, topology, c, stop, positions)
     for k in range(TILE):
-        answer.iterations[k] = count[k]
-        if count[k] > 0:
+        answer.iterations[k] = count[k] + found[k] if found[k] > 0 else -1
+        if found[k] > 0:
             keep_lane(work.z, k, z)
             keep_lane(relaxed, k, elastic)
     set_fluctuation(work.v, z, drive.rate, moving.fluctuation)
@@ -130,14 +130,14 @@ def set_fluctuation(v, z, rate, fluctuation):
 
 
 @kernel
-def _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count):
+def _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count):
     """z_el into work.z and relaxed, v into work.v; count (TILE,) of evaluations, −1: failed."""
     own, F = topology.particles, drive.F
     f_rate, volume_rate = np.empty_like(work.f), np.empty_like(work.volume)
     residual, residual_rate = np.empty((1, TILE)), np.empty((1, TILE))
     before, settled = np.full(TILE, np.inf), np.zeros(TILE, dtype=np.int32)
     step = np.empty((2 * own - 2, TILE))
-    for evaluation in range(1, LIMIT + 1):
+    for evaluation in range(1, stop.limit + 1):
         place_images(work, F, topology)
         set_velocities(work.z, y, F, drive.rate, topology, work.v)
         elastic_forces_and_rates(work, f_rate, volume_rate, topology, c)
@@ -147,34 +147,12 @@ def _find_velocities(work, y, drive, lu, topology, c, tolerance, relaxed, count)
         mean_force(f_rate, own, residual_rate)
         for k in range(TILE):
             # where z_el is found it stays: a pair at the cut-off must not flicker
-            settled[k] = max(settled[k], np.int32(residual[0, k] <= tolerance), abs(count[k]))
+            settled[k] = max(settled[k], np.int32(residual[0, k] <= stop.tolerance), abs(count[k]))
             residual[0, k] = max(residual[0, k], residual_rate[0, k] / RATE_TOLERANCE)
-        left = settle(
-            residual, before, CONTRACTION, tolerance, evaluation, LIMIT, work.z, relaxed, count
-        )
-        if left == 0:
+        if settle(residual, before, stop, evaluation, work.z, relaxed, count) == 0:
             return
         correct(lu, work.f, step, settled, F, work.z, topology)
         correct(lu, f_rate, step, count, F, y, topology)
-
-
-@kernel
-def _find_positions(work, F, lu, topology, c, tolerance, stress, count):
-    """z into work.z at given velocities work.v; adds to count, or sets −1."""
-    sigma, residual = np.empty((2, 2, TILE)), np.empty((1, TILE))
-    before, found = np.full(TILE, np.inf), np.minimum(count, 0)
-    step = np.empty((2 * topology.particles - 2, TILE))
-    for evaluation in range(1, LIMIT + 1):
-        place_images(work, F, topology)
-        measure(work, F, topology, c, sigma, residual)
-        left = settle(
-            residual, before, CONTRACTION, tolerance, evaluation, LIMIT, sigma, stress, found
-        )
-        if left == 0:
-            break
-        correct(lu, work.f, step, found, F, work.z, topology)
-    for k in range(TILE):
-        count[k] = count[k] + found[k] if found[k] > 0 else -1
 
 
 @parallel_kernel

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
-from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles, stress_at
-from surrofe2.rve.particle_state import Drive, empty_answer, list_covers, pairs_apart
-from surrofe2.rve.rve_state import RveState, flags, with_copies
+from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles
+from surrofe2.rve.particle_state import Drive, empty_answer, list_covers, pairs_apart, stress_at
+from surrofe2.rve.rve_state import RveState, with_copies
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
@@ -104,7 +104,7 @@ class Solution:
         self.given = drive
         self.drive = Drive(drive.F, dashpot_rate(self.initialisation, drive.rate))
         self.before, self.cold, self.level = before, cold, level
-        self.law = unit.topologies[level], unit.constants
+        self.law = unit.patches[level].topology, unit.constants
         self.answer = empty_answer(len(drive.F))
         self.status = np.zeros(self.answer.iterations.shape, dtype=np.int8)
         self.held_up = np.zeros_like(self.status, dtype=np.bool_)
@@ -129,11 +129,8 @@ class Solution:
 
     def tangents(self) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ at the solution; NaN where there is none."""
-        values, state, points = (
-            np.empty((len(self.status), 2, 2, 8, TILE)),
-            self.state,
-            self.before.points,
-        )
+        state, points = self.state, self.before.points
+        values = np.empty((len(self.status), 2, 2, 8, TILE))
         if self.initialisation == "slow-manifold":
             slow_tangents(self.given, state.z, state.relaxed, *self.law, values)
         else:
@@ -145,21 +142,13 @@ class Solution:
 
     def effort(self) -> dict[str, int]:
         """Summable counts of what the answer cost."""
-        points = self.before.points
+        points, newly_left = self.before.points, self.state.left & ~self.before.left
         return {
             "rve_solves": points,
             "force_evaluations": int(np.abs(unpack(self.answer.iterations, points)).sum()),
             "newton_solves": self.newton_solves,
-            "left_bifurcation": self._newly_left(),
+            "left_bifurcation": int(unpack(newly_left, points).sum()),
         }
-
-    def _newly_left(self) -> int:
-        """How many points left a branch in this call."""
-        left, before = self.state.left, self.before.left
-        if left is None or left is before:
-            return 0
-        newly = left if before is None else left & ~before
-        return int(unpack(newly, self.before.points).sum())
 
     def solve(self) -> None:
         """Initialise every RVE with the list of contacts at hand."""
@@ -303,7 +292,7 @@ class Solution:
         factors = self.state.factors.put(index, walked.solved.factors.take(row))
         self.state = replace(self.state, factors=factors)
         if walked.left.any():
-            left = unpack(flags(self.state), self.status.size)
+            left = unpack(self.state.left, self.status.size).copy()
             left[index] |= walked.left[row]
             self.state = replace(self.state, left=pack(left))
 

@@ -1,26 +1,55 @@
-"""An RVE ready to be solved: its reference state, pair lists and factorisation at F = I."""
+"""An RVE at rest: its reference state settled, its pair lists, its factorisation at F = I.
+
+The paper starts "from this cell in its equilibrium state", and its tissue measures an exact
+multiple of the cell: so the wall rest length l₀ follows from σ(I, 0) = 0 with particles relaxed.
+Irregular cells also need the shape of the box at its given area (symmetry frees the others of
+it); the stress of an elastic equilibrium is symmetric, so these three numbers free it. Where
+starts lead to several equilibria, the stable one of least energy is taken, at the l₀ of one
+square cell and in the box as it was laid out.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to be settled
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.arrangement import make_arrangement
-from surrofe2.plant_cell.pair_lists import Patch, make_patches
+from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
+from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.plant_cell.tiles import Constants, RveTopology, make_constants, pack
-from surrofe2.rve.newton import renew
-from surrofe2.rve.particle_state import Drive
-from surrofe2.rve.reference_state import make_topologies, settle_reference
+from surrofe2.plant_cell.tiles import Constants, Topology, make_constants, pack, unpack
+from surrofe2.rve.constrained_runs import Stepping, iterate_tile
+from surrofe2.rve.newton import SOLVE, newton, renew, solve_tiles
+from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, stored_energy
 from surrofe2.rve.rve_state import Factors
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+STARTS = TILE
+"""Starts of irregular plant cells."""
+FREE_OF_STRESS = 1e-11
+"""Largest stress of the reference over c_s² times the fluid's mass per area."""
+RELAXED = 1e-10
+"""Mean force, µN, at which Newton's method stops."""
+SAME_ENERGY = 1e-7
+"""Equilibria whose energies differ relatively by less are the same or images of each other."""
+_FIRST_GUESS = 0.5
+"""l₀ of one square cell over the length of a spring."""
+_TRIALS, _DIFFERENCE, _SETTLED_STRESS = 200, 1e-5, 1e-14
+_SETTLING_STEP, _SETTLING_LIMIT = 1e-3, 300_000
+_SETTLED = {"square": 1.0, "hexagon": 1.0, "voronoi": 1e-4}
+"""Mean force, µN, low enough that Newton stays in the basin: irregular cells have many."""
+_NOT_FREE = (
+    "cell: no wall rest length and box free the undeformed RVE of stress; check "
+    "fluid_particle_mass, wall_stiffness and repulsion_strength, or take another arrangement_seed"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +58,7 @@ class UnitCell:
 
     Attributes:
         reference: relaxed positions, lattice and rest length.
-        patches, topologies: pair lists of rising reach; the shortest that provably covers a
-            deformation serves.
+        patches: pair lists of rising reach; the shortest that provably covers a deformation serves.
         factors: factorisation at the reference, one tile.
     """
 
@@ -38,7 +66,6 @@ class UnitCell:
     reference: ReferenceState
     constants: Constants
     patches: tuple[Patch, ...]
-    topologies: tuple[RveTopology, ...]
     factors: Factors
 
     @property
@@ -52,9 +79,9 @@ class UnitCell:
         return self.reference.rest_length
 
     @property
-    def area(self) -> float:
-        """Reference area, µm²."""
-        return self.patches[0].area
+    def topologies(self) -> tuple[Topology, ...]:
+        """Those of the patches."""
+        return tuple(patch.topology for patch in self.patches)
 
 
 @lru_cache(maxsize=32)
@@ -72,13 +99,171 @@ def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None
     if len(position) != make_arrangement(cell).particles:
         raise InputError("reference: another number of particles; have it settled anew")
     patches = make_patches(cell, position, reference.lattice)
-    topologies = make_topologies(cell, patches)
-    constants = make_constants(cell, reference.rest_length)
+    topology, constants = patches[0].topology, make_constants(cell, reference.rest_length)
     z = np.repeat(np.ascontiguousarray(position.T)[None, ..., None], TILE, axis=-1)
     unit = pack(np.eye(2)[None])
-    factors = Factors.empty(1, topologies[0])
+    factors = Factors.empty(1, topology)
     drive = Drive(unit, np.zeros_like(unit))
-    stable = renew(drive, z, factors, np.array([True]), topologies[0], constants)
+    stable = renew(drive, z, factors, np.array([True]), topology, constants)
     if not stable.all():
         raise InputError("reference: not a stable equilibrium of this cell; have it settled anew")
-    return UnitCell(cell, reference, constants, patches, topologies, factors)
+    return UnitCell(cell, reference, constants, patches, factors)
+
+
+@lru_cache(maxsize=32)
+def settle_reference(cell: CellParameters) -> ReferenceState:
+    """Relax plant cells at F = I and find the rest length (and box) that frees them of stress.
+
+    Raises:
+        InputError: no positive rest length balances the turgor, or no stable equilibrium exists.
+    """
+    irregular = cell.arrangement == "voronoi"
+    one_square = replace(cell, arrangement="square", cells=1, arrangement_seed=1)
+    guess = _FIRST_GUESS * cell.spring_length
+    if not cell.is_one_square:
+        guess = settle_reference(one_square).rest_length
+    lattice = make_arrangement(cell).tessellation.lattice
+    starts = [start_positions(cell, k) for k in range(STARTS if irregular else 1)]
+    found = equilibria_in(cell, lattice, guess, np.array(starts))
+    best = lowest(found) if irregular else 0
+    return _free_of_stress(cell, found.z[best], guess, irregular)
+
+
+@dataclass(frozen=True, slots=True)
+class Equilibria:
+    """Elastic equilibria of k points.
+
+    Attributes:
+        z: (k, 2, particles) material positions, µm.
+        stress: (k, 2, 2) Cauchy stress, µN/µm.
+        energy: (k,) stored energy of the RVE, pJ; NaN where none was found.
+        iterations: (k,) force evaluations; not positive where none was found.
+        found, stable: (k,).
+        factors: kept factorisations there.
+    """
+
+    z: Array
+    stress: Array
+    energy: Array
+    iterations: NDArray[np.int32]
+    found: Flags
+    stable: Flags
+    factors: Factors
+
+
+def equilibria_in(
+    cell: CellParameters, lattice: Array, rest_length: float, starts: Array
+) -> Equilibria:
+    """Equilibria at F = I of a given box and l₀ into which `starts` (k, n, 2) settle.
+
+    Args:
+        lattice: (2, 2); starts are given in the arrangement's own box and deformed to this one.
+
+    Raises:
+        InputError: no start comes to rest.
+    """
+    own = make_arrangement(cell).tessellation.lattice
+    moved = starts @ np.linalg.solve(own.T, lattice.T)
+    constants = make_constants(cell, rest_length)
+    settled = _settled(cell, lattice, constants, moved)
+    (patch,) = make_patches(cell, settled[0], lattice, WHOLE_CELLS)
+    unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
+    return relax(patch.topology, constants, np.swapaxes(settled, 1, 2), unit)
+
+
+def relax(
+    topology: Topology,
+    constants: Constants,
+    starts: Array,
+    F: Array,
+    tolerance: float = RELAXED,
+) -> Equilibria:
+    """Elastic equilibria at F (k, 2, 2) by Newton from material positions (k, 2, n)."""
+    points, z, tensors = len(starts), pack(starts), pack(F)
+    factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
+    drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(len(z), SOLVE, dtype=np.int8)
+    solve_tiles(newton, drive, z, factors.address, task, topology, constants, tolerance, answer)
+    z, iterations = unpack(z, points), unpack(answer.iterations, points)
+    found = iterations > 0
+    energy = np.where(found, stored_energy(F, z, topology, constants), np.nan)
+    stable = found & unpack(answer.stable, points)
+    stress = unpack(answer.stress, points)
+    return Equilibria(z, stress, energy, iterations, found, stable, factors)
+
+
+def lowest(equilibria: Equilibria) -> int:
+    """The stable equilibrium of least energy; among equal ones the first.
+
+    Raises:
+        InputError: none is stable.
+    """
+    if not equilibria.stable.any():
+        raise InputError(
+            "cell: no stable equilibrium of the undeformed RVE was found; check "
+            "fluid_particle_mass, wall_stiffness and repulsion_strength, or take another "
+            "arrangement_seed"
+        )
+    energy = np.where(equilibria.stable, equilibria.energy, np.inf)
+    return int(np.flatnonzero(energy <= energy.min() + SAME_ENERGY * abs(energy.min()))[0])
+
+
+def _settled(cell: CellParameters, lattice: Array, constants: Constants, starts: Array) -> Array:
+    """Where particles come to rest at F = I from `starts` (k, n, 2), of those that do."""
+    (patch,) = make_patches(cell, starts[0], lattice, WHOLE_CELLS)
+    x = np.ascontiguousarray(np.moveaxis(pack(starts), 2, 1))
+    unit = pack(np.broadcast_to(np.eye(2), (len(starts), 2, 2)))
+    drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
+    stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
+    for t in range(len(x)):
+        at, said = drive_of(drive, t), answer_of(answer, t)
+        iterate_tile(at, x[t], v[t], patch.mass, patch.topology, constants, stepping, said)
+    rested = unpack(answer.iterations, len(starts)) >= 0
+    if not rested.any():
+        raise InputError(
+            "cell: the undeformed RVE does not come to rest "
+            f"(mean force {answer.residual.min():.3g} µN); check fluid_particle_mass, "
+            "wall_stiffness and the damping ratios"
+        )
+    return np.swapaxes(unpack(x, len(starts)), 1, 2)[rested]
+
+
+def _free_of_stress(
+    cell: CellParameters, z: Array, rest_length: float, irregular: bool
+) -> ReferenceState:
+    """Solve for l₀ and, of irregular cells, the box's shape: F = exp of a traceless matrix."""
+    lattice = make_arrangement(cell).tessellation.lattice
+    topology = make_patches(cell, z.T, lattice)[-1].topology
+    tolerance = FREE_OF_STRESS * cell.density * cell.sound_speed**2
+    at = z[None].copy()
+
+    def shape(u: Array) -> Array:
+        return (
+            np.asarray(scipy.linalg.expm([[u[1], u[2]], [u[2], -u[1]]])) if irregular else np.eye(2)
+        )
+
+    def stress(u: Array) -> Array:
+        constants = make_constants(cell, u[0] * cell.spring_length)
+        found = relax(topology, constants, at, shape(u)[None])
+        if not found.found[0]:
+            raise InputError(_NOT_FREE)
+        at[:] = found.z
+        s = found.stress[0]
+        return np.array([s[0, 0] + s[1, 1], s[0, 0] - s[1, 1], s[0, 1] + s[1, 0]])[: len(u)]
+
+    u = np.zeros(3 if irregular else 1)
+    u[0] = rest_length / cell.spring_length
+    options = {"xtol": _SETTLED_STRESS, "maxfev": _TRIALS, "eps": _DIFFERENCE**2}
+    u = scipy.optimize.root(stress, u, method="hybr", options=options).x
+    if not u[0] > 0.0:
+        raise InputError(
+            f"cell: the turgor needs a wall rest length of {u[0]:.3g} spring lengths; it must be "
+            "positive: lower fluid_particle_mass or sound_speed, or raise wall_stiffness"
+        )
+    if not np.abs(stress(u)).max() <= tolerance:
+        raise InputError(_NOT_FREE)
+    F, l0 = shape(u), float(u[0] * cell.spring_length)
+    relaxed, box = at[0].T @ F.T, F @ lattice
+    topology = make_patches(cell, relaxed, box)[0].topology
+    final = relax(topology, make_constants(cell, l0), relaxed.T[None], np.eye(2)[None])
+    lowest(final)
+    return ReferenceState(cell.fingerprint, final.z[0].T.copy(), box, l0)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.io.kept_curves import KeptCurve, KeptCurves
+from surrofe2.io.kept import KeptCurve, KeptCurves
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import DampedFit, first_minimum, fit_damped_modes
-from surrofe2.report.tables import Quantity
+from surrofe2.report.study import NamedCell
 from surrofe2.rve import RveLaw
 from surrofe2.tissue import TissueSettings, simulate_tissue
 
@@ -37,8 +37,7 @@ class BarCase:
         micro_step: of the tissue, µs.
     """
 
-    cell: CellParameters
-    preset: str
+    of: NamedCell
     method: str
     load_case: LoadCase = field(default_factory=LoadCase)
     elements: tuple[int, int] | None = None
@@ -48,7 +47,7 @@ class BarCase:
     @property
     def plant_cells(self) -> tuple[int, int]:
         """In x and y."""
-        side = self.cell.cell_side
+        side = self.of.cell.cell_side
         return round(self.load_case.width / side), round(self.load_case.height / side)
 
     @property
@@ -56,7 +55,7 @@ class BarCase:
         """Stem of its file."""
         n, m = self.plant_cells
         mesh = "" if self.elements is None else f"-on-{self.elements[0]}x{self.elements[1]}"
-        return f"{self.preset}-{n}x{m}-{self.method}{mesh}"
+        return f"{self.of.name}-{n}x{m}-{self.method}{mesh}"
 
     @property
     def label(self) -> str:
@@ -75,24 +74,25 @@ class BarCase:
 
     def configuration(self) -> dict[str, Any]:
         """Everything the curve depends on, by name."""
-        common = {"cell": self.cell.to_dict(), "load": asdict(self.load_case)}
-        if self.elements is None:
-            return common | {"method": TISSUE, "micro_step": self.micro_step}
-        return common | {
+        common = {
+            "cell": self.of.cell.to_dict(),
+            "load": asdict(self.load_case),
             "method": self.method,
-            "elements": self.elements,
-            "tolerances": self.tolerances,
         }
+        if self.elements is None:
+            return common | {"micro_step": self.micro_step}
+        return common | {"elements": self.elements, "tolerances": self.tolerances}
 
     def compute(self, progress: Progress | None = None) -> BarRun:
         """Make the run, by FE² or as a full tissue."""
+        cell, load_case = self.of.cell, self.load_case
         if self.elements is None:
-            reference = RveLaw(self.cell).reference
             settings = TissueSettings(micro_step=self.micro_step, frames=2)
+            reference = RveLaw(cell).reference
             done = simulate_tissue(
-                self.load_case, self.cell, settings, reference=reference, progress=progress
+                load_case, cell, settings, reference=reference, progress=progress
             )
-            return make_bar_run(self, done.curve, done.wall_time["total"])
+            return BarRun(self, done.curve, done.wall_time["total"])
         relative, absolute = self.tolerances
         macro = MacroSettings(
             elements=self.elements,
@@ -101,27 +101,60 @@ class BarCase:
             record_dissipation=False,
             frames=2,
         )
-        law = RveLaw(self.cell, initialisation=self.method)
-        run = simulate(self.load_case, law, macro, progress=progress)
-        return make_bar_run(self, run.curve, run.wall_time["total"])
+        law = RveLaw(cell, initialisation=self.method)
+        run = simulate(load_case, law, macro, progress=progress)
+        return BarRun(self, run.curve, run.wall_time["total"])
 
 
 @dataclass(frozen=True, slots=True)
-class BarRun:
-    """What the curve of a run says.
+class Way:
+    """A way to fit: `modes` damped modes to the samples between two fractions of the curve."""
 
-    Attributes:
-        curve: displacement of the watched point.
-        minimum: time µs and depth µm of the first minimum.
-        fit: two-mode fit of the vertical displacement.
-        seconds: wall time.
-    """
+    name: str
+    modes: int
+    begin: float = 0.0
+    end: float = 1.0
+
+    def fit(self, curve: DisplacementCurve) -> DampedFit:
+        """The fit of the vertical displacement."""
+        span = curve.t[-1] - curve.t[0]
+        within = (curve.t >= self.begin * span) & (curve.t <= self.end * span)
+        return fit_damped_modes(curve.t[within], curve.displacement[within, 1], self.modes)
+
+
+WAYS = (
+    Way("two modes", 2),
+    Way("three modes", 3),
+    Way("four modes", 4),
+    Way("two modes, last four fifths", 2, 0.2),
+    Way("two modes, last three fifths", 2, 0.4),
+    Way("two modes, first four fifths", 2, 0.0, 0.8),
+)
+"""The first is the one of the figures (docs/theory.md, period and decrement)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BarRun:
+    """A run: the displacement of the watched point and the wall time in s."""
 
     case: BarCase
     curve: DisplacementCurve
-    minimum: tuple[float, float]
-    fit: DampedFit
     seconds: float
+
+    @cached_property
+    def minimum(self) -> tuple[float, float]:
+        """Time µs and depth µm of the first minimum."""
+        return first_minimum(self.curve.t, self.curve.displacement[:, 1])
+
+    @cached_property
+    def fit(self) -> DampedFit:
+        """By the first of `WAYS`."""
+        return WAYS[0].fit(self.curve)
+
+    @cached_property
+    def fits(self) -> tuple[DampedFit, ...]:
+        """By all of `WAYS`."""
+        return self.fit, *(way.fit(self.curve) for way in WAYS[1:])
 
     @property
     def name(self) -> str:
@@ -131,58 +164,11 @@ class BarRun:
         return f"{self.case.method} {self.case.elements[0]}x{self.case.elements[1]}"
 
 
-def make_bar_run(case: BarCase, curve: DisplacementCurve, seconds: float) -> BarRun:
-    """Fit a curve."""
-    u = curve.displacement[:, 1]
-    return BarRun(case, curve, first_minimum(curve.t, u), fit_damped_modes(curve.t, u), seconds)
-
-
 def compute_or_read(case: BarCase, kept: KeptCurves, progress: Progress | None = None) -> BarRun:
     """The run of a case: from its kept curve, or made and kept."""
     found = kept.read(case.name, case.configuration())
     if found is not None:
-        return make_bar_run(case, found.curve, found.seconds)
+        return BarRun(case, found.curve, found.seconds)
     run = case.compute(progress)
     kept.write(case.name, case.configuration(), KeptCurve(run.curve, run.seconds))
     return run
-
-
-COMPARED: tuple[Quantity[BarRun], ...] = (
-    Quantity("first minimum", "µm", ".2f", lambda run: run.minimum[1]),
-    Quantity("period", "µs", ".2f", lambda run: run.fit.first.period),
-    Quantity("decrement", "", ".4f", lambda run: run.fit.first.decrement),
-)
-"""What bars are compared by."""
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedBar:
-    """A run, or with None what runs on finer and finer meshes tend to.
-
-    off: how far it is from the full tissue of the same bar in `COMPARED`, run / tissue − 1 in % by
-    name; empty for the tissue itself.
-    """
-
-    plant_cells: int
-    run: BarRun | None
-    off: Mapping[str, float]
-
-
-def compare_bar(run: BarRun, tissue: BarRun | None) -> ComparedBar:
-    """A run against the tissue, if there is one."""
-    off = {}
-    if tissue is not None and run is not tissue:
-        off = {each.name: 100.0 * (each.get(run) / each.get(tissue) - 1.0) for each in COMPARED}
-    return ComparedBar(run.case.plant_cells[0], run, off)
-
-
-def of_run(
-    name: str, unit: str, form: str | None, get: Callable[[BarRun], Any]
-) -> Quantity[ComparedBar]:
-    """A quantity of the run, where there is one."""
-    return Quantity(name, unit, form, lambda row: None if row.run is None else get(row.run))
-
-
-def deviation(name: str, form: str) -> Quantity[ComparedBar]:
-    """One of `COMPARED` over the tissue's."""
-    return Quantity(f"{name} off", "%", form, lambda row: row.off.get(name))

@@ -27,6 +27,18 @@ def oscillation(slowness: float = 1.0) -> Path:
     return lambda t: (np.eye(2) + np.sin(omega * t) * way, omega * np.cos(omega * t) * way)
 
 
+def returning(path: Path, stretch: float, shear: float, period: float) -> Path:
+    """A path, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
+    omega, away = 2.0 * np.pi / period, 0.5 * np.array([[stretch, shear], [0.0, 0.0]])
+
+    def excursion(t: float) -> tuple[Array, Array]:
+        F, F_dot = path(t)
+        angle = omega * min(t, 0.0)
+        return F + (1.0 - np.cos(angle)) * away, F_dot + omega * np.sin(angle) * away
+
+    return excursion
+
+
 def along(path: Path, times: Array) -> tuple[Array, Array]:
     """F and Ḟ at many times, (m, 2, 2) each."""
     F, F_dot = zip(*(path(float(t)) for t in times), strict=True)

@@ -19,7 +19,7 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.settings import check_settings, setting
-from surrofe2.studies.drives import Path, steady_shear
+from surrofe2.studies.drives import returning, steady_shear
 from surrofe2.units import RATE, TIME
 
 Array = NDArray[np.float64]
@@ -94,53 +94,26 @@ class Memory:
     @property
     def verdict(self) -> str:
         """One sentence on whether a cache on (F, Ḟ) is sound."""
-        period, after = self.settings.period, self.settings.after
-        fading = self.fading_time
+        fading, period = self.fading_time, f"{self.settings.period:g} µs"
         fades = (
-            f"is not below 1/e after {after:g} µs"
+            f"is not below 1/e after {self.settings.after:g} µs"
             if fading is None
             else f"falls to 1/e within {fading:.2g} µs"
         )
         part = 100.0 * self.largest / self.scale
-        found = f"the past makes up to {part:.2g} % of the stress and {fades}"
-        if self.sound:
-            return (
-                f"sound: a cache on (F, Ḟ) holds for this cell: {found}, against motions of "
-                f"{period:g} µs"
-            )
-        return (
-            f"not sound: do not cache on (F, Ḟ) for this cell at periods of {period:g} µs: {found}"
-        )
-
-
-def steady_past(settings: MemorySettings) -> Path:
-    """F = I + Ḟ t at all times."""
-    return steady_shear(settings.rate)
-
-
-def returning_past(settings: MemorySettings) -> Path:
-    """The same, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
-    omega, steady = 2.0 * np.pi / settings.period, steady_past(settings)
-    away = 0.5 * np.array([[settings.stretch, settings.shear], [0.0, 0.0]])
-
-    def path(t: float) -> tuple[Array, Array]:
-        F, F_dot = steady(t)
-        angle = omega * min(t, 0.0)
-        return F + (1.0 - np.cos(angle)) * away, F_dot + omega * np.sin(angle) * away
-
-    return path
+        found = f"for this cell: the past makes up to {part:.2g} % of the stress and {fades}"
+        if not self.sound:
+            return f"not sound at periods of {period}: do not cache on (F, Ḟ) {found}"
+        return f"sound: a cache on (F, Ḟ) holds {found}, against motions of {period}"
 
 
 def memory(cell: CellParameters, settings: MemorySettings | None = None) -> Memory:
     """Integrate both pasts, one and a half periods before they meet, and watch them after."""
-    settings = settings or MemorySettings()
-    law, t = RveLaw(cell), np.linspace(0.0, settings.after, 201)
-    times = np.concatenate([[-1.5 * settings.period], t])
-    steady, returning = (
-        integrate_rve(law, past(settings), times, settings.micro_step)[1:]
-        for past in (steady_past, returning_past)
-    )
-    return Memory(settings, t, steady, returning)
+    s = settings or MemorySettings()
+    law, t, steady = RveLaw(cell), np.linspace(0.0, s.after, 201), steady_shear(s.rate)
+    times = np.concatenate([[-1.5 * s.period], t])
+    pasts = steady, returning(steady, s.stretch, s.shear, s.period)
+    return Memory(s, t, *(integrate_rve(law, past, times, s.micro_step)[1:] for past in pasts))
 
 
 def fading_time(t: Array, difference: Array, part: float) -> float | None:
@@ -164,7 +137,7 @@ QUANTITIES: tuple[Quantity[Memory], ...] = (
 )
 
 
-def describe(found: Memory, preset: str) -> Study:
+def describe(found: Memory) -> Study:
     """The stress of both pasts and the fading difference."""
     stresses = {
         f"sigma_{label} {past} (µN/µm)": stress[:, a, b]
@@ -178,9 +151,7 @@ def describe(found: Memory, preset: str) -> Study:
         log_y=True,
     )
     return Study(
-        name=f"memory-{preset}",
-        title="Two pasts that end in the same $(F, \\dot F)$:\n"
-        f"difference of the stresses, preset “{preset}”",
+        title="Two pasts that end in the same $(F, \\dot F)$:\ndifference of the stresses",
         panels=(panel,),
         table=Table(QUANTITIES, (found,)),
         series={"t (µs)": found.t, **stresses, "difference (µN/µm)": found.difference},

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,7 +33,6 @@ Row = TypeVar("Row")
 
 FACTORS = (0.5, 0.75, 1.0, 1.5, 2.0)
 """Of turgor and wall stiffness in the tables."""
-
 
 MODULI: Mapping[str, Callable[[Array], float]] = {
     "C11": lambda C: C[0, 0],
@@ -108,7 +108,7 @@ def turgor(cell: CellParameters) -> Turgor:
     t = cell.tissue_thickness
     return Turgor(
         mean=float(np.mean(speed / per_density)) / t,
-        virial=float(-np.sum(pull * square)) / (2.0 * unit.area * t),
+        virial=float(-np.sum(pull * square)) / (2.0 * topology.area * t),
     )
 
 
@@ -123,25 +123,22 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
     if not 0.0 < pressure < float("inf"):
         raise InputError(f"turgor: {pressure}; it must be positive (MPa)")
 
-    def heavy(factor: float) -> CellParameters:
-        return replace(cell, fluid_particle_mass=guess * factor)
-
     # Mass of a fluid that fills the cell evenly; pressure grows nearly in proportion.
     spread = cell.cell_side**2 / cell.fluid_particles_per_side**2
     guess = pressure * cell.tissue_thickness / cell.sound_speed**2 * spread
 
-    def excess(factor: float) -> float:
-        return turgor(heavy(factor)).mean / pressure - 1.0
+    def excess(mass: float) -> float:
+        return turgor(replace(cell, fluid_particle_mass=mass)).mean / pressure - 1.0
 
     try:
-        factor = brentq(excess, 0.6, 1.6, rtol=1e-10)
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
+        mass = float(brentq(excess, 0.6 * guess, 1.6 * guess, rtol=1e-10))
+    except InputError:
+        raise
+    except ValueError:
         raise InputError(
             f"turgor: {pressure} MPa; no fluid mass near {guess:.3g} ng gives it"
         ) from None
-    return heavy(float(factor))
+    return replace(cell, fluid_particle_mass=mass)
 
 
 def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict[str, Table[Any]]:
@@ -165,14 +162,14 @@ def _moduli_of(
 ) -> list[Quantity[Row]]:
     """Every modulus of the matrix of a row; `kind` goes before the name."""
 
-    def quantity(name: str) -> Quantity[Row]:
-        def get(row: Row) -> float | None:
-            C = matrix(row)
-            return None if C is None else float(MODULI[name](C))
+    def get(row: Row, name: str) -> float | None:
+        C = matrix(row)
+        return None if C is None else float(MODULI[name](C))
 
-        return Quantity(f"{kind}{name}", "", ".4g" if name in shown else None, get)
-
-    return [quantity(name) for name in MODULI]
+    return [
+        Quantity(f"{kind}{name}", "", ".4g" if name in shown else None, partial(get, name=name))
+        for name in MODULI
+    ]
 
 
 def with_wall_springs(cell: CellParameters, n: float) -> CellParameters:
@@ -206,29 +203,16 @@ def with_fluid_particles(cell: CellParameters, n: float) -> CellParameters:
 Change = tuple[str, Callable[[CellParameters], Sequence[float]], Callable[..., CellParameters]]
 """A parameter that is changed: heading with unit, values about a cell's own, cell of a value."""
 CHANGES: Mapping[str, Change] = {
-    # by the fluid's mass, everything else kept
-    "turgor": (
-        "turgor (MPa)",
-        lambda cell: [k * turgor(cell).mean for k in FACTORS],
-        with_turgor,
-    ),
-    # the damping constant of the wall follows (eq. 1)
+    "turgor": ("turgor (MPa)", lambda cell: [k * turgor(cell).mean for k in FACTORS], with_turgor),
     "wall stiffness": (
         "wall stiffness (N/m)",
         lambda cell: [k * cell.wall_stiffness for k in FACTORS],
         lambda cell, stiffness: replace(cell, wall_stiffness=stiffness),
     ),
-    "wall particles": (
-        "wall springs a side",
-        lambda cell: (6, 8, 10, 12, 14),
-        with_wall_springs,
-    ),
-    "fluid particles": (
-        "fluid particles a side",
-        lambda cell: (2, 4, 6, 8),
-        with_fluid_particles,
-    ),
+    "wall particles": ("wall springs a side", lambda cell: (6, 8, 10, 12, 14), with_wall_springs),
+    "fluid particles": ("fluid particles a side", lambda cell: (2, 4, 6, 8), with_fluid_particles),
 }
+"""Turgor by the fluid's mass; the damping constant of the wall follows its stiffness (eq. 1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +238,16 @@ def changed_cells(
     """Moduli over a parameter in MPa and MPa µs; those of some are in files alone."""
     t = cell.tissue_thickness
     heading, usual, make = change
-    rows = [_changed(initialisation, value, make, cell) for value in values or usual(cell)]
+
+    def changed(value: float) -> ChangedCell:
+        try:
+            new = make(cell, value)
+            relative = RveLaw(new).rest_length * new.wall_springs_per_side / new.cell_side
+            found = cell_moduli(new, initialisation)
+            return ChangedCell(value, "", turgor(new), relative, found)
+        except InputError as error:
+            return ChangedCell(value, str(error))
+
     quantities: tuple[Quantity[ChangedCell], ...] = (
         Quantity(heading, "", ".4g", lambda row: row.value),
         Quantity("mean turgor", "MPa", ".4g", lambda row: row.turgor and row.turgor.mean),
@@ -265,20 +258,6 @@ def changed_cells(
             ("bulk", "shear", "shear 45°", "young"),
         ),
         *_moduli_of(lambda row: row.moduli and row.moduli.viscous / t, ("shear",), "viscous "),
-        Quantity("trouble", "", "", lambda row: row.trouble or None),
+        Quantity("trouble", "", None, lambda row: row.trouble or None),
     )
-    return Table(quantities, rows)
-
-
-def _changed(
-    initialisation: str, value: float, make: Callable[..., CellParameters], cell: CellParameters
-) -> ChangedCell:
-    try:
-        changed = make(cell, value)
-        spring = changed.cell_side / changed.wall_springs_per_side
-        relative = RveLaw(changed).rest_length / spring
-        return ChangedCell(
-            value, "", turgor(changed), relative, cell_moduli(changed, initialisation)
-        )
-    except InputError as error:
-        return ChangedCell(value, str(error))
+    return Table(quantities, [changed(value) for value in values or usual(cell)])

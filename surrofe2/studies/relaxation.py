@@ -7,8 +7,9 @@ the fixed point of constrained runs, which Newton finds to 1e-11 µN.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,8 @@ from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.newton import SOLVE, newton, stress_at
-from surrofe2.rve.particle_state import Drive, empty_answer
+from surrofe2.rve.newton import SOLVE, newton
+from surrofe2.rve.particle_state import Drive, empty_answer, stress_at
 from surrofe2.rve.rve_state import Factors
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
@@ -74,11 +75,24 @@ def relaxations(
     reference = _fixed_point(cell, F, F_dot)
     spaced = np.rint(np.geomspace(1.0, limit, samples)).astype(np.int64)
     counts = np.unique(np.concatenate([[0], spaced]))
-    ways = {ELASTIC: np.zeros((2, 2)), RUNS: F_dot}
-    found = {
-        name: _iterated(unit, F, F_dot, rate, counts, micro_step, reference)
-        for name, rate in ways.items()
-    }
+    L = F_dot @ np.linalg.inv(F)
+
+    def iterated(rate: Array) -> Relaxation:
+        """The paper's iteration with this rate, interrupted at each of the counts."""
+        drive, answer = Drive(pack(F[None]), pack(rate[None])), empty_answer(1)
+        X, mass = unit.position.T, unit.patches[0].mass
+        x, v = _tile(F @ X), _tile(rate @ X)
+        forces, errors = [], []
+        for count in np.diff(counts, prepend=0):
+            stepping = Stepping(micro_step, _NEVER, int(count))
+            iterate(drive, x, v, mass, unit.topologies[-1], unit.constants, stepping, answer)
+            forces.append(answer.residual[0, 0, 0])
+            there = x[0, :, :, 0]
+            velocity = v[0, :, :, 0] if rate.any() else L @ there
+            errors.append(_distance(there, velocity, reference))
+        return Relaxation(counts, np.array(forces), np.array(errors))
+
+    found = {ELASTIC: iterated(np.zeros((2, 2))), RUNS: iterated(F_dot)}
     found[DIRECT] = _newton_steps(unit, F, F_dot, reference)
     return found
 
@@ -91,31 +105,6 @@ def _fixed_point(cell: CellParameters, F: Array, F_dot: Array) -> Array:
         raise SimulationError("relaxation: the direct solve finds no fixed point of this cell")
     z = answer.state.z[0, :, :, 0]
     return np.concatenate([F @ z, F_dot @ z])
-
-
-def _iterated(
-    unit: UnitCell,
-    F: Array,
-    F_dot: Array,
-    rate: Array,
-    counts: NDArray[np.int64],
-    step: float,
-    reference: Array,
-) -> Relaxation:
-    """The paper's iteration with `rate`, interrupted at each of the counts."""
-    drive, answer = Drive(pack(F[None]), pack(rate[None])), empty_answer(1)
-    X, mass = unit.position.T, unit.patches[0].mass
-    x, v = _tile(F @ X), _tile(rate @ X)
-    L = F_dot @ np.linalg.inv(F)
-    forces, errors = [], []
-    for count in np.diff(counts, prepend=0):
-        stepping = Stepping(step, _NEVER, int(count))
-        iterate(drive, x, v, mass, unit.topologies[-1], unit.constants, stepping, answer)
-        forces.append(answer.residual[0, 0, 0])
-        position = x[0, :, :, 0]
-        velocity = v[0, :, :, 0] if rate.any() else L @ position
-        errors.append(_distance(np.concatenate([position, velocity]), reference))
-    return Relaxation(counts, np.array(forces), np.array(errors))
 
 
 def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> Relaxation:
@@ -131,11 +120,10 @@ def _newton_steps(unit: UnitCell, F: Array, F_dot: Array, reference: Array) -> R
             continue
         stress_at(drive, z, *law, answer)
         there = z[0, :, :, 0]
-        state = np.concatenate([F @ there, F_dot @ there])
-        rows[count] = float(answer.residual[0, 0, 0]), _distance(state, reference)
+        error = _distance(F @ there, F_dot @ there, reference)
+        rows[count] = float(answer.residual[0, 0, 0]), error
     counts = np.array(sorted(rows))
-    forces, errors = zip(*(rows[int(k)] for k in counts), strict=True)
-    return Relaxation(counts, np.array(forces), np.array(errors))
+    return Relaxation(counts, *np.array([rows[int(k)] for k in counts]).T)
 
 
 def _tile(values: Array) -> Array:
@@ -143,8 +131,8 @@ def _tile(values: Array) -> Array:
     return np.ascontiguousarray(np.repeat(values[None, ..., None], TILE, axis=-1))
 
 
-def _distance(state: Array, reference: Array) -> float:
-    return float(np.linalg.norm(state - reference, 2))
+def _distance(x: Array, v: Array, reference: Array) -> float:
+    return float(np.linalg.norm(np.concatenate([x, v]) - reference, 2))
 
 
 _LABELS = {
@@ -152,8 +140,6 @@ _LABELS = {
     RUNS: "constrained runs (Euler steps)",
     DIRECT: "constrained runs, direct solve (Newton steps)",
 }
-
-
 QUANTITIES: tuple[Quantity[tuple[str, Relaxation]], ...] = (
     Quantity("method", "", "", lambda row: row[0]),
     Quantity("iterations to mean force 1", "", "d", lambda row: row[1].first_below(STOP)),
@@ -163,32 +149,29 @@ QUANTITIES: tuple[Quantity[tuple[str, Relaxation]], ...] = (
 )
 
 
-def describe(ways: dict[str, Relaxation], preset: str) -> Study:
+def describe(ways: dict[str, Relaxation]) -> Study:
     """Figure 6: error of the state at the left, mean force at the right."""
     error, force = "error of the state (µm and µm/µs)", "mean particle force (µN)"
+
+    def panel(label: str, values: Callable[[Relaxation], Array]) -> Panel:
+        curves = []
+        for name, text in _LABELS.items():
+            x, y = ways[name].iterations.astype(float), values(ways[name])
+            curves.append(Curve(name, x, y, text, markers=name == DIRECT))
+        return Panel("iterations", label, tuple(curves), log_x=True, log_y=True)
+
+    def column(values: Callable[[Relaxation], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([values(way) for way in ways.values()])
+
     return Study(
-        name=f"fig6-{preset}",
-        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$, "
-        f"preset “{preset}”",
-        panels=(
-            _panel(error, [_curve(m, ways[m].iterations, ways[m].error) for m in _LABELS]),
-            _panel(force, [_curve(m, ways[m].iterations, ways[m].mean_force) for m in _LABELS]),
-        ),
+        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$",
+        panels=(panel(error, lambda way: way.error), panel(force, lambda way: way.mean_force)),
         columns=2,
         table=Table(QUANTITIES, tuple(ways.items())),
         series={
             "method": [method for method, way in ways.items() for _ in way.iterations],
-            "iterations": np.concatenate([way.iterations for way in ways.values()]),
-            "mean force (µN)": np.concatenate([way.mean_force for way in ways.values()]),
-            error: np.concatenate([way.error for way in ways.values()]),
+            "iterations": column(lambda way: way.iterations),
+            "mean force (µN)": column(lambda way: way.mean_force),
+            error: column(lambda way: way.error),
         },
     )
-
-
-def _panel(label: str, curves: Sequence[Curve]) -> Panel:
-    return Panel("iterations", label, tuple(curves), log_x=True, log_y=True)
-
-
-def _curve(method: str, iterations: NDArray[np.int64], values: Array) -> Curve:
-    y = np.where(values > 0.0, values, np.nan)
-    return Curve(method, iterations.astype(float), y, _LABELS[method], markers=method == DIRECT)

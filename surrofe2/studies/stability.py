@@ -116,7 +116,7 @@ def find_onset(
     z, s, step = unit.position.T[None].copy(), 0.0, _MARCH
     while s < length:
         trial = walker.newton((np.eye(2) + (s + step) * way)[None], z)
-        if trial.good[0]:
+        if trial.stable[0]:
             z, s = trial.z, s + step
         elif step < _CLOSE:
             return s
@@ -139,18 +139,13 @@ QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
 )
 
 
-def describe(found: StabilityMap, preset: str) -> Study:
+def describe(found: StabilityMap) -> Study:
     """The map: one panel for each plane; the onset along each way."""
     planes = found.planes.values()
     F = np.concatenate([plane.F for plane in planes])
     category = np.concatenate([plane.category for plane in planes])
-    counts = {
-        key: {label: int((plane.category == k).sum()) for k, label in enumerate(CATEGORIES)}
-        for key, plane in found.planes.items()
-    }
     return Study(
-        name=f"stability-{preset}",
-        title=f"Stable equilibria of the plant cell at rest, preset “{preset}”",
+        title="Stable equilibria of the plant cell at rest",
         panels=tuple(_panel(plane) for plane in planes),
         columns=2,
         table=Table(QUANTITIES, tuple(found.onset.items())),
@@ -161,7 +156,12 @@ def describe(found: StabilityMap, preset: str) -> Study:
             "F_xy (1)": F[:, 0, 1],
             "equilibrium": [CATEGORIES[k] for k in category],
         },
-        results={"counts": counts},
+        results={
+            "counts": {
+                key: {label: int((plane.category == k).sum()) for k, label in enumerate(CATEGORIES)}
+                for key, plane in found.planes.items()
+            }
+        },
     )
 
 

@@ -12,11 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.simd import TILE, load, spread, store
+from surrofe2.simd import TILE, fill_tanh, load, spread, store
 from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES, U11, U12, U22
 from surrofe2.surrogate.features import STRETCH
 from surrofe2.surrogate.polynomial import ROWS, add_polynomial
-from surrofe2.surrogate.tanh import fill_tanh
 from surrofe2.tensors import INPUTS
 
 BIOT = 4

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_law import (
     Acceptance,
@@ -50,6 +51,7 @@ class SurrogateLaw:
         version: of the package that trained.
         domain: where the data are; None: all of `range`.
         calibration: of the bound of the error, valid for these very weights and this range.
+        reference: of the RVE, carried along so that a cached run need not settle it.
     """
 
     network: NetworkParameters
@@ -63,6 +65,7 @@ class SurrogateLaw:
     version: str = "unknown"
     domain: Domain | None = None
     calibration: Calibration | None = None
+    reference: ReferenceState | None = None
     _arrays: NetworkArrays = field(init=False, repr=False)
     _bounds: BoundArrays = field(init=False, repr=False)
 

@@ -5,21 +5,18 @@ interacts), kernels, dynamics (particles in motion), relaxation (at rest without
 simulation (a run under a load case).
 """
 
-from surrofe2.tissue.dynamics import TissueDynamics
-from surrofe2.tissue.history import ParticleFrames, TissueRun, TissueState
-from surrofe2.tissue.layout import Tissue, make_tissue
-from surrofe2.tissue.relaxation import relax
-from surrofe2.tissue.settings import TissueSettings
-from surrofe2.tissue.simulation import simulate_tissue
+from __future__ import annotations
 
-__all__ = [
-    "ParticleFrames",
-    "Tissue",
-    "TissueDynamics",
-    "TissueRun",
-    "TissueSettings",
-    "TissueState",
-    "make_tissue",
-    "relax",
-    "simulate_tissue",
-]
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.tissue.dynamics import TissueDynamics
+    from surrofe2.tissue.history import ParticleFrames, TissueRun, TissueState
+    from surrofe2.tissue.layout import Tissue, make_tissue
+    from surrofe2.tissue.relaxation import relax
+    from surrofe2.tissue.settings import TissueSettings
+    from surrofe2.tissue.simulation import simulate_tissue
+
+__getattr__, __dir__ = public_names(__name__)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
-from surrofe2.plant_cell.tiles import Constants, Topology
+from surrofe2.plant_cell.tiles import Constants
 from surrofe2.simd import TILE
-from surrofe2.tissue.kernels import Body, Particles, Watch, elastic_energy, leap
+from surrofe2.tissue.kernels import Body, Fluid, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.pair_lists import PairLister
 
@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 
 TILES_PER_THREAD = 4
 """For fewer, another thread is not worth the waiting for each other, twice a step."""
-_REST = np.zeros((2, 2))
 
 
 class TissueDynamics:
@@ -30,7 +29,6 @@ class TissueDynamics:
         skin: by how much pair lists reach beyond the cut-off, µm; it changes the cost only.
         held: (particles,) which particles do not move; None: none.
         load: (particles, 2) force on each at amplitude 1, µN; None: none.
-        F, F_dot: of a periodic patch, how its periods are deformed and at which rate, 1/µs.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
@@ -45,8 +43,6 @@ class TissueDynamics:
         skin: float = 2.0,
         held: NDArray[np.bool_] | None = None,
         load: Array | None = None,
-        F: Array | None = None,
-        F_dot: Array = _REST,
     ) -> None:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
@@ -59,15 +55,13 @@ class TissueDynamics:
         per_mass[tissue.where] = np.divide(
             1.0, self.free_mass, out=np.zeros(tissue.particles), where=self.free_mass > 0.0
         )
-        periods = np.diag(tissue.size) if tissue.periodic else np.zeros((2, 2))
         self._body = Body(
-            lattice=np.ascontiguousarray((np.eye(2) if F is None else np.asarray(F)) @ periods),
-            rate=np.ascontiguousarray(F_dot @ periods),
             per_mass=per_mass.reshape(tissue.mass.shape),
             load=tissue.to_tiles(self.load),
             retained=1.0,
         )
-        self._fluid = _fluid_topology(tissue)
+        fluid_pairs = tissue.walls + np.stack(np.triu_indices(tissue.own - tissue.walls, 1), axis=1)
+        self._fluid = Fluid(fluid_pairs.astype(np.int32), tissue.own, tissue.walls)
         self.place(tissue.to_particles(tissue.start))
 
     @property
@@ -167,22 +161,6 @@ class TissueDynamics:
         v = self._particles.v[:-1, :, : self.tissue.own]
         return 0.5 * float(np.sum(self.tissue.mass * (v * v).sum(axis=1)))
 
-    def mean_stress(self) -> Array:
-        """(2, 2) Cauchy stress of a periodic patch, µN/µm (eq. 57b).
-
-        σ = −1/V [Σ f ⊗ x + Σ g ⊗ p] over all particles, which feel f, and over all images,
-        which feel g and lie p beside their owners.
-        """
-        f, lists, lattice = self.forces(), self._lists, self._body.lattice
-        virial = -f.T @ self.x
-        images = np.diff(lists.starts[:, 0])
-        for t, count in enumerate(images):
-            first, own = lists.starts[t, 0], self.tissue.own
-            g = self._particles.f[t, :, own : own + count]
-            p = np.einsum("ab,kbl->akl", lattice, lists.wrap[first : first + count])
-            virial -= np.einsum("akl,bkl->ab", g, p)
-        return virial / abs(float(np.linalg.det(lattice)))
-
     def _renew(self) -> None:
         """New lists where the particles are now."""
         own = self.tissue.own
@@ -191,7 +169,7 @@ class TissueDynamics:
 
     def _put(self, x: Array, v: Array, listed: Array) -> None:
         """Own particles (tiles, 2, own, TILE) at x with v, lists made at `listed`."""
-        self._lists = self._lister.make(listed, self._body.lattice)
+        self._lists = self._lister.make(listed)
         self._listed = listed
         self.counts["list_builds"] += 1
         tiles, own = self.tissue.tiles, self.tissue.own
@@ -201,21 +179,3 @@ class TissueDynamics:
         self._particles = particles
         mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())
-
-
-def _fluid_topology(tissue: Tissue) -> Topology:
-    """The fluid of one plant cell; its other pair lists are empty."""
-    fluid = tissue.own - tissue.walls
-    pairs = tissue.walls + np.stack(np.triu_indices(fluid, 1), axis=1)
-    none = np.empty((0, 2), dtype=np.int32)
-    return Topology(
-        bonds=none,
-        contacts=none,
-        fluid_pairs=pairs.astype(np.int32),
-        owner=np.empty(0, dtype=np.int32),
-        image_offset=np.empty((0, 2)),
-        particles=tissue.own,
-        walls=tissue.walls,
-        fluid_start=np.array([0, fluid], dtype=np.int32),
-        fluid_pair_start=np.array([0, len(pairs)], dtype=np.int32),
-    )

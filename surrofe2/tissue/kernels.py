@@ -23,8 +23,8 @@ from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.plant_cell.forces import (
     add_central_energy,
     add_central_forces,
+    add_fluid_energy,
     add_fluid_forces,
-    fluid_specific_volume,
 )
 from surrofe2.simd import TILE, load, spread, store, where_less
 
@@ -43,17 +43,22 @@ class Body(NamedTuple):
     """What moves, and by what.
 
     Attributes:
-        lattice, rate: (2, 2) periods of a periodic patch in columns, µm, and their rates.
         per_mass: (tiles, own, TILE) 1/ng, 0 where held or missing.
         load: (tiles, 2, own, TILE) µN at amplitude 1.
         retained: part of the velocity that a step leaves; 1, or less with drag.
     """
 
-    lattice: Array
-    rate: Array
     per_mass: Array
     load: Array
     retained: float
+
+
+class Fluid(NamedTuple):
+    """Fluid pairs (·, 2) of a plant cell of so many particles, of which `walls` come first."""
+
+    fluid_pairs: NDArray[np.int32]
+    particles: int
+    walls: int
 
 
 class Watch(NamedTuple):
@@ -78,12 +83,12 @@ def leap(particles, lists, grid, fluid, c, body, watch, steps):
 
     steps: (n, 3) kick, drift and amplitude of the load of each. A step takes forces at x with the
     velocities at hand, then v += kick a, x += drift v.
-    fluid: `Topology` of the fluid of one plant cell; c: `Constants`.
+    c: `Constants`.
     """
     tiles = particles.x.shape[0] - 1
     for n in range(len(steps)):
         for k in numba.prange(tiles):
-            _sum_forces(lists.order[k], particles, lists, fluid, c, body)
+            _sum_forces(lists.order[k], particles, lists, fluid, c)
             _measure_apart(lists.order[k], grid, watch)
         if not _largest_motion(watch) <= lists.skin:
             return n
@@ -93,12 +98,12 @@ def leap(particles, lists, grid, fluid, c, body, watch, steps):
 
 
 @kernel
-def _sum_forces(t, particles, lists, fluid, c, body):
+def _sum_forces(t, particles, lists, fluid, c):
     """Images of tile t and the forces on its local particles, not folded."""
     own = fluid.particles
     here, end = lists.starts[t], lists.starts[t + 1]
-    _gather_images(particles.x, t, own, here[0], end[0], lists, body.lattice)
-    _gather_images(particles.v, t, own, here[0], end[0], lists, body.rate)
+    _gather_images(particles.x, t, own, here[0], end[0], lists.source)
+    _gather_images(particles.v, t, own, here[0], end[0], lists.source)
     x, v, f = particles.x[t], particles.v[t], particles.f[t]
     for i in range(own + end[0] - here[0]):
         store(0.0, f, 0, i)
@@ -115,20 +120,16 @@ def _sum_forces(t, particles, lists, fluid, c, body):
 
 
 @kernel
-def _gather_images(x, t, own, start, end, lists, lattice):
-    """Copy the owners of tile t's images, a period further where it wraps around."""
+def _gather_images(x, t, own, start, end, source):
+    """Copy the owners of tile t's images."""
     flat = x.reshape(-1)
     y = x.shape[2] * TILE
     for k in range(start, end):
         local = own + k - start
         for lane in range(TILE):
-            s = lists.source[k, lane]
+            s = source[k, lane]
             x[t, 0, local, lane] = flat[s]
             x[t, 1, local, lane] = flat[s + y]
-        a, b = load(lists.wrap, k, 0), load(lists.wrap, k, 1)
-        for axis in range(2):
-            offset = lattice[axis, 0] * a + lattice[axis, 1] * b
-            store(load(x, t, axis, local) + offset, x, t, axis, local)
 
 
 @kernel
@@ -227,15 +228,4 @@ def _stored_in_tile(t, x, lists, grid, fluid, c, energy):
     add_central_energy(x[t], lists.lines[rows], lists.line_share[rows], False, c, mine)
     add_central_energy(x[t], lists.contacts[here[3] : end[3]], None, False, c, mine)
     if t < lists.fluid_tiles:
-        _add_fluid(x[t], grid.exists[t], fluid, c, energy[t])
-
-
-@kernel
-def _add_fluid(x, exists, fluid, c, energy):
-    slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-    volume = np.empty((fluid.particles - fluid.walls, TILE))
-    fluid_specific_volume(x, fluid, c, slope, volume)
-    for p in range(volume.shape[0]):
-        for lane in range(TILE):
-            mass = exists[fluid.walls + p, lane] * c.fluid_mass
-            energy[lane] -= mass * c.sound_speed_squared * np.log(volume[p, lane])
+        add_fluid_energy(x[t], fluid, grid.exists[t], c, mine)

@@ -39,13 +39,13 @@ NOWHERE = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Tissue:
-    """n × m square plant cells, finite with single walls at its boundary, or periodic.
+    """n × m square plant cells with single walls at the boundary.
 
     Attributes:
         cells: (n, m) plant cells in x and y.
         column, row: (places,) of the plant cell in each lane, −1 for an empty place.
         fluid_tiles: how many tiles, the first ones, hold plant cells with fluid.
-        place: (n + 1, m + 1), or (n, m) if periodic: the place of each column and row.
+        place: (n + 1, m + 1) the place of each column and row.
         start: (tiles, 2, own, TILE) positions from the repeated reference cell, µm.
         mass: (tiles, own, TILE) ng; 0 where there is no particle.
         walls: number of a cell's own wall particles; they come first.
@@ -55,7 +55,6 @@ class Tissue:
     cell: CellParameters
     constants: Constants
     cells: tuple[int, int]
-    periodic: bool
     column: Ints
     row: Ints
     fluid_tiles: int
@@ -86,11 +85,6 @@ class Tissue:
         return int((self.where // TILE % self.own < self.walls).sum())
 
     @property
-    def size(self) -> Array:
-        """(2,) reference extent, µm."""
-        return self.cell.cell_side * np.array(self.cells, dtype=np.float64)
-
-    @property
     def exists(self) -> NDArray[np.bool_]:
         """(tiles, own, TILE) whether there is a particle."""
         return self.mass > 0.0
@@ -109,19 +103,12 @@ class Tissue:
         return np.ascontiguousarray(np.moveaxis(tiled, 0, 1))
 
 
-def make_tissue(
-    cell: CellParameters,
-    reference: ReferenceState,
-    cells: tuple[int, int],
-    *,
-    periodic: bool = False,
-) -> Tissue:
+def make_tissue(cell: CellParameters, reference: ReferenceState, cells: tuple[int, int]) -> Tissue:
     """A tissue of n × m copies of one plant cell.
 
     Args:
         reference: of one square plant cell, free of stress as part of a tissue.
         cells: plant cells in x and y.
-        periodic: whether the patch goes on beyond its sides, so that it has no boundary.
 
     Raises:
         InputError: `cells` are not two positive integers, or the cell is not one square.
@@ -136,8 +123,8 @@ def make_tissue(
         )
     reference.check_belongs_to(cell)
     walls, own = 2 * cell.wall_springs_per_side - 1, len(reference.position)
-    column, row = _places(cells, periodic)
-    share = _shares(cell, cells, column, row, periodic)
+    column, row = _places(cells)
+    share = _shares(cell, cells, column, row)
     exists = share > 0.0
     tiles = len(column) // TILE
     mass = share * np.where(np.arange(own) < walls, cell.wall_particle_mass, cell.fluid_mass)
@@ -152,7 +139,6 @@ def make_tissue(
         cell=cell,
         constants=make_constants(cell, reference.rest_length),
         cells=cells,
-        periodic=periodic,
         column=column,
         row=row,
         fluid_tiles=tiles_for(cells[0] * cells[1]),
@@ -164,23 +150,21 @@ def make_tissue(
     )
 
 
-def _places(cells: tuple[int, int], periodic: bool) -> tuple[Ints, Ints]:
+def _places(cells: tuple[int, int]) -> tuple[Ints, Ints]:
     """Column and row of each place, rows of plant cells running along the lanes."""
     n, m = cells
     whole = [(a, b) for b in range(m) for a in range(n)]
-    edge = [] if periodic else [*((n, b) for b in range(m)), *((a, m) for a in range(n + 1))]
+    edge = [*((n, b) for b in range(m)), *((a, m) for a in range(n + 1))]
     filled = [group + [(-1, -1)] * (-len(group) % TILE) for group in (whole, edge)]
     column, row = np.array(filled[0] + filled[1]).T
     return column, row
 
 
-def _shares(
-    cell: CellParameters, cells: tuple[int, int], column: Ints, row: Ints, periodic: bool
-) -> Array:
+def _shares(cell: CellParameters, cells: tuple[int, int], column: Ints, row: Ints) -> Array:
     """(places, own) part that a particle has of its mass; 0 where it does not exist."""
     per_side = cell.wall_springs_per_side
     walls = 2 * per_side - 1
-    present = np.pad(np.ones(cells), 1, mode="wrap" if periodic else "constant")
+    present = np.pad(np.ones(cells), 1)
     here, left = present[column + 1, row + 1], present[column, row + 1]
     below, diagonal = present[column + 1, row], present[column, row]
     share = np.zeros((len(column), walls + cell.fluid_particles))

@@ -35,14 +35,12 @@ class Grid(NamedTuple):
 
     Attributes:
         place: (tiles, shifts, TILE) place of the cell at each of `PairKinds.shifts`, or −1.
-        wrap: (tiles, shifts, 2, TILE) how often a periodic patch is left on the way there.
         exists: (tiles, own, TILE) 1.0 where there is a particle, else 0.
         per_count: (tiles, TILE) 1/(number of own particles), or 0.
         next_shifts: the shifts to the next column or row.
     """
 
     place: Ints
-    wrap: Array
     exists: Array
     per_count: Array
     next_shifts: Ints
@@ -54,7 +52,6 @@ class PairLists(NamedTuple):
     Attributes:
         starts: (tiles + 1, 5) of images, bonds, lines, contacts, folds.
         source: (images, TILE) flat index of the owner in (tiles + 1, 2, local, TILE).
-        wrap: (images, 2, TILE) periods between owner and image.
         bonds, lines, contacts: (·, 2) local particles.
         bond_share, line_share: (·, TILE) 1, ½ at the boundary, 0 where there is no pair.
         fold: (folds,) own particle; fold_source: (folds, TILE) flat index of the image force.
@@ -67,7 +64,6 @@ class PairLists(NamedTuple):
 
     starts: Ints
     source: Ints
-    wrap: Array
     bonds: NDArray[np.int32]
     lines: NDArray[np.int32]
     contacts: NDArray[np.int32]
@@ -93,8 +89,8 @@ class PairLister:
         self.grid = make_grid(tissue, self._kinds)
         self._share = pair_shares(tissue, self._kinds, self.grid)
 
-    def make(self, x: Array, lattice: Array) -> PairLists:
-        """Lists at positions x (tiles, 2, own, TILE) with periods `lattice` (2, 2), µm.
+    def make(self, x: Array) -> PairLists:
+        """Lists at positions x (tiles, 2, own, TILE), µm.
 
         Raises:
             SimulationError: positions are not finite, or plant cells with two others between
@@ -103,17 +99,53 @@ class PairLister:
         kinds, grid = self._kinds, self.grid
         self._check_apart(x)
         close = np.zeros((len(x), len(kinds.i)), dtype=np.bool_)
-        mark_close(x, kinds, self._reach, grid, lattice, close)
+        mark_close(x, kinds, self._reach, grid, close)
         close[:, : kinds.bonds] = True
-        return _assemble(self._tissue, kinds, grid, self._share, close, self._skin)
+        return self._assemble(close)
+
+    def _assemble(self, close: NDArray[np.bool_]) -> PairLists:
+        """Lists of the kinds that `close` (tiles, kinds) marks, in their order."""
+        tissue, kinds, grid, share = self._tissue, self._kinds, self.grid, self._share
+        tile, kind = np.nonzero(close)
+        j, shift = kinds.j[kind].copy(), kinds.shift[kind]
+        elsewhere = shift > 0
+        key = ((tile * len(kinds.shifts) + shift) * tissue.own + j)[elsewhere]
+        images, number = np.unique(key, return_inverse=True)
+        shift_of_image, owner = np.divmod(images, tissue.own)
+        tile_of_image, shift_of_image = np.divmod(shift_of_image, len(kinds.shifts))
+        image_starts = _starts(tissue, tile_of_image)
+        j[elsewhere] = tissue.own + number - image_starts[tile[elsewhere]]
+        local = tissue.own + int(np.diff(image_starts).max())
+        pairs = np.stack([kinds.i[kind], j], axis=1).astype(np.int32)
+        is_bond, is_contact = kind < kinds.bonds, kind >= kinds.bonds + kinds.lines
+        is_line = ~(is_bond | is_contact)
+        place = grid.place[tile_of_image, shift_of_image]
+        fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
+        there, lane = np.divmod(place, TILE)
+        source = (there * 2 * local + owner[:, None]) * TILE + lane
+        groups = (is_bond, is_line, is_contact)
+        starts = [image_starts, *(_starts(tissue, tile[one]) for one in groups), fold_starts]
+        return PairLists(
+            starts=np.ascontiguousarray(np.stack(starts, axis=1)),
+            source=np.where(place < 0, _nowhere(tissue, local), source),
+            bonds=pairs[is_bond],
+            lines=pairs[is_line],
+            contacts=pairs[is_contact],
+            bond_share=share[tile[is_bond], kind[is_bond]],
+            line_share=share[tile[is_line], kind[is_line]],
+            fold=fold,
+            fold_source=fold_source,
+            order=_evenly_mixed(tissue.fluid_tiles, tissue.tiles),
+            local=local,
+            fluid_tiles=tissue.fluid_tiles,
+            skin=self._skin,
+        )
 
     def _check_apart(self, x: Array) -> None:
         """Plant cells further apart than RINGS must be out of each other's reach."""
         grid, tissue = self.grid, self._tissue
         if not np.isfinite(x).all():
             raise SimulationError("tissue: positions are not finite; lower tissue.micro_step")
-        if tissue.periodic:
-            return
         weight = grid.exists * grid.per_count[:, None]
         centre = (x * weight[:, None]).sum(axis=2)
         extent = np.hypot(*np.moveaxis((x - centre[:, :, None]) * grid.exists[:, None], 1, 0)).max()
@@ -137,10 +169,6 @@ def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
     column = tissue.column[:, None] + kinds.shifts[:, 0]
     row = tissue.row[:, None] + kinds.shifts[:, 1]
     n, m = tissue.place.shape
-    wrap = np.zeros((*column.shape, 2))
-    if tissue.periodic:
-        wrap[..., 0], column = np.divmod(column, n)
-        wrap[..., 1], row = np.divmod(row, m)
     inside = (column >= 0) & (column < n) & (row >= 0) & (row < m)
     inside &= (tissue.column >= 0)[:, None]
     there = tissue.place[np.where(inside, column, 0), np.where(inside, row, 0)]
@@ -148,7 +176,6 @@ def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
     count = exists.sum(axis=1)
     return Grid(
         place=_tiled(np.where(inside, there, -1)),
-        wrap=_tiled(wrap),
         exists=exists,
         per_count=np.where(count > 0, 1.0 / np.maximum(count, 1.0), 0.0),
         next_shifts=np.flatnonzero(abs(kinds.shifts).max(axis=1) == 1),
@@ -164,9 +191,8 @@ def pair_shares(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
     for k in range(count):
         there = place[:, kinds.shift[k]]
         share[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
-        if not tissue.periodic:
-            across, most = (tissue.row, m) if kinds.axis[k] == 0 else (tissue.column, n)
-            share[(across == 0) | (across == most), k] *= 0.5
+        across, most = (tissue.row, m) if kinds.axis[k] == 0 else (tissue.column, n)
+        share[(across == 0) | (across == most), k] *= 0.5
     return _tiled(share)
 
 
@@ -191,52 +217,6 @@ def bonded_particles(tissue: Tissue) -> Ints:
 def _tiled(values: NDArray) -> NDArray:
     """(places, …) → (tiles, …, TILE)."""
     return np.ascontiguousarray(np.moveaxis(values.reshape(-1, TILE, *values.shape[1:]), 1, -1))
-
-
-def _assemble(
-    tissue: Tissue,
-    kinds: PairKinds,
-    grid: Grid,
-    share: Array,
-    close: NDArray[np.bool_],
-    skin: float,
-) -> PairLists:
-    """Lists of the kinds that `close` (tiles, kinds) marks, in their order."""
-    tile, kind = np.nonzero(close)
-    j, shift = kinds.j[kind].copy(), kinds.shift[kind]
-    elsewhere = shift > 0
-    key = ((tile * len(kinds.shifts) + shift) * tissue.own + j)[elsewhere]
-    images, number = np.unique(key, return_inverse=True)
-    shift_of_image, owner = np.divmod(images, tissue.own)
-    tile_of_image, shift_of_image = np.divmod(shift_of_image, len(kinds.shifts))
-    image_starts = _starts(tissue, tile_of_image)
-    j[elsewhere] = tissue.own + number - image_starts[tile[elsewhere]]
-    local = tissue.own + int(np.diff(image_starts).max())
-    pairs = np.stack([kinds.i[kind], j], axis=1).astype(np.int32)
-    is_bond, is_contact = kind < kinds.bonds, kind >= kinds.bonds + kinds.lines
-    is_line = ~(is_bond | is_contact)
-    place = grid.place[tile_of_image, shift_of_image]
-    fold, fold_source, fold_starts = _folds(tissue, place, owner, image_starts, local)
-    there, lane = np.divmod(place, TILE)
-    source = (there * 2 * local + owner[:, None]) * TILE + lane
-    groups = (is_bond, is_line, is_contact)
-    starts = [image_starts, *(_starts(tissue, tile[one]) for one in groups), fold_starts]
-    return PairLists(
-        starts=np.ascontiguousarray(np.stack(starts, axis=1)),
-        source=np.where(place < 0, _nowhere(tissue, local), source),
-        wrap=np.ascontiguousarray(grid.wrap[tile_of_image, shift_of_image]),
-        bonds=pairs[is_bond],
-        lines=pairs[is_line],
-        contacts=pairs[is_contact],
-        bond_share=share[tile[is_bond], kind[is_bond]],
-        line_share=share[tile[is_line], kind[is_line]],
-        fold=fold,
-        fold_source=fold_source,
-        order=_evenly_mixed(tissue.fluid_tiles, tissue.tiles),
-        local=local,
-        fluid_tiles=tissue.fluid_tiles,
-        skin=skin,
-    )
 
 
 def _starts(tissue: Tissue, tile: Ints) -> Ints:
@@ -286,14 +266,14 @@ def _folds(
 
 
 @parallel_kernel
-def mark_close(x, kinds, reach, grid, lattice, close):
+def mark_close(x, kinds, reach, grid, close):
     """close (tiles, kinds): whether any lane has that pair within its `reach`."""
     for t in numba.prange(x.shape[0]):
-        _mark_close_in_tile(t, x, kinds, reach, grid, lattice, close)
+        _mark_close_in_tile(t, x, kinds, reach, grid, close)
 
 
 @kernel
-def _mark_close_in_tile(t, x, kinds, reach, grid, lattice, close):
+def _mark_close_in_tile(t, x, kinds, reach, grid, close):
     for k in range(kinds.i.shape[0]):
         i, j, s = kinds.i[k], kinds.j[k], kinds.shift[k]
         for lane in range(TILE):
@@ -303,9 +283,6 @@ def _mark_close_in_tile(t, x, kinds, reach, grid, lattice, close):
             tile, other = there // TILE, there % TILE
             rx = x[tile, 0, j, other] - x[t, 0, i, lane]
             ry = x[tile, 1, j, other] - x[t, 1, i, lane]
-            a, b = grid.wrap[t, s, 0, lane], grid.wrap[t, s, 1, lane]
-            rx += lattice[0, 0] * a + lattice[0, 1] * b
-            ry += lattice[1, 0] * a + lattice[1, 1] * b
             if rx * rx + ry * ry <= reach[k] * reach[k]:
                 close[t, k] = True
                 break

@@ -15,6 +15,7 @@ In reading order:
     demo           all of it: data set, surrogate, and two bars by true and cached FE²
     reproduce      studies of many bars, each curve kept
 
-Everywhere: what is finished is kept, what was interrupted goes on, `fresh` starts over, and output
-of other settings is refused with a MismatchError that names the difference.
+Everywhere: what is finished is kept, what was interrupted goes on, `fresh` starts over whatever is
+there, and output of other settings is refused with a MismatchError that names the difference.
+`report(done, note)` is told how far the work is, `stage(what, total, unit)` begins such a display.
 """

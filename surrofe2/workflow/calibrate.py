@@ -71,9 +71,9 @@ def _make_paths(
     )
     seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(3).tolist()
     if walks:
-        yield random_walks(recipe.range, walks, settings.length, seeds[0])
+        yield random_walks(recipe.sampling_range(), walks, settings.length, seeds[0])
     if states:
-        yield random_states(recipe.range, states, seeds[1])
+        yield random_states(recipe.sampling_range(), states, seeds[1])
     if runs:
         along, across = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
         macro = replace(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json
 from surrofe2.io.run_folder import file_fingerprint, read_run
 from surrofe2.recipe import Recipe
-from surrofe2.report.comparison import Comparison
+from surrofe2.report.comparison import Comparison, write_comparison_plot
 from surrofe2.report.comparison import compare as compare_stored
-from surrofe2.report.comparison_plot import write_comparison_plot
 from surrofe2.report.sweep import Sweep, make_sweep, write_sweep_plot
-from surrofe2.workflow.run import change_cache, run_study
+from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Stage, silent
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
@@ -21,11 +21,7 @@ SWEEP_FILES = ("sweep.json", "sweep.png")
 
 
 def compare_runs(folders: Sequence[Path], out: Path, *, fresh: bool = False) -> Comparison:
-    """Compare runs and write comparison.json and comparison.png into `out`.
-
-    Raises:
-        MismatchError: `out` holds a comparison of other runs, and not `fresh`.
-    """
+    """Compare runs and write comparison.json and comparison.png into `out`."""
     runs = [read_run(folder) for folder in folders]
     result = compare_stored(runs)
     of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}
@@ -47,7 +43,8 @@ def run_sweep(
 ) -> Sweep:
     """True FE² and a cached run at each tolerance, each in a folder of its own, and their sweep."""
     names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
-    studies = [recipe, *(change_cache(recipe, each) for each in tolerances)]
+    caches = [replace(recipe.cache, tolerance=each) for each in tolerances]
+    studies = [recipe, *(replace(recipe, cache=cache) for cache in caches)]
     for k, (name, study) in enumerate(zip(names, studies, strict=True)):
         with stage(f"{k + 1}/{len(names)} {name}", study.load.duration, "µs") as report:
             run_study(

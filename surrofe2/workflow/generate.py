@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +14,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.sampling import sample
 from surrofe2.stress_law import StressLaw, describe
 from surrofe2.workflow import laws
+from surrofe2.workflow.run_lifecycle import Report, untold
 
 CHUNK = 512
 
@@ -42,7 +42,7 @@ def generate_data_set(
     *,
     fresh: bool = False,
     chunk: int = CHUNK,
-    report: Callable[[int, str], None] = lambda done, note: None,
+    report: Report = untold,
 ) -> Generated:
     """Sample the recipe's range, ask the RVE, and write the recipe's data set.
 
@@ -51,21 +51,19 @@ def generate_data_set(
 
     Args:
         law: asked instead of the recipe's RVE.
-        fresh: start over, whatever is there.
-        report: called with the number of samples done and a remark.
+        report: is told the number of samples done.
 
     Raises:
         InputError: tangents are wanted of RVEs that have none.
-        MismatchError: the file holds a data set of other settings, and not `fresh`.
     """
-    path, settings = recipe.data_path(), recipe.samples
+    path, settings, wanted = recipe.data_path(), recipe.samples, recipe.sampling_range()
     if settings.tangents and recipe.rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
     law = law or laws.true_law(recipe)
     header = DataSetHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),
-        range=recipe.range,
+        range=wanted,
         count=settings.count,
         seed=settings.seed,
         chunk=chunk,
@@ -80,9 +78,8 @@ def generate_data_set(
         report(data.completed, f"{failures} failed")
         while data.completed < settings.count:
             start = data.completed
-            F, F_dot = sample(
-                recipe.range, min(chunk, settings.count - start), settings.seed, start=start
-            )
+            rows = min(chunk, settings.count - start)
+            F, F_dot = sample(wanted, rows, settings.seed, start=start)
             answer = law.respond(F, F_dot, tangents=settings.tangents)
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())

@@ -18,7 +18,7 @@ from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spr
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
-from surrofe2.io.reference_states import (
+from surrofe2.io.kept import (
     read_attached,
     read_reference,
     reference_path,
@@ -29,47 +29,55 @@ from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.recipe import Recipe
+from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.rve.reference_state import settle_reference
+from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 
 _POINTS_OF_A_QUADRILATERAL = 5
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
+_INSTANT = LoadCase(duration=1e-3, watched=(0.0, 0.0))
+"""Watched at a node, for which nothing has to be searched."""
 _AT_REST = 1e-6
 """Largest stress of an undeformed RVE, µN/µm."""
 
 
-def true_law(recipe: Recipe) -> RveLaw:
-    """The RVEs of a recipe, around their kept reference state."""
-    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe))
+def true_law(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> RveLaw:
+    """The RVEs of a recipe, around their kept reference state, see `kept_reference`."""
+    return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe, surrogate))
 
 
-def kept_reference(recipe: Recipe) -> ReferenceState:
+def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> ReferenceState:
     """The settled reference state of a recipe's cell.
 
-    From the cache folder, where the first command puts it, else from the data set, else settled.
+    From the cache folder, where the first command puts it, else from the surrogate or from the
+    data set, else settled.
     """
     cell = recipe.cell
     path = reference_path(cell)
     known = read_reference(path, cell)
     if known is not None:
         return known
-    if recipe.data_file is not None:
+    if surrogate is not None:
+        known = surrogate.reference
+    if known is None and recipe.samples.file is not None:
         known = read_attached(recipe.data_path(), cell)
-    if known is None or not _is_at_rest(RveLaw(cell, reference=known)):
+    if known is None or not _is_usable(known, cell):
         known = settle_reference(cell)
     with suppress(FileError):  # a folder that cannot be written keeps nothing
         write_reference(path, known)
     return known
 
 
-def _is_at_rest(law: RveLaw) -> bool:
-    """Whether a reference that other sources may have settled is free of stress by these."""
-    answer = law.respond(np.eye(2)[None], np.zeros((1, 2, 2)))
+def _is_usable(known: ReferenceState, cell: CellParameters) -> bool:
+    """Whether a reference that other sources may have settled is this cell's, free of stress."""
+    if known.fingerprint != cell.fingerprint:
+        return False
+    answer = RveLaw(cell, reference=known).respond(np.eye(2)[None], np.zeros((1, 2, 2)))
     return not answer.status.any() and bool(np.abs(answer.stress).max() < _AT_REST)
 
 
@@ -120,7 +128,7 @@ def choose_law(
     _check_surrogate(recipe, surrogate, path)
     if kind == "surrogate":
         return ChosenLaw(surrogate, (surrogate,), record)
-    rve = true_law(recipe)
+    rve = true_law(recipe, surrogate)
     if not (recipe.table.enabled or tables):
         law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
         return ChosenLaw(law, (surrogate, rve), record)
@@ -145,10 +153,10 @@ def make_table(
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
     if spread is None:
-        spread = found[0].spread if found else sampled_spread(law, recipe.range)
+        spread = found[0].spread if found else sampled_spread(law, recipe.sampling_range())
     tolerance = recipe.table.tolerance * spread
     table = StressTable(
-        law, tolerance, recipe.range, spread, most_records=recipe.table.most_records
+        law, tolerance, recipe.sampling_range(), spread, most_records=recipe.table.most_records
     )
     for stored in found:
         table.restore(merged(table.records, stored.records, tolerance, table.images))
@@ -180,26 +188,35 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
 def warm_up(
     laws: tuple[StressLaw, ...], settings: MacroSettings, table: StressTable | None = None
 ) -> float:
-    """Compile all that a run with these settings calls, outside its clock; seconds it took.
+    """Load or compile all that a run with these settings calls, outside its clock; seconds it took.
 
-    Each law is asked for a single point and for as many as the run has, up to where no law takes
-    another way for more; and a bar of one element moves for an instant.
+    Each law is asked for as many points as the run has, up to where no law takes another way for
+    more, and where laws share the points for a single one; and a small bar moves for an instant.
     """
     begin = time.perf_counter()
     nx, ny = settings.elements
+    most = min(_POINTS_OF_A_QUADRILATERAL * nx * ny, _MANY_POINTS)
     for law in laws:
-        for points in (1, min(_POINTS_OF_A_QUADRILATERAL * nx * ny, _MANY_POINTS)):
+        for points in (1, most) if len(laws) > 1 else (most,):
             F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
             if isinstance(law, SurrogateLaw):
                 law.status_and_bound(F, 0.0 * F)
-    for law in laws if settings.integrator == "implicit" else laws[-1:]:
+    small = replace(settings, elements=(min(nx, 2), min(ny, 2)))
+    for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
-            simulate(LoadCase(duration=1e-3), law, replace(settings, elements=(1, 1)))
+            simulate(_INSTANT, law, small)
     if table is not None:
         table.warm_up()
     return time.perf_counter() - begin
+
+
+def open_study(path: Path, threads: int | None) -> Recipe:
+    """The recipe of a study, for which so many threads are used."""
+    recipe = load_recipe(path)
+    use_threads(threads)
+    return recipe
 
 
 def use_threads(wanted: int | None) -> int:

@@ -16,19 +16,19 @@ from surrofe2.cache.protocols import Surrogate
 from surrofe2.errors import SimulationError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import check_same, read_json, replacing, reported, write_json
-from surrofe2.io.harvest import Harvest, HarvestHeader, HarvestWriter, read_harvest
+from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
+from surrofe2.report.tables import NONE, Quantity, percent
 from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
-from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
 from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate_surrogate
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.run import HARVEST, run_study
-from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.run import HARVEST, origin_of, run_study
+from surrofe2.workflow.run_lifecycle import Report, Stage, silent, time_text
 from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
 
 Array = NDArray[np.float64]
@@ -75,6 +75,30 @@ class Round:
         """Whether no state was unknown and the audit holds."""
         return self.unknown == 0 and (self.audit is None or self.audit <= self.tolerance)
 
+    @property
+    def sentence(self) -> str:
+        """What became of the round."""
+        return (
+            f"round {self.round}: {100 * self.hits:.4g} % hits, {self.unknown} unknown states, "
+            f"{self.added} samples added"
+        )
+
+
+QUANTITIES: tuple[Quantity[Round], ...] = (
+    Quantity("round", "", "", lambda row: row.round),
+    Quantity("hits", "", percent(".4g"), lambda row: row.hits),
+    Quantity("unknown", "", "", lambda row: row.unknown),
+    Quantity("samples", "", "", lambda row: row.samples),
+    Quantity("held-out RMS", "", percent(".2g"), lambda row: row.held_out),
+    Quantity(
+        "audit 99 %",
+        "",
+        "",  # a column even where no round was audited
+        lambda row: NONE if row.audit is None else percent(".2g")(row.audit),
+    ),
+    Quantity("time", "", time_text, lambda row: row.seconds),
+)
+
 
 def refine_surrogate(
     recipe: Recipe,
@@ -94,12 +118,9 @@ def refine_surrogate(
 
     Args:
         rounds: how many at most.
-        fresh: start over, whatever the folder holds.
-        stage: begins the display of a stage.
         tell: called with each finished round.
 
     Raises:
-        MismatchError: the folder has rounds of another recipe, and not `fresh`.
         SimulationError: the last round is not settled.
     """
     done = _open(recipe, out, fresh)
@@ -145,28 +166,21 @@ def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
     folder.mkdir(exist_ok=True)
     surrogate, samples = _surrogate(recipe, out, k, stage)
     with stage(f"round {k}: run", recipe.load.duration, "µs") as report:
-        record = run_study(
-            recipe,
-            "cached",
-            folder / "run",
-            surrogate_file=folder / SURROGATE,
-            report=report,
-        )
-    spread = surrogate.stress_spread
-    tolerance = recipe.cache.tolerance
-    harvest = harvest_of(folder / "run")
+        path = folder / SURROGATE
+        record = run_study(recipe, "cached", folder / "run", surrogate_file=path, report=report)
+    spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
+    path = folder / "run" / HARVEST
+    harvest = read_harvest(path) if path.exists() else None  # None: the surrogate knew it all
     unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
-        law = laws.true_law(recipe)
+        states = harvest.F[unknown], harvest.F_dot[unknown]
+        wider = range_holding(surrogate.range, *states)
         seed = recipe.samples.seed + k + 1
+        asked = _new_states(recipe, states, wider, wider != surrogate.range, seed)
         with stage(f"round {k}: sample", 1.0, "of the samples") as report:
-            wider, arrays = new_samples(
-                recipe, law, harvest, unknown, surrogate.range, seed, report
-            )
-        write_new_samples(folder / _NEW, recipe, arrays)
+            added = _write_samples(folder / _NEW, recipe, harvest, asked, report)
         write_json(folder / _STARTED, {"range": wider.to_dict()})
-        added = len(arrays[0])
     counts = record.counts
     return Round(
         round=k,
@@ -187,50 +201,35 @@ def _surrogate(
 ) -> tuple[SurrogateLaw, StressSamples]:
     """The surrogate that round k runs on, in its folder, and the samples behind it."""
     path = out / f"round-{k}" / SURROGATE
-    if k == 0:
-        _make_first(recipe, stage)
-        samples = with_harvests(read_data_set(recipe.data_path()), recipe.added_paths(), recipe)
-        if not path.exists():
-            path.write_bytes(recipe.training_path().read_bytes())
-        return read_surrogate(path), samples
-    samples = with_harvests(
-        read_data_set(recipe.data_path()),
-        [*recipe.added_paths(), *(out / f"round-{j}" / _NEW for j in range(k))],
-        recipe,
-    )
-    samples = replace(samples, range=_range_after(out, k - 1))
+    if k == 0:  # the recipe's, made where it is not there
+        with stage("generate", recipe.samples.count, "samples") as report:
+            generate_data_set(recipe, report=report)
+        if not recipe.training_path().exists():
+            train_surrogate(recipe, stage=stage)
+    more = [*recipe.added_paths(), *(out / f"round-{j}" / _NEW for j in range(k))]
+    samples = with_harvests(read_data_set(recipe.data_path()), more, recipe)
+    if k:
+        wider = SamplingRange(**read_json(out / f"round-{k - 1}" / _STARTED)["range"])
+        samples = replace(samples, range=wider)
     if not path.exists():
-        total = recipe.training.iterations
-        with stage(f"round {k}: train", total, "iterations") as report:
-            surrogate = train(
-                samples,
-                recipe.training,
-                progress=lambda i, n, figures: report(i, training_note(figures)),
-            )
-        with stage(f"round {k}: calibrate", 1.0, "of the paths") as report:
-            wider = replace(recipe, range=samples.range)
-            surrogate = calibrate_surrogate(wider, surrogate, samples, report)
-        write_surrogate(surrogate, path)
+        if k == 0:
+            path.write_bytes(recipe.training_path().read_bytes())
+        else:
+            write_surrogate(_trained(recipe, samples, f"round {k}", stage), path)
     return read_surrogate(path), samples
 
 
-def _make_first(recipe: Recipe, stage: Stage) -> None:
-    """Data set and surrogate of the recipe, where they are not there."""
-    with stage("generate", recipe.samples.count, "samples") as report:
-        generate_data_set(recipe, report=report)
-    if not recipe.training_path().exists():
-        train_surrogate(recipe, stage=stage)
-
-
-def _range_after(out: Path, k: int) -> SamplingRange:
-    stored = read_json(out / f"round-{k}" / _STARTED)["range"]
-    return SamplingRange(**stored)
-
-
-def harvest_of(run: Path) -> Harvest | None:
-    """What a run harvested; None where its surrogate answered everything unseen."""
-    path = run / HARVEST
-    return read_harvest(path) if path.exists() else None
+def _trained(recipe: Recipe, samples: StressSamples, name: str, stage: Stage) -> SurrogateLaw:
+    """A surrogate of these samples with a calibrated bound."""
+    with stage(f"{name}: train", recipe.training.iterations, "iterations") as report:
+        surrogate = train(
+            samples,
+            recipe.training,
+            progress=lambda i, n, figures: report(i, training_note(figures)),
+        )
+    with stage(f"{name}: calibrate", 1.0, "of the paths") as report:
+        wider = replace(recipe, range=samples.range)
+        return calibrate_surrogate(wider, surrogate, samples, report)
 
 
 def unknown_states(
@@ -261,52 +260,46 @@ def unknown_states(
     return np.flatnonzero(unknown), quantile
 
 
-def new_samples(
-    recipe: Recipe,
-    law: StressLaw,
-    harvest: Harvest,
-    unknown: NDArray[np.intp],
-    known: SamplingRange,
-    seed: int,
-    report: Any,
-) -> tuple[SamplingRange, tuple[Array, Array, Array, NDArray[np.int8], NDArray[np.int8]]]:
-    """(range that holds the unknown states, (F, F_dot, stress, status, why) to train on).
+def _new_states(
+    recipe: Recipe, states: tuple[Array, Array], wider: SamplingRange, is_new: bool, seed: int
+) -> list[tuple[Array, Array, int]]:
+    """(F, F_dot, why) to ask RVEs for.
 
-    The true answers of the harvest, as many neighbours of the unknown states, and, where the
-    range had to be widened, as many samples of it as the recipe has of its own.
+    As many neighbours as unknown states (F, F_dot), and where their range had to be widened, as
+    many samples of it as the recipe has of its own.
+    """
+    count = min(len(states[0]), MOST_NEIGHBOURS)
+    asked = [(*neighbours(wider, *states, count, seed), NEIGHBOUR)]
+    if is_new:
+        asked.append((*sample(wider, recipe.samples.count, seed), WIDENED))
+    return asked
+
+
+def _write_samples(
+    path: Path,
+    recipe: Recipe,
+    harvest: Harvest,
+    asked: list[tuple[Array, Array, int]],
+    report: Report,
+) -> int:
+    """Write the harvest and the true answers at further states, whole or not at all; how many.
 
     Args:
-        known: range of the surrogate.
-        report: called with (samples done, remark).
+        report: called with the share that is done and a remark.
     """
-    states = harvest.F[unknown], harvest.F_dot[unknown]
-    wider = range_holding(known, *states)
-    asked = [(*neighbours(wider, *states, min(len(unknown), MOST_NEIGHBOURS), seed), NEIGHBOUR)]
-    if wider != known:
-        asked.append((*sample(wider, recipe.samples.count, seed), WIDENED))
-    parts = [(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)]
-    total, done = sum(len(F) for F, _, _ in asked), 0
-    for F, F_dot, why in asked:
-        for first in range(0, len(F), CHUNK):
-            rows = slice(first, first + CHUNK)
-            answer = law.respond(F[rows], F_dot[rows])
-            reasons = np.full(len(answer.status), why, dtype=np.int8)
-            parts.append((F[rows], F_dot[rows], answer.stress, answer.status, reasons))
-            done += len(answer.status)
-            report(done / total, f"{done} of {total} new samples")
-    F, F_dot, stress, status, reason = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return wider, (F, F_dot, stress, status, reason)
-
-
-def write_new_samples(path: Path, recipe: Recipe, arrays: tuple[Any, ...]) -> None:
-    """Write samples as a harvest, whole or not at all."""
-    header = HarvestHeader(
-        cell=recipe.cell,
-        rve=asdict(recipe.rve),
-        recipe=recipe.to_dict(),
-    )
+    law = laws.true_law(recipe)
+    done, total = 0, sum(len(F) for F, _, _ in asked)
     with replacing(path) as partial:
         partial.unlink(missing_ok=True)
-        writer = HarvestWriter(partial, header)
-        writer(*arrays)
+        writer = HarvestWriter(partial, origin_of(recipe))
+        writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
+        for F, F_dot, why in asked:
+            for first in range(0, len(F), CHUNK):
+                rows = slice(first, first + CHUNK)
+                answer = law.respond(F[rows], F_dot[rows])
+                reasons = np.full(len(answer.status), why, dtype=np.int8)
+                writer(F[rows], F_dot[rows], answer.stress, answer.status, reasons)
+                done += len(answer.status)
+                report(done / total, f"{done} of {total} new samples")
         writer.flush()
+    return len(harvest.F) + done

@@ -1,63 +1,58 @@
-"""The paper's figures and further studies of whole bars, whose curves are kept one by one."""
+"""The paper's figures and further studies; those of whole bars keep their curves one by one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from surrofe2.io.kept_curves import KeptCurves
+from surrofe2.io.kept import KeptCurves
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.study import Study, study_is_there, study_paths, write_study
-from surrofe2.studies import (
-    bar_comparison,
-    damping,
-    initialisation_errors,
-    relaxation,
-    scale_separation,
-    shear_steps,
-    stability,
-)
+from surrofe2.report.study import NamedCell, Study, keep_study
+from surrofe2.studies import bar_comparison, initialisations, relaxation, stability
+from surrofe2.studies.bar_comparison import Bars
 from surrofe2.studies.bar_runs import BarCase, BarRun, compute_or_read
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 
 CURVES = "curves"
+Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bars:
-    """What studies of whole bars are told.
+def _figure_5(cell: CellParameters, progress: Progress) -> Study:
+    return initialisations.figure_5([initialisations.shear_steps(cell, r) for r in (0.0, 0.01)])
 
-    Attributes:
-        meshes: elements a side of each; empty: those of the study.
-        sizes: plant cells a side of each bar, for scales.
-        tissue: whether fig8 computes the full tissue too.
-        duration: of a run of 16 × 16 plant cells, µs.
-    """
 
-    meshes: tuple[int, ...] = ()
-    sizes: tuple[int, ...] = (8, 16, 32)
-    tissue: bool = True
-    duration: float = 250.0
+def _figure_6(cell: CellParameters, progress: Progress) -> Study:
+    return relaxation.describe(relaxation.relaxations(cell))
 
-    def asked(self, figure: str) -> dict[str, Any]:
-        """What a figure depends on, by name."""
-        common = {"meshes": self.meshes_of(figure), "duration": self.duration}
-        return {
-            "fig8": common | {"tissue": self.tissue},
-            "scales": common | {"sizes": self.sizes},
-            "damping": common,
-        }.get(figure, {})
 
-    def meshes_of(self, figure: str) -> tuple[int, ...]:
-        """The meshes of a figure."""
-        return self.meshes or ((4, 8) if figure == "fig8" else (4, 8, 16))
+def _rates(cell: CellParameters, progress: Progress) -> Study:
+    found = initialisations.rate_errors(cell, progress=progress)
+    return initialisations.orders_in_the_rate(found)
+
+
+def _stability(cell: CellParameters, progress: Progress) -> Study:
+    return stability.describe(stability.stability_map(cell, progress=progress))
+
+
+OF_AN_RVE: Mapping[str, Callable[[CellParameters, Progress], Study]] = {
+    "fig5": _figure_5,
+    "fig6": _figure_6,
+    "rates": _rates,
+    "stability": _stability,
+}
+Cases = Callable[[NamedCell, Bars], list[BarCase]]
+OF_BARS: Mapping[str, tuple[Cases, Callable[[Sequence[BarRun]], Study], tuple[str, ...]]] = {
+    "fig8": (bar_comparison.figure_8_cases, bar_comparison.figure_8, ("tissue",)),
+    "scales": (bar_comparison.growing_cases, bar_comparison.growing_bars, ("sizes",)),
+    "damping": (bar_comparison.damping_cases, bar_comparison.damping, ()),
+}
+"""The runs, what is made of them, and what they depend on besides meshes and duration."""
 
 
 def reproduce_figure(
     figure: str,
-    preset: str,
+    of: NamedCell,
     out: Path,
     bars: Bars,
     *,
@@ -69,44 +64,21 @@ def reproduce_figure(
     Raises:
         MismatchError: `out` holds the figure by other settings, and not `fresh`.
     """
-    name, cell, asked = f"{figure}-{preset}", CellParameters.preset(preset), bars.asked(figure)
-    if not fresh and study_is_there(out, name, cell, preset, asked):
-        return None, study_paths(out, name)
-    if figure in ("fig8", "scales", "damping"):
-        study = _of_bars(figure, cell, preset, bars, KeptCurves(out / CURVES), stage)
-    else:
-        study = _of_an_rve(figure, cell, preset, stage)
-    return study, write_study(out, study, cell, preset, asked)
+    if figure in OF_AN_RVE:
 
+        def compute() -> Study:
+            with stage(figure, 1.0, "parts") as report:
+                return OF_AN_RVE[figure](of.cell, lambda done: report(done, ""))
 
-def _of_an_rve(figure: str, cell: CellParameters, preset: str, stage: Stage) -> Study:
-    if figure == "fig5":
-        runs = tuple(shear_steps.shear_steps(cell, rate) for rate in (0.0, 0.01))
-        return shear_steps.describe(runs, preset)
-    if figure == "fig6":
-        return relaxation.describe(relaxation.relaxations(cell), preset)
-    with stage(figure, 1.0, "parts") as report:
-        if figure == "stability":
-            found = stability.stability_map(cell, progress=lambda done: report(done, ""))
-            return stability.describe(found, preset)
-        errors = initialisation_errors.initialisation_errors(
-            cell, progress=lambda done: report(done, "")
-        )
-    return initialisation_errors.describe(errors, preset)
+        return keep_study(out, figure, of, {}, compute, fresh=fresh)
+    cases, describe, depends = OF_BARS[figure]
+    names = {"meshes", "duration", *depends}
+    asked = {name: value for name, value in asdict(bars).items() if name in names}
 
+    def make() -> Study:
+        return describe(compute_all(cases(of, bars), KeptCurves(out / CURVES), stage))
 
-def _of_bars(
-    figure: str, cell: CellParameters, preset: str, bars: Bars, kept: KeptCurves, stage: Stage
-) -> Study:
-    meshes, duration = bars.meshes_of(figure), bars.duration
-    if figure == "scales":
-        cases = scale_separation.cases(cell, preset, bars.sizes, meshes, duration)
-        return scale_separation.describe(compute_all(cases, kept, stage))
-    if figure == "damping":
-        cases = damping.cases(cell, preset, meshes, duration)
-        return damping.describe(compute_all(cases, kept, stage))
-    cases = bar_comparison.cases(cell, preset, meshes, duration, tissue=bars.tissue)
-    return bar_comparison.describe(compute_all(cases, kept, stage))
+    return keep_study(out, figure, of, asked, make, fresh=fresh)
 
 
 def compute_all(cases: list[BarCase], kept: KeptCurves, stage: Stage = silent) -> list[BarRun]:

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 
+from surrofe2.cache.branches import part_of, within
 from surrofe2.io.fields import write_fields
 from surrofe2.io.run_folder import RunRecord, write_load_path
-from surrofe2.macro import Rest, find_modes, find_rest, rest_frames
+from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import choose_law, warm_up
-from surrofe2.workflow.run import change_rve
 from surrofe2.workflow.run_lifecycle import (
+    Recording,
     Report,
     Stage,
     describe_platform,
     new_record,
-    recording,
+    record_run,
     silent,
     time_text,
     untold,
@@ -43,57 +45,60 @@ def rest_study(
 ) -> RunRecord:
     """Load the recipe's bar in steps and write the run folder.
 
-    What was found before a failure or an interrupt is written.
+    What was found before a failure or an interrupt is written, and the load goes on from there
+    when the call is repeated.
 
     Args:
         factor: of the body force, at the end.
-        fresh: start over, whatever the folder holds.
-        report: called with the part of the load that is on, 0 to 1, and a remark.
+        report: is told the part of the load that is on, 0 to 1.
 
     Raises:
         SimulationError: a load step finds no equilibrium.
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
-    path: list[Rest] = []
+    frames: Frames | None = None
     begin = compilation = 0.0
 
     def store(record: RunRecord, last: Rest) -> RunRecord:
+        assert frames is not None
         write_load_path(folder, last.path)
-        write_fields(
-            folder,
-            last.system.discretisation.nodes,
-            last.system.discretisation.elements,
-            rest_frames(path),
-        )
+        space = last.system.discretisation
+        write_fields(folder, space.nodes, space.elements, frames)
         wall = {"total": time.perf_counter() - begin, "compilation": compilation}
-        met = {"watched": [float(u) for u in last.watched]}
+        met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
-    record = new_record(recipe, "rve")
-    stated = {"factor": factor, "load_steps": load_steps}
-    record = replace(record, recipe={**record.recipe, "rest": stated})
-    with recording(folder, record, store, fresh=fresh) as current:
-        if current.is_finished:
-            return current.record
+    def compute(current: Recording) -> Rest:
+        nonlocal frames, begin, compilation
         chosen = choose_law(recipe, "rve")
         compilation = warm_up(chosen.parts, recipe.macro)
         begin = time.perf_counter()
+        arrays = current.last_state()
+        if arrays is not None:
+            begin -= float(arrays["seconds"])
+            frames = Frames(**part_of(arrays, "frames"))
 
         def reached(rest: Rest) -> None:
-            path.append(rest)
+            nonlocal frames
+            frames = rest.frame if frames is None else frames.followed_by(rest.frame)
             current.partial = rest
+            spent = {"seconds": np.array(time.perf_counter() - begin)}
+            current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | spent)
             report(rest.factor / factor if factor else 1.0, "")
 
-        found = find_rest(
+        return find_rest(
             recipe.load,
             chosen.law,
             recipe.macro,
             factor=factor,
             load_steps=load_steps,
             reached=reached,
+            resume=arrays,
         )
-        current.finish(found)
-    return current.record
+
+    record = new_record(recipe, "rve")
+    stated = {"factor": factor, "load_steps": load_steps}
+    record = replace(record, recipe={**record.recipe, "rest": stated})
+    return record_run(folder, record, compute, store, fresh=fresh)
 
 
 def rest_summary(record: RunRecord) -> str:
@@ -121,7 +126,7 @@ def find_all_modes(
 
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
-    law = choose_law(change_rve(recipe, method), "rve").law
+    law = choose_law(replace(recipe, rve=replace(recipe.rve, initialisation=method)), "rve").law
     rest = find_rest(recipe.load, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {

@@ -13,7 +13,8 @@ from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.io.fields import write_fields
 from surrofe2.io.files import check_same
-from surrofe2.io.harvest import HarvestHeader, HarvestWriter
+from surrofe2.io.harvest import HarvestWriter
+from surrofe2.io.provenance import Origin
 from surrofe2.io.run_folder import RunRecord, file_fingerprint, write_curve, write_energies
 from surrofe2.io.tables import check_table, read_table, stored, write_table
 from surrofe2.macro import MacroRun, MacroState, simulate
@@ -21,9 +22,10 @@ from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import ChosenLaw, choose_law, warm_up
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
+    Recording,
     Report,
     new_record,
-    recording,
+    record_run,
     time_text,
     untold,
 )
@@ -45,12 +47,10 @@ def run_study(
     Args:
         tables: files of tables to start from; the run's own is written into the folder.
         harvest: whether true answers of a cached run are kept in the folder.
-        fresh: start over, whatever the folder holds.
-        report: called with the time reached in µs and a remark.
+        report: is told the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.on_true_answer)
@@ -66,14 +66,12 @@ def run_study(
             wall_time={**run.wall_time, "compilation": compilation},
             counts={**run.counts, **run.effort, **counts_of(chosen.table)},
             cache=_cache_report(chosen, whole=record.status == "finished"),
-            met=_met(run),
+            met=run.met.to_dict(),
             threads=run.threads,
         )
 
-    record = new_record(recipe, kind, chosen.surrogate)
-    with recording(folder, record, store, fresh=fresh) as current:
-        if current.is_finished:
-            return current.record
+    def compute(current: Recording) -> MacroRun:
+        nonlocal compilation
         arrays = current.last_state()
         state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
         if arrays is not None and state is not None and isinstance(chosen.law, CachedLaw):
@@ -87,7 +85,7 @@ def run_study(
             current.checkpoint(arrays, _cache_report(chosen))
 
         compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
-        done = simulate(
+        return simulate(
             recipe.load,
             chosen.law,
             recipe.macro,
@@ -96,8 +94,9 @@ def run_study(
             checkpoint_interval=CHECKPOINT_INTERVAL,
             resume=state,
         )
-        current.finish(done)
-    return current.record
+
+    record = new_record(recipe, kind, chosen.surrogate)
+    return record_run(folder, record, compute, store, fresh=fresh)
 
 
 def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] | None:
@@ -108,33 +107,6 @@ def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] |
     if not isinstance(chosen.law, CachedLaw):
         return None
     return chosen.law.report() if whole else chosen.law.history()
-
-
-def _met(run: MacroRun) -> dict[str, Any]:
-    summary = {"stretch": run.met.stretch, "shear": run.met.shear, "rate": run.met.rate}
-    return asdict(run.met) | summary
-
-
-def change_rve(recipe: Recipe, initialisation: str | None, solver: str | None = None) -> Recipe:
-    """The recipe with another way to initialise its RVEs."""
-    usual = recipe.rve
-    rve = replace(
-        usual,
-        initialisation=initialisation or usual.initialisation,
-        solver=solver or usual.solver,
-    )
-    return replace(recipe, rve=rve)
-
-
-def change_cache(recipe: Recipe, tolerance: float | None, audit: float | None = None) -> Recipe:
-    """The recipe with another tolerance or audit of the cache."""
-    usual = recipe.cache
-    cache = replace(
-        usual,
-        tolerance=usual.tolerance if tolerance is None else tolerance,
-        audit=usual.audit if audit is None else audit,
-    )
-    return replace(recipe, cache=cache)
 
 
 def run_summary(record: RunRecord) -> str:
@@ -218,25 +190,21 @@ class RunOutputs:
 
     def _take(self, F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
         if self._writer is None:
-            self._writer = self._open()
+            self._writer = HarvestWriter(self.folder / HARVEST, origin_of(self.recipe))
         self._writer(F, F_dot, stress, status, why)
 
-    def _open(self) -> HarvestWriter:
-        recipe = self.recipe
-        header = HarvestHeader(
-            cell=recipe.cell,
-            rve=asdict(recipe.rve),
-            recipe=recipe.to_dict(),
-        )
-        return HarvestWriter(self.folder / HARVEST, header)
+
+def origin_of(recipe: Recipe) -> Origin:
+    """Where answers for a recipe come from."""
+    return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
 
 
 def counts_of(table: StressTable | None) -> dict[str, int]:
     """What became of a table, for the record of a run."""
     if table is None:
         return {}
-    changed = {name.removeprefix("table_"): count for name, count in table.counts.items()}
-    return {"table_records": table.size, **{f"table_{name}": n for name, n in changed.items()}}
+    changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+    return {"table_records": table.size, **changed}
 
 
 def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:
@@ -245,8 +213,7 @@ def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> in
     Ellipsoids are tested for the smallest tolerance of the files.
 
     Raises:
-        MismatchError: they are not of the same cell parameters and initialisation, or `out` is of
-            other files, and not `fresh`.
+        MismatchError: they are not of the same cell parameters and initialisation.
     """
     of = {"files": [file_fingerprint(path) for path in files]}
     if out.exists() and not fresh:

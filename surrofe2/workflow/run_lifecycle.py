@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from surrofe2.errors import SimulationError
-from surrofe2.io.checkpoints import read_checkpoint, write_checkpoint
+from surrofe2.io.arrays import read_checkpoint, write_checkpoint
 from surrofe2.io.run_folder import RunRecord, open_run_folder, write_record
 from surrofe2.recipe import Recipe
 
@@ -58,11 +58,6 @@ class Recording:
     store: Store
     partial: Any = None
 
-    @property
-    def is_finished(self) -> bool:
-        """Whether an earlier call finished this very run; `record` is then the earlier one."""
-        return self.earlier is not None and self.earlier.status == "finished"
-
     def last_state(self) -> dict[str, np.ndarray] | None:
         """The arrays of the last checkpoint; None where the run starts at its beginning."""
         path = self._checkpoint_path()
@@ -77,11 +72,10 @@ class Recording:
         self.record = replace(self.record, cache=cache)
         write_record(self.folder, self.record)
 
-    def finish(self, result: Any) -> RunRecord:
+    def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
         self.end("finished", result)
         self._checkpoint_path().unlink(missing_ok=True)
-        return self.record
 
     def end(self, status: str, result: Any = None, error: str | None = None) -> None:
         """Store what there is and say how the run ended."""
@@ -97,28 +91,28 @@ class Recording:
         return f"a {self.record.law} run"
 
 
-@contextmanager
-def recording(
-    folder: Path, record: RunRecord, store: Store, *, fresh: bool = False
-) -> Iterator[Recording]:
-    """Open a run folder for a run and record how the block ends.
+def record_run(
+    folder: Path,
+    record: RunRecord,
+    compute: Callable[[Recording], Any],
+    store: Store,
+    *,
+    fresh: bool = False,
+) -> RunRecord:
+    """Open a run folder, compute and record how that ends; an earlier call's finished run is kept.
 
-    A run that fails or is interrupted leaves what it computed. The block itself calls `finish`.
-
-    Raises:
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
+    A run that fails or is interrupted leaves what it computed.
     """
     earlier = open_run_folder(folder, record, fresh=fresh)
     if earlier is not None and earlier.status == "finished":
         log.info("%s: finished before; --fresh starts over", folder)
-        yield Recording(folder, earlier, earlier, store)
-        return
+        return earlier
     current = Recording(folder, record, earlier, store)
     if earlier is not None:
         current.record = replace(record, cache=earlier.cache)
     write_record(folder, current.record)
     try:
-        yield current
+        current.finish(compute(current))
     except SimulationError as error:
         partial = current.partial if error.partial is None else error.partial
         current.end("failed", partial, str(error))
@@ -126,6 +120,7 @@ def recording(
     except KeyboardInterrupt:
         current.end("interrupted", current.partial)
         raise
+    return current.record
 
 
 def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:

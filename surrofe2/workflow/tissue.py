@@ -11,7 +11,6 @@ from surrofe2.io.fields import write_particle_fields
 from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
 from surrofe2.recipe import Recipe
 from surrofe2.tissue import (
-    Tissue,
     TissueDynamics,
     TissueRun,
     TissueState,
@@ -22,9 +21,10 @@ from surrofe2.tissue.simulation import cells_that_fill
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
+    Recording,
     Report,
     new_record,
-    recording,
+    record_run,
     time_text,
     untold,
 )
@@ -40,12 +40,10 @@ def run_tissue(
     """Run the recipe's load case on a tissue of plant cells and write the run folder.
 
     Args:
-        fresh: start over, whatever the folder holds.
-        report: called with the time reached in µs and a remark.
+        report: is told the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
-        MismatchError: the folder holds a run of other settings, and not `fresh`.
     """
     cells = cells_that_fill(recipe.load, recipe.cell)
     compilation = 0.0
@@ -61,16 +59,14 @@ def run_tissue(
             threads=run.threads,
         )
 
-    record = replace(
-        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
-    )
-    with recording(folder, record, store, fresh=fresh) as current:
-        if current.is_finished:
-            return current.record
+    def compute(current: Recording) -> TissueRun:
+        nonlocal compilation
         arrays = current.last_state()
         reference = kept_reference(recipe)
-        compilation = _warm_up(make_tissue(recipe.cell, reference, cells))
-        done = simulate_tissue(
+        begin = time.perf_counter()  # forces and energy are compiled outside the clock of the run
+        TissueDynamics(make_tissue(recipe.cell, reference, cells)).elastic_energy()
+        compilation = time.perf_counter() - begin
+        return simulate_tissue(
             recipe.load,
             recipe.cell,
             recipe.tissue,
@@ -80,8 +76,11 @@ def run_tissue(
             checkpoint_interval=CHECKPOINT_INTERVAL,
             resume=None if arrays is None else TissueState.from_arrays(arrays),
         )
-        current.finish(done)
-    return current.record
+
+    record = replace(
+        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
+    )
+    return record_run(folder, record, compute, store, fresh=fresh)
 
 
 def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
@@ -97,13 +96,6 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
     watched = load.watched[0] * width / load.width, load.watched[1] * height / load.height
     changed = replace(load, width=width, height=height, watched=watched)
     return replace(recipe, load=changed)
-
-
-def _warm_up(tissue: Tissue) -> float:
-    """Ask for forces and energy once, so that compilation is not in the clock; seconds it took."""
-    begin = time.perf_counter()
-    TissueDynamics(tissue).elastic_energy()
-    return time.perf_counter() - begin
 
 
 def tissue_summary(record: RunRecord) -> str:

@@ -14,6 +14,7 @@ from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import START_OVER, check_same, reported
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
+from surrofe2.io.kept import read_attached
 from surrofe2.io.surrogates import (
     read_surrogate,
     read_training,
@@ -98,6 +99,7 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
             )
         except MismatchError as error:
             raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None
+    surrogate = replace(surrogate, reference=read_attached(recipe.data_path(), recipe.cell))
     write_surrogate(surrogate, path)
     unfinished.unlink(missing_ok=True)
     return surrogate
@@ -107,7 +109,7 @@ def _check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
     for name, here, there in (
         ("cell", recipe.cell, samples.cell),
         ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
-        ("range", recipe.range, samples.range),
+        ("range", recipe.sampling_range(), samples.range),
         ("samples.seed", recipe.samples.seed, samples.seed),
         ("samples.count", recipe.samples.count, len(samples.F)),
     ):

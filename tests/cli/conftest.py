@@ -16,7 +16,7 @@ def invoke(monkeypatch):
 
     def run(*arguments, law=None, **settings):
         soft = law or SoftLaw()
-        monkeypatch.setattr(laws, "true_law", lambda recipe: soft.of(recipe.cell, recipe.rve))
+        monkeypatch.setattr(laws, "true_law", lambda recipe, *_: soft.of(recipe.cell, recipe.rve))
         return CliRunner().invoke(app, [str(entry) for entry in arguments], **settings)
 
     return run

@@ -7,7 +7,8 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from surrofe2.io.harvest import HarvestHeader, HarvestWriter
+from surrofe2.io.harvest import HarvestWriter
+from surrofe2.io.provenance import Origin
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.sampling import sample
 from surrofe2.stress_samples import StressSamples
@@ -49,7 +50,7 @@ def harvest(recipe, tmp_path):
     stress[:FAILED], status[:FAILED] = np.nan, 1
     stress[FAILED : FAILED + OTHERWISE] += 0.1
     path = tmp_path / "harvest.h5"
-    writer = HarvestWriter(path, HarvestHeader(cell=recipe.cell, rve=asdict(recipe.rve), recipe={}))
+    writer = HarvestWriter(path, Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe={}))
     writer(F, F_dot, stress, status, np.zeros(HARVESTED, dtype=np.int8))
     writer.flush()
     return path

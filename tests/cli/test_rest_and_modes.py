@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from surrofe2.cli import app
 from surrofe2.io.run_folder import read_record
 from surrofe2.macro import find_modes, find_rest
+from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
 from surrofe2.workflow import laws
@@ -73,6 +74,52 @@ def test_rest_interrupted_keeps_the_way_there(recipe_path, tmp_path, monkeypatch
     assert f"{out} keeps the load steps up to here" in stopped.stderr
     assert read_record(out).status == "interrupted"
     assert (out / "path.csv").exists()
+
+
+def test_rest_interrupted_goes_on_from_its_last_load_step(recipe_path, tmp_path, monkeypatch):
+    whole, out = tmp_path / "whole", tmp_path / "rest"
+    assert call("rest", recipe_path, "--out", whole).exit_code == 0
+    with monkeypatch.context() as patched:
+        patched.setattr(laws, "true_law", _law_that(stops_after=6))
+        assert call("rest", recipe_path, "--out", out).exit_code == 130
+    begun = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)
+    assert 1 < len(begun) < 11
+    told = []
+    record = rest_study(load_recipe(recipe_path), out, report=lambda f, _: told.append(f))
+    assert told == list(np.loadtxt(whole / "path.csv", delimiter=",", skiprows=1)[len(begun) :, 0])
+    for name in ("path.csv", "fields.h5"):
+        assert (out / name).exists()
+    paths = [np.loadtxt(each / "path.csv", delimiter=",", skiprows=1) for each in (whole, out)]
+    np.testing.assert_allclose(paths[1], paths[0], rtol=0, atol=1e-6 * abs(paths[0]).max())
+    expected = read_record(whole)
+    assert record.counts["load_steps"] == expected.counts["load_steps"] == 10
+    assert record.status == "finished"
+    np.testing.assert_allclose(record.met["F"], expected.met["F"], atol=1e-8)
+    frames = []
+    for each in (whole, out):
+        with h5py.File(each / "fields.h5") as file:
+            frames.append([item.shape for item in file.values()])
+    assert frames[0] == frames[1]
+    assert not (out / "checkpoint.h5").exists()
+
+
+def test_rest_tells_the_range_that_it_met(recipe, recipe_path, tmp_path):
+    assert call("rest", recipe_path, "--out", tmp_path / "rest").exit_code == 0
+    met = read_record(tmp_path / "rest").met
+    low, high = np.array(met["F"])
+    assert (low <= np.eye(2)).all()
+    assert (high >= np.eye(2)).all()
+    assert met["stretch"][0] < 1.0 < met["stretch"][1]
+    assert met["shear"] > 0.0
+    assert met["rate"] == 0.0
+    assert np.shape(met["watched"]) == (2,)
+
+
+def test_a_rest_and_a_run_are_not_taken_for_each_other(recipe_path, tmp_path):
+    assert call("rest", recipe_path, "--out", tmp_path / "rest").exit_code == 0
+    refused = call("run", recipe_path, "--law", "rve", "--out", tmp_path / "rest")
+    assert refused.exit_code == 1
+    assert "rest.factor: this call has None, what is there 1.0" in refused.stderr
 
 
 def _law_that(**trouble):

@@ -26,7 +26,7 @@ HEADER = DataSetHeader(
 
 def append_chunk(data, law):
     start = data.completed
-    F, F_dot = sample(RANGE, min(8, data.count - start), 3, start=start)
+    F, F_dot = sample(RANGE, min(8, HEADER.count - start), 3, start=start)
     answer = law.respond(F, F_dot)
     data.append(F, F_dot, answer)
 
@@ -34,6 +34,6 @@ def append_chunk(data, law):
 def write_all(path, fails_above=1.03):
     law = SoftLaw(fails_above=fails_above)
     with writing_data_set(path, HEADER) as data:
-        while data.completed < data.count:
+        while data.completed < HEADER.count:
             append_chunk(data, law)
     finish_data_set(path)

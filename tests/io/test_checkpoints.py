@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.checkpoints import read_checkpoint, write_checkpoint
+from surrofe2.io.arrays import read_checkpoint, write_checkpoint
 
 
 def test_arrays_come_back_as_they_were(tmp_path):

@@ -7,8 +7,8 @@ import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError
-from surrofe2.io import kept_curves
-from surrofe2.io.kept_curves import KeptCurve, KeptCurves
+from surrofe2.io import kept as kept_files
+from surrofe2.io.kept import KeptCurve, KeptCurves
 
 T = np.linspace(0.0, 7.0, 30)
 CURVE = DisplacementCurve(T, np.random.default_rng(1).normal(size=(30, 2)))
@@ -30,7 +30,7 @@ def test_another_configuration_or_other_sources_are_not_taken(tmp_path, monkeypa
     path = kept.write("bar", CONFIGURATION, KeptCurve(CURVE, 3.5))
     assert kept.read("bar", {**CONFIGURATION, "elements": (8, 8)}) is None
     assert kept.read("tissue", CONFIGURATION) is None
-    monkeypatch.setattr(kept_curves, "cache_folder", lambda: tmp_path / "other")
+    monkeypatch.setattr(kept_files, "cache_folder", lambda: tmp_path / "other")
     assert kept.read("bar", CONFIGURATION) is None
     monkeypatch.undo()
     record = json.loads(path.read_text(encoding="utf-8"))

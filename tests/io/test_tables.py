@@ -12,17 +12,17 @@ import pytest
 from surrofe2.errors import FileError, MismatchError
 from surrofe2.io.harvest import (
     CHUNK,
-    HarvestHeader,
     HarvestWriter,
     check_harvest,
     read_harvest,
 )
+from surrofe2.io.provenance import Origin
 from surrofe2.io.tables import check_table, read_table, stored, write_table
 from surrofe2.plant_cell.parameters import CellParameters
 from tests.cache.tables import make, states, taught
 
 CELL = CellParameters()
-HEADER = HarvestHeader(
+HEADER = Origin(
     cell=CELL,
     rve={"initialisation": "constrained-runs", "tolerance": 1e-8},
     recipe={"recipe": "recipe.toml"},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.history import widen_extremes
+from surrofe2.macro.extremes import widen_extremes
 from surrofe2.macro.internal_force import (
     deformation,
     deformation_gradient,

@@ -8,7 +8,7 @@ from surrofe2.plant_cell import forces
 from surrofe2.plant_cell.arrangement import start_positions
 from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import Workspace, make_constants, make_topology
+from surrofe2.plant_cell.tiles import Workspace, make_constants
 from surrofe2.simd import TILE
 from tests.plant_cell.twin import Twin
 
@@ -22,8 +22,9 @@ class Patch:
         rng = np.random.default_rng(seed)
         self.cell = CellParameters.preset(preset)
         base, levels = start_positions(self.cell), ((reach / self.cell.repulsion_cutoff,) * 2,)
-        (self.patch,) = make_patches(self.cell, base, self.cell.tessellation.lattice, levels)
-        self.topology = make_topology(self.patch)
+        lattice = self.cell.tessellation.lattice
+        (self.patch,) = make_patches(self.cell, base, lattice, levels, sparse=False)
+        self.topology = self.patch.topology
         self.constants = make_constants(self.cell, REST)
         self.twin = Twin(self.cell, REST)
         self.z = base + 0.1 * rng.uniform(-1, 1, (TILE, *base.shape))
@@ -33,19 +34,19 @@ class Patch:
     def local(self, z, tensor):
         """(2, local, TILE): tensor applied to own particles and images."""
         everyone = np.concatenate(
-            [z, z[:, self.patch.owner] + self.patch.shift @ self.patch.lattice.T], axis=1
+            [z, z[:, self.topology.owner] + self.patch.shift @ self.patch.lattice.T], axis=1
         )
         return np.ascontiguousarray(np.einsum("lab,lpb->apl", tensor, everyone))
 
     def workspace(self, x, v, z=None):
         """`Workspace` with particles at local x and v; z is local, too."""
-        fluid = self.patch.particles - self.patch.walls
-        scratch = np.empty((len(self.patch.fluid_pairs), TILE)), np.empty((fluid, TILE))
+        fluid = self.topology.particles - self.topology.walls
+        scratch = np.empty((len(self.topology.fluid_pairs), TILE)), np.empty((fluid, TILE))
         return Workspace(x if z is None else z, x, v, np.zeros_like(x), *scratch)
 
     def dense(self, matrix):
         """(2n − 2, 2n − 2, TILE): a matrix of one group, without the held particle."""
-        free = 2 * self.patch.particles - 2
+        free = 2 * self.topology.particles - 2
         return matrix.reshape(free, free, TILE)
 
     def forces(self, z=None, F=None, F_dot=None, fold=True):
@@ -56,7 +57,7 @@ class Patch:
         forces.local_forces(work, self.topology, self.constants)
         if fold:
             forces.fold_images(work.f, self.topology)
-        return np.moveaxis(work.f[:, : self.patch.particles], -1, 0).swapaxes(1, 2)
+        return np.moveaxis(work.f[:, : self.topology.particles], -1, 0).swapaxes(1, 2)
 
     def energy(self, z, F):
         energy = np.empty((1, TILE))

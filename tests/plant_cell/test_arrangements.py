@@ -75,19 +75,21 @@ def test_pairs_of_one_square_are_those_found_by_looking_at_every_image():
     walls, bonds = apart[:19, :19].ravel(), np.full(20, 2.5)
     near = np.sort(walls[(walls > 0.0) & (walls <= 14.0)])[::2]
     is_bond = near < 2.5 + 1e-9  # besides the springs, corners' neighbours are farther
-    np.testing.assert_allclose(lengths(patch, patch.bonds), bonds, atol=1e-12)
+    np.testing.assert_allclose(lengths(patch, patch.topology.bonds), bonds, atol=1e-12)
     assert is_bond.sum() == 20
     rim = [(w + 25.0 * np.array(s)) for w in position[:19] for s in np.ndindex(2, 2)]
     rim = np.array([p for p in rim if (p <= 25.0 + 1e-9).all()])
     assert len(rim) == 40
     fluid = np.linalg.norm(position[19:, None] - rim, axis=2).ravel()
     expected = np.concatenate([near[~is_bond], fluid[fluid <= 14.0]])
-    np.testing.assert_allclose(lengths(patch, patch.contacts), np.sort(expected), atol=1e-9)
-    assert len(patch.fluid_pairs) == 16 * 15 // 2
+    np.testing.assert_allclose(
+        lengths(patch, patch.topology.contacts), np.sort(expected), atol=1e-9
+    )
+    assert len(patch.topology.fluid_pairs) == 16 * 15 // 2
 
 
 def lengths(patch, pairs):
-    images = patch.position[patch.owner] + patch.shift @ patch.lattice.T
+    images = patch.position[patch.topology.owner] + patch.shift @ patch.lattice.T
     local = np.concatenate([patch.position, images])
     return np.sort(np.linalg.norm(local[pairs[:, 0]] - local[pairs[:, 1]], axis=1))
 
@@ -137,7 +139,9 @@ def test_fluid_may_reach_every_wall_around_it_from_wherever_it_is():
     for k in range(2):
         position = start_positions(cell, k)
         (patch,) = make_patches(cell, position, lattice, ((np.inf, 1.2),))
-        owner = np.concatenate([np.arange(made.particles), patch.owner])[patch.contacts]
+        owner = np.concatenate([np.arange(made.particles), patch.topology.owner])[
+            patch.topology.contacts
+        ]
         with_fluid = (owner >= made.walls).any(axis=1)
         pairs = zip(made.rims, made.fluid_counts, strict=True)
         assert with_fluid.sum() == sum(len(rim) * count for rim, count in pairs)

@@ -14,7 +14,7 @@ class Local(Patch):
 
     def __init__(self, preset):
         super().__init__(preset)
-        self.owners = np.concatenate([np.arange(self.patch.particles), self.patch.owner])
+        self.owners = np.concatenate([np.arange(self.topology.particles), self.topology.owner])
         rng = np.random.default_rng(7)
         self.x = self.local(self.z, self.F)
         self.v = self.local(self.z, self.F_dot)
@@ -74,7 +74,7 @@ def test_gradients_are_the_slopes_of_the_weighted_sum(local):
 
 
 def test_gradients_are_the_transposed_jacobian(local):
-    n, F, F_dot = local.patch.particles, local.F, local.F_dot
+    n, F, F_dot = local.topology.particles, local.F, local.F_dot
     J, columns = np.empty((local.topology.size, TILE)), np.empty((2 * n, 8, TILE))
     L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
     Z = local.local(local.z, np.broadcast_to(np.eye(2), F.shape))

@@ -1,7 +1,5 @@
 """Pair laws and kernels against identities, then against the plain numpy twin."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numba import njit
@@ -63,7 +61,7 @@ def test_forces_are_those_of_the_twin(patch):
 
 def test_forces_sum_to_zero(patch):
     f = patch.forces()
-    assert abs(f.sum(axis=1)).max() < 1e-12 * abs(f).max() * patch.patch.particles
+    assert abs(f.sum(axis=1)).max() < 1e-12 * abs(f).max() * patch.topology.particles
 
 
 def test_force_is_minus_the_gradient_of_the_energy(patch):
@@ -86,7 +84,6 @@ def test_each_term_alone_is_a_gradient(patch, term):
     patch.topology = patch.topology._replace(**dict.fromkeys(others, empty))
     if term != "fluid_pairs":
         patch.constants = patch.constants._replace(sound_speed_squared=0.0)
-    patch.patch = replace(patch.patch, **dict.fromkeys(others, empty))
     f = patch.forces(F_dot=np.zeros_like(patch.F_dot))
     step = 1e-4
     direction = np.random.default_rng(3).normal(size=patch.z.shape)
@@ -115,7 +112,7 @@ def test_dashpots_only_dissipate(patch):
 
 def test_jacobian_and_load_are_the_derivatives_of_the_forces(patch):
     z, F, F_dot = patch.z, patch.F, patch.F_dot
-    n = patch.patch.particles
+    n = patch.topology.particles
     J, load = np.empty((patch.topology.size, TILE)), np.empty((2 * n, 8, TILE))
     L = np.ascontiguousarray(np.moveaxis(F_dot @ np.linalg.inv(F), 0, -1))
     identity = np.broadcast_to(np.eye(2), F.shape)
@@ -144,11 +141,11 @@ def test_jacobian_and_load_are_the_derivatives_of_the_forces(patch):
 
 def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
     """For any motion of the particles with a moving lattice, fluctuating ones included."""
-    n = patch.patch.particles
+    n = patch.topology.particles
     y = 0.1 * np.random.default_rng(5).normal(size=patch.z.shape)
     x = patch.local(patch.z, patch.F)
     v = patch.local(patch.z, patch.F_dot)
-    owners = np.concatenate([np.arange(n), patch.patch.owner])
+    owners = np.concatenate([np.arange(n), patch.topology.owner])
     v += np.einsum("lab,lpb->apl", patch.F, y[:, owners])
     work, rate = patch.workspace(x, v), np.empty_like(x)
     force_derivatives.elastic_forces_and_rates(
@@ -172,7 +169,7 @@ def test_elastic_force_rates_are_the_slopes_along_a_motion(patch):
 
 
 def test_elastic_jacobian_is_symmetric(patch):
-    n = patch.patch.particles
+    n = patch.topology.particles
     J, load = np.empty((patch.topology.size, TILE)), np.empty((2 * n, 8, TILE))
     identity = np.broadcast_to(np.eye(2), patch.F.shape)
     x = patch.local(patch.z, patch.F)

@@ -16,7 +16,7 @@ TIGHT = 1e-11
 @cache
 def solver(preset):
     this = law(preset)
-    return Solver(this.cell, this.rest_length, this.reference_position)
+    return Solver(this.cell, this.rest_length, this.unit_cell.position)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -32,7 +32,7 @@ def test_cold_and_warm_solves_are_those_of_the_twin(preset, initialisation):
     assert (cold.status == Status.OK).all()
     assert warm.effort["newton_solves"] == 0 < cold.effort["newton_solves"]
     plain = getattr(solver(preset), initialisation.replace("-", "_"))
-    start = 0.01 * np.random.default_rng(4).uniform(-1, 1, this.reference_position.shape)
+    start = 0.01 * np.random.default_rng(4).uniform(-1, 1, this.unit_cell.position.shape)
     start[0] = 0.0
     for point in range(points):
         relaxed = cold.state.relaxed[0, :, :, point].T

@@ -35,7 +35,7 @@ def test_a_few_steps_are_those_of_the_paper(preset):
     state = law.respond(F[None], F_dot[None]).state
     twin = Twin(cell, law.rest_length)
     masses = np.where(np.arange(35) < 19, cell.wall_particle_mass, cell.fluid_particle_mass)
-    x, v = law.reference_position @ F.T, law.reference_position @ F_dot.T
+    x, v = law.unit_cell.position @ F.T, law.unit_cell.position @ F_dot.T
     for _ in range(steps):
         x, v = step_of_the_paper(twin, masses, F, F_dot, x, v, dt)
     z = state.z[0, :, :, 0].T

@@ -133,7 +133,7 @@ def test_cauchy_born_is_the_affine_state_and_stiffer():
     this = law("printed", "cauchy-born")
     stress = this.respond(F, still).stress[0]
     twin = Twin(this.cell, this.rest_length)
-    _, _, expected = twin.evaluate(this.reference_position, F[0], still[0])
+    _, _, expected = twin.evaluate(this.unit_cell.position, F[0], still[0])
     np.testing.assert_allclose(stress, expected, rtol=0, atol=1e-9)
     assert stress[0, 1] > 1.02 * law("printed", "elastic").respond(F, still).stress[0, 0, 1] > 0
 
@@ -221,11 +221,12 @@ def test_foreign_state_is_refused():
         ({"initialisation": "magic"}, "rve.initialisation: 'magic'; it must be one of"),
         ({"solver": "guess"}, "rve.solver: 'guess'; it must be one of direct, iterated"),
         ({"settings": "elastic"}, "rve: 'elastic'; settings must be an RveSettings"),
+        ({"cell": "printed"}, "cell: 'printed'; it must be CellParameters"),
     ],
 )
 def test_bad_settings_are_named(settings, message):
     with pytest.raises(InputError, match=message):
-        RveLaw(CellParameters.preset("printed"), **settings)
+        RveLaw(**{"cell": CellParameters.preset("printed"), **settings})
 
 
 def test_no_points_no_stress():

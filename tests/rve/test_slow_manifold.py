@@ -123,7 +123,7 @@ def test_accepted_states_are_checked_for_stability_and_renewed():
         answer = this.respond(F, 0.001 * F, state)
         accepted = this.accept(F, 0.001 * F, answer)
         state = accepted.state
-        if state.left is not None:
+        if state.left.any():
             break
     assert accepted.status[0] == Status.OK
     assert 1.1 < stretch < 1.35

@@ -9,14 +9,16 @@ from typer.testing import CliRunner
 from surrofe2.cli import app
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError
-from surrofe2.io.kept_curves import KeptCurves
+from surrofe2.io.kept import KeptCurves
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.damped_fit import fit_damped_modes
-from surrofe2.studies import bar_comparison, damping, scale_separation
-from surrofe2.studies.bar_runs import BarCase, make_bar_run
+from surrofe2.report.study import NamedCell
+from surrofe2.studies import bar_comparison
+from surrofe2.studies.bar_comparison import Bars
+from surrofe2.studies.bar_runs import WAYS, BarCase, BarRun
 from surrofe2.workflow.reproduce import compute_all
 
-WATER = CellParameters.preset("water")
+WATER = NamedCell(CellParameters.preset("water"), "water")
 T = np.arange(0.0, 250.25, 0.5)
 
 
@@ -30,25 +32,25 @@ def curve(period, decrement, noise=0.0, seed=0):
 
 def test_bars_of_all_sizes_are_one_bar_in_their_own_units():
     """ρ g L, and so stress and strain, and t √(E/ρ)/L do not change with the size."""
-    paper = scale_separation.scaled_load_case(16)
+    paper = bar_comparison.scaled_load_case(16)
     assert (paper.width, paper.body_force, paper.duration) == (400.0, (0.0, -0.2), 250.0)
     for n in (8, 32):
-        bar = scale_separation.scaled_load_case(n)
+        bar = bar_comparison.scaled_load_case(n)
         assert bar.body_force[1] * bar.width == pytest.approx(-80.0)
         assert bar.duration / bar.width == pytest.approx(250.0 / 400.0)
         assert len(bar.output_times()) == len(paper.output_times())
 
 
 def test_aitken_finds_the_limit_of_a_geometric_approach_and_says_where_there_is_none():
-    assert scale_separation.aitken(1.0 + 0.4, 1.0 + 0.1, 1.0 + 0.025) == pytest.approx(1.0)
+    assert bar_comparison.aitken(1.0 + 0.4, 1.0 + 0.1, 1.0 + 0.025) == pytest.approx(1.0)
     for none in ((1.0, 2.0, 3.0), (1.0, 2.0, 1.5), (1.0, 1.0, 1.0)):
-        assert np.isnan(scale_separation.aitken(*none))
+        assert np.isnan(bar_comparison.aitken(*none))
 
 
 def case(method, mesh=None, n=16):
-    load = scale_separation.scaled_load_case(n)
+    load = bar_comparison.scaled_load_case(n)
     elements = None if mesh is None else (mesh, mesh)
-    return BarCase(cell=WATER, preset="water", method=method, load_case=load, elements=elements)
+    return BarCase(of=WATER, method=method, load_case=load, elements=elements)
 
 
 def test_deviations_are_from_the_tissue_of_the_same_size():
@@ -56,19 +58,19 @@ def test_deviations_are_from_the_tissue_of_the_same_size():
         run
         for n in (8, 16)
         for run in (
-            make_bar_run(case("tissue", n=n), curve(50.0, 0.04), 1.0),
+            BarRun(case("tissue", n=n), curve(50.0, 0.04), 1.0),
             *(
-                make_bar_run(case("slow-manifold", m, n), curve(50.0 * (1.0 - off), 0.05), 1.0)
+                BarRun(case("slow-manifold", m, n), curve(50.0 * (1.0 - off), 0.05), 1.0)
                 for m, off in ((4, 0.04), (8, 0.01), (16, 0.0025))
             ),
         )
     ]
-    rows = scale_separation.deviations(runs)
-    study = scale_separation.describe(runs)
+    rows = bar_comparison.with_limits(bar_comparison.compare_bars(runs))
+    study = bar_comparison.growing_bars(runs)
     records = study.table.to_records()
     assert [record["run"] for record in records[:5]] == [
         "full tissue", "slow-manifold 4x4", "slow-manifold 8x8", "slow-manifold 16x16",
-        scale_separation.LIMIT,
+        bar_comparison.LIMIT,
     ]  # fmt: skip
     off = [row.off["period"] for row in rows[1:5]]
     np.testing.assert_allclose(off, [-4.0, -1.0, -0.25, 0.0], atol=1e-5)
@@ -81,16 +83,16 @@ def test_deviations_are_from_the_tissue_of_the_same_size():
 
 def test_bars_are_compared_with_the_tissue_where_there_is_one():
     runs = [
-        make_bar_run(case("tissue"), curve(50.0, 0.04), 1.0),
-        make_bar_run(case("elastic", 4), curve(51.0, 0.05), 1.0),
+        BarRun(case("tissue"), curve(50.0, 0.04), 1.0),
+        BarRun(case("elastic", 4), curve(51.0, 0.05), 1.0),
     ]
-    study = bar_comparison.describe(runs)
+    study = bar_comparison.figure_8(runs)
     headings, texts = study.table.for_people()
     found = [dict(zip(headings, row, strict=True)) for row in texts]
     assert [row["run"] for row in found] == ["full tissue", "elastic 4x4"]
     assert [row["period off (%)"] for row in found] == ["–", "+2.0"]
     assert [row["decrement off (%)"] for row in found] == ["–", "+25.0"]
-    alone = bar_comparison.describe(runs[1:])
+    alone = bar_comparison.figure_8(runs[1:])
     assert "period off (%)" not in alone.table.for_people()[0]
     assert alone.results["full_tissue"] == "not computed"
 
@@ -117,27 +119,29 @@ def test_a_third_mode_needs_a_third_mode():
 
 def test_damping_is_compared_way_by_way():
     runs = [
-        make_bar_run(case("tissue"), curve(50.0, 0.04), 1.0),
-        make_bar_run(case("elastic", 4), curve(50.0, 0.06), 1.0),
+        BarRun(case("tissue"), curve(50.0, 0.04), 1.0),
+        BarRun(case("elastic", 4), curve(50.0, 0.06), 1.0),
     ]
-    tissue, elastic = damping.dampings(runs)
-    assert set(tissue.excess) == {0.0}
-    assert elastic.decrements[0] == pytest.approx(0.06, rel=1e-5)
-    assert elastic.excess[0] == pytest.approx(50.0, abs=1e-3)
-    assert min(elastic.decrements) <= elastic.decrements[0] <= max(elastic.decrements)
-    assert len(elastic.fits) == len(damping.WAYS)
+    tissue, elastic = bar_comparison.damping(runs).table.to_records()
+    excess = ("excess_over_the_tissue_s", "lowest_excess", "highest_excess")
+    assert [tissue[name] for name in excess] == [0.0, 0.0, 0.0]
+    assert elastic["decrement"] == pytest.approx(0.06, rel=1e-5)
+    assert elastic["excess_over_the_tissue_s"] == pytest.approx(50.0, abs=1e-3)
+    lowest, highest = elastic["lowest_of_all_fits"], elastic["highest_of_all_fits"]
+    assert lowest <= elastic["decrement"] <= highest
+    assert sum(name.startswith("period_") for name in elastic) == len(WAYS)
 
 
 def test_the_first_way_to_fit_is_that_of_all_figures():
-    run = make_bar_run(case("tissue"), curve(50.0, 0.04, noise=0.01), 1.0)
-    assert damping.WAYS[0].fit(run.curve) == run.fit
+    run = BarRun(case("tissue"), curve(50.0, 0.04, noise=0.01), 1.0)
+    assert fit_damped_modes(T, run.curve.displacement[:, 1]) == run.fit == run.fits[0]
 
 
 def test_configurations_tell_cases_apart():
-    found = damping.cases(WATER, "water")
+    found = bar_comparison.damping_cases(WATER, Bars())
     texts = {json.dumps(each.configuration(), sort_keys=True) for each in found}
     assert len(texts) == len(found) == 2 + 3 * (2 + 2 + 1)
-    scales = scale_separation.cases(WATER, "water")
+    scales = bar_comparison.growing_cases(WATER, Bars())
     assert len(scales) == 3 * (1 + 3)
     at_16 = [each for each in scales if each.plant_cells == (16, 16)]
     shared = {json.dumps(each.configuration(), sort_keys=True) for each in at_16}
@@ -145,14 +149,14 @@ def test_configurations_tell_cases_apart():
 
 
 def test_a_stopped_study_goes_on_with_the_curves_it_has(tmp_path, monkeypatch):
-    cases = scale_separation.cases(WATER, "water", (2,), (1, 2))
+    cases = bar_comparison.growing_cases(WATER, Bars(sizes=(2,), meshes=(1, 2)))
     computed = []
 
     def compute(case, progress=None):
         if len(computed) == 2:
             raise KeyboardInterrupt
         computed.append(case.name)
-        return make_bar_run(case, curve(50.0, 0.04), 1.0)
+        return BarRun(case, curve(50.0, 0.04), 1.0)
 
     monkeypatch.setattr(BarCase, "compute", compute)
     kept = KeptCurves(tmp_path / "curves")

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from surrofe2.sampling import contains, sample
+from surrofe2.simd import fill_tanh
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings
 from surrofe2.surrogate.compiled_bound import BoundArrays
@@ -16,7 +17,6 @@ from surrofe2.surrogate.features import FORMS, SYMMETRIES, input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.network_arrays import NetworkArrays, NetworkParameters, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy
-from surrofe2.surrogate.tanh import fill_tanh
 from surrofe2.tensors import to_inputs
 from tests.laws import RANGE
 from tests.surrogate.torch_twin import differentiate, network_stress

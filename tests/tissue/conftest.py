@@ -22,9 +22,9 @@ def reference():
 
 @pytest.fixture(scope="session")
 def tissue_of(reference):
-    """tissue_of(cells, preset, periodic=…)."""
+    """tissue_of(cells, preset)."""
 
-    def make(cells, preset="printed", **choices):
-        return make_tissue(*reference(preset), cells, **choices)
+    def make(cells, preset="printed"):
+        return make_tissue(*reference(preset), cells)
 
     return make

@@ -4,7 +4,3 @@ In reading order: `records` are linear models with ellipsoids of accuracy, `elli
 shrinks them by true answers, `search_tree` finds those that hold a point, `lookup` evaluates them,
 `stress_table` is the law and what learns.
 """
-
-from surrofe2.cache.table.stress_table import ChainedSurrogate, StressTable, sampled_spread
-
-__all__ = ["ChainedSurrogate", "StressTable", "sampled_spread"]

@@ -1,8 +1,8 @@
-"""Arrays in HDF5 that are filled row by row and can be continued after a kill at any moment.
+"""Arrays in HDF5: checkpoints, written whole, and tables that are filled row by row.
 
-Every array has a fixed place in the file, and a counter says how many rows count. Rows are flushed
-before the counter that covers them. Full arrays are copied into a file with more room, which then
-takes the old one's place.
+Such a table can be continued after a kill at any moment. Every array has a fixed place in the file,
+and a counter says how many rows count. Rows are flushed before the counter that covers them. Full
+arrays are copied into a file with more room, which then takes the old one's place.
 """
 
 from __future__ import annotations
@@ -16,8 +16,36 @@ from typing import Any
 import h5py
 import numpy as np
 
+from surrofe2.errors import FileError
 from surrofe2.io.files import opened_hdf5, replacing, reported
 from surrofe2.units import NONE
+
+CHECKPOINT = "surrofe2-checkpoint"
+
+
+def write_checkpoint(path: Path, arrays: Mapping[str, np.ndarray], of: str) -> None:
+    """Write the arrays of a state; `of` identifies what it is a state of."""
+    with replacing(path) as partial, h5py.File(partial, "w") as file:
+        file.attrs.update(schema=CHECKPOINT, of=of)
+        for name, values in arrays.items():
+            file[name] = values
+
+
+def read_checkpoint(path: Path, of: str) -> dict[str, np.ndarray]:
+    """The arrays of a checkpoint of `of`, or a FileError."""
+    with opened_hdf5(path, "r") as file:
+        if file.attrs.get("schema") != CHECKPOINT:
+            raise FileError(f"{path}: an HDF5 file, but not a surrofe2 checkpoint")
+        if file.attrs["of"] != of:
+            raise FileError(f"{path}: a checkpoint of {file.attrs['of']}, not of {of}")
+        found: dict[str, np.ndarray] = {}
+
+        def collect(name: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset):
+                found[name] = np.asarray(item[()])
+
+        file.visititems(collect)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

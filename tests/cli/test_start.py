@@ -1,0 +1,70 @@
+"""What a short run loads: the start of a command is imports, and kernels read from disk."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+IDLE = (
+    "torch",
+    "sklearn",
+    "skfem",
+    "scipy.sparse",
+    "scipy.optimize",
+    "scipy.spatial",
+    "scipy.special",
+    "scipy.stats",
+    "surrofe2.macro.modes",
+    "surrofe2.tissue.dynamics",
+)
+"""What no run by rve or cached needs whose answers are all in range."""
+CODE = f"""
+import sys
+from numba.core.caching import Cache
+from surrofe2.cli import main
+
+kernels, load = [], Cache.load_overload
+def noting(self, *arguments):
+    kernels.append(self._py_func.__name__)
+    return load(self, *arguments)
+Cache.load_overload = noting
+try:
+    main()
+except SystemExit as end:
+    assert not end.code
+print(*[name for name in {IDLE} if name in sys.modules], sep=",")
+print(*kernels, sep=",")
+"""
+
+
+def loaded(*arguments):
+    """(modules of `IDLE` imported, kernels loaded) by a command once its kernels are on disk."""
+    command = [sys.executable, "-c", CODE, *map(str, arguments), "--fresh"]
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    idle, kernels = done.stdout.splitlines()[-2:]
+    return idle, kernels.split(",")
+
+
+@pytest.fixture
+def short_recipe(changed_recipe):
+    return changed_recipe("duration = 4.0", "duration = 0.5")
+
+
+def test_a_true_run_loads_what_it_uses(short_recipe, tmp_path):
+    idle, kernels = loaded("run", short_recipe, "--law", "rve", "--out", tmp_path / "run")
+    assert idle == ""
+    assert {"chord", "newton", "deformation", "nodal_forces"} <= set(kernels)
+    assert len(kernels) <= 9, kernels
+
+
+def test_a_cached_run_loads_what_it_uses(invoke, short_recipe, tmp_path):
+    for command in ("generate", "train"):
+        assert invoke(command, short_recipe).exit_code == 0
+    arguments = ("run", short_recipe, "--law", "cached", "--tolerance", "inf", "--audit", "0.5")
+    idle, kernels = loaded(*arguments, "--out", tmp_path / "run")
+    assert idle == ""
+    assert len(kernels) <= 14, kernels
