@@ -185,7 +185,7 @@ class MetRange:
     def rate(self) -> float:
         """Largest entry of |RᵀḞ|, 1/µs."""
         low, high = self.RT_F_dot
-        return float(max(-low.min(), high.max()))
+        return float(max(high.max(), -low.min()))
 
 
 class Recorder:
