@@ -20,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from surrofe2 import units
+from surrofe2.cache.branches import part_of, within
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain, replacing, reported
 from surrofe2.plant_cell.parameters import CellParameters
@@ -44,12 +45,11 @@ Tensors = dict[str, NDArray[Any]]
 
 def write_surrogate(law: SurrogateLaw, path: Path) -> None:
     """Write a surrogate, whole or not at all; a FileError where that fails."""
-    tensors: Tensors = {f"network.{k}": v for k, v in law.network.tensors.items()}
     domain = {} if law.domain is None else asdict(law.domain)
     square = domain.pop("square", None)
-    tensors |= {f"domain.{name}": array for name, array in domain.items()}
+    tensors = within("network", law.network.tensors) | within("domain", domain)
     if law.reference is not None:
-        tensors |= {f"reference.{k}": array for k, array in law.reference.to_arrays().items()}
+        tensors |= within("reference", law.reference.to_arrays())
     n = law.network
     content = {
         "version": law.version,
@@ -80,9 +80,9 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
     try:
         cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
-        reference = _part(tensors, "reference")
+        reference = part_of(tensors, "reference")
         law = SurrogateLaw(
-            network=NetworkParameters(**content["network"], tensors=_part(tensors, "network")),
+            network=NetworkParameters(**content["network"], tensors=part_of(tensors, "network")),
             cell=cell,
             initialisation=content["initialisation"],
             range=SamplingRange(**content["range"]),
@@ -91,7 +91,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             data_fingerprint=content["data_fingerprint"],
             rest_length=content["rest_length"],
             version=content["version"],
-            domain=domain and Domain(square=domain["square"], **_part(tensors, "domain")),
+            domain=domain and Domain(square=domain["square"], **part_of(tensors, "domain")),
             calibration=calibration and _calibration(calibration),
             reference=ReferenceState.from_arrays(reference) if reference else None,
         )
@@ -129,12 +129,6 @@ def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
     """(identity, iterations, arrays) of an interrupted training, or a FileError."""
     content, tensors = _read(path, TRAINING_SCHEMA, "unfinished training")
     return content["identity"], content["iterations"], tensors
-
-
-def _part(tensors: Tensors, name: str) -> Tensors:
-    """The tensors called name.…, by what follows."""
-    start = f"{name}."
-    return {key.removeprefix(start): v for key, v in tensors.items() if key.startswith(start)}
 
 
 def _write(path: Path, schema: str, content: Mapping[str, Any], tensors: Tensors) -> None:

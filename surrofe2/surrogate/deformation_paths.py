@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
@@ -47,16 +46,6 @@ class DeformationPaths:
     F: Array
     F_dot: Array
     owner: NDArray[np.intp]
-
-    def __post_init__(self) -> None:
-        shape = np.shape(self.F)
-        if len(shape) != 4 or shape[2:] != (2, 2) or np.shape(self.F_dot) != shape:
-            raise InputError(
-                f"paths.F: shapes {shape} and {np.shape(self.F_dot)} of F and F_dot; both must "
-                "be (length, n, 2, 2)"
-            )
-        if np.shape(self.owner) != shape[1:2]:
-            raise InputError(f"paths.owner: shape {np.shape(self.owner)}; it must be ({shape[1]},)")
 
     @property
     def count(self) -> int:
@@ -144,18 +133,8 @@ class WatchedLaw:
     """
 
     def __init__(self, law: StressLaw) -> None:
-        self.law = law
+        self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
         self.met: list[State] = []
-
-    @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
-        return self.law.density
-
-    @property
-    def has_tangents(self) -> bool:
-        """Those of the law."""
-        return self.law.has_tangents
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False

@@ -52,7 +52,8 @@ class NetworkParameters:
 
     def layers(self, part: str) -> Layers:
         """Those of "factors" or "energy"; empty where the network has none."""
-        count = sum(name.startswith(f"{part}.") for name in self.tensors) // 2
+        names = [name for name in self.tensors if name.startswith(f"{part}.")]
+        count = sum(name.endswith(".weight") for name in names)
         return tuple(
             (self.tensors[f"{part}.{k}.weight"], self.tensors[f"{part}.{k}.bias"])
             for k in np.arange(count)
