@@ -57,6 +57,10 @@ class Domain:
     limits: Array
     cliff: Array
 
+    def __post_init__(self) -> None:
+        if not ((self.pairs >= 0) & (self.pairs < FEATURES)).all():
+            raise ValueError("domain: pairs beyond the features")
+
 
 def features(x: Array, square: bool) -> Array:
     """(n, 9) inputs, under D4 the moduli of all but the sums, and the products dD and gG."""
