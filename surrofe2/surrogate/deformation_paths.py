@@ -1,4 +1,4 @@
-"""DeformationPaths in (F, Ḟ): what calibration exchanges, and the true stress along them.
+"""Paths of deformation in (F, Ḟ): what calibration exchanges, and the true stress along them.
 
 A bound is believed on histories like those of a run, where neighbouring states share their error;
 so a whole path counts once. Three kinds: random walks within a sampling range, single states of
@@ -67,7 +67,7 @@ class DeformationPaths:
 
 
 def random_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
-    """DeformationPaths of a single state each, independent and uniform over the range."""
+    """Paths of a single state each, independent and uniform over the range."""
     middle, half = _box(range)
     rng = np.random.default_rng(seed)
     U = _symmetric(middle + half * rng.uniform(-1.0, 1.0, (count, 3)))
