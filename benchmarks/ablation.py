@@ -114,7 +114,7 @@ def run(setting: Setting) -> list[Row]:
                 results.append(compete(name, law, few, recipe.training, truth))
                 print(f"    {name}, {count} samples: {_errors(results[-1])}", flush=True)
     study, of = describe(results, recipe.training), NamedCell(recipe.cell, PRESET)
-    asked = {"training": recipe.training.to_dict(), "counts": counts}
+    asked = {"training": asdict(recipe.training), "counts": counts}
     keep_study(setting.out, "ablation", of, asked, lambda: study, fresh=True)
     return [_row(result) for result in results]
 

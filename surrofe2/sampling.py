@@ -6,8 +6,7 @@ F = R U seven inputs are left: the stretch U (symmetric) and the rate A = Ráµ€á¸
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +48,6 @@ class SamplingRange:
                 f"range.shear: {self.shear}; it must be below the lowest stretch {low}, "
                 "so that det U > 0"
             )
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields by name, for files."""
-        return asdict(self)
 
 
 def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple[Array, Array]:

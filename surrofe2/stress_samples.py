@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ class StressSamples:
     def fingerprint(self) -> str:
         """16 hexadecimal digits that two equal sets of samples share and no others."""
         digest = hashlib.sha256()
-        identity = (self.cell.fingerprint, self.initialisation, self.range.to_dict(), self.seed)
+        identity = (self.cell.fingerprint, self.initialisation, asdict(self.range), self.seed)
         digest.update(repr((*identity, self.rest_length)).encode())
         for array in self._float_arrays.values():
             digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())

@@ -168,7 +168,7 @@ def test_mass_and_stiffness_must_be_positive(changed_recipe, key, value):
 def test_unknown_preset(changed_recipe):
     path = changed_recipe('"printed"', '"prinetd"')
     assert message(InputError, path) == (
-        "recipe.toml: cell.preset: 'prinetd'; it must be one of printed, water"
+        "recipe.toml: cell.preset: 'prinetd'; it must be one of printed, water, apple, potato"
     )
 
 

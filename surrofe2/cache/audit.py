@@ -34,7 +34,7 @@ class ErrorRecord:
         audited: answers that were audited.
         unsolved: of these, those for which the true law has no stress.
         violations: errors above the tolerance, and the unsolved.
-        bins: (b,) errors by size, in logarithmic bins.
+        bins: (b,) errors by size, in logarithmic bins; a list is taken too.
         worst: the largest error with what was asked and answered.
     """
 
@@ -48,6 +48,9 @@ class ErrorRecord:
         default_factory=lambda: np.zeros(len(_EDGES) + 1, dtype=np.int64)
     )
     worst: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        self.bins = np.array(self.bins, dtype=np.int64)
 
     def add(self, error: Array) -> NDArray[np.bool_]:
         """Record errors (k,), NaN where there is no truth; which of them are violations."""
@@ -91,15 +94,6 @@ class ErrorRecord:
             },
             "worst": self.worst,
         }
-
-    def to_values(self) -> dict[str, Any]:
-        """All that it knows, plainly, for `from_values`."""
-        return {**asdict(self), "bins": self.bins.tolist()}
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> ErrorRecord:
-        """The record whose `to_values` gave these."""
-        return cls(**{**values, "bins": np.array(values["bins"], dtype=np.int64)})
 
 
 class Question(NamedTuple):
@@ -183,7 +177,8 @@ class Audit:
 
     def to_values(self) -> dict[str, Any]:
         """Plain values: all audits so far, and the random stream."""
-        return {"record": self.record.to_values(), "random": self._random.bit_generator.state}
+        values = {**asdict(self.record), "bins": self.record.bins.tolist()}
+        return {"record": values, "random": self._random.bit_generator.state}
 
     def restore(self, arrays: Mapping[str, NDArray], values: Mapping[str, Any]) -> None:
         """Go on where another audit gave these by `to_arrays` and `to_values`."""
@@ -193,7 +188,7 @@ class Audit:
         if "last_points" in arrays:
             state = self._fallback.state_from_arrays(part_of(arrays, "last"))
             self._last = arrays["last_points"].astype(np.intp), arrays["last_at"], state
-        self.record = ErrorRecord.from_values(values["record"])
+        self.record = ErrorRecord(**values["record"])
         self._random.bit_generator.state = values["random"]
 
     def _joined(self) -> Question:

@@ -74,11 +74,6 @@ class CachedLaw:
         self.reset_counts()
 
     @property
-    def tolerance(self) -> float:
-        """Allowed error of a stress, µN/µm; inf where the surrogate knows no bound."""
-        return self._monitor.trust.allowed
-
-    @property
     def has_tangents(self) -> bool:
         """Whether both parts give tangents."""
         return self.surrogate.has_tangents and self.fallback.has_tangents
@@ -89,11 +84,6 @@ class CachedLaw:
         by reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`,
         solves by which a point began a step on the fallback."""
         return dict(self._monitor.counts)
-
-    @property
-    def is_off(self) -> bool:
-        """Whether the cache was switched off."""
-        return self._monitor.trust.is_off
 
     def reset_counts(self) -> None:
         """Begin as if nothing had been asked: counts, audits, trust and stopwatch."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
@@ -30,16 +30,15 @@ class Meter:
     """Seconds spent in the law, in total and by part, and the points it was asked for.
 
     Attributes:
-        total, fallback, audit: s; audit does not count as fallback.
-        sampling: s, spent on timing the true law, not in total.
+        seconds: in "total", of these in "fallback" and in "audit", which does not count as
+            fallback; "sampling" is spent on timing the true law, not in total.
         asked, calls, steps: points, answers and kept steps.
         true: s a stress of the true law as timed last, None before.
     """
 
-    total: float = 0.0
-    fallback: float = 0.0
-    audit: float = 0.0
-    sampling: float = 0.0
+    seconds: dict[str, float] = field(
+        default_factory=lambda: dict.fromkeys(("total", "fallback", "audit", "sampling"), 0.0)
+    )
     asked: int = 0
     calls: int = 0
     steps: int = 0
@@ -47,7 +46,7 @@ class Meter:
 
     def answered(self, points: int, seconds: float) -> None:
         """Count an answer for so many points."""
-        self.total += seconds
+        self.seconds["total"] += seconds
         self.asked += points
         self.calls += 1
 
@@ -58,13 +57,7 @@ class Meter:
         try:
             yield
         finally:
-            seconds = perf_counter() - began
-            if name == "audit":
-                self.audit += seconds
-            elif name == "fallback":
-                self.fallback += seconds
-            else:
-                self.total += seconds
+            self.seconds[name] += perf_counter() - began
 
     def sample(self, law: Fallback, before: Place | None, now: Place) -> None:
         """Time the true law where the run is, warm from a step before, where it is time to.
@@ -72,10 +65,10 @@ class Meter:
         before, now: (F, F_dot), (n, 2, 2) each, at the ends of the last two kept steps.
         """
         is_due = self.steps >= FIRST_SAMPLE and not self.steps & (self.steps - 1)
-        if before is None or not is_due or self.sampling > SHARE * self.total:
+        if before is None or not is_due or self.seconds["sampling"] > SHARE * self.seconds["total"]:
             return
         began = perf_counter()
-        many = FEW if self.true is None or self.sampling > _DEAR else MANY
+        many = FEW if self.true is None or self.seconds["sampling"] > _DEAR else MANY
         old, new = ((F[:many], F_dot[:many]) for F, F_dot in (before, now))
         cold = law.respond(*old)
         if not cold.status.any():
@@ -87,7 +80,7 @@ class Meter:
             calls_a_step = max(self.calls / self.steps, 1.0)
             self.true = asked - start + (perf_counter() - asked) / calls_a_step
             self.true /= len(new[0])
-        self.sampling += perf_counter() - began
+        self.seconds["sampling"] += perf_counter() - began
 
     def report(self, *, all_true: bool) -> dict[str, Any] | None:
         """Seconds a stress, for run.json; None where the true law was never timed.
@@ -98,10 +91,12 @@ class Meter:
         all_true: whether the true law answered all of the run, which then says what it costs.
         """
         share = 1.0 / max(self.asked, 1)
-        true = self.fallback * share if all_true and self.fallback else self.true
+        cached, fallback, audit = (
+            share * self.seconds[name] for name in ("total", "fallback", "audit")
+        )
+        true = fallback if all_true and fallback else self.true
         if true is None:
             return None
-        cached, fallback, audit = (share * s for s in (self.total, self.fallback, self.audit))
         lookup, faster = cached - fallback - audit, true / cached
         if faster > 1.0:
             verdict, change = "the cache pays", f"{faster:.3g} times faster"

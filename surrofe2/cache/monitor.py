@@ -158,7 +158,7 @@ class Monitor:
         """All that it knows, and what the surrogate has learnt, for `from_arrays`."""
         values = {
             "counts": self.counts,
-            "trust": self.trust.to_values(),
+            "trust": asdict(self.trust),
             "faults": asdict(self._faults),
             "audit": self._audit.to_values(),
             "meter": asdict(self.meter),
@@ -173,7 +173,7 @@ class Monitor:
         """Know what the monitor of the same law and settings knew at its `to_arrays`."""
         values = json.loads(arrays["values"].tobytes())
         self.counts = dict(values["counts"])
-        self.trust.from_values(values["trust"])
+        self.trust = Trust(**values["trust"])
         self._faults = FaultDetector(**values["faults"])
         self._audit.restore(part_of(arrays, "audit"), values["audit"])
         self.meter = Meter(**values["meter"])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -48,22 +46,27 @@ _REASONS = {
 _log = logging.getLogger("surrofe2.cache")
 
 
+@dataclass
 class Trust:
-    """The tolerance that lookups get, and what happened to it.
+    """The tolerance that lookups get, and what happened to it; plain values, for checkpoints.
 
     Attributes:
         allowed: the user's tolerance, µN/µm.
         factor: by which bounds are multiplied before they are compared with it.
         is_off: the cache answers nothing any more.
         events: what was found and done, in order, each with its step.
+        audits, violations: under this factor.
+        broken, ratios: of the latest of these, whether each was a violation, and error/bound.
     """
 
-    def __init__(self, allowed: float) -> None:
-        self.allowed = allowed
-        self.factor = 1.0
-        self.is_off = False
-        self.events: list[dict[str, Any]] = []
-        self._forget()
+    allowed: float
+    factor: float = 1.0
+    is_off: bool = False
+    events: list[dict[str, Any]] = field(default_factory=list)
+    audits: int = 0
+    violations: int = 0
+    broken: list[bool] = field(default_factory=list)
+    ratios: list[float] = field(default_factory=list)
 
     @property
     def tolerance(self) -> float:
@@ -72,13 +75,13 @@ class Trust:
 
     def judge(self, step: int, broken: NDArray[np.bool_], error: Array, bound: Array) -> None:
         """Take note of audits (k,); tighten or switch off if too many broke the tolerance."""
-        self._broken.extend(broken.tolist())
+        self.broken = [*self.broken, *broken.tolist()][-RECENT:]
         with np.errstate(divide="ignore", invalid="ignore"):
-            self._ratios.extend((error / bound).tolist())
-        self._audits += len(broken)
-        self._violations += int(broken.sum())
-        recent = sum(self._broken)
-        for violations, audits in ((self._violations, self._audits), (recent, len(self._broken))):
+            self.ratios = [*self.ratios, *(error / bound).tolist()][-RECENT:]
+        self.audits += len(broken)
+        self.violations += int(broken.sum())
+        recent = sum(self.broken), len(self.broken)
+        for violations, audits in ((self.violations, self.audits), recent):
             if chance(violations, audits) < ALARM:
                 self._tighten(step, violations, audits)
                 return
@@ -96,36 +99,19 @@ class Trust:
         """Plain values for run.json."""
         return {"factor": self.factor, "off": self.is_off, "events": list(self.events)}
 
-    def to_values(self) -> dict[str, Any]:
-        """All that it knows, plainly, for `from_values`."""
-        return {
-            **self.to_dict(),
-            "audits": self._audits,
-            "violations": self._violations,
-            "broken": list(self._broken),
-            "ratios": list(self._ratios),
-        }
-
-    def from_values(self, values: Mapping[str, Any]) -> None:
-        """Know what another knew at its `to_values`."""
-        self.factor, self.is_off = values["factor"], values["off"]
-        self.events = [dict(event) for event in values["events"]]
-        self._audits, self._violations = values["audits"], values["violations"]
-        self._broken.extend(values["broken"])
-        self._ratios.extend(values["ratios"])
-
     def _tighten(self, step: int, violations: int, audits: int) -> None:
         """Multiply the bound so that it would have held over the audits that raised the alarm."""
         finding = (
             f"{violations} of {audits} audited answers are off by more than the tolerance of "
             f"{self.allowed:.3g} µN/µm (at most {100.0 * NOMINAL:g} % should be)"
         )
-        ratios = np.array(self._ratios)
+        ratios = np.array(self.ratios)
         wanted = np.inf
         if np.isfinite(ratios).all() and ratios.max() > 0.0:
             wanted = _MARGIN * float(np.quantile(ratios, 1.0 - NOMINAL, method="higher"))
         factor = max(2.0 * self.factor, wanted)
-        self._forget()
+        self.audits = self.violations = 0  # under this factor they say nothing of the next
+        self.broken, self.ratios = [], []
         if not factor <= LARGEST_FACTOR:
             self.switch_off(step, finding)
             return
@@ -137,12 +123,6 @@ class Trust:
     def _note(self, step: int, sentence: str, action: str) -> None:
         _log.warning("cache, step %d: %s", step, sentence)
         self.events.append({"step": step, "finding": sentence, "action": action})
-
-    def _forget(self) -> None:
-        """Audits under an earlier factor say nothing of this one."""
-        self._audits = self._violations = 0
-        self._broken: deque[bool] = deque(maxlen=RECENT)
-        self._ratios: deque[float] = deque(maxlen=RECENT)
 
 
 @dataclass

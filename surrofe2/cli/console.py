@@ -147,7 +147,7 @@ CellName = Annotated[
         "--cell",
         "--preset",
         metavar="NAME|RECIPE",
-        help="printed or water, with fluid particles of 2.7 or 0.27 ng, or a TOML file.",
+        help="printed or water, the paper's with 2.7 or 0.27 ng; apple, potato; or a TOML file.",
     ),
 ]
 Initialisation = Annotated[

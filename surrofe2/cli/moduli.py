@@ -59,7 +59,8 @@ def moduli(
     pressure = turgor_of(of.cell)
     print_line(
         f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
-        f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the fluid)"
+        f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
+        f"fluid), {pressure.walls:.4g} MPa (carried by the walls)"
     )
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
     shown = moduli_tables(of.cell, {name: cell_moduli(of.cell, name) for name in chosen})
@@ -76,6 +77,7 @@ def moduli(
         shown[title] = table
     if out is not None:
         turgors = {"turgor_mean_MPa": pressure.mean, "turgor_virial_MPa": pressure.virial}
+        turgors["turgor_walls_MPa"] = pressure.walls
         records = {title: table.to_records() for title, table in shown.items()}
         write_json(out, {**asked, "fingerprint": of.cell.fingerprint, **turgors, "tables": records})
         print_line(str(out))

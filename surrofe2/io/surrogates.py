@@ -10,6 +10,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from surrofe2 import units
+from surrofe2.cache.branches import part_of, within
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain, replacing, reported
 from surrofe2.plant_cell.parameters import CellParameters
@@ -43,26 +45,26 @@ Tensors = dict[str, NDArray[Any]]
 
 def write_surrogate(law: SurrogateLaw, path: Path) -> None:
     """Write a surrogate, whole or not at all; a FileError where that fails."""
-    tensors: Tensors = {f"network.{k}": v for k, v in law.network.to_tensors().items()}
-    if law.domain is not None:
-        tensors |= {f"domain.{name}": array for name, array in law.domain.to_tensors().items()}
+    domain = {} if law.domain is None else asdict(law.domain)
+    square = domain.pop("square", None)
+    tensors = within("network", law.network.tensors) | within("domain", domain)
     if law.reference is not None:
-        tensors |= {f"reference.{k}": array for k, array in law.reference.to_arrays().items()}
+        tensors |= within("reference", law.reference.to_arrays())
     n = law.network
     content = {
         "version": law.version,
         "units": _UNITS,
         "network": {"form": n.form, "symmetry": n.symmetry, "degree": n.degree},
-        "settings": law.settings.to_dict(),
-        "range": law.range.to_dict(),
-        "cell": law.cell.to_dict(),
+        "settings": law.settings,
+        "range": law.range,
+        "cell": law.cell,
         "cell_fingerprint": law.cell.fingerprint,
         "initialisation": law.initialisation,
         "rest_length": law.rest_length,
         "data_fingerprint": law.data_fingerprint,
         "errors": law.errors,
-        "domain": None if law.domain is None else {"square": law.domain.square},
-        "calibration": None if law.calibration is None else law.calibration.to_dict(),
+        "domain": {"square": square} if domain else None,
+        "calibration": law.calibration,
     }
     _write(path, SCHEMA, content, tensors)
 
@@ -78,11 +80,9 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
     try:
         cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
-        reference = _part(tensors, "reference")
+        reference = part_of(tensors, "reference")
         law = SurrogateLaw(
-            network=NetworkParameters.from_tensors(
-                **content["network"], tensors=_part(tensors, "network")
-            ),
+            network=NetworkParameters(**content["network"], tensors=part_of(tensors, "network")),
             cell=cell,
             initialisation=content["initialisation"],
             range=SamplingRange(**content["range"]),
@@ -91,8 +91,8 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             data_fingerprint=content["data_fingerprint"],
             rest_length=content["rest_length"],
             version=content["version"],
-            domain=domain and Domain.from_tensors(domain["square"], _part(tensors, "domain")),
-            calibration=calibration and Calibration.from_dict(calibration),
+            domain=domain and Domain(square=domain["square"], **part_of(tensors, "domain")),
+            calibration=calibration and _calibration(calibration),
             reference=ReferenceState.from_arrays(reference) if reference else None,
         )
         fingerprint = content["cell_fingerprint"]
@@ -108,6 +108,15 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
     return law
 
 
+def _calibration(content: Mapping[str, Any]) -> Calibration:
+    kinds = {
+        kind: {**figures, "quantile": float(figures["quantile"])}
+        for kind, figures in content["kinds"].items()
+    }
+    scale, quantile = np.array(content["scale"]), float(content["quantile"])
+    return Calibration(**{**content, "scale": scale, "quantile": quantile, "kinds": kinds})
+
+
 def write_training(
     path: Path, identity: Mapping[str, str], iterations: int, arrays: Mapping[str, NDArray[Any]]
 ) -> None:
@@ -120,12 +129,6 @@ def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
     """(identity, iterations, arrays) of an interrupted training, or a FileError."""
     content, tensors = _read(path, TRAINING_SCHEMA, "unfinished training")
     return content["identity"], content["iterations"], tensors
-
-
-def _part(tensors: Tensors, name: str) -> Tensors:
-    """The tensors called name.…, by what follows."""
-    start = f"{name}."
-    return {key.removeprefix(start): v for key, v in tensors.items() if key.startswith(start)}
 
 
 def _write(path: Path, schema: str, content: Mapping[str, Any], tensors: Tensors) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, fields, replace
-from math import isqrt
+from math import isqrt, sqrt
 from typing import Any
 
 from surrofe2.errors import InputError
@@ -78,7 +78,7 @@ class CellParameters:
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> CellParameters:
-        """The parameters called `name` ("printed" or "water"), with single fields changed."""
+        """The parameters called `name`, a key of `PRESETS`, with single fields changed."""
         if name not in PRESETS:
             raise InputError(f"cell.preset: {name!r}; it must be one of {', '.join(PRESETS)}")
         known = {item.name for item in fields(cls)}
@@ -165,7 +165,141 @@ def _check_arrangement(arrangement: str, cells: int) -> None:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LivingTissue:
+    """What experiments tell of a parenchyma, in their units; docs/cells.md says how to read each.
+
+    `parameters` translates. Masses, stiffnesses and the viscosity are those of a layer as thick as
+    `CellParameters.tissue_thickness`; a stress in MPa does not depend on that thickness.
+    """
+
+    cell_size: float = setting(
+        unit=LENGTH, about="side of a square of a plant cell's area", above=0
+    )
+    turgor: float = setting(unit="MPa", about="pressure that the walls carry at rest", above=0)
+    wall_modulus: float = setting(unit="MPa", about="of a wall stretched by the turgor", above=0)
+    wall_thickness: float = setting(unit=LENGTH, about="of one plant cell's own wall", above=0)
+    sap_viscosity: float = setting(unit="mPa s", above=0)
+    density: float = setting(unit="kg/m³", about="of the tissue", above=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "tissue")
+
+    def parameters(self) -> CellParameters:
+        """Constants of the square plant cell: docs/cells.md, “Translation”.
+
+        Raises:
+            InputError: the walls alone weigh more than the tissue.
+        """
+        usual, side = CellParameters(), self.cell_size
+        thickness, springs = usual.tissue_thickness, usual.wall_springs_per_side
+        spring, cross_section = side / springs, 2.0 * self.wall_thickness * thickness
+        wall_particle = _WALL_DENSITY * cross_section * spring
+        fluid = 1e-6 * self.density * side**2 * thickness - (2 * springs - 1) * wall_particle
+        tension = self.turgor * thickness * side
+        return replace(
+            usual,
+            cell_side=side,
+            fluid_particle_mass=fluid / usual.fluid_particles_per_side**2,
+            wall_particle_mass=wall_particle,
+            wall_stiffness=self.wall_modulus * cross_section / spring,
+            repulsion_strength=_REPULSION * tension * spring**6,
+            repulsion_cutoff=_CUTOFF * side,
+            smoothing_length=_SMOOTHING * side,
+            sound_speed=sqrt(tension * side / (_CARRIED * fluid)) if fluid > 0.0 else 1.0,
+            viscosity=1e-3 * self.sap_viscosity * thickness,
+        )
+
+
+_WALL_DENSITY = 1.1e-3
+"""Of a wet wall, ng/µm³: two thirds water, one third polysaccharides of 1500 kg/m³."""
+_REPULSION, _CUTOFF, _SMOOTHING = 1.2, 0.37, 0.22
+"""Contact force a spring's length away over the walls' tension; lengths over the side."""
+_CARRIED = 1.1484
+"""Turgor that the walls carry, over c_s² times the fluid's mass per area, at these three."""
+
+_WALLS = (
+    "chosen so that the tissue's Young's modulus is a measured one; walls measured so far have 20 "
+    "to 90 MPa (pollen tube; Vogler et al. 2013, doi:10.1111/tpj.12061) and 2300 MPa (tomato; "
+    "Wang, Wang, Thomas 2004, Annals of Botany 93, 443-453)"
+)
+_TURGOR = "within 0.3 to 1 MPa: Cosgrove 1997, Annu. Rev. Cell Dev. Biol. 13, 171-201, p. 185"
+LIVING: dict[str, tuple[LivingTissue, dict[str, str]]] = {
+    "apple": (
+        LivingTissue(
+            cell_size=150.0,
+            turgor=0.4,
+            wall_modulus=300.0,
+            wall_thickness=0.8,
+            sap_viscosity=1.4,
+            density=860.0,
+        ),
+        {
+            "cell_size": "70 µm under the skin to 250 µm inside: McAtee et al. 2009, Plant Methods "
+            "5:5, doi:10.1186/1746-4811-5-5",
+            "turgor": _TURGOR,
+            "wall_modulus": _WALLS,
+            "wall_thickness": "15 mg of dry wall in 1 g of ripe fruit (Plants in Action, figure "
+            "11.4, after Harker and Ferguson 1988), a third of the wet wall, spread over cubes",
+            "sap_viscosity": "apple juice at 25 °C: Brookfield viscometer, can-am.net/"
+            "viscosity-apple-juice",
+            "density": "1.13 to 1.18 mL/g: Korean J. Food Preserv. 21(5), 618 (2014), table 1",
+        },
+    ),
+    "potato": (
+        LivingTissue(
+            cell_size=150.0,
+            turgor=0.5,
+            wall_modulus=500.0,
+            wall_thickness=0.9,
+            sap_viscosity=1.0,
+            density=1080.0,
+        ),
+        {
+            "cell_size": "100 to 200 µm, textbook value; measured by Konstankiewicz et al. 2002, "
+            "Int. Agrophysics 16, 119-127",
+            "turgor": _TURGOR,
+            "wall_modulus": f"{_WALLS}; tissue of 5 to 19 MPa: Niklas 1988, Am. J. Bot. 75(9), "
+            "1286-1292, doi:10.1002/j.1537-2197.1988.tb14188.x",
+            "wall_thickness": "Kennebec and Norchip at harvest: Cell wall thickness during growth "
+            "of domestic and foreign potato cultivars, Am. Potato J., doi:10.1007/BF02851771",
+            "sap_viscosity": "water at 20 °C, textbook value: a lower bound",
+            "density": "specific gravity 1.06 to 1.10, textbook value",
+        },
+    ),
+}
+"""Parenchymas by the name of their preset, and the source of each measured value."""
+
+_MEASURED = {
+    "cell_side": ("cell_size",),
+    "fluid_particle_mass": ("density", "cell_size"),
+    "wall_particle_mass": ("wall_thickness", "cell_size"),
+    "wall_stiffness": ("wall_modulus", "wall_thickness", "cell_size"),
+    "repulsion_strength": ("turgor", "cell_size"),
+    "repulsion_cutoff": ("cell_size",),
+    "smoothing_length": ("cell_size",),
+    "sound_speed": ("turgor", "density"),
+    "viscosity": ("sap_viscosity",),
+}
+"""What each constant of a living tissue follows from."""
+
 PRESETS = {
     "printed": CellParameters(),
     "water": CellParameters(fluid_particle_mass=0.27),
+    **{name: tissue.parameters() for name, (tissue, _) in LIVING.items()},
 }
+
+
+def sources(preset: str) -> dict[str, str]:
+    """Where each constant of a preset comes from, by its name.
+
+    Raises:
+        InputError: no preset is called so.
+    """
+    CellParameters.preset(preset)
+    found = {item.name: str(item.metadata["source"]) for item in fields(CellParameters)}
+    if preset in LIVING:
+        _, measured = LIVING[preset]
+        for constant, origins in _MEASURED.items():
+            found[constant] = "; ".join(f"from {key}: {measured[key]}" for key in origins)
+    return found

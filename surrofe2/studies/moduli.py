@@ -26,6 +26,7 @@ from surrofe2.plant_cell.forces import fluid_specific_volume
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
+from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
@@ -85,10 +86,13 @@ class Turgor:
             wherever surrofe2 takes it as an input.
         virial: of the fluid's pair forces alone, Σ f·r/(2 area), over the thickness: what the
             fluid adds to −tr σ/2. Smaller, since walls and fluid repel each other over a distance.
+        walls: virial of the wall springs and of the repulsion between wall particles: the pressure
+            that the tension of the walls balances. Larger, since the fluid does not fill the cell.
     """
 
     mean: float
     virial: float
+    walls: float
 
 
 def turgor(cell: CellParameters) -> Turgor:
@@ -109,7 +113,26 @@ def turgor(cell: CellParameters) -> Turgor:
     return Turgor(
         mean=float(np.mean(speed / per_density)) / t,
         virial=float(-np.sum(pull * square)) / (2.0 * topology.area * t),
+        walls=_wall_virial(cell, unit) / (2.0 * topology.area * t),
     )
+
+
+def _wall_virial(cell: CellParameters, unit: UnitCell) -> float:
+    """Σ f·r of the springs and contacts between wall particles at rest, µN µm."""
+    topology, beyond = unit.topologies[0], cell.repulsion_cutoff**-6
+    owner = np.concatenate([np.arange(topology.particles), topology.owner])
+    image = unit.position[topology.owner] + topology.image_offset
+    local = np.concatenate([unit.position, image])
+
+    def length(pairs: NDArray[Any]) -> Array:
+        return np.asarray(np.linalg.norm(local[pairs[:, 1]] - local[pairs[:, 0]], axis=1))
+
+    spring = length(topology.bonds)
+    contact = length(topology.contacts[(owner[topology.contacts] < topology.walls).all(axis=1)])
+    contact = contact[contact < cell.repulsion_cutoff]
+    tension = cell.wall_stiffness * (spring - unit.rest_length)
+    repulsion = cell.repulsion_strength * (contact**-6 - beyond)
+    return float(np.sum(tension * spring) - np.sum(repulsion * contact))
 
 
 def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:

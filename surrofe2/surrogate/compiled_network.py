@@ -27,16 +27,16 @@ class Room(NamedTuple):
     """What a block is worked out in, used again for the next.
 
     x: (8, …) scaled inputs and ones; y: (7, …) components; products: (rows, TILE) of polynomials;
-    layers: (2, units, …) of the factors; hidden: (all units, …) of the energy, back: (2, units, …);
-    the others, with K before, are their slopes.
+    units: (all units, …) of the factors; hidden: those of the energy, back: (2, units, …); the
+    others, with K before, are their slopes.
     """
 
     x: Any
     y: Any
     y_slopes: Any
     products: Any
-    layers: Any
-    layer_slopes: Any
+    units: Any
+    unit_slopes: Any
     hidden: Any
     hidden_slopes: Any
     back: Any
@@ -51,19 +51,19 @@ def make_room(arrays, slope_polynomial, inputs):  # type: ignore[no-untyped-def]
     """
     stretches = min(inputs, STRETCH)
     made = max(arrays.made.shape[0], slope_polynomial.made.shape[0])
-    widest, widest_energy = arrays.sizes.max(), arrays.energy_sizes.max()
-    units = arrays.energy_sizes.sum()
+    units, widest = arrays.sizes.sum(), arrays.energy_sizes.max()
+    units_of_energy = arrays.energy_sizes.sum()
     return Room(
         np.empty((INPUTS + 1, TILES, TILE)),
         np.empty((COMPONENTS, TILES, TILE)),
         np.empty((inputs, COMPONENTS, TILES, TILE)),
         np.empty((ROWS + made, TILE)),
-        np.empty((2, widest, TILES, TILE)),
-        np.empty((2, inputs, widest, TILES, TILE)),
         np.empty((units, TILES, TILE)),
-        np.empty((stretches, units, TILES, TILE)),
-        np.empty((2, widest_energy, TILES, TILE)),
-        np.empty((2, stretches, widest_energy, TILES, TILE)),
+        np.empty((inputs, units, TILES, TILE)),
+        np.empty((units_of_energy, TILES, TILE)),
+        np.empty((stretches, units_of_energy, TILES, TILE)),
+        np.empty((2, widest, TILES, TILE)),
+        np.empty((2, stretches, widest, TILES, TILE)),
     )
 
 
@@ -90,44 +90,48 @@ def set_polynomial_slopes(slope_polynomial, room):  # type: ignore[no-untyped-de
 
 @kernel
 def evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
-    """Fill layers[last] with the factors of the terms, and their slopes; returns last."""
-    x, layers, slopes = room.x, room.layers, room.layer_slopes
-    layers[0, arrays.invariants.shape[0] : arrays.sizes[0]] = 0.0
-    if slopes.shape[1]:
-        slopes[0] = 0.0
+    """Fill the units of the factors, and their slopes; returns the row of the first factor."""
+    x, units, slopes = room.x, room.units, room.unit_slopes
+    units[: arrays.sizes[0]] = 0.0
+    slopes[:, : arrays.sizes[0]] = 0.0
     for row in range(arrays.invariants.shape[0]):
         a, b, c = arrays.invariants[row]
         for t in range(TILES):
             first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
-            store(first * second * third, layers, 0, row, t)
-            _add_slope(slopes, 0, a, row, t, second * third)
-            _add_slope(slopes, 0, b, row, t, first * third)
-            _add_slope(slopes, 0, c, row, t, first * second)
-    first_weight, first_bias = 0, 0
-    none = np.zeros(arrays.sizes.max())
-    last = arrays.sizes.shape[0] - 1
-    for layer in range(1, last + 1):
-        rows, columns = arrays.sizes[layer], arrays.sizes[layer - 1]
-        end = first_weight + rows * columns
-        matrix = arrays.weights[first_weight:end].reshape(rows, columns)
-        before, after = (layer - 1) % 2, layer % 2
-        bias = arrays.biases[first_bias : first_bias + rows]
-        apply_layer(matrix, bias, layers[before], layers[after])
-        if layer < last:
-            fill_tanh(layers[after, :rows].reshape(rows * BLOCK))
-        for k in range(slopes.shape[1]):
-            apply_layer(matrix, none, slopes[before, k], slopes[after, k])
-            if layer < last:
-                _times_tanh_slope(layers[after], slopes[after, k], rows)
-        first_weight = end
-        first_bias += rows
-    return last % 2
+            store(first * second * third, units, row, t)
+            _add_to(slopes, a, row, t, second * third)
+            _add_to(slopes, b, row, t, first * third)
+            _add_to(slopes, c, row, t, first * second)
+    layers = arrays.sizes.shape[0]
+    first, _ = _forward(arrays.sizes, layers, arrays.weights, arrays.biases, units, slopes)
+    return first
 
 
 @kernel
-def _add_slope(slopes, layer, k, row, t, value):  # type: ignore[no-untyped-def]
-    if k < slopes.shape[1]:
-        store(load(slopes, layer, k, row, t) + value, slopes, layer, k, row, t)
+def _forward(sizes, layers, weights, biases, units, slopes):  # type: ignore[no-untyped-def]
+    """Fill the units of so many layers, the inputs counted, and their slopes, from those before.
+
+    The last of all layers has no tanh. Returns the first row of the last layer that was filled,
+    and the number of weights up to it.
+    """
+    none = np.zeros(sizes.max())
+    begin, first_weight, first_bias = 0, 0, 0
+    for layer in range(1, layers):
+        rows, columns = sizes[layer], sizes[layer - 1]
+        end = first_weight + rows * columns
+        matrix = weights[first_weight:end].reshape(rows, columns)
+        middle = begin + columns
+        is_last = layer == sizes.shape[0] - 1
+        apply_layer(matrix, biases[first_bias : first_bias + rows], units[begin:], units[middle:])
+        if not is_last:
+            fill_tanh(units[middle : middle + rows].reshape(rows * BLOCK))
+        for k in range(slopes.shape[0]):
+            apply_layer(matrix, none, slopes[k, begin:], slopes[k, middle:])
+            if not is_last:
+                _times_tanh_slope(units[middle:], slopes[k, middle:], rows)
+        begin, first_weight = middle, end
+        first_bias += rows
+    return begin, first_weight
 
 
 @kernel
@@ -140,7 +144,7 @@ def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_terms(arrays, room, last):  # type: ignore[no-untyped-def]
+def _add_terms(arrays, room, first_factor):  # type: ignore[no-untyped-def]
     """Add (factor − factor at rest) × product of each term to its component."""
     x, y, y_slopes = room.x, room.y, room.y_slopes
     inputs = y_slopes.shape[0]
@@ -149,11 +153,11 @@ def _add_terms(arrays, room, last):  # type: ignore[no-untyped-def]
         scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
         for t in range(TILES):
             first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
-            factor = (load(room.layers, last, term, t) - at_rest) * scale
+            factor = (load(room.units, first_factor + term, t) - at_rest) * scale
             product = first * second * third
             store(load(y, component, t) + factor * product, y, component, t)
             for k in range(inputs):
-                slope = load(room.layer_slopes, last, k, term, t) * (product * scale)
+                slope = load(room.unit_slopes, k, first_factor + term, t) * (product * scale)
                 store(load(y_slopes, k, component, t) + slope, y_slopes, k, component, t)
             if inputs:
                 _add_to(y_slopes, a, component, t, factor * second * third)
@@ -192,22 +196,9 @@ def evaluate_energy_slope(arrays, room):  # type: ignore[no-untyped-def]
                 store(value + value if squared else one, hidden_slopes, k, k, t)
     none = np.zeros(sizes.max())
     last = sizes.shape[0] - 1
-    begin, first_weight, first_bias = 0, 0, 0
-    for layer in range(1, last):
-        rows, columns = sizes[layer], sizes[layer - 1]
-        matrix = arrays.energy_weights[first_weight : first_weight + rows * columns].reshape(
-            rows, columns
-        )
-        middle = begin + columns
-        bias = arrays.energy_biases[first_bias : first_bias + rows]
-        apply_layer(matrix, bias, hidden[begin:], hidden[middle:])
-        fill_tanh(hidden[middle : middle + rows].reshape(rows * BLOCK))
-        for k in range(stretches):
-            apply_layer(matrix, none, hidden_slopes[k, begin:], hidden_slopes[k, middle:])
-            _times_tanh_slope(hidden[middle:], hidden_slopes[k, middle:], rows)
-        begin = middle
-        first_weight += rows * columns
-        first_bias += rows
+    begin, first_weight = _forward(
+        sizes, last, arrays.energy_weights, arrays.energy_biases, hidden, hidden_slopes
+    )
     now = 0
     for row in range(sizes[last - 1]):
         for t in range(TILES):

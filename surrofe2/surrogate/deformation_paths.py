@@ -1,4 +1,4 @@
-"""DeformationPaths in (F, Ḟ): what calibration exchanges, and the true stress along them.
+"""Paths of deformation in (F, Ḟ): what calibration exchanges, and the true stress along them.
 
 A bound is believed on histories like those of a run, where neighbouring states share their error;
 so a whole path counts once. Three kinds: random walks within a sampling range, single states of
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
@@ -48,16 +47,6 @@ class DeformationPaths:
     F_dot: Array
     owner: NDArray[np.intp]
 
-    def __post_init__(self) -> None:
-        shape = np.shape(self.F)
-        if len(shape) != 4 or shape[2:] != (2, 2) or np.shape(self.F_dot) != shape:
-            raise InputError(
-                f"paths.F: shapes {shape} and {np.shape(self.F_dot)} of F and F_dot; both must "
-                "be (length, n, 2, 2)"
-            )
-        if np.shape(self.owner) != shape[1:2]:
-            raise InputError(f"paths.owner: shape {np.shape(self.owner)}; it must be ({shape[1]},)")
-
     @property
     def count(self) -> int:
         """Number of paths."""
@@ -78,7 +67,7 @@ class DeformationPaths:
 
 
 def random_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
-    """DeformationPaths of a single state each, independent and uniform over the range."""
+    """Paths of a single state each, independent and uniform over the range."""
     middle, half = _box(range)
     rng = np.random.default_rng(seed)
     U = _symmetric(middle + half * rng.uniform(-1.0, 1.0, (count, 3)))
@@ -144,18 +133,8 @@ class WatchedLaw:
     """
 
     def __init__(self, law: StressLaw) -> None:
-        self.law = law
+        self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
         self.met: list[State] = []
-
-    @property
-    def density(self) -> float | Array:
-        """Mass per reference area, ng/µm²."""
-        return self.law.density
-
-    @property
-    def has_tangents(self) -> bool:
-        """Those of the law."""
-        return self.law.has_tangents
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False

@@ -15,10 +15,9 @@ What lies between valid samples is taken to be valid. `calibration` finds it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from surrofe2.square_symmetry import SUM, parity
 from surrofe2.tensors import INPUTS, to_inputs
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Table = NDArray[np.int64]
 
 SUMS = (0, 3)
@@ -59,50 +57,9 @@ class Domain:
     limits: Array
     cliff: Array
 
-    def contains(self, F: Array, F_dot: Array) -> Bools:
-        """(n,) whether points (n, 2, 2) are inside; False where anything is NaN."""
-        with np.errstate(all="ignore"):
-            return self.holds(scaled_inputs(F, F_dot, self.scale))
-
-    def holds(self, x: Array) -> Bools:
-        """The same for scaled inputs (n, 7)."""
-        reach = reach_of(features(x, self.square), self.pairs, self.signs)
-        inside: Bools = np.asarray((reach <= self.limits).all(axis=1))
-        if len(self.cliff):
-            height = products(with_one(x), cliff_table(self.square)) @ self.cliff
-            inside &= height <= 0.0
-        return inside
-
-    def to_tensors(self) -> dict[str, NDArray[Any]]:
-        """All arrays by name, for files; `square` is that of the plant cell."""
-        return {
-            "scale": self.scale,
-            "pairs": self.pairs,
-            "signs": self.signs,
-            "limits": self.limits,
-            "cliff": self.cliff,
-        }
-
-    @classmethod
-    def from_tensors(cls, square: bool, tensors: Mapping[str, NDArray[Any]]) -> Domain:
-        """What `to_tensors` gave; a ValueError or KeyError where it is damaged."""
-        pairs = tensors["pairs"].reshape(-1, 2)
-        if pairs.size and not 0 <= pairs.min() <= pairs.max() < FEATURES:
+    def __post_init__(self) -> None:
+        if not ((self.pairs >= 0) & (self.pairs < FEATURES)).all():
             raise ValueError("domain: pairs beyond the features")
-        signs = tensors["signs"].reshape(len(pairs), 2)
-        if not np.isin(signs, (-1.0, 0.0, 1.0)).all():
-            raise ValueError("domain: signs that are not -1, 0 or 1")
-        cliff = tensors["cliff"]
-        if len(cliff) not in (0, len(cliff_table(square))):
-            raise ValueError("domain: cliff of another length")
-        return cls(
-            scale=tensors["scale"].reshape(INPUTS),
-            square=square,
-            pairs=pairs,
-            signs=signs,
-            limits=tensors["limits"].reshape(len(pairs)),
-            cliff=cliff,
-        )
 
 
 def features(x: Array, square: bool) -> Array:

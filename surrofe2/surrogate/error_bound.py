@@ -48,34 +48,6 @@ class Calibration:
     subject: str
     settings: Mapping[str, Any]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, lists and dictionaries, for files."""
-        return {
-            "scale": self.scale.tolist(),
-            "quantile": self.quantile,
-            "share": self.share,
-            "kinds": {kind: dict(figures) for kind, figures in self.kinds.items()},
-            "stress_spread": self.stress_spread,
-            "data_fingerprint": self.data_fingerprint,
-            "subject": self.subject,
-            "settings": dict(self.settings),
-        }
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> Calibration:
-        """What `to_dict` gave; a ValueError, KeyError or TypeError where it is damaged."""
-        scale = np.array(content["scale"], dtype=np.float64)
-        if scale.shape != (len(scale_table()),) or not (scale >= 0.0).all():
-            raise ValueError("calibration: not a scale")
-        quantile = float(content["quantile"])
-        if not quantile >= 0.0:
-            raise ValueError("calibration: not a quantile")
-        kinds = {
-            kind: {**figures, "quantile": float(figures["quantile"])}
-            for kind, figures in content["kinds"].items()
-        }
-        return cls(**{**content, "scale": scale, "quantile": quantile, "kinds": kinds})
-
 
 def local_scale(scale: Array, x: Array) -> Array:
     """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""

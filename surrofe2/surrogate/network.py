@@ -29,14 +29,13 @@ from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tensors import INPUTS
 
 
-class TanhNetwork(torch.nn.Module):
+class TanhNetwork(torch.nn.ModuleList):
     """Fully connected layers with tanh between them; weights uniform within 1/√(inputs)."""
 
     def __init__(self, sizes: tuple[int, ...], generator: torch.Generator) -> None:
-        super().__init__()
         with torch.random.fork_rng(devices=[]):  # torch fills layers first, by its global state
             layers = [torch.nn.Linear(*pair, dtype=torch.float64) for pair in pairwise(sizes)]
-        self.layers = torch.nn.ModuleList(layers)
+        super().__init__(layers)
         with torch.no_grad():
             for layer in layers:
                 bound = layer.in_features**-0.5
@@ -45,13 +44,14 @@ class TanhNetwork(torch.nn.Module):
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """(n, outputs)."""
-        for layer in self.layers[:-1]:
+        *inner, last = self.linear
+        for layer in inner:
             values = torch.tanh(layer(values))
-        return self.layers[-1](values)
+        return last(values)
 
     def gradient(self, values: torch.Tensor) -> torch.Tensor:
         """(n, inputs) gradient of the first output."""
-        *inner, last = (layer for layer in self.layers if isinstance(layer, torch.nn.Linear))
+        *inner, last = self.linear
         slopes = []
         for layer in inner:
             values = torch.tanh(layer(values))
@@ -61,10 +61,10 @@ class TanhNetwork(torch.nn.Module):
             back = (back * slope) @ layer.weight
         return back
 
-    def to_arrays(self) -> tuple[Any, ...]:
-        """(matrix, bias) of each layer, copied."""
-        values = [parameter.detach().numpy().copy() for parameter in self.layers.parameters()]
-        return tuple(zip(values[::2], values[1::2], strict=True))
+    @property
+    def linear(self) -> list[torch.nn.Linear]:
+        """Its layers."""
+        return [layer for layer in self if isinstance(layer, torch.nn.Linear)]
 
 
 class Shapes(NamedTuple):
@@ -118,36 +118,11 @@ class StressNetwork(torch.nn.Module):
         component_of = torch.nn.functional.one_hot(torch.tensor([k for _, k in terms]), 4)
         self.register_buffer("component_of", component_of.double(), persistent=False)
 
-    @classmethod
-    def of(cls, parameters: NetworkParameters, settings: TrainingSettings) -> StressNetwork:
-        """The network with these weights; `settings` are those it was trained by."""
-        network = cls(settings, parameters.symmetry)
-        arrays = parameters.to_tensors()
-        with torch.no_grad():
-            for name, buffer in network.named_buffers():
-                if name in arrays:
-                    buffer.copy_(torch.from_numpy(arrays[name]))
-            for part, layers in (("factors", parameters.factors), ("energy", parameters.energy)):
-                for k, (matrix, bias) in enumerate(layers):
-                    layer = f"{part}.layers.{k}"
-                    network.get_parameter(f"{layer}.weight").copy_(torch.from_numpy(matrix))
-                    network.get_parameter(f"{layer}.bias").copy_(torch.from_numpy(bias))
-        return network
-
     def to_parameters(self) -> NetworkParameters:
-        """All that the network is, as arrays."""
-        return NetworkParameters(
-            form=self.settings.form,
-            symmetry=self.symmetry,
-            degree=self.settings.baseline_degree,
-            input_scale=self.input_scale.numpy().copy(),
-            output_scale=self.output_scale.numpy().copy(),
-            energy_scale=self.energy_scale.numpy().copy(),
-            coefficients=self.coefficients.numpy().copy(),
-            energy_coefficients=self.energy_coefficients.numpy().copy(),
-            factors=self.factors.to_arrays(),
-            energy=() if self.energy is None else self.energy.to_arrays(),
-        )
+        """All that the network is, as arrays; `load_state_dict` takes them back."""
+        arrays = {name: values.numpy().copy() for name, values in self.state_dict().items()}
+        settings = self.settings
+        return NetworkParameters(settings.form, self.symmetry, settings.baseline_degree, arrays)
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Components of P̂ (n, 4), µN/µm."""

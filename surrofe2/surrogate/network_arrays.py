@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,110 +21,48 @@ from surrofe2.surrogate.compiled_network import (
 )
 from surrofe2.surrogate.features import STRETCH, Features, Product, differentiated, make_features
 from surrofe2.surrogate.polynomial import Polynomial, make_polynomial
-from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 Layers = tuple[tuple[Array, Array], ...]
 """Matrix (outputs, inputs) and bias (outputs,) of each layer of a tanh network."""
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class NetworkParameters:
     """All that a network is, see `network`.
 
     Attributes:
         form, symmetry, degree: of the stress, of the plant cell and of the baseline.
-        input_scale: (7,) what the inputs are divided by.
-        output_scale: (4,) of the terms, µN/µm; energy_scale: (1,) of the energy network.
-        coefficients: (m,) of the baseline's monomials, energy_coefficients: of its energy's.
-        factors: layers of the network that gives the factors of the terms.
-        energy: layers of the network that gives an energy; empty: none.
+        tensors: by name: `input_scale` (7,), which the inputs are divided by; `output_scale` (4,)
+            of the terms, µN/µm; `energy_scale` (1,) of the energy network; `coefficients` (m,) of
+            the baseline's monomials, `energy_coefficients` of its energy's; `factors.0.weight`,
+            `factors.0.bias`, … of the layers that give the factors of the terms, and `energy.…`
+            of those that give an energy, where there is one.
     """
 
     form: str
     symmetry: str
     degree: int
-    input_scale: Array
-    output_scale: Array
-    energy_scale: Array
-    coefficients: Array
-    energy_coefficients: Array
-    factors: Layers
-    energy: Layers
+    tensors: Mapping[str, Array]
 
     @property
     def features(self) -> Features:
         """The products that the network is made of."""
         return make_features(self.form, self.symmetry, self.degree)
 
-    def to_tensors(self) -> dict[str, Array]:
-        """All arrays by name, for files."""
-        found = {
-            "input_scale": self.input_scale,
-            "output_scale": self.output_scale,
-            "energy_scale": self.energy_scale,
-            "coefficients": self.coefficients,
-            "energy_coefficients": self.energy_coefficients,
-        }
-        for part, layers in (("factors", self.factors), ("energy", self.energy)):
-            for k, (matrix, bias) in enumerate(layers):
-                found |= {f"{part}.{k}.weight": matrix, f"{part}.{k}.bias": bias}
-        return found
-
-    @classmethod
-    def from_tensors(
-        cls, form: str, symmetry: str, degree: int, tensors: Mapping[str, Array]
-    ) -> NetworkParameters:
-        """What `to_tensors` gave; a KeyError or ValueError where it is damaged."""
-
-        def layers(part: str) -> Layers:
-            count = sum(name.startswith(f"{part}.") for name in tensors) // 2
-            names = [f"{part}.{k}" for k in range(count)]
-            return tuple((tensors[f"{name}.weight"], tensors[f"{name}.bias"]) for name in names)
-
-        found = cls(
-            form=form,
-            symmetry=symmetry,
-            degree=degree,
-            input_scale=tensors["input_scale"],
-            output_scale=tensors["output_scale"],
-            energy_scale=tensors["energy_scale"],
-            coefficients=tensors["coefficients"],
-            energy_coefficients=tensors["energy_coefficients"],
-            factors=layers("factors"),
-            energy=layers("energy"),
+    def layers(self, part: str) -> Layers:
+        """Those of "factors" or "energy"; empty where the network has none."""
+        names = [name for name in self.tensors if name.startswith(f"{part}.")]
+        count = sum(name.endswith(".weight") for name in names)
+        return tuple(
+            (self.tensors[f"{part}.{k}.weight"], self.tensors[f"{part}.{k}.bias"])
+            for k in np.arange(count)
         )
-        found._check_shapes()
-        return found
-
-    def _check_shapes(self) -> None:
-        features = self.features
-        for values, shape in (
-            (self.input_scale, (INPUTS,)),
-            (self.output_scale, (BIOT,)),
-            (self.energy_scale, (1,)),
-            (self.coefficients, (len(features.monomials),)),
-            (self.energy_coefficients, (len(features.energy_monomials),)),
-        ):
-            if values.shape != shape:
-                raise ValueError(f"network: an array of shape {values.shape}, not {shape}")
-        energy = (STRETCH, 1) if features.powers else ()
-        for part, ends in (
-            (self.factors, (len(features.invariants), len(features.terms))),
-            (self.energy, energy),
-        ):
-            sizes = [ends[0] if ends else 0, *(len(matrix) for matrix, _ in part)]
-            shapes = [matrix.shape for matrix, _ in part]
-            fits = shapes == [(after, before) for before, after in pairwise(sizes)]
-            if not fits or len(part) < len(ends) or (ends and sizes[-1] != ends[1]):
-                raise ValueError("network: layers that do not fit together")
-            if [bias.shape for _, bias in part] != [(len(matrix),) for matrix, _ in part]:
-                raise ValueError("network: biases that do not fit their layers")
 
     def fingerprint(self, range: SamplingRange) -> str:
         """16 hexadecimal digits of all weights and the range in which they are used."""
         digest = hashlib.sha256(repr((range, self.form, self.symmetry, self.degree)).encode())
-        for name, values in sorted(self.to_tensors().items()):
+        for name, values in sorted(self.tensors.items()):
             digest.update(f"{name} {values.shape}".encode())
             digest.update(np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()[:16]
@@ -176,16 +113,18 @@ class NetworkArrays(NamedTuple):
     @classmethod
     def of(cls, network: NetworkParameters, range: SamplingRange) -> NetworkArrays:
         """The arrays of a network that is asked within a range."""
-        features = network.features
+        features, given = network.features, network.tensors
         low, high = range.stretch
         above = np.array([high + SLACK, range.shear + SLACK, range.rate + SLACK * range.rate])
-        sizes, weights, biases, _ = _pack_layers(network.factors)
-        energy_sizes, energy_weights, energy_biases, energy_turned = _pack_layers(network.energy)
+        sizes, weights, biases, _ = _pack_layers(network.layers("factors"))
+        energy_sizes, energy_weights, energy_biases, energy_turned = _pack_layers(
+            network.layers("energy")
+        )
         arrays = cls(
             bounds=np.array([np.nextafter(low - SLACK, -np.inf), *np.nextafter(above, np.inf)]),
-            input_factor=1.0 / network.input_scale,
-            output_factor=network.output_scale,
-            energy_factor=network.energy_scale * _to_biot(network),
+            input_factor=1.0 / given["input_scale"],
+            output_factor=given["output_scale"],
+            energy_factor=given["energy_scale"] * _to_biot(network),
             at_rest=np.zeros(len(features.terms)),
             energy_at_rest=np.zeros(STRETCH),
             **_polynomial(_monomials(network))._asdict(),
@@ -207,9 +146,9 @@ class NetworkArrays(NamedTuple):
         room = make_room(self, self, 0)
         room.x[:] = 0.0
         room.x[ONE] = 1.0
-        last = evaluate_factors(self, room)
+        first = evaluate_factors(self, room)
         subtracted = np.array([not product for product, _ in features.terms])
-        at_rest = np.where(subtracted, room.layers[last, : len(subtracted), 0, 0], 0.0)
+        at_rest = np.where(subtracted, room.units[first : first + len(subtracted), 0, 0], 0.0)
         slope = np.zeros(STRETCH)
         if features.powers:
             last = evaluate_energy_slope(self, room)
@@ -229,9 +168,9 @@ def slope_polynomial(network: NetworkParameters) -> Polynomial:
 
 def _monomials(network: NetworkParameters) -> list[tuple[tuple[Product, int], float]]:
     """Product, component and coefficient of the baseline and, from `BIOT` on, of its energy."""
-    features, to_biot = network.features, _to_biot(network).tolist()
-    found = list(zip(features.monomials, network.coefficients.tolist(), strict=True))
-    energy = zip(features.energy_monomials, network.energy_coefficients.tolist(), strict=True)
+    features, given, to_biot = network.features, network.tensors, _to_biot(network).tolist()
+    found = list(zip(features.monomials, given["coefficients"].tolist(), strict=True))
+    energy = zip(features.energy_monomials, given["energy_coefficients"].tolist(), strict=True)
     return found + [
         ((left, BIOT + variable), value * number * to_biot[variable])
         for product, value in energy
@@ -246,7 +185,7 @@ def _polynomial(monomials: Iterable[tuple[tuple[Product, int], float]]) -> Polyn
 
 def _to_biot(network: NetworkParameters) -> Array:
     """(3,) from slopes of an energy by scaled inputs to components of P̂."""
-    factor: Array = 2.0 / network.input_scale[:STRETCH]
+    factor: Array = 2.0 / network.tensors["input_scale"][:STRETCH]
     return factor
 
 

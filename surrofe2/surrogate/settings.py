@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from surrofe2.errors import InputError
 from surrofe2.settings import check_settings, setting
@@ -44,10 +43,6 @@ class TrainingSettings:
             if not sizes:
                 raise InputError(f"training.{name}: []; it must be a list of at least one size")
 
-    def to_dict(self) -> dict[str, Any]:
-        """All fields by name, for files."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationSettings:
@@ -77,7 +72,3 @@ class CalibrationSettings:
                     f"calibration.{name}: {count}; it must be 0 or at least {needed:.4g}, "
                     f"1/share − 1, for a share of {self.share:g}"
                 )
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields by name, for files."""
-        return asdict(self)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.sampling import SamplingRange, contains
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import (
     Acceptance,
     Status,
@@ -54,6 +54,8 @@ class SurrogateLaw:
         reference: of the RVE, carried along so that a cached run need not settle it.
     """
 
+    has_tangents, has_bound, learns = True, True, False
+
     network: NetworkParameters
     cell: CellParameters
     initialisation: str
@@ -78,21 +80,6 @@ class SurrogateLaw:
     def density(self) -> float:
         """Mass per reference area, ng/µm²."""
         return self.cell.density
-
-    @property
-    def has_tangents(self) -> bool:
-        """Always: they are those of the network."""
-        return True
-
-    @property
-    def has_bound(self) -> bool:
-        """Always: it is infinite where nothing was calibrated."""
-        return True
-
-    @property
-    def learns(self) -> bool:
-        """Never: a surrogate is trained anew."""
-        return False
 
     def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
         """Nothing is learnt."""
@@ -133,8 +120,8 @@ class SurrogateLaw:
 
     def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
         """(n,) whether U and RᵀḞ are where the data are; False where not a number."""
-        inside = contains(self.range, F, F_dot)
-        return inside if self.domain is None else inside & self.domain.contains(F, F_dot)
+        F, F_dot = (np.ascontiguousarray(tensors, dtype=np.float64) for tensors in (F, F_dot))
+        return self.status_and_bound(F, F_dot)[0] == Status.OK
 
     @property
     def is_calibrated(self) -> bool:

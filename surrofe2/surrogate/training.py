@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -109,17 +109,10 @@ def train(
         errors={},
         data_fingerprint=samples.fingerprint,
         rest_length=samples.rest_length,
-        version=_package_version(),
+        version=version("surrofe2"),
         domain=fit_domain(samples),
     )
     return replace(law, errors=measure_errors(law, valid.at(held_out)))
-
-
-def _package_version() -> str:
-    try:
-        return version("surrofe2")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 class _Minimisation:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def calibrate_surrogate(
 
     shapes, tests = ([asked(paths) for paths in part] for part in (shaping, testing))
     settings = recipe.calibration
-    return calibrate(surrogate, samples, shapes, tests, settings.share, settings.to_dict())
+    return calibrate(surrogate, samples, shapes, tests, settings.share, asdict(settings))
 
 
 def _make_paths(

@@ -180,7 +180,7 @@ def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
         asked = _new_states(recipe, states, wider, wider != surrogate.range, seed)
         with stage(f"round {k}: sample", 1.0, "of the samples") as report:
             added = _write_samples(folder / _NEW, recipe, harvest, asked, report)
-        write_json(folder / _STARTED, {"range": wider.to_dict()})
+        write_json(folder / _STARTED, {"range": wider})
     counts = record.counts
     return Round(
         round=k,
@@ -190,7 +190,7 @@ def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
         held_out=max(surrogate.errors["rms"].values()),
         audit=None if audit is None else audit / spread,
         tolerance=tolerance,
-        range=surrogate.range.to_dict(),
+        range=asdict(surrogate.range),
         added=added,
         seconds=time.perf_counter() - begin,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -125,10 +125,10 @@ def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSam
     path = recipe.training_path()
     if surrogate.data_fingerprint != samples.fingerprint:
         raise MismatchError(f"{path}: it was trained on other samples; {START_OVER}")
-    here = {"training": recipe.training.to_dict()}
-    there = {"training": surrogate.settings.to_dict()}
+    here = {"training": asdict(recipe.training)}
+    there = {"training": asdict(surrogate.settings)}
     if surrogate.is_calibrated and surrogate.calibration is not None:
-        here["calibration"] = recipe.calibration.to_dict()
+        here["calibration"] = asdict(recipe.calibration)
         there["calibration"] = dict(surrogate.calibration.settings)
     check_same(path, here, there)
 

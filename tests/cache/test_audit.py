@@ -1,7 +1,7 @@
 """What the cache does wrong is measured, and what it learns from."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pytest
@@ -227,7 +227,7 @@ def test_record_goes_on_where_it_was_left():
     whole.add(errors)
     part.add(errors[:300])
     part.largest = errors[:300].max()
-    rest = ErrorRecord.from_values(json.loads(json.dumps(part.to_values())))
+    rest = ErrorRecord(**json.loads(json.dumps({**asdict(part), "bins": part.bins.tolist()})))
     rest.add(errors[300:])
     whole.largest = rest.largest = errors.max()
     a, b = whole.to_dict(), rest.to_dict()

@@ -288,9 +288,10 @@ def test_a_corrupted_surrogate_falls_back_at_every_point():
     unbounded = CacheSettings(tolerance=np.inf)
     sound = CachedLaw(law, true_law, unbounded)
     assert sound.respond(samples.F, samples.F_dot).effort["hits"] == 200
-    (matrix, bias), *others = law.network.factors
-    matrix = np.where(np.arange(matrix.size).reshape(matrix.shape) == 0, np.nan, matrix)
-    network = replace(law.network, factors=((matrix, bias), *others))
+    matrix = law.network.tensors["factors.0.weight"].copy()
+    matrix[0, 0] = np.nan
+    tensors = {**law.network.tensors, "factors.0.weight": matrix}
+    network = replace(law.network, tensors=tensors)
     corrupted = CachedLaw(replace(law, network=network), true_law, unbounded)
     answer = corrupted.respond(samples.F, samples.F_dot)
     assert answer.effort["fallbacks_not_finite"] == 200

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surrofe2.cache.table.records import input_scale, input_slopes
-from surrofe2.sampling import SamplingRange
+from surrofe2.cache.table.records import input_slopes
+from surrofe2.sampling import SamplingRange, half_widths
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
 from surrofe2.tensors import from_inputs, to_components, to_inputs, transpose
 from tests.cache.tables import RANGE, states
@@ -63,6 +63,6 @@ def test_slopes_are_derivatives_along_the_inputs():
 
 
 def test_scale_is_the_half_width_of_each_input():
-    np.testing.assert_allclose(input_scale(RANGE), [0.14, 0.14, 0.12] + [0.032] * 4)
+    np.testing.assert_allclose(half_widths(RANGE), [0.14, 0.14, 0.12] + [0.032] * 4)
     still = SamplingRange(stretch=(0.9, 1.1), shear=0.0, rate=0.0)
-    np.testing.assert_allclose(input_scale(still), [0.2, 0.2, 1, 1, 1, 1, 1])
+    np.testing.assert_allclose(half_widths(still), [0.2, 0.2, 1, 1, 1, 1, 1])

@@ -66,7 +66,7 @@ def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
 def test_a_surrogate_that_lies_grossly_is_switched_off_and_the_run_is_the_true_one(caplog):
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
         cached, report, done = run(error=lambda F, F_dot: 3.0 + 0.0 * F[:, 0, 0])
-    assert cached.is_off
+    assert cached.history()["trust"]["off"]
     assert report["trust"]["events"][-1]["action"] == "off"
     assert "the cache is off from here on" in caplog.text
     last = report["trust"]["events"][-1]["step"]
@@ -161,19 +161,19 @@ def test_one_answer_everywhere_is_a_collapse():
         Dead(shear_error(0.0), sound_bound), Truth(), CacheSettings(tolerance=0.01, audit=0.0)
     )
     simulate(LOAD_CASE, cached, SETTINGS)
-    assert cached.is_off
+    assert cached.history()["trust"]["off"]
     assert "one answer at" in cached.report()["trust"]["events"][0]["finding"]
 
 
 def test_a_bound_that_never_moves_is_a_collapse():
     cached, report, _ = run(bound=lambda F, F_dot: np.full(len(F), 0.05), audit=0.0)
-    assert cached.is_off
+    assert cached.history()["trust"]["off"]
     assert "bound stands still at 0.05 µN/µm" in report["trust"]["events"][0]["finding"]
 
 
 def test_a_bound_that_is_the_tolerance_itself_may_stand():
     cached, report, _ = run(bound=lambda F, F_dot: np.full(len(F), 0.1), audit=0.0)
-    assert not cached.is_off
+    assert not cached.history()["trust"]["off"]
     assert not report["trust"]["events"]
 
 
@@ -204,7 +204,7 @@ def test_a_surrogate_without_a_bound_says_so(caplog):
     surrogate.has_bound = False
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
         cached = CachedLaw(surrogate, Truth())
-    assert cached.tolerance == np.inf
+    assert cached.history()["tolerance"]["absolute"] == np.inf
     assert "knows no bound" in caplog.text
 
 
@@ -212,7 +212,7 @@ def test_history_goes_on_where_it_was_left():
     cached, report, _ = run(error=lambda F, F_dot: 3.0 + 0.0 * F[:, 0, 0])
     again = CachedLaw(Learnt(shear_error(0.0), sound_bound), Truth(), cached.settings)
     again.from_arrays(cached.to_arrays(CachedState(1)))
-    assert again.is_off
+    assert again.history()["trust"]["off"]
     assert again.counts == cached.counts
     assert again.report()["audit"] == report["audit"]
     assert again.report()["trust"] == report["trust"]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from surrofe2 import simulate
 from surrofe2.errors import SimulationError
+from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.workflow import calibrate as calibrating
 from tests.laws import SoftLaw
@@ -38,7 +39,7 @@ def test_train_calibrates_and_says_what_it_found(invoke, recipe_path, surrogate_
     calibration = surrogate.calibration
     counts = {kind: figures["paths"] for kind, figures in calibration.kinds.items()}
     assert counts == {"walks": 9, "states": 20, "runs": 9}
-    assert calibration.settings == recipe.calibration.to_dict()
+    assert calibration.settings == asdict(recipe.calibration)
     assert calibration.data_fingerprint == surrogate.data_fingerprint
 
 
@@ -50,7 +51,7 @@ def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):
         ("length = 6", "length = 7"),
     ):
         assert invoke("train", changed_recipe(*change), "--fresh").exit_code == 0
-        bounds.append(read_surrogate(surrogate_path).calibration.to_dict())
+        bounds.append(plain(read_surrogate(surrogate_path).calibration))
     assert bounds[0] == bounds[1]
     assert bounds[0] != bounds[2]
 

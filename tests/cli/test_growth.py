@@ -200,7 +200,7 @@ def test_refine_teaches_what_a_run_meets(invoke, leaving_recipe, tmp_path):
     assert high != low
     assert high["rate"] >= low["rate"]
     last = read_surrogate(out / "surrogate.safetensors")
-    assert last.range.to_dict()["rate"] == rows[-1]["range"]["rate"]
+    assert last.range.rate == rows[-1]["range"]["rate"]
     for word in ("round", "hits", "unknown", "held-out", "audit", "settled"):
         assert word in done.stdout
     law = SoftLaw()

@@ -15,11 +15,11 @@ from surrofe2.surrogate.compiled_frame import BLOCK
 from surrofe2.surrogate.compiled_lookup import MANY, evaluate_slopes, lookup
 from surrofe2.surrogate.features import FORMS, SYMMETRIES, input_scale
 from surrofe2.surrogate.network import StressNetwork
-from surrofe2.surrogate.network_arrays import NetworkArrays, NetworkParameters, slope_polynomial
+from surrofe2.surrogate.network_arrays import NetworkArrays, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.tensors import to_inputs
 from tests.laws import RANGE
-from tests.surrogate.torch_twin import differentiate, network_stress
+from tests.surrogate.torch_twin import differentiate, network_of, network_stress
 
 EVERYWHERE = BoundArrays.of(None, None)
 
@@ -108,7 +108,7 @@ def test_a_value_is_that_of_slopes_along_nothing(form, symmetry):
 
 def test_arrays_and_torch_hold_the_same_network():
     network = make_network((7, 6), 3, form="energy")
-    again = StressNetwork.of(network.to_parameters(), network.settings)
+    again = network_of(network.to_parameters(), network.settings)
     for name, values in network.state_dict().items():
         assert torch.equal(again.state_dict()[name], values), name
 
@@ -165,7 +165,7 @@ def test_what_is_not_a_number_is_out_of_range():
 def test_a_weight_that_is_no_number_is_seen(layer, value):
     network = make_network((8, 8), 2)
     with torch.no_grad():
-        network.factors.layers[layer].weight[0, 0] = value
+        network.factors[layer].weight[0, 0] = value
     stress, status = evaluate(*turned_points(50), make_arrays(network))
     assert (status == Status.NOT_FINITE).all()
     assert np.isnan(stress).all()
@@ -183,22 +183,10 @@ def test_tanh():
     assert np.isfinite(y[3:]).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("input_scale", lambda a: a[:6]),
-        ("coefficients", lambda a: a[1:]),
-        ("factors.0.weight", lambda a: a[:, 1:]),
-        ("factors.1.weight", lambda a: a[1:]),
-        ("factors.1.bias", lambda a: a[1:]),
-        ("energy.0.weight", lambda a: a[1:]),
-    ],
-)
-def test_parameters_that_do_not_fit_together_are_refused(name, change):
+def test_a_fingerprint_is_of_weights_and_range():
     parameters = make_network((5, 4), 2, form="energy").to_parameters()
-    tensors = parameters.to_tensors()
-    again = NetworkParameters.from_tensors("energy", "D4", 2, tensors)
+    again = replace(parameters, tensors=dict(reversed(parameters.tensors.items())))
     assert again.fingerprint(RANGE) == parameters.fingerprint(RANGE)
     assert again.fingerprint(replace(RANGE, rate=0.02)) != parameters.fingerprint(RANGE)
-    with pytest.raises(ValueError, match="network: "):
-        NetworkParameters.from_tensors("energy", "D4", 2, {**tensors, name: change(tensors[name])})
+    other = {**parameters.tensors, "factors.1.bias": parameters.tensors["factors.1.bias"] + 1e-12}
+    assert replace(parameters, tensors=other).fingerprint(RANGE) != parameters.fingerprint(RANGE)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange, contains
 from surrofe2.stress_law import Acceptance, Status, StressResponse
@@ -93,14 +92,6 @@ def test_the_largest_on_each_path():
     rest = np.zeros((2, 3, 2, 2))
     paths = DeformationPaths("walks", rest, rest, np.array([0, 1, 1]))
     assert paths.largest(np.array([1.0, 2.0, 3.0, 7.0, 5.0, 6.0])).tolist() == [7.0, 6.0]
-
-
-def test_shapes_are_checked():
-    rest = np.zeros((2, 3, 2, 2))
-    with pytest.raises(InputError, match=r"paths.F: shapes \(2, 3, 2, 2\) and \(3, 2, 2\)"):
-        DeformationPaths("walks", rest, rest[0], np.zeros(3, dtype=int))
-    with pytest.raises(InputError, match=r"paths.owner: shape \(2,\); it must be \(3,\)"):
-        DeformationPaths("walks", rest, rest, np.zeros(2, dtype=int))
 
 
 class ForgetfulLaw(SoftLaw):

@@ -87,11 +87,9 @@ def test_the_stress_at_rest_has_a_potential(symmetry):
 def test_the_rest_vanishes_with_the_rate(symmetry):
     """Whatever the viscous weights, P(F, 0) comes from the energy alone, to the last bit."""
     law = make_law(symmetry)
-    viscous = replace(
-        law.network,
-        factors=tuple((-2.0 * matrix, -2.0 * bias) for matrix, bias in law.network.factors),
-        coefficients=3.0 * law.network.coefficients,
-    )
+    changed = {name: -2.0 * a for name, a in law.network.tensors.items() if "factors" in name}
+    changed["coefficients"] = 3.0 * law.network.tensors["coefficients"]
+    viscous = replace(law.network, tensors={**law.network.tensors, **changed})
     other = replace(law, network=viscous)
     F, F_dot = turned_points(20)
     assert np.array_equal(law.respond(F, 0 * F_dot).stress, other.respond(F, 0 * F_dot).stress)

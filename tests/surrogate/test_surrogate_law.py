@@ -94,7 +94,7 @@ def test_file_gives_the_same_surrogate(form, tmp_path):
         "version",
     ):
         assert getattr(law, name) == getattr(loaded, name), name
-    assert all(values.dtype == np.float64 for values in loaded.network.to_tensors().values())
+    assert all(values.dtype == np.float64 for values in loaded.network.tensors.values())
 
 
 def test_the_same_surrogate_gives_the_same_bytes(law, file):

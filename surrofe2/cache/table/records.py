@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.protocols import Fallback
-from surrofe2.sampling import SamplingRange
 from surrofe2.tensors import INPUTS, from_components, from_inputs, to_components, transpose
 
 Array = NDArray[np.float64]
@@ -168,11 +167,3 @@ def input_slopes(R: Array, by_F: Array, by_F_dot: Array) -> Array:
     turned = np.concatenate([stretch, rate], axis=1)
     slopes = to_components((transpose(R)[:, None] @ turned @ R[:, None]).reshape(-1, 2, 2))
     return np.swapaxes(slopes.reshape(-1, INPUTS, OUTPUTS), 1, 2)
-
-
-def input_scale(range: SamplingRange) -> Array:
-    """(7,) half the width of a range in each input; a bound of 0 gives 1."""
-    low, high = range.stretch
-    half_width = max(abs(low - 1.0), abs(high - 1.0))
-    scale = 2.0 * np.array([half_width, half_width, range.shear, *[range.rate] * 4])
-    return np.where(scale > 0.0, scale, 1.0)

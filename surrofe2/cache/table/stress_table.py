@@ -17,15 +17,10 @@ from numpy.typing import NDArray
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.table.ellipsoids import update_ellipsoids
 from surrofe2.cache.table.lookup import MANY, look_up
-from surrofe2.cache.table.records import (
-    Records,
-    input_scale,
-    no_records,
-    records_from_neighbours,
-)
+from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
 from surrofe2.cache.table.search_tree import insert, make_tree
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.sampling import SamplingRange, sample
+from surrofe2.sampling import SamplingRange, half_widths, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
 from surrofe2.stress_law import Status, Tangents
 from surrofe2.tensors import stress_spread, to_components, to_inputs, transpose
@@ -87,7 +82,7 @@ class StressTable:
         self.stress_spread = float(spread)
         self.most_records = most_records
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
-        self._reach = input_scale(range)
+        self._reach = half_widths(range)
         self.restore(records if records is not None else no_records())
 
     @property
@@ -270,6 +265,8 @@ class ChainedSurrogate:
         self.cell, self.initialisation = surrogate.cell, surrogate.initialisation
         self.density, self.stress_spread = surrogate.density, surrogate.stress_spread
         self.has_bound = surrogate.has_bound
+        self.tangents, self.learn = table.tangents, table.learn
+        self.to_arrays, self.from_arrays = table.to_arrays, table.from_arrays
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
@@ -296,19 +293,3 @@ class ChainedSurrogate:
             found = known == Status.OK
             status[missed[found]], bound[missed[found]] = Status.OK, of_table[found]
         return status, bound
-
-    def tangents(self, F: Array, F_dot: Array) -> Tangents:
-        """An InputError, the table's."""
-        return self.table.tangents(F, F_dot)
-
-    def learn(self, F: Array, F_dot: Array, stress: Array, state: Any = None) -> None:
-        """Let the table take true answers in."""
-        self.table.learn(F, F_dot, stress, state)
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """The table's."""
-        return self.table.to_arrays()
-
-    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
-        """Let the table know what it knew."""
-        self.table.from_arrays(arrays)
