@@ -166,13 +166,15 @@ def test_run_resumes_to_the_bit_across_corners(integrator, rng):
         assert resumed.counts == whole.counts
 
 
-@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
-def test_balance_closes_with_everything_that_acts(integrator, rng):
+@pytest.mark.parametrize(
+    ("integrator", "tolerance", "allowed"), [("explicit", 1e-6, 1e-6), ("implicit", 1e-4, 2e-4)]
+)
+def test_balance_closes_with_everything_that_acts(integrator, tolerance, allowed, rng):
     """Works of all loads, bodies, springs and supports; second order with the implicit method."""
     problem = everything(rng)
     settings = MacroSettings(
-        integrator=integrator, absolute_tolerance=1e-8, relative_tolerance=1e-6, frames=2,
-        record_dissipation=False,
+        integrator=integrator, absolute_tolerance=1e-2 * tolerance, relative_tolerance=tolerance,
+        frames=2, record_dissipation=False,
     )  # fmt: skip
     energies = simulate(problem, LAW, settings).energies
     largest = max(abs(values).max() for name, values in energies.items() if name != "balance"
