@@ -1,14 +1,15 @@
 """Finite elements of a mesh: shape functions, quadrature points and mass.
 
-The stress law is asked at several points of each element, numbered n_q e + q over the mesh. By
-selective reduced integration the deviator σ − tr(σ)/2 I counts at the Gauss points, the pressure
-part tr(σ)/2 I at one more, which stands for the whole element:
+The stress law is asked at several points of each element, numbered n_q e + q over the mesh.
 
     quadrilaterals (4 nodes)   q = 0..3: 2 × 2 Gauss points,   q = 4: the element
-    triangles (6 nodes)        q = 0..2: 3 Gauss points,       q = 3: the element
+    triangles (6 nodes)        q = 0..2: 3 Gauss points
 
-The gradient at the last is the mean over the element, which is that at the centre where sides are
-straight. Every array over points has this order.
+In quadrilaterals, by selective reduced integration, the deviator σ − tr(σ)/2 I counts at the Gauss
+points and the pressure part tr(σ)/2 I at the last, which stands for the whole element: the gradient
+there is the mean over the element. Triangles with as few points do not lock, and need all of their
+stress at each: a pressure that is constant in a triangle lets it bend for nothing. Every array over
+points has this order.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Discretisation:
         elements: (n_el, k) nodes of each element, k = 4 or 6.
         gradients: (n_el, n_q, k, 2) ∇N of node a by the reference position, 1/µm.
         weights: (n_el, n_q) reference area of each point, µm²: the Gauss points together cover
-            the element once, and so does the last point.
+            the element once, and so does the last point of a quadrilateral.
         shape: (n_q, k) shape functions at the points.
     """
 
@@ -52,8 +53,13 @@ class Discretisation:
 
     @property
     def points_per_element(self) -> int:
-        """n_q, of which the last carries the pressure."""
+        """n_q."""
         return int(self.weights.shape[1])
+
+    @property
+    def pressure_apart(self) -> bool:
+        """Whether the last point of an element carries the pressure, the others the deviator."""
+        return self.elements.shape[1] == 4
 
     @property
     def n_points(self) -> int:
@@ -127,24 +133,26 @@ def make_discretisation(mesh: Mesh) -> Discretisation:
     if not area[worst].min() > 0.0:
         x, y = mesh.nodes[mesh.elements[worst]].mean(axis=0)
         raise InputError(f"mesh: element {worst} at ({x:.6g}, {y:.6g}) µm is inverted within")
-    gauss = area * rule
-    whole = gauss.sum(axis=1, keepdims=True)
-    mean = np.einsum("eq,eqaj->eaj", gauss / whole, gradients)[:, None]
-    at_all = np.concatenate([points, np.array(CENTRE[k])[:, None]], axis=1)
-    shape, _ = reference_shapes(k, at_all)
+    weights = area * rule
+    if k == 4:
+        whole = weights.sum(axis=1, keepdims=True)
+        mean = np.einsum("eq,eqaj->eaj", weights / whole, gradients)[:, None]
+        points = np.concatenate([points, np.array(CENTRE[k])[:, None]], axis=1)
+        gradients = np.concatenate([gradients, mean], axis=1)
+        weights = np.concatenate([weights, whole], axis=1)
     return Discretisation(
         nodes=mesh.nodes,
         elements=mesh.elements,
-        gradients=np.ascontiguousarray(np.concatenate([gradients, mean], axis=1)),
-        weights=np.ascontiguousarray(np.concatenate([gauss, whole], axis=1)),
-        shape=shape,
+        gradients=np.ascontiguousarray(gradients),
+        weights=np.ascontiguousarray(weights),
+        shape=reference_shapes(k, points)[0],
     )
 
 
 def n_points_of(mesh: Mesh) -> int:
     """Points at which the stress law is asked on a mesh."""
     k = mesh.elements.shape[1]
-    return len(mesh.elements) * (quadrature(k, 2)[1].size + 1)
+    return len(mesh.elements) * (quadrature(k, 2)[1].size + (k == 4))
 
 
 def points_by_region(mesh: Mesh, names: Sequence[str]) -> dict[str, Index]:

@@ -14,7 +14,7 @@ from surrofe2.errors import InputError
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.internal_force import element_mean_stress
+from surrofe2.macro.internal_force import element_mean_F, element_mean_stress
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
@@ -44,7 +44,7 @@ class Frames:
         t: (k,) µs, increasing, from 0 to the end.
         displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
         stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
-        F: (k, n_el, 2, 2) deformation gradient at the element centres.
+        F: (k, n_el, 2, 2) element mean of the deformation gradient.
     """
 
     t: Array
@@ -59,13 +59,12 @@ class Frames:
     ) -> Frames:
         """Those of one time, from values (n, 2) at nodes and bodies and at the points."""
         mean_stress, n = element_mean_stress(discretisation, F, stress), len(discretisation.nodes)
-        n_q = discretisation.points_per_element
         return cls(
             t=np.array([t]),
             displacement=u[None, :n],
             velocity=v[None, :n],
             stress=mean_stress[None],
-            F=F[None, n_q - 1 :: n_q],
+            F=element_mean_F(discretisation, F)[None],
         )
 
     def followed_by(self, other: Frames) -> Frames:

@@ -33,10 +33,11 @@ def internal_force(
 
         f_a = ∫ dev σ ∇ₓN_a dv + ∫ tr(σ)/2 ∇ₓN_a dv,   ∇ₓN = F⁻ᵀ ∇N,   dv = det F dV,
 
-    the first integral over the Gauss points, the second at the last point of the element, each
-    with gradient and volume at its own points (section 6.2). Positions follow from the total
-    displacement, so this is the updated Lagrangian form without increments. Its power f·v is
-    Σ dev σ : L dv + Σ tr(σ)/2 tr L dv at the same points. The stress may be unsymmetric.
+    the first integral over the Gauss points, the second at the last point of a quadrilateral, each
+    with gradient and volume at its own points (section 6.2); of a triangle both over the Gauss
+    points. Positions follow from the total displacement, so this is the updated Lagrangian form
+    without increments. Its power f·v is Σ dev σ : L dv + Σ tr(σ)/2 tr L dv at the same points. The
+    stress may be unsymmetric.
 
     It enters (58) as M a = load − f; (58) is printed with both signs reversed.
     """
@@ -49,23 +50,38 @@ def internal_force(
 
 
 def element_mean_stress(discretisation: Discretisation, F: Array, stress: Array) -> Array:
-    """(n_el, 2, 2) Cauchy stress: mean deviator over the Gauss points by current area, and the
-    pressure part of the last point.
+    """(n_el, 2, 2) Cauchy stress: mean over the Gauss points by current area, of quadrilaterals
+    that of the deviator, and the pressure part of the last point.
     """
     stress = stress.reshape(len(discretisation.elements), -1, 2, 2)
+    area = (det(F).reshape(stress.shape[:2]) * discretisation.weights)[:, :, None, None]
+    if not discretisation.pressure_apart:
+        whole: Array = (area * stress).sum(axis=1) / area.sum(axis=1)
+        return whole
     half_trace = 0.5 * np.einsum("eqii->eq", stress)[:, :, None, None] * np.eye(2)
-    area = (det(F).reshape(stress.shape[:2]) * discretisation.weights)[:, :-1, None, None]
-    deviator = (area * (stress - half_trace)[:, :-1]).sum(axis=1) / area.sum(axis=1)
+    deviator = (area * (stress - half_trace))[:, :-1].sum(axis=1) / area[:, :-1].sum(axis=1)
     mean: Array = deviator + half_trace[:, -1]
     return mean
 
 
+def element_mean_F(discretisation: Discretisation, F: Array) -> Array:
+    """(n_el, 2, 2) mean of F (n_points, 2, 2) over each element."""
+    space = discretisation
+    F = F.reshape(*space.weights.shape, 2, 2)
+    if space.pressure_apart:
+        return F[:, -1]
+    mean: Array = np.einsum("eq,eqij->eij", space.weights, F)
+    return mean / space.weights.sum(axis=1)[:, None, None]
+
+
 def stress_power(discretisation: Discretisation, F: Array, F_dot: Array, stress: Array) -> Array:
     """(n_el,) power of a stress in each element, pJ/µs; together internal force times velocity."""
-    half = 0.5 * np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-    last = np.arange(len(F)) % discretisation.points_per_element
-    last = (last == discretisation.points_per_element - 1)[:, None, None]
-    power = np.einsum("nij,nij->n", np.where(last, half, stress - half) @ cofactor(F), F_dot)
+    if discretisation.pressure_apart:
+        half = 0.5 * np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+        n_q = discretisation.points_per_element
+        last = (np.arange(len(F)) % n_q == n_q - 1)[:, None, None]
+        stress = np.where(last, half, stress - half)
+    power = np.einsum("nij,nij->n", stress @ cofactor(F), F_dot)
     per_element: Array = (power.reshape(discretisation.weights.shape) * discretisation.weights).sum(
         axis=1
     )
@@ -119,7 +135,8 @@ def nodal_forces(
 ) -> Any:
     """f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a, see `internal_force`.
 
-    J F⁻ᵀ is the cofactor of F, so nothing is divided. Elements add up in their order.
+    Of triangles Σ_Gauss J w σ F⁻ᵀ∇N_a. J F⁻ᵀ is the cofactor of F, so nothing is divided. Elements
+    add up in their order.
 
     Args:
         elements, gradients: as for `deformation`.
@@ -134,8 +151,8 @@ def nodal_forces(
     for e in range(elements.shape[0]):
         for q in range(n_q):
             p = n_q * e + q
-            pressure = 0.5 * (stress[p, 0, 0] + stress[p, 1, 1])
-            if q < n_q - 1:
+            pressure = 0.5 * (stress[p, 0, 0] + stress[p, 1, 1]) if k == 4 else 0.0
+            if q < n_q - 1 or k != 4:
                 s00, s11 = stress[p, 0, 0] - pressure, stress[p, 1, 1] - pressure
                 s01, s10 = stress[p, 0, 1], stress[p, 1, 0]
             else:

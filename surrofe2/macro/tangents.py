@@ -49,8 +49,8 @@ class Assembly:
         """K = ∂(f − l)/∂u (µN/µm) and C = ∂(f − l)/∂v (µN µs/µm), (m, m), at an evaluation.
 
         f is the internal force and l all others. With Δu = Σ_b Δu_b N_b, that of f is
-        Σ w ∇N_a · ∂T/∂F · ∇N_b, T the effective first Piola stress of a point, see
-        `effective_tangents`. Neither need be symmetric.
+        Σ w ∇N_a · ∂T/∂F · ∇N_b, T the first Piola stress of a point or, in quadrilaterals, the part
+        of `effective_tangents`. Neither need be symmetric.
         """
         if now.response.tangents is None:
             raise InputError("tangents: the stress law gave none; ask it for them")
@@ -67,7 +67,10 @@ class Assembly:
         space = self.system.discretisation
         gradients = space.gradients
         weighted = space.weights[:, :, None, None] * gradients
-        slopes = effective_tangents(F, response, space.points_per_element)
+        assert response.tangents is not None
+        slopes = response.tangents.P_by_F, response.tangents.P_by_F_dot
+        if space.pressure_apart:
+            slopes = effective_tangents(F, response, space.points_per_element)
         matrices = []
         for slope in slopes:
             # Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k) of each element.

@@ -5,19 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.macro import Problem
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import widen_extremes
 from surrofe2.macro.internal_force import (
     deformation,
     deformation_gradient,
+    element_mean_F,
     element_mean_stress,
     internal_force,
     nodal_forces,
+    stress_power,
 )
+from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.tensors import det
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, bar_system, distorted_bar, random_state, state_vector
+from tests.macro.meshes import plate
 
 
 def unheld_state(bar, rng):
@@ -44,6 +49,31 @@ def internal_force_twin(bar, F, stress):
     force = np.zeros_like(bar.nodes)
     np.add.at(force, bar.elements, nodal)
     return force
+
+
+def test_triangles_balance_and_their_virial_is_the_stress(rng):
+    """Σ f = 0, Σ f ⊗ x = ∫ σ dv and Σ f · v = ∫ σ : L dv, σ unsymmetric; three points each."""
+    system = make_system(Problem(mesh=plate("curved triangles", rng), conditions=()), 0.08)
+    space = system.discretisation
+    assert space.n_points == 3 * len(space.elements)
+    u, v = unheld_state(space, rng)
+    F, F_dot, J = deformation_gradient(space, u, v)
+    stress = rng.normal(size=F.shape)
+    force = internal_force(space, F, stress)
+    assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).sum()
+    area = J * space.weights.ravel()
+    virial = np.einsum("p,pij->ij", area, stress)
+    np.testing.assert_allclose(force.T @ (space.nodes + u), virial, rtol=1e-10)
+    power = area * np.einsum("pij,pij->p", stress, F_dot @ np.linalg.inv(F))
+    assert np.vdot(force, v) == pytest.approx(power.sum(), rel=1e-10)
+    by_element = power.reshape(-1, 3).sum(axis=1)
+    np.testing.assert_allclose(stress_power(space, F, F_dot, stress), by_element, atol=1e-10)
+    mean = element_mean_stress(space, F, stress)
+    total = (mean * area.reshape(-1, 3).sum(axis=1)[:, None, None]).sum(axis=0)
+    np.testing.assert_allclose(total, virial, rtol=1e-10, atol=1e-10)
+    centre = np.einsum("eq,eqij->eij", space.weights, F.reshape(-1, 3, 2, 2))
+    centre /= space.weights.sum(axis=1)[:, None, None]
+    np.testing.assert_allclose(element_mean_F(space, F), centre, rtol=1e-12)
 
 
 def extremes_twin(F, F_dot):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from surrofe2.macro import (
     BodyForce,
@@ -9,9 +10,11 @@ from surrofe2.macro import (
     Fixed,
     Foundation,
     MacroSettings,
+    Plane,
     PrescribedMotion,
     Pressure,
     Problem,
+    RigidBody,
     Symmetry,
     Traction,
     find_rest,
@@ -36,9 +39,10 @@ def tractions(F, *sides):
     return [Traction(on=side, traction=tuple(P @ NORMALS[side])) for side in sides]
 
 
-def assert_homogeneous(mesh, conditions, F):
+def assert_homogeneous(mesh, conditions, F, bodies=()):
     """At rest the tissue has this F and its stress at every point, to 1e-10."""
-    rest = find_rest(Problem(mesh=mesh, conditions=tuple(conditions)), LAW, SETTINGS)
+    problem = Problem(mesh=mesh, conditions=tuple(conditions), bodies=bodies)
+    rest = find_rest(problem, LAW, SETTINGS)
     assert abs(F - np.eye(2)).max() > 0.03, "nothing is deformed"
     np.testing.assert_allclose(rest.F, np.broadcast_to(F, rest.F.shape), rtol=0, atol=1e-10)
     stress = LAW.stress(F[None], np.zeros((1, 2, 2)))
@@ -103,6 +107,29 @@ def test_foundation(kind, rng):
     rest = assert_homogeneous(plate(kind, rng), [*mirrors, springs, pull], F)
     forces = dict(zip(rest.system.force_names, rest.forces, strict=True))
     np.testing.assert_allclose(forces["foundation top"], [0.0, -spring * WIDTH], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_contact_with_a_plane(kind, rng):
+    """A plane pushed into the top between mirrors: uniform pressure k (d − δ/2) at depth d."""
+    pushed, stiffness, smoothing = 2.0, 30.0, 0.05
+
+    def excess(stretch):
+        depth = pushed - (1.0 - stretch) * HEIGHT
+        return first_piola(np.diag([1.0, stretch]))[1, 1] + stiffness * (depth - 0.5 * smoothing)
+
+    F = np.diag([1.0, brentq(excess, 0.9, 0.99, xtol=1e-15)])
+    lid = RigidBody(
+        name="lid", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, HEIGHT),
+        displacement=(0.0, -pushed), stiffness=stiffness, smoothing=smoothing,
+    )  # fmt: skip
+    mirrors = (*MIRRORS, Symmetry(on="right"))
+    rest = assert_homogeneous(plate(kind, rng), mirrors, F, bodies=(lid,))
+    forces = dict(zip(rest.system.force_names, rest.forces, strict=True))
+    push = WIDTH * first_piola(F)[1, 1]
+    assert push < -10.0
+    np.testing.assert_allclose(forces["lid"], [0.0, push], atol=1e-9 * abs(push))
+    np.testing.assert_allclose(forces["symmetry bottom"], [0.0, -push], atol=1e-9 * abs(push))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -5,7 +5,9 @@ import pytest
 
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
+from surrofe2.macro import Fixed, Problem
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import (
     make_assembly,
     mass_matrix,
@@ -15,6 +17,7 @@ from surrofe2.rve import RveLaw, RveSettings
 from surrofe2.stress_law import require_tangents
 from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.bars import bar_system, distorted_bar, random_state
+from tests.macro.meshes import plate
 
 
 def force_of(bar, law, u, v, state=None):
@@ -52,6 +55,16 @@ def test_tangents_are_the_slopes_of_the_internal_force(rng, law):
     for tangent, slope in zip(tangents, differences(bar, law, u, v, 1e-5), strict=True):
         scale = abs(slope).max()
         assert abs(tangent.toarray() - slope).max() <= 1e-7 * scale
+
+
+@pytest.mark.parametrize("kind", ["triangles", "curved triangles"])
+def test_tangents_of_triangles_are_the_slopes_of_their_internal_force(rng, kind):
+    system = make_system(Problem(mesh=plate(kind, rng, (2, 2)), conditions=(Fixed(on="left"),)), 1)
+    u, v = random_state(system, rng)
+    tangents, _ = exact(system, KelvinVoigt(), u, v)
+    slopes = differences(system, KelvinVoigt(), u, v, 1e-5)
+    for tangent, slope in zip(tangents, slopes, strict=True):
+        assert abs(tangent.toarray() - slope).max() <= 1e-7 * abs(slope).max()
 
 
 @pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])

@@ -1,0 +1,106 @@
+"""Factors in time: rates against differences inside every piece, jumps only at corners."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from surrofe2.amplitude import Amplitude, Constant, Pulse, Ramp, Sine, Table
+from surrofe2.errors import InputError
+
+AMPLITUDES = {
+    "constant": Constant(value=-0.7),
+    "table": Table(points=((0.5, 0.0), (1.0, 2.0), (3.0, -1.0))),
+    "ramp": Ramp(begin=0.4, end=2.1),
+    "smooth ramp": Ramp(begin=0.4, end=2.1, smooth=True),
+    "sine": Sine(frequency=0.8, phase=30.0, offset=0.2, begin=0.3),
+    "half sine": Pulse(begin=0.2, length=1.7),
+    "triangle": Pulse(begin=0.2, length=1.7, shape="triangle"),
+    "rectangle": Pulse(begin=0.2, length=1.7, shape="rectangle"),
+}
+# What happens at each corner: V: the factor jumps, R: its rate, S: the rate of that.
+JUMPS = {
+    "constant": "",
+    "table": "RRR",
+    "ramp": "RR",
+    "smooth ramp": "--",
+    "sine": "R",
+    "half sine": "RR",
+    "triangle": "RRR",
+    "rectangle": "VV",
+}
+
+
+def pieces(amplitude):
+    ends = [-1.0, *amplitude.corners(), 5.0]
+    return list(pairwise(ends))
+
+
+@pytest.mark.parametrize("name", AMPLITUDES)
+def test_rates_are_those_of_differences_inside_every_piece(name):
+    amplitude, step = AMPLITUDES[name], 1e-5
+    assert isinstance(amplitude, Amplitude)
+    assert list(amplitude.corners()) == sorted(amplitude.corners())
+    for begin, end in pieces(amplitude):
+        for t in np.linspace(begin, end, 9)[1:-1]:
+            value, rate, second = amplitude.at(t, t)
+            (before, rate_before, _), (after, rate_after, _) = (
+                amplitude.at(t + sign * step, t) for sign in (-1.0, 1.0)
+            )
+            assert (after - before) / (2.0 * step) == pytest.approx(rate, abs=1e-8)
+            assert (rate_after - rate_before) / (2.0 * step) == pytest.approx(second, abs=1e-8)
+            assert 0.5 * (after + before) == pytest.approx(value, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", AMPLITUDES)
+def test_a_piece_is_smooth_to_its_ends_and_jumps_behind_them(name):
+    """At a corner `within` says whose value is asked; the other side has what it says."""
+    amplitude = AMPLITUDES[name]
+    found = ""
+    for corner in amplitude.corners():
+        left, right = (amplitude.at(corner, corner + side * 1e-9) for side in (-1.0, 1.0))
+        for side, values in ((-1.0, left), (1.0, right)):
+            near = amplitude.at(corner + side * 1e-7, corner + side * 1e-7)
+            np.testing.assert_allclose(values, near, atol=1e-4)
+        jumps = [abs(b - a) > 1e-9 for a, b in zip(left, right, strict=True)]
+        found += "V" if jumps[0] else "R" if jumps[1] else "S" if jumps[2] else "-"
+    assert found == JUMPS[name]
+
+
+def test_known_values():
+    table = AMPLITUDES["table"]
+    assert [table.at(t, t)[0] for t in (0.0, 0.75, 2.0, 9.0)] == [0.0, 1.0, 0.5, -1.0]
+    smooth = AMPLITUDES["smooth ramp"]
+    assert smooth.at(1.25, 1.25)[0] == pytest.approx(0.5)
+    sine = Sine(frequency=0.25, begin=1.0)
+    assert [sine.at(t, t)[0] for t in (0.0, 2.0, 3.0, 4.0)] == pytest.approx([0.0, 1.0, 0.0, -1.0])
+    for shape in ("half-sine", "triangle", "rectangle"):
+        pulse = Pulse(begin=1.0, length=2.0, shape=shape)
+        assert pulse.at(2.0, 2.0 + 1e-9)[0] == pytest.approx(1.0)
+        assert pulse.at(0.5, 0.5)[0] == pulse.at(3.5, 3.5)[0] == 0.0
+
+
+def test_a_step_that_sees_the_shape():
+    assert AMPLITUDES["sine"].resolved_by == pytest.approx(1.0 / 8.0 / 0.8)
+    assert AMPLITUDES["half sine"].resolved_by == pytest.approx(1.7 / 8.0)
+    for name in ("constant", "table", "ramp", "triangle", "rectangle"):
+        assert AMPLITUDES[name].resolved_by == math.inf
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Table(), r"amplitude\.points: \[\]; it must have at least one"),
+        (lambda: Table(points=((1.0, 0.0), (1.0, 1.0))), r"amplitude\.points: .*must increase"),
+        (lambda: Ramp(begin=2.0, end=1.0), r"amplitude\.end: 1\.0; it must be after begin, 2\.0"),
+        (lambda: Sine(frequency=0.0), r"amplitude\.frequency: .*must be"),
+        (lambda: Pulse(length=-1.0), r"amplitude\.length: .*must be"),
+        (lambda: Pulse(length=1.0, shape="square"), r"amplitude\.shape: .*must be"),
+        (lambda: Constant(value=math.nan), r"amplitude\.value: .*must be"),
+    ],
+)
+def test_amplitudes_out_of_range_are_one_line(make, message):
+    with pytest.raises(InputError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,124 @@
+"""An elastic bar strikes a rigid plate: the wave solution; a free body: momentum."""
+
+import numpy as np
+import pytest
+
+from surrofe2.macro import (
+    InitialVelocity,
+    MacroSettings,
+    Mesh,
+    Plane,
+    Problem,
+    RigidBody,
+    Symmetry,
+    simulate,
+)
+from surrofe2.macro.system import make_system
+from tests.laws import KelvinVoigt, LinearFirstPiola
+from tests.macro.meshes import HEIGHT, WIDTH, plate
+
+LENGTH, DEPTH, SPEED = 100.0, 2.0, 0.5
+LAW = LinearFirstPiola(shear_modulus=50.0, lame=0.0, density=0.1)
+"""Without lateral contraction: E = 100 µN/µm, c = √(E/ρ) = 31.6 µm/µs."""
+
+
+@pytest.fixture(scope="module")
+def impact():
+    """A bar between mirrors flies at a plate 1 µm away."""
+    mesh = Mesh.rectangle(LENGTH, DEPTH, (100, 1))
+    wall = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
+    problem = Problem(
+        mesh=mesh,
+        conditions=(
+            InitialVelocity(velocity=(-SPEED, 0.0)),
+            Symmetry(on="bottom"),
+            Symmetry(on="top"),
+        ),
+        bodies=(wall,),
+        duration=11.0,
+        output_interval=0.02,
+        watched={"tip": (LENGTH, 0.0)},
+    )
+    settings = MacroSettings(
+        relative_tolerance=1e-5, absolute_tolerance=1e-7, frames=2, record_dissipation=False
+    )
+    return simulate(problem, LAW, settings)
+
+
+def test_contact_time_and_mean_force_are_those_of_the_wave(impact):
+    """The wave runs to the free end and back, 2 L/c; the force meanwhile is ρ c v₀ h."""
+    speed = np.sqrt(100.0 / LAW.density)
+    t, force = impact.curve.t, impact.history["force plate x"]
+    touching = t[force > 0.01 * force.max()]
+    time = touching[-1] - touching[0]
+    assert touching[0] == pytest.approx(1.0 / SPEED, abs=0.05)
+    assert time == pytest.approx(2.0 * LENGTH / speed, rel=0.01)
+    mean = np.trapezoid(force, t) / time
+    assert mean == pytest.approx(LAW.density * speed * SPEED * DEPTH, rel=0.01)
+    assert abs(impact.history["force plate y"]).max() < 1e-9
+
+
+def test_it_neither_sticks_nor_chatters(impact):
+    """One contact without a gap in it, no pull, and the bar leaves as fast as it came."""
+    t, force = impact.curve.t, impact.history["force plate x"]
+    on = force > 0.0
+    assert np.count_nonzero(np.diff(on.astype(int))) == 2
+    assert force.min() >= 0.0
+    # The mesh rings; the mean over the time in which the wave passes 20 elements is flat.
+    speed = np.sqrt(100.0 / LAW.density)
+    level = LAW.density * speed * SPEED * DEPTH
+    width = round(20.0 / speed / (t[1] - t[0]))
+    smooth = np.convolve(force, np.full(width, 1.0 / width), mode="same")
+    inner = (t > t[on][0] + 0.5) & (t < t[on][-1] - 0.5)
+    np.testing.assert_allclose(smooth[inner], level, rtol=0.05)
+    assert 0.4 * level < force[inner].min() < force[inner].max() < 1.7 * level
+    impulse = np.trapezoid(force, t)
+    assert impulse == pytest.approx(2.0 * LAW.density * LENGTH * DEPTH * SPEED, rel=0.01)
+
+
+def test_energy_is_kept_with_that_of_contact_counted(impact):
+    energies = impact.energies
+    start = energies["kinetic"][0]
+    assert start == pytest.approx(0.5 * LAW.density * LENGTH * DEPTH * SPEED**2, rel=1e-12)
+    assert abs(energies["balance"]).max() < 1e-4 * start
+    kept = energies["kinetic"] + energies["internal"] + energies["contact"]
+    assert abs(kept / start - 1.0).max() < 1e-3
+    np.testing.assert_allclose(energies["plate"], -energies["contact"], atol=1e-4 * start)
+    assert energies["contact"].max() > 1e-3 * start
+    assert energies["contact"][-1] == 0.0
+
+
+def momenta(system, states):
+    """(k, 2) momentum of nodes and bodies at each state."""
+    total = []
+    for state in states:
+        _, v = system.spread(state.y, state.t, state.t)
+        total.append((system.mass @ v).sum(axis=0))
+    return np.array(total)
+
+
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_momentum_of_tissue_and_free_body_is_kept(friction, integrator, rng):
+    """A plate thrown at tissue in free flight, obliquely: to 1e-10 of what it gives away."""
+    law = KelvinVoigt(shear_viscosity=2.0, bulk_viscosity=3.0)
+    thrown = RigidBody(
+        name="plate", shape=Plane(normal=(0.1, -1.0)), on="top", mass=20.0, friction=friction,
+        position=(0.5 * WIDTH, HEIGHT + 1.7), velocity=(0.3, -0.8), slip_speed=0.02,
+    )  # fmt: skip
+    problem = Problem(
+        mesh=plate("triangles", rng, (3, 2)), conditions=(), bodies=(thrown,), duration=3.0
+    )
+    states = []
+    settings = MacroSettings(
+        integrator=integrator, frames=2, record_dissipation=False, newton_tolerance=1e-12
+    )
+    run = simulate(problem, law, settings, checkpoint=states.append, checkpoint_interval=0.0)
+    assert run.history["penetration plate"].max() > 0.01
+    system = make_system(problem, law.density)
+    momentum = momenta(system, states)
+    start = 20.0 * np.array([0.3, -0.8])
+    _, v = system.spread(states[-1].y, states[-1].t, states[-1].t)
+    given = 20.0 * abs(v[-1] - [0.3, -0.8]).max()
+    assert given > 1.0
+    assert abs(momentum - start).max() < 1e-10 * abs(start).max()

@@ -1,0 +1,174 @@
+"""Both kinds of elements: order two in L² for a manufactured motion, and no locking in bending.
+
+Exact stresses make the loads, ∫ P : ∇N dV, so tractions and body forces come along.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from surrofe2.amplitude import Proportional
+from surrofe2.macro import (
+    Fixed,
+    Foundation,
+    InitialVelocity,
+    MacroSettings,
+    Problem,
+    Symmetry,
+    find_rest,
+    quasi_static,
+    simulate,
+    simulation,
+)
+from surrofe2.macro.forces import DeadLoad
+from surrofe2.macro.system import make_system
+from tests.laws import KelvinVoigt, LinearFirstPiola
+from tests.macro.meshes import distance, plate, quadrature, weak_load
+
+KINDS = ("quads", "triangles")
+TIGHT = MacroSettings(newton_tolerance=1e-11)
+
+
+def field(x):
+    """U(x), zero on x = 0, divergence-free: the curl of 0.1 x² sin(2 y + 1) eˣ."""
+    x, y = x[..., 0], x[..., 1]
+    e, s, c = np.exp(x), np.sin(2 * y + 1), np.cos(2 * y + 1)
+    return 0.1 * np.stack([2 * x**2 * e * c, -(2 * x + x**2) * e * s], axis=-1)
+
+
+def gradient(x):
+    x, y = x[..., 0], x[..., 1]
+    e, s, c = np.exp(x), np.sin(2 * y + 1), np.cos(2 * y + 1)
+    shared = 2 * (2 * x + x**2) * e * c
+    rows = [[shared, -4 * x**2 * e * s], [-(2 + 4 * x + x**2) * e * s, -shared]]
+    return 0.1 * np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rates(errors):
+    return np.log2(np.divide(errors[:-1], errors[1:]))
+
+
+def first_piola(law, F):
+    flat = F.reshape(-1, 2, 2)
+    J = np.linalg.det(flat)[:, None, None]
+    stress = law.stress(flat, np.zeros_like(flat))
+    return (J * stress @ np.linalg.inv(flat).transpose(0, 2, 1)).reshape(F.shape)
+
+
+def clamped_square(kind, n, duration=1.0):
+    mesh = plate(kind, np.random.default_rng(3), (n, n), (1.0, 1.0), distortion=0.12)
+    return Problem(
+        mesh=mesh, conditions=(Fixed(on="left"),), duration=duration, output_interval=duration
+    )
+
+
+@pytest.mark.parametrize(
+    ("law", "size"),
+    [(KelvinVoigt(), 0.1), (LinearFirstPiola(lame=1.0), 1e-4), (LinearFirstPiola(lame=1e5), 1e-6)],
+    ids=["finite strain", "compressible", "incompressible"],
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_rest_is_of_second_order(kind, law, size, monkeypatch):
+    """Finite strain, and λ up to 10⁵ µ where full integration of the pressure would lock."""
+    errors = []
+    for n in (4, 8, 16):
+        problem = clamped_square(kind, n)
+        system = make_system(problem, 1.0)
+        load = weak_load(problem.mesh, lambda x: first_piola(law, np.eye(2) + size * gradient(x)))
+        system = replace(system, forces=(DeadLoad("load", load, Proportional()),))
+        monkeypatch.setattr(quasi_static, "system_of", lambda *of, found=system, **how: found)
+        rest = find_rest(problem, law, TIGHT)
+        exact = distance(problem.mesh, 0.0 * rest.u, lambda x: size * field(x))
+        errors.append(distance(problem.mesh, rest.u, lambda x: size * field(x)) / exact)
+    assert (rates(errors) > 1.75).all(), errors
+    assert errors[-1] < 0.02
+
+
+@dataclass(frozen=True)
+class Manufactured:
+    """The load of u = sin(ω t) U for a linear law: s̈ times inertia, s times stiffness."""
+
+    inertia: np.ndarray
+    elastic: np.ndarray
+    omega: float
+    name = "load"
+
+    def at(self, t, within, u, v):
+        return np.sin(self.omega * t) * (self.elastic - self.omega**2 * self.inertia)
+
+    def slopes(self, t, within, u, v):
+        return None
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_motion_is_of_second_order(kind, monkeypatch):
+    law, size, omega = LinearFirstPiola(shear_modulus=1.0, lame=2.0), 1e-4, 2.0
+    errors = []
+    for n in (3, 6, 12):
+        problem = clamped_square(kind, n)
+        mesh = problem.mesh
+        x, weights, shape, _ = quadrature(mesh)
+        inertia = np.zeros_like(mesh.nodes)
+        nodal = np.einsum("eq,qa,eqi->eai", weights, shape, size * field(x))
+        np.add.at(inertia, mesh.elements, law.density * nodal)
+        elastic = weak_load(mesh, lambda x: first_piola(law, np.eye(2) + size * gradient(x)))
+        system = replace(
+            make_system(problem, law.density),
+            forces=(Manufactured(inertia, elastic, omega),),
+            initial_velocity=omega * size * field(mesh.nodes),
+        )
+        monkeypatch.setattr(simulation, "system_of", lambda *of, found=system, **how: found)
+        settings = MacroSettings(
+            absolute_tolerance=1e-11, relative_tolerance=1e-7, frames=2, record_dissipation=False
+        )
+        u = simulate(problem, law, settings).frames.displacement[-1]
+        u /= size * np.sin(omega)
+        errors.append(distance(mesh, u, field) / distance(mesh, 0.0 * u, field))
+    assert (rates(errors) > 1.75).all(), errors
+    assert errors[-1] < 0.02
+
+
+@pytest.mark.parametrize("distortion", [0.0, 0.1])
+@pytest.mark.parametrize(("kind", "lame"), [("quads", 1e4), ("triangles", 1.0), ("triangles", 1e4)])
+def test_bending_without_locking(kind, lame, distortion, monkeypatch):
+    """Pure bending, 16 × 4 elements on 80 × 10 µm: the tip within 2 % of κ L²/2.
+
+    σ₁₁ = −E κ (y − H/2), E that of plane strain, and u₂ = κ x²/2 + ν/(1 − ν) κ (y − H/2)²/2 but
+    for a shift: soft springs on the left hold the mean of u₂ there at zero.
+    """
+    length, height, curvature = 80.0, 10.0, 1e-5
+    law = LinearFirstPiola(shear_modulus=1.0, lame=lame)
+    nu = lame / (2.0 * (lame + 1.0))
+    modulus = 2.0 * (1.0 + nu) / (1.0 - nu**2)
+    mesh = plate(kind, np.random.default_rng(1), (16, 4), (length, height), distortion=distortion)
+
+    def bending(x):
+        P = np.zeros((*x.shape, 2))
+        P[..., 0, 0] = -modulus * curvature * (x[..., 1] - 0.5 * height)
+        return P
+
+    held = Symmetry(on="left"), Foundation(on="left", stiffness=1e-3, components="y")
+    problem = Problem(mesh=mesh, conditions=held, watched={"tip": (length, 0.5 * height)})
+    system = make_system(problem, 1.0)
+    load = DeadLoad("moment", weak_load(mesh, bending), Proportional())
+    system = replace(system, forces=(*system.forces, load))
+    monkeypatch.setattr(quasi_static, "system_of", lambda *of, **how: system)
+    rest = find_rest(problem, law, replace(TIGHT, newton_tolerance=1e-9))
+    shift = nu / (1.0 - nu) * height**2 / 12.0
+    expected = 0.5 * curvature * (length**2 - shift)
+    allowed = 0.02 if kind == "quads" else 1e-4
+    assert rest.watched[1] == pytest.approx(expected, rel=allowed)
+
+
+def test_body_in_free_flight_keeps_its_velocity(rng):
+    """A dynamic patch: a uniform velocity is an exact motion, without any stress."""
+    for kind in KINDS:
+        flight = InitialVelocity(velocity=(0.3, -0.1))
+        problem = Problem(mesh=plate(kind, rng), conditions=(flight,), duration=1.0)
+        law = KelvinVoigt(shear_viscosity=0.0, bulk_viscosity=0.0)
+        run = simulate(problem, law, MacroSettings(frames=3, largest_step=0.01))
+        np.testing.assert_allclose(
+            run.frames.displacement[-1], np.tile([0.3, -0.1], (len(run.nodes), 1)), rtol=1e-10
+        )
+        assert abs(run.frames.stress).max() < 1e-9
