@@ -7,28 +7,27 @@ comes out as one `InputError` sentence.
 
 from __future__ import annotations
 
-import difflib
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
+from surrofe2.problem_sections import StatedProblem, stated_problem
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_settings, check_value, setting
+from surrofe2.settings import check_settings, check_value, from_table, setting, unknown
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.units import NONE
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +44,12 @@ class SampleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Everything a study needs. `path` is the recipe's file, against which its files resolve."""
+    """Everything a study needs. `path` is the recipe's file, against which its files resolve.
+
+    Attributes:
+        load: the paper's bar; None where the recipe states another problem.
+        stated: that problem.
+    """
 
     path: Path
     preset: str
@@ -55,7 +59,7 @@ class Recipe:
     samples: SampleSettings
     training: TrainingSettings
     calibration: CalibrationSettings
-    load: LoadCase
+    load: LoadCase | None
     macro: MacroSettings
     tissue: TissueSettings
     table: TableSettings
@@ -63,6 +67,38 @@ class Recipe:
     data_file: str | None = None
     training_file: str | None = None
     added_files: tuple[str, ...] = ()
+    stated: StatedProblem | None = None
+
+    def problem(self) -> Problem:
+        """What a run computes.
+
+        Raises:
+            FileError: the mesh file cannot be read.
+            InputError: the mesh is none, or has not what the recipe names.
+        """
+        if self.stated is None:
+            return bar(self.bar_load(), self.macro.elements)
+        try:
+            return self.stated.problem(self.path.parent)
+        except InputError as error:
+            raise InputError(f"{self.path.name}: {error}") from None
+
+    def bar_load(self) -> LoadCase:
+        """The load of the paper's bar, for what computes no other problem.
+
+        Raises:
+            InputError: the recipe states another problem.
+        """
+        if self.load is None:
+            raise InputError(
+                f"{self.path.name}: load: missing; this command needs the bar of a section [load]"
+            )
+        return self.load
+
+    @property
+    def duration(self) -> float:
+        """Length of the run, µs."""
+        return self.bar_load().duration if self.stated is None else self.stated.time.duration
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -90,11 +126,14 @@ class Recipe:
             "rve", "range", "samples", "training", "calibration", "load", "macro", "tissue",
             "table", "cache",
         )  # fmt: skip
-        sections = {name: asdict(getattr(self, name)) for name in names}
+        sections = {name: plain(getattr(self, name)) for name in names}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["samples"]["file"] = self.data_file
         sections["samples"]["add"] = self.added_files
         sections["training"]["file"] = self.training_file
+        if self.stated is not None:
+            del sections["load"]
+            sections |= self.stated.to_dict()
         plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
         return plainly
 
@@ -148,10 +187,11 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         InputError: naming the section or key that is unknown or out of its range.
     """
     for name, section in table.items():
-        if name not in SECTIONS:
-            raise InputError(_unknown(name, name, "section", SECTIONS))
-        if not isinstance(section, dict):
+        if name not in (*SECTIONS, *PROBLEM_SECTIONS):
+            raise InputError(unknown(name, name, "section", (*SECTIONS, *PROBLEM_SECTIONS)))
+        if name in SECTIONS and not isinstance(section, dict):
             raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
+    stated = _stated(table, path.parent)
     given = {name: dict(table.get(name, {})) for name in SECTIONS}
     extras: dict[str, Any] = {}
     for (section, key), (kind, default) in _EXTRA_KEYS.items():
@@ -159,11 +199,18 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         extras[f"{section}.{key}"] = check_value(f"{section}.{key}", value, kind, {})
     preset = extras["cell.preset"]
     made: dict[str, Any] = {
-        name: _make(name, kind, given[name], [key for part, key in _EXTRA_KEYS if part == name])
+        name: from_table(
+            name, kind, given[name], [key for part, key in _EXTRA_KEYS if part == name]
+        )
         for name, kind in SECTIONS.items()
         if name != "cell"
     }
-    _make("cell", CellParameters, given["cell"], ["preset"])
+    from_table("cell", CellParameters, given["cell"], ["preset"])
+    if stated is not None:
+        made["load"], frames = None, stated.time.frames
+        changed = {"elements": stated.mesh.elements, "frames": frames}
+        known = {name: value for name, value in changed.items() if value is not None}
+        made["macro"] = replace(made["macro"], **known)
     return Recipe(
         path=path,
         preset=preset,
@@ -171,27 +218,22 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         data_file=extras["samples.file"],
         training_file=extras["training.file"],
         added_files=extras["samples.add"],
+        stated=stated,
         **made,
     )
 
 
-def _make(section: str, kind: type[T], table: Mapping[str, Any], extras: Iterable[str] = ()) -> T:
-    """The dataclass of a section; its constructor checks types and bounds."""
-    items = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    known = [*items, *extras]
-    for key in table:
-        if key not in known:
-            raise InputError(_unknown(f"{section}.{key}", key, "key", known))
-    for item in items.values():
-        required = item.default is MISSING and item.default_factory is MISSING
-        if required and item.name not in table:
-            unit = item.metadata.get("unit", NONE)
-            told = f"{section}.{item.name}: missing; it must be given"
-            raise InputError(told if unit == NONE else f"{told} ({unit})")
-    return kind(**table)
-
-
-def _unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return f"{name}: unknown {what}; {hint}known are {', '.join(sorted(known))}"
+def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem | None:
+    """The problem that a recipe states; None where it is the bar of [load]."""
+    sections = [name for name in PROBLEM_SECTIONS if name in table]
+    if not sections:
+        return None
+    if "load" in table:
+        raise InputError(
+            f"load: [load] states the paper's bar, [{sections[0]}] another problem; leave one out"
+        )
+    for key in ("elements", "frames"):
+        if key in table.get("macro", {}) and (key == "elements" or key in table.get("time", {})):
+            home = "mesh" if key == "elements" else "time"
+            raise InputError(f"macro.{key}: {table['macro'][key]!r}; it stands in [{home}]")
+    return stated_problem(table, folder)

@@ -18,7 +18,7 @@ def compare(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")],
     fresh: Fresh = False,
 ) -> None:
-    """Compare displacement curves and costs of runs of one load case.
+    """Compare displacement curves, forces and costs of runs of one load case.
 
     The reference is the first full tissue, else the first run by true RVEs, else the first one.
     Writes comparison.json and comparison.png: difference relative to the largest displacement,
@@ -38,6 +38,9 @@ def show_comparison(result: Comparison, of: str = "") -> None:
     for run in result.runs:
         if run.audit is not None and run.audit["audited"]:
             print_line(f"{run.name}: {audit_line(run.audit)}")
+        for name, force in run.forces.items():
+            share = f", {force.largest / force.scale:.2g} of its largest" if force.scale else ""
+            print_line(f"{run.name}: force {name}: at most {force.largest:.3g} µN apart{share}")
 
 
 def audit_line(audit: Mapping[str, Any]) -> str:

@@ -82,11 +82,11 @@ def run(
     threads: Threads = None,
     fresh: Fresh = False,
 ) -> None:
-    """Run the recipe's load case: a tissue clamped at its left, pulled by a body force.
+    """Run the recipe's problem: a tissue on its mesh, and all that holds, moves or touches it.
 
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of the watched
-    point in µm), energies.csv (pJ) and fields.xdmf for ParaView; with --law table the table, with
-    --law cached or table the harvest of true stresses.
+    points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
+    ParaView; with --law table the table, with --law cached or table the harvest of true stresses.
 
     Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
 
@@ -99,7 +99,7 @@ def run(
     use_threads(threads)
     with (
         on_interrupt(KEPT_RUN.format(out)),
-        progress(f"run by {law}", study.load.duration, "µs") as report,
+        progress(f"run by {law}", study.duration, "µs") as report,
     ):
         record = run_study(
             study,

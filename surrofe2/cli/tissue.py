@@ -62,7 +62,7 @@ def tissue(
     use_threads(threads)
     with (
         on_interrupt(KEPT_RUN.format(out)),
-        progress("full tissue", study.load.duration, "µs") as report,
+        progress("full tissue", study.duration, "µs") as report,
     ):
         record = run_tissue(study, out, fresh=fresh, report=report)
     print_line(f"{out}: {tissue_summary(record)}")

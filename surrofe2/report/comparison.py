@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from surrofe2.displacement_curve import CurveDifference, difference
+import numpy as np
+
+from surrofe2.displacement_curve import (
+    CurveDifference,
+    DisplacementCurve,
+    ForceDifference,
+    difference,
+    force_difference,
+)
 from surrofe2.errors import InputError, MismatchError
+from surrofe2.io.files import flat
 from surrofe2.io.run_folder import RunRecord, StoredRun
 from surrofe2.report.tables import Quantity, Table, percent
 
@@ -23,6 +32,7 @@ class ComparedRun:
         speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
             is None where this run needed none of it.
         audit: of a cached run, the errors its audit found and the tolerance, µN/µm; else None.
+        forces: by name, of every force resultant that both runs have.
     """
 
     name: str
@@ -33,6 +43,7 @@ class ComparedRun:
     counts: Mapping[str, int]
     speed_up: Mapping[str, float | None]
     audit: Mapping[str, Any] | None = None
+    forces: Mapping[str, ForceDifference] = field(default_factory=dict)
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
@@ -83,17 +94,17 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
     """Difference and speed-up of every run against the reference (see `order_runs`).
 
     Raises:
-        MismatchError: the runs are of different load cases.
+        MismatchError: the runs are of different load cases or problems; meshes may differ.
         InputError: fewer than two runs.
     """
     reference, *others = order_runs(runs)
-    load = reference.record.recipe["load"]
+    load = _load_of(reference)
     for run in others:
-        here = run.record.recipe["load"]
+        here = _load_of(run)
         for key in {**load, **here}:
             if here.get(key) != load.get(key):
                 raise MismatchError(
-                    f"{run.folder}: load.{key} is {here.get(key)}, in {reference.folder} "
+                    f"{run.folder}: {key} is {here.get(key)}, in {reference.folder} "
                     f"{load.get(key)}; compare runs of one load case"
                 )
     return Comparison(
@@ -104,8 +115,28 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
     )
 
 
+def _load_of(run: StoredRun) -> dict[str, Any]:
+    """All that a run's problem states, by dotted names, but the mesh it is computed on."""
+    recipe, of = run.record.recipe, ("load", "conditions", "bodies", "watch", "time")
+    stated = flat({name: recipe[name] for name in of if name in recipe})
+    stated.pop("time.frames", None)
+    return stated
+
+
+def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
+    """Force resultants over time by name, µN."""
+    names = [name.removesuffix(" x") for name in run.history if name.endswith(" x")]
+    return {
+        name.removeprefix("force "): DisplacementCurve(
+            run.curve.t, np.stack([run.history[f"{name} {axis}"] for axis in "xy"], axis=1)
+        )
+        for name in names
+        if name.startswith("force ")
+    }
+
+
 def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
-    cache = run.record.cache
+    cache, there = run.record.cache, force_curves(reference)
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
@@ -118,6 +149,11 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
             for name, cost in _COSTS.items()
         },
         audit=None if cache is None else {**cache["audit"], "trust": cache["trust"]},
+        forces={
+            name: force_difference(force, there[name])
+            for name, force in force_curves(run).items()
+            if name in there
+        },
     )
 
 
@@ -131,3 +167,19 @@ _COSTS: Mapping[str, Callable[[RunRecord], float]] = {
     "law_time_per_stress": _law_time,
     "rve_solves": lambda record: record.counts.get("rve_solves", 0),
 }
+
+
+def problem_title(recipe: Mapping[str, Any]) -> str:
+    """What a run computes, in a line: the bar, or the mesh and all that acts on it."""
+    if "load" in recipe:
+        load = recipe["load"]
+        g = float(np.hypot(*load["body_force"]))
+        size = f"{load['width']:g} × {load['height']:g} µm tissue"
+        return f"{size}, body force {g:g} µm/µs², {_elements(recipe)} elements"
+    mesh = recipe["mesh"]
+    of = mesh["file"] or f"{mesh['width']:g} × {mesh['height']:g} µm, {_elements(recipe)} elements"
+    return f"{of}: {', '.join([*recipe['conditions'], *recipe['bodies']])}"
+
+
+def _elements(recipe: Mapping[str, Any]) -> str:
+    return "{} × {}".format(*recipe["macro"]["elements"])

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from surrofe2.io.run_folder import StoredRun
-from surrofe2.report.comparison import Comparison, order_runs
+from surrofe2.report.comparison import Comparison, order_runs, problem_title
 from surrofe2.report.figures import Curve, Panel, colour_of, draw_panel, new_figure, write_png
 
 _BINS_A_DECADE = 10
@@ -64,11 +64,8 @@ def _panels(reference: StoredRun, others: Sequence[StoredRun]) -> tuple[Panel, P
 
 def _title(reference: StoredRun) -> str:
     recipe = reference.record.recipe
-    load, elements = recipe["load"], recipe["macro"]["elements"]
-    g = float(np.hypot(*load["body_force"]))
     return (
-        f"Watched point of a {load['width']:g} × {load['height']:g} µm tissue, "
-        f"body force {g:g} µm/µs², {elements[0]} × {elements[1]} elements,\n"
+        f"Watched point of {problem_title(recipe)},\n"
         f"cell preset “{recipe['cell']['preset']}”, {reference.record.initialisation}"
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from surrofe2.errors import InputError
 from surrofe2.io.run_folder import StoredRun
-from surrofe2.report.comparison import compare
+from surrofe2.report.comparison import compare, problem_title
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 
@@ -91,7 +91,7 @@ def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
         law=runs[0].record.law,
         preset=record.recipe["cell"]["preset"],
         reference=reference.folder.name,
-        load=record.recipe["load"],
+        load={"title": problem_title(record.recipe), "duration": record.duration},
         true_wall_time=record.wall_time["total"],
         rows=tuple(rows),
     )
@@ -157,7 +157,7 @@ def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     )
     load = sweep.load
     title = (
-        f"What a stress tolerance buys: {load['width']:g} × {load['height']:g} µm tissue over "
-        f"{load['duration']:g} µs,\ncell preset “{sweep.preset}”, law {sweep.law}"
+        f"What a stress tolerance buys: {load['title']} over {load['duration']:g} µs,\n"
+        f"cell preset “{sweep.preset}”, law {sweep.law}"
     )
     write_figure(path, title, panels, columns=2)

@@ -49,7 +49,7 @@ def run_sweep(
     names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
     studies = [recipe, *(change_cache(recipe, each) for each in tolerances)]
     for k, (name, study) in enumerate(zip(names, studies, strict=True)):
-        with stage(f"{k + 1}/{len(names)} {name}", study.load.duration, "µs") as report:
+        with stage(f"{k + 1}/{len(names)} {name}", study.duration, "µs") as report:
             run_study(
                 study,
                 "cached" if k else "rve",

@@ -178,18 +178,26 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
 
 
 def warm_up(
-    laws: tuple[StressLaw, ...], settings: MacroSettings, table: StressTable | None = None
+    laws: tuple[StressLaw, ...],
+    settings: MacroSettings,
+    table: StressTable | None = None,
+    *,
+    points: int | None = None,
 ) -> float:
     """Compile all that a run with these settings calls, outside its clock; seconds it took.
 
     Each law is asked for a single point and for as many as the run has, up to where no law takes
     another way for more; and a bar of one element moves for an instant.
+
+    Args:
+        points: that the run has; left out: those of a bar with the elements of the settings.
     """
     begin = time.perf_counter()
     nx, ny = settings.elements
+    many = _POINTS_OF_A_QUADRILATERAL * nx * ny if points is None else points
     for law in laws:
-        for points in (1, min(_POINTS_OF_A_QUADRILATERAL * nx * ny, _MANY_POINTS)):
-            F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
+        for count in (1, min(many, _MANY_POINTS)):
+            F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
             if isinstance(law, SurrogateLaw):

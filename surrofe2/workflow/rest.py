@@ -1,4 +1,4 @@
-"""The bar at rest under its load, into a run folder, and its small oscillations about it."""
+"""A tissue at rest under its loads, into a run folder, and its small oscillations about it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import numba
 from surrofe2.io.fields import write_fields
 from surrofe2.io.run_folder import RunRecord, write_load_path
 from surrofe2.macro import Rest, find_modes, find_rest, rest_frames
+from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import choose_law, warm_up
-from surrofe2.workflow.run import change_rve
+from surrofe2.workflow.run import change_rve, problem_record
 from surrofe2.workflow.run_lifecycle import (
     Report,
     Stage,
@@ -29,7 +30,7 @@ from surrofe2.workflow.run_lifecycle import (
 )
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
-"""Factor of the body force by the name of the state whose modes are asked for."""
+"""Factor of the loads by the name of the state whose modes are asked for."""
 
 
 def rest_study(
@@ -41,12 +42,12 @@ def rest_study(
     fresh: bool = False,
     report: Report = untold,
 ) -> RunRecord:
-    """Load the recipe's bar in steps and write the run folder.
+    """Load the recipe's tissue in steps and write the run folder.
 
     What was found before a failure or an interrupt is written.
 
     Args:
-        factor: of the body force, at the end.
+        factor: of all loads and prescribed motions, at the end.
         fresh: start over, whatever the folder holds.
         report: called with the part of the load that is on, 0 to 1, and a remark.
 
@@ -69,14 +70,15 @@ def rest_study(
         met = {"watched": [float(u) for u in last.watched]}
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
-    record = new_record(recipe, "rve")
+    problem = recipe.problem()
+    record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
     stated = {"factor": factor, "load_steps": load_steps}
     record = replace(record, recipe={**record.recipe, "rest": stated})
     with recording(folder, record, store, fresh=fresh) as current:
         if current.is_finished:
             return current.record
         chosen = choose_law(recipe, "rve")
-        compilation = warm_up(chosen.parts, recipe.macro)
+        compilation = warm_up(chosen.parts, recipe.macro, points=n_points_of(problem.mesh))
         begin = time.perf_counter()
 
         def reached(rest: Rest) -> None:
@@ -85,7 +87,7 @@ def rest_study(
             report(rest.factor / factor if factor else 1.0, "")
 
         found = find_rest(
-            recipe.load,
+            problem,
             chosen.law,
             recipe.macro,
             factor=factor,
@@ -97,7 +99,7 @@ def rest_study(
 
 
 def rest_summary(record: RunRecord) -> str:
-    """Where the bar came to rest and what it cost."""
+    """Where the tissue came to rest and what it cost."""
     counts, end = record.counts, record.recipe["rest"]
     u_x, u_y = record.met["watched"]
     return (
@@ -122,7 +124,7 @@ def find_all_modes(
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
     law = choose_law(change_rve(recipe, method), "rve").law
-    rest = find_rest(recipe.load, law, recipe.macro, factor=factor, load_steps=4)
+    rest = find_rest(recipe.problem(), law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {
         "watched": rest.watched,

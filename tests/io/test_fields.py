@@ -52,4 +52,4 @@ def test_fields_read_back(tmp_path, frames):
 def test_no_write_permission(unwritable, frames):
     with pytest.raises(FileError) as caught:
         write_fields(unwritable, NODES, QUADS, frames)
-    assert str(caught.value) == f"{unwritable}: cannot be written: Not a directory"
+    assert str(caught.value) == f"{unwritable / 'fields.h5'}: cannot be written: Not a directory"
