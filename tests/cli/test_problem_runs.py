@@ -110,7 +110,7 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     assert record.problem["boundaries"] == {"base": 1, "tip": 1, "upper": 1}
     assert record.problem["regions"] == {"leaf": 4}
     assert (record.problem["elements"], record.problem["nodes_per_element"]) == (4, 6)
-    assert record.problem["points"] == 16
+    assert record.problem["points"] == 12
     assert len(record.recipe["mesh"]["sha256"]) == 64
     assert record.duration == 8.0
     with (folder / "curve.csv").open(encoding="utf-8", newline="") as file:
