@@ -34,6 +34,15 @@ class CurveDifference:
     at_time: float
 
 
+@dataclass(frozen=True, slots=True)
+class ForceDifference:
+    """Largest distance of two forces over time, µN, and the largest of the reference."""
+
+    largest: float
+    scale: float
+    at_time: float
+
+
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
     """How far `curve` is from `reference` at the reference's times they both cover.
 
@@ -43,14 +52,7 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
     Raises:
         InputError: they have no common time, or the reference does not move.
     """
-    within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
-    if not within.any():
-        raise InputError("displacement curves: no common time; they must overlap")
-    t = reference.t[within]
-    there = reference.displacement[within]
-    here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
-    distance = np.linalg.norm(here - there, axis=1)
-    scale = np.linalg.norm(there, axis=1).max()
+    t, distance, scale = _distances(curve, reference)
     if scale == 0.0:
         raise InputError("displacement curves: the reference does not move; nothing to compare to")
     return CurveDifference(
@@ -58,3 +60,27 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
         rms=float(np.sqrt(np.mean(distance**2)) / scale),
         at_time=float(t[distance.argmax()]),
     )
+
+
+def force_difference(curve: DisplacementCurve, reference: DisplacementCurve) -> ForceDifference:
+    """The same of forces in µN in the place of displacements; both may be zero.
+
+    Raises:
+        InputError: they have no common time.
+    """
+    t, distance, scale = _distances(curve, reference)
+    return ForceDifference(float(distance.max()), scale, float(t[distance.argmax()]))
+
+
+def _distances(
+    curve: DisplacementCurve, reference: DisplacementCurve
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Common times, distances there, and the largest of the reference."""
+    within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
+    if not within.any():
+        raise InputError("displacement curves: no common time; they must overlap")
+    t = reference.t[within]
+    there = reference.displacement[within]
+    here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
+    scale = float(np.linalg.norm(there, axis=1).max())
+    return t, np.linalg.norm(here - there, axis=1), scale

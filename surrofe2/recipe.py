@@ -7,11 +7,10 @@ comes out as one `InputError` sentence.
 
 from __future__ import annotations
 
-import difflib
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -19,14 +18,16 @@ from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
+from surrofe2.problem_sections import StatedProblem, stated_problem
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_settings, check_value, hints_of, setting
+from surrofe2.settings import check_settings, check_value, from_table, hints_of, setting, unknown
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.units import NONE
 
 T = TypeVar("T")
 
@@ -47,7 +48,12 @@ class SampleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Everything a study needs. `path` is the recipe's file, against which its files resolve."""
+    """Everything a study needs. `path` is the recipe's file, against which its files resolve.
+
+    Attributes:
+        load: the paper's bar; None where the recipe states another problem.
+        stated: that problem.
+    """
 
     path: Path
     preset: str
@@ -57,12 +63,13 @@ class Recipe:
     samples: SampleSettings
     training: TrainingSettings
     calibration: CalibrationSettings
-    load: LoadCase
+    load: LoadCase | None
     macro: MacroSettings
     tissue: TissueSettings
     table: TableSettings
     cache: CacheSettings = field(default_factory=CacheSettings)
     training_file: str | None = None
+    stated: StatedProblem | None = None
 
     def sampling_range(self) -> SamplingRange:
         """The range of (F, Ḟ), for what cannot do without.
@@ -76,6 +83,37 @@ class Recipe:
                 "stretch, shear and rate (1/µs)"
             )
         return self.range
+
+    def problem(self) -> Problem:
+        """What a run computes.
+
+        Raises:
+            FileError: the mesh file cannot be read.
+            InputError: the mesh is none, or has not what the recipe names.
+        """
+        if self.stated is None:
+            return bar(self.bar_load(), self.macro.elements)
+        try:
+            return self.stated.problem(self.path.parent)
+        except InputError as error:
+            raise InputError(f"{self.path.name}: {error}") from None
+
+    def bar_load(self) -> LoadCase:
+        """The load of the paper's bar, for what computes no other problem.
+
+        Raises:
+            InputError: the recipe states another problem.
+        """
+        if self.load is None:
+            raise InputError(
+                f"{self.path.name}: load: missing; this command needs the bar of a section [load]"
+            )
+        return self.load
+
+    @property
+    def duration(self) -> float:
+        """Length of the run, µs."""
+        return self.bar_load().duration if self.stated is None else self.stated.time.duration
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -99,10 +137,12 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        entries = asdict(self)
+        entries = asdict(replace(self, stated=None))
         sections = {name: entries[name] for name in SECTIONS if entries[name] is not None}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["training"]["file"] = self.training_file
+        if self.stated is not None:
+            sections |= self.stated.to_dict()
         plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
         return plainly
 
@@ -111,7 +151,7 @@ SECTIONS: dict[str, type] = {
     name: kind
     for name, hint in hints_of(Recipe).items()
     for kind in (get_args(hint) or (hint,))
-    if isinstance(kind, type) and is_dataclass(kind)
+    if isinstance(kind, type) and is_dataclass(kind) and kind is not StatedProblem
 }
 """The fields of a recipe that are settings, by name."""
 _NOT_NEEDED = ("range",)
@@ -150,23 +190,28 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         InputError: naming the section or key that is unknown or out of its range.
     """
     for name, section in table.items():
-        if name not in SECTIONS:
-            raise InputError(_unknown(name, name, "section", SECTIONS))
-        if not isinstance(section, dict):
+        if name not in (*SECTIONS, *PROBLEM_SECTIONS):
+            raise InputError(unknown(name, name, "section", (*SECTIONS, *PROBLEM_SECTIONS)))
+        if name in SECTIONS and not isinstance(section, dict):
             raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
+    stated = _stated(table, path.parent)
     given = {name: dict(table.get(name, {})) for name in SECTIONS}
     extras: dict[str, Any] = {}
     for section, (key, kind, default) in _EXTRA_KEYS.items():
         value = given[section].pop(key, default)
         extras[section] = check_value(f"{section}.{key}", value, kind, {})
     made: dict[str, Any] = {
-        name: _make(name, kind, given[name])
+        name: from_table(name, kind, given[name], _EXTRA_KEYS.get(name, ())[:1])
         for name, kind in SECTIONS.items()
         if name in table or name not in _NOT_NEEDED
     }
     preset = extras["cell"]
     made["cell"] = CellParameters.preset(preset, **given["cell"])
-    return Recipe(path=path, preset=preset, training_file=extras["training"], **made)
+    if stated is not None:
+        made["load"], frames = None, stated.time.frames
+        wanted = {"elements": stated.mesh.elements, "frames": frames}
+        made["macro"] = changed(made["macro"], **wanted)
+    return Recipe(path=path, preset=preset, training_file=extras["training"], stated=stated, **made)
 
 
 def changed(settings: T, **given: Any) -> T:
@@ -175,23 +220,17 @@ def changed(settings: T, **given: Any) -> T:
     return replace(settings, **wanted)  # type: ignore[type-var]
 
 
-def _make(section: str, kind: type[T], table: Mapping[str, Any]) -> T:
-    """The dataclass of a section; its constructor checks types and bounds."""
-    items = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    known = [*items, *_EXTRA_KEYS.get(section, ())[:1]]
-    for key in table:
-        if key not in known:
-            raise InputError(_unknown(f"{section}.{key}", key, "key", known))
-    for item in items.values():
-        required = item.default is MISSING and item.default_factory is MISSING
-        if required and item.name not in table:
-            unit = item.metadata.get("unit", NONE)
-            told = f"{section}.{item.name}: missing; it must be given"
-            raise InputError(told if unit == NONE else f"{told} ({unit})")
-    return kind(**table)
-
-
-def _unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return f"{name}: unknown {what}; {hint}known are {', '.join(sorted(known))}"
+def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem | None:
+    """The problem that a recipe states; None where it is the bar of [load]."""
+    sections = [name for name in PROBLEM_SECTIONS if name in table]
+    if not sections:
+        return None
+    if "load" in table:
+        raise InputError(
+            f"load: [load] states the paper's bar, [{sections[0]}] another problem; leave one out"
+        )
+    for key in ("elements", "frames"):
+        if key in table.get("macro", {}) and (key == "elements" or key in table.get("time", {})):
+            home = "mesh" if key == "elements" else "time"
+            raise InputError(f"macro.{key}: {table['macro'][key]!r}; it stands in [{home}]")
+    return stated_problem(table, folder)

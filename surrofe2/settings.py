@@ -10,16 +10,19 @@ class TableSettings:
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import MISSING, field, fields
 from functools import cache
 from operator import attrgetter
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from surrofe2.errors import InputError
 from surrofe2.units import NONE
+
+T = TypeVar("T")
 
 
 def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds: Any) -> Any:
@@ -45,6 +48,41 @@ def check_settings(settings: Any, section: str) -> None:
             given = attrgetter(item.name)(settings)
             value = check_value(f"{section}.{item.name}", given, hints[item.name], item.metadata)
             object.__setattr__(settings, item.name, value)
+
+
+def from_table(
+    section: str, kind: type[T], table: Mapping[str, Any], extras: Iterable[str] = ()
+) -> T:
+    """The settings that the entries of a section state.
+
+    Args:
+        extras: keys that the section has besides the fields, which are not among the entries.
+
+    Raises:
+        InputError: naming the entry that is unknown, missing or not what it must be.
+    """
+    items = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    hints = hints_of(kind)  # type: ignore[arg-type]
+    known = [*items, *extras]
+    for key, value in table.items():
+        if key not in items:
+            raise InputError(unknown(f"{section}.{key}", key, "key", known))
+        if items[key].metadata:
+            check_value(f"{section}.{key}", value, hints[key], items[key].metadata)
+    for item in items.values():
+        required = item.default is MISSING and item.default_factory is MISSING
+        if required and item.name not in table:
+            unit = item.metadata.get("unit", NONE)
+            told = f"{section}.{item.name}: missing; it must be given"
+            raise InputError(told if unit == NONE else f"{told} ({unit})")
+    return kind(**table)
+
+
+def unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:
+    """The sentence that refuses a key which is not among the known."""
+    close = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"{name}: unknown {what}; {hint}known are {', '.join(sorted(known))}"
 
 
 @cache

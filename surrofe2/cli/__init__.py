@@ -29,7 +29,7 @@ COMMANDS = {
     "tissue": "Run the recipe's load case on all particles of the tissue.",
     "compare": "Compare displacement curves and costs of runs of one load case.",
     "sweep": "Run the load case at several stress tolerances: what a tolerance buys.",
-    "rest": "Find the tissue at rest under the recipe's body force.",
+    "rest": "Find the tissue at rest under the recipe's loads.",
     "modes": "Period and damping of the bar's small oscillations.",
     "demo": "The bending bar by true and by cached FE²: all steps and their comparison.",
     "reproduce": "A figure of the paper, its data as CSV and its numbers as JSON.",

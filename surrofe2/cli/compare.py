@@ -27,7 +27,7 @@ def compare(
     out: console.OutFolder,
     fresh: console.Fresh = False,
 ) -> None:
-    """Compare displacement curves and costs of runs of one load case.
+    """Compare displacement curves, forces and costs of runs of one load case.
 
     The reference is the first full tissue, else the first run by true RVEs, else the first one.
     Writes comparison.json and comparison.png: difference relative to the largest displacement,
@@ -81,6 +81,11 @@ def show_comparison(result: Comparison, of: str = "") -> None:
     for run in result.runs:
         if run.cache and run.cache["audit"]["audited"]:
             console.print_line(f"{run.name}: {audit_line(run.cache)}")
+        for name, force in run.forces.items():
+            share = f", {force.largest / force.scale:.2g} of its largest" if force.scale else ""
+            console.print_line(
+                f"{run.name}: force {name}: at most {force.largest:.3g} µN apart{share}"
+            )
 
 
 def audit_line(cache: Mapping[str, Any]) -> str:

@@ -34,9 +34,9 @@ def modes(
     out: JsonFile = None,
     fresh: Fresh = False,
 ) -> None:
-    """Period and damping of the bar's small oscillations, by true FE² and its exact tangents.
+    """Period and damping of the tissue's small oscillations, by true FE² and its exact tangents.
 
-    About the bar without load, and about its rest under the recipe's body force. The decrement is
+    About the tissue without load, and about its rest under the recipe's loads. The decrement is
     logarithmic, a period; the damping ratio is 1 where nothing oscillates any more.
 
     Example: [bold]surrofe2 modes data/bending-bar-water.toml --out out/modes.json[/bold]
@@ -54,12 +54,12 @@ def modes(
         found = find_all_modes(study, methods, count, stage=progress)
         if out is not None:
             write_json(out, asked | modes_record(study, found))
-    n, m = study.macro.elements
+    n = len(study.problem().mesh.elements)
     for state, of_state in found.items():
-        _show(f"{state.capitalize()}, {n} x {m} elements, preset {study.preset}", of_state)
+        _show(f"{state.capitalize()}, {n} elements, preset {study.preset}", of_state)
         for method, numbers in of_state.items():
             if not numbers["stable"]:
-                print_error(f"{state}, {method}: a motion grows; the bar is not stable there")
+                print_error(f"{state}, {method}: a motion grows; the tissue is not stable there")
     if out is not None:
         print_line(str(out))
 

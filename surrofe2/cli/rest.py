@@ -16,7 +16,9 @@ from surrofe2.workflow.rest import rest_study, rest_summary
 def rest(
     recipe: console.RecipeFile,
     out: console.OutFolder,
-    factor: Annotated[float, typer.Option(help="Of the recipe's body force, at the end.")] = 1.0,
+    factor: Annotated[
+        float, typer.Option(help="Of all loads and prescribed motions, at the end.")
+    ] = 1.0,
     load_steps: Annotated[
         int, typer.Option(min=1, metavar="N", help="Load steps; halved where one fails.")
     ] = 10,
@@ -24,7 +26,7 @@ def rest(
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Find the tissue at rest under the recipe's body force, by true FE², without time.
+    """Find the tissue at rest under the recipe's loads, by true FE², without time.
 
     The load goes on in steps, Newton's method with line search solves each. DIR receives run.json
     (configuration, costs), path.csv (factor of the load, displacement of the watched point in µm)

@@ -56,11 +56,11 @@ def run(
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Run the recipe's load case: a tissue clamped at its left, pulled by a body force.
+    """Run the recipe's problem: a tissue on its mesh, and all that holds, moves or touches it.
 
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of the watched
-    point in µm), energies.csv (pJ) and fields.xdmf for ParaView; with --law table the table, with
-    --law cached or table the harvest of true stresses.
+    points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
+    ParaView; with --law table the table, with --law cached or table the harvest of true stresses.
 
     Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
 
@@ -74,7 +74,7 @@ def run(
         macro=changed(study.macro, integrator=integrator),
     )
     kept = console.KEPT_RUN.format(out)
-    with console.working(f"run by {law}", study.load.duration, "µs", kept) as report:
+    with console.working(f"run by {law}", study.duration, "µs", kept) as report:
         record = run_study(
             study,
             law,

@@ -50,6 +50,6 @@ def tissue(
     if cells is not None:
         study = resized(study, cells)
     kept = console.KEPT_RUN.format(out)
-    with console.working("full tissue", study.load.duration, "µs", kept) as report:
+    with console.working("full tissue", study.duration, "µs", kept) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
     console.print_line(f"{out}: {tissue_summary(record)}")

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import chdir, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+import h5py
 import numpy as np
-from meshio.xdmf import TimeSeriesWriter
 from numpy.typing import NDArray
 
-from surrofe2.io.files import reported
+from surrofe2.io.files import replacing, write_text
 
 Array = NDArray[np.float64]
+Data = dict[str, Array]
+_RANKS = {1: "Scalar", 2: "Vector", 3: "Tensor"}
+"""What XDMF calls data of so many axes."""
 
 
 class Motion(Protocol):
@@ -38,18 +39,37 @@ class Frames(Motion, Protocol):
     def F(self) -> Array: ...  # noqa: D102
 
 
-def write_fields(folder: Path, nodes: Array, quads: NDArray[np.integer], frames: Frames) -> None:
-    """Write fields.xdmf and fields.h5: nodes (n, 2) in µm, quads (e, 4), and the frames."""
-    with _writing_series(folder, nodes, "quad", quads) as writer:
+def write_fields(folder: Path, nodes: Array, elements: NDArray[np.integer], frames: Frames) -> None:
+    """Write fields.xdmf and fields.h5: a mesh in µm and what its nodes and elements have.
+
+    Args:
+        nodes: (n, 2) µm.
+        elements: (e, 4) quadrilaterals or (e, 6) triangles with the middles of their sides.
+    """
+    kind = {4: "Quadrilateral", 6: "Triangle_6"}[elements.shape[1]]
+    with _writing_series(folder, nodes, kind, elements) as write:
         for k, t in enumerate(frames.t):
-            writer.write_data(
-                float(t),
-                point_data=_motion_at(frames, k),
-                cell_data={
-                    "cauchy_stress_uN_per_um": [_tensor_in_space(frames.stress[k])],
-                    "deformation_gradient": [_tensor_in_space(frames.F[k], thickness=1.0)],
-                },
-            )
+            stress = frames.stress[k]
+            in_elements = {
+                "cauchy_stress_uN_per_um": _tensor_in_space(stress),
+                "deformation_gradient": _tensor_in_space(frames.F[k], thickness=1.0),
+                **_invariants(stress),
+            }
+            write(float(t), _motion_at(frames, k), in_elements)
+
+
+def _invariants(stress: Array) -> dict[str, Array]:
+    """Of (e, 2, 2) stresses in the plane, µN/µm, free across it: pressure −(σ₁ + σ₂)/2,
+    √(σ₁² − σ₁σ₂ + σ₂²) of von Mises, largest shear (σ₁ − σ₂)/2.
+    """
+    mean = 0.5 * (stress[:, 0, 0] + stress[:, 1, 1])
+    off = 0.5 * (stress[:, 0, 1] + stress[:, 1, 0])
+    shear = np.hypot(0.5 * (stress[:, 0, 0] - stress[:, 1, 1]), off)
+    return {
+        "pressure_in_plane_uN_per_um": -mean,
+        "von_mises_in_plane_uN_per_um": np.sqrt(mean**2 + 3.0 * shear**2),
+        "largest_shear_in_plane_uN_per_um": shear,
+    }
 
 
 def write_particle_fields(
@@ -66,32 +86,63 @@ def write_particle_fields(
     Point Gaussian or by Glyph; `wall` is 1 on wall particles, 0 on fluid.
     """
     wall = np.asarray(is_wall, np.float64)
-    with _writing_series(folder, position, "line", bonds) as writer:
+    with _writing_series(folder, position, "Polyline", bonds) as write:
         for k, t in enumerate(frames.t):
-            writer.write_data(float(t), point_data=_motion_at(frames, k) | {"wall": wall})
+            write(float(t), _motion_at(frames, k) | {"wall": wall}, {})
 
 
 @contextmanager
 def _writing_series(
     folder: Path, points: Array, kind: str, cells: NDArray[np.integer]
-) -> Iterator[TimeSeriesWriter]:
-    """A writer of data at one time after another; fields.xdmf and fields.h5 appear at the end.
+) -> Iterator[Callable[[float, Data, Data], None]]:
+    """A function that writes t and the data of points and cells; the files appear at the end.
+
+    The mesh is stored once; every time is a grid of its own that refers to it, so that a reader
+    sees one mesh which changes, and no second one beside it.
 
     Args:
         points: (n, 2) of the mesh, µm.
-        kind: of its cells, as meshio calls it.
-        cells: (e, …) the points of each.
+        kind: of its cells, as XDMF calls it.
+        cells: (e, k) the points of each.
     """
-    with (
-        reported(folder, "written"),
-        tempfile.TemporaryDirectory(dir=folder, prefix=".fields") as place,
-    ):
-        # meshio puts the HDF5 part into the working folder, wherever the XDMF part goes.
-        with chdir(place), TimeSeriesWriter("fields.xdmf") as writer:
-            writer.write_points_cells(_in_space(points), [(kind, np.asarray(cells, np.int64))])
-            yield writer
-        for name in ("fields.h5", "fields.xdmf"):
-            os.replace(Path(place) / name, folder / name)
+    grids: list[str] = []
+    with replacing(folder / "fields.h5") as partial, h5py.File(partial, "w") as file:
+
+        def stored(name: str, values: NDArray[Any]) -> str:
+            file[name] = values
+            number, size = ("Int", 8) if values.dtype.kind == "i" else ("Float", 8)
+            shape = " ".join(map(str, values.shape))
+            return (
+                f'<DataItem DataType="{number}" Precision="{size}" Dimensions="{shape}" '
+                f'Format="HDF">fields.h5:/{name}</DataItem>'
+            )
+
+        mesh = (
+            f'<Topology TopologyType="{kind}" NumberOfElements="{len(cells)}" '
+            f'NodesPerElement="{cells.shape[1]}">'
+            f"{stored('cells', np.asarray(cells, np.int64))}</Topology>\n"
+            f'<Geometry GeometryType="XYZ">{stored("points", _in_space(points))}</Geometry>\n'
+        )
+
+        def write(t: float, at_points: Data, in_cells: Data) -> None:
+            attributes = [
+                f'<Attribute Name="{name}" AttributeType="{_RANKS[values.ndim]}" '
+                f'Center="{centre}">{stored(f"{name}.{len(grids)}", values)}</Attribute>\n'
+                for centre, data in (("Node", at_points), ("Cell", in_cells))
+                for name, values in data.items()
+            ]
+            grids.append(
+                f'<Grid Name="{len(grids)}" GridType="Uniform">\n<Time Value="{t!r}"/>\n'
+                f"{mesh}{''.join(attributes)}</Grid>\n"
+            )
+
+        yield write
+    text = (
+        '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n'
+        '<Grid Name="fields" GridType="Collection" CollectionType="Temporal">\n'
+        f"{''.join(grids)}</Grid>\n</Domain></Xdmf>\n"
+    )
+    write_text(folder / "fields.xdmf", text)
 
 
 def _motion_at(frames: Motion, k: int) -> dict[str, Array]:

@@ -1,8 +1,10 @@
-"""Run folders: run.json, curve.csv, energies.csv, fields for ParaView, checkpoint.h5."""
+"""Run folders: run.json, tables of curves, history and energies, fields, checkpoint.h5."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -13,14 +15,17 @@ import numpy as np
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import check_same, read_json, reported, write_json, write_text
-from surrofe2.units import ENERGY, LENGTH, STRESS, TIME
+from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 1
 FILES = (
-    "run.json", "curve.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
+    "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
     "checkpoint.h5", "table.h5", "harvest.h5",
 )  # fmt: skip
+_NAMED_ENTRIES = ("conditions", "bodies", "watch")
+"""Sections of a recipe in which users name what there is."""
+_SECTIONS = ("cell", "rve", "load", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "rest")
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
 CURVE_HEADER = "t_us,u_x_um,u_y_um"
 
@@ -44,6 +49,7 @@ class RunRecord:
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run. Of a rest, also where the `watched` point
             came to.
+        problem: counts of the mesh, its names, conditions, bodies and watched points.
     """
 
     status: str
@@ -62,6 +68,7 @@ class RunRecord:
     counts: Mapping[str, int] = field(default_factory=dict)
     cache: Mapping[str, Any] | None = None
     met: Mapping[str, Any] = field(default_factory=dict)
+    problem: Mapping[str, Any] = field(default_factory=dict)
     platform: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(
         default_factory=lambda: {
@@ -69,28 +76,40 @@ class RunRecord:
             "length": LENGTH,
             "energy": ENERGY,
             "stress": STRESS,
+            "force": FORCE,
             "wall_time": "s",
         }
     )
+
+    @property
+    def duration(self) -> float:
+        """Length of the run, µs."""
+        of = "load" if "load" in self.recipe else "time"
+        return float(self.recipe[of]["duration"])
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""
         flat: dict[str, Any] = {
             f"{name}.{key}": self.recipe[name][key]
-            for name in ("cell", "rve", "load", "macro", "tissue", *self._sections_of_law())
+            for name in (*_SECTIONS, *self._sections_of_law())
             for key in self.recipe.get(name, {})
         }
+        names = {name: list(self.recipe[name]) for name in _NAMED_ENTRIES if name in self.recipe}
         surrogate = self.surrogate and self.surrogate["fingerprint"]
         rest = self.recipe.get("rest", {})  # of other runs, whose law may be the same, nothing
-        return flat | {
-            "rest.factor": rest.get("factor"),
-            "rest.load_steps": rest.get("load_steps"),
-            "law": self.law,
-            "initialisation": self.initialisation,
-            "solver": self.solver,
-            "surrogate": surrogate,
-            "version": self.package_version,
-        }
+        return (
+            flat
+            | names
+            | {
+                "rest.factor": rest.get("factor"),
+                "rest.load_steps": rest.get("load_steps"),
+                "law": self.law,
+                "initialisation": self.initialisation,
+                "solver": self.solver,
+                "surrogate": surrogate,
+                "version": self.package_version,
+            }
+        )
 
     def _sections_of_law(self) -> tuple[str, ...]:
         return () if self.law in _WITHOUT_CACHE else ("cache",)
@@ -98,11 +117,12 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True)
 class StoredRun:
-    """A run read back from its folder."""
+    """A run read back from its folder; `history` as `MacroRun` has it, empty without the file."""
 
     folder: Path
     record: RunRecord
     curve: DisplacementCurve
+    history: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> RunRecord | None:
@@ -157,43 +177,84 @@ def read_record(folder: Path) -> RunRecord:
         raise FileError(f"{path}: not a whole record of a surrofe2 run") from None
 
 
-def write_curve(folder: Path, curve: DisplacementCurve) -> None:
-    """Write curve.csv: t in µs, displacement of the watched point in µm."""
-    _write_table(folder / "curve.csv", CURVE_HEADER, [curve.t, *curve.displacement.T])
+def write_curve(
+    folder: Path, curve: DisplacementCurve, others: Mapping[str, DisplacementCurve] | None = None
+) -> None:
+    """Write curve.csv: t in µs, displacement of the watched point in µm, then of the others.
+
+    Args:
+        others: by name, at the same times; `curve` itself may be among them.
+    """
+    more = {name: other for name, other in (others or {}).items() if other is not curve}
+    names = [f"{u}_um {name}" for name in more for u in ("u_x", "u_y")]
+    columns = [column for other in more.values() for column in other.displacement.T]
+    header = [*CURVE_HEADER.split(","), *names]
+    _write_table(folder / "curve.csv", header, [curve.t, *curve.displacement.T, *columns])
 
 
 def read_curve(folder: Path) -> DisplacementCurve:
-    """Read curve.csv.
+    """Read the displacement of the first watched point from curve.csv.
 
     Raises:
         FileError: missing or damaged.
     """
     path = folder / "curve.csv"
-    with reported(path, "read"):
-        lines = path.read_text(encoding="utf-8").splitlines()
-    try:
-        if lines[0] != CURVE_HEADER:
-            raise ValueError
-        table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
-        return DisplacementCurve(table[:, 0], table[:, 1:])
-    except (ValueError, IndexError):
-        raise FileError(f"{path}: not a table of {CURVE_HEADER}") from None
+    names, table = _read_table(path)
+    if ",".join(names[:3]) != CURVE_HEADER or not len(table):
+        raise FileError(f"{path}: not a table of {CURVE_HEADER}")
+    return DisplacementCurve(table[:, 0], table[:, 1:3])
+
+
+HISTORY_UNITS = {"force": "uN"}
+"""Unit of a column of the history by its first word; of the others µm."""
+
+
+def write_history(folder: Path, t: np.ndarray, history: Mapping[str, np.ndarray]) -> None:
+    """Write history.csv: what `MacroRun.history` holds over t, (m,) each, in µN or µm."""
+    names = [f"{name}_{HISTORY_UNITS.get(name.split()[0], 'um')}" for name in history]
+    _write_table(folder / "history.csv", ["t_us", *names], [t, *history.values()])
+
+
+def read_history(folder: Path) -> dict[str, np.ndarray]:
+    """Read history.csv; the names are without units.
+
+    Raises:
+        FileError: missing or damaged.
+    """
+    names, table = _read_table(folder / "history.csv")
+    columns = zip(names[1:], table.T[1:], strict=True)
+    return {name.rpartition("_")[0]: column for name, column in columns}
 
 
 def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray]) -> None:
     """Write energies.csv: each energy (m,) in pJ over t (m,) in µs."""
-    header = ",".join(["t_us", *(f"{name}_pJ" for name in energies)])
+    header = ["t_us", *(f"{name}_pJ" for name in energies)]
     _write_table(folder / "energies.csv", header, [t, *energies.values()])
 
 
 def write_load_path(folder: Path, path: np.ndarray) -> None:
     """Write path.csv: factor of the load, displacement of the watched point in µm; (m, 3)."""
-    _write_table(folder / "path.csv", "factor,u_x_um,u_y_um", list(path.T))
+    _write_table(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
 
 
-def _write_table(path: Path, header: str, columns: list[np.ndarray]) -> None:
-    rows = (",".join(repr(float(value)) for value in row) for row in zip(*columns, strict=True))
-    write_text(path, "\n".join([header, *rows]) + "\n")
+def _write_table(path: Path, header: list[str], columns: list[np.ndarray]) -> None:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(header)
+    table.writerows([repr(float(value)) for value in row] for row in zip(*columns, strict=True))
+    write_text(path, text.getvalue())
+
+
+def _read_table(path: Path) -> tuple[list[str], np.ndarray]:
+    """Names of columns and (m, columns) numbers."""
+    with reported(path, "read"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+    names, *rows = csv.reader(lines) if lines else [[]]
+    try:
+        table = np.array([[float(entry) for entry in row] for row in rows])
+        return names, table.reshape(len(rows), len(names))
+    except ValueError:
+        raise FileError(f"{path}: not a table of {','.join(names[:3])}") from None
 
 
 def read_run(folder: str | Path) -> StoredRun:
@@ -209,7 +270,8 @@ def read_run(folder: str | Path) -> StoredRun:
     record = read_record(folder)
     if record.status != "finished":
         raise InputError(f"{folder}: the run is {record.status}; its command goes on with it")
-    return StoredRun(folder, record, read_curve(folder))
+    history = read_history(folder) if (folder / "history.csv").exists() else {}
+    return StoredRun(folder, record, read_curve(folder), history)
 
 
 def file_fingerprint(path: Path) -> str:

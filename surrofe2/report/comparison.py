@@ -9,8 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.displacement_curve import CurveDifference, difference
+from surrofe2.displacement_curve import (
+    CurveDifference,
+    DisplacementCurve,
+    ForceDifference,
+    difference,
+    force_difference,
+)
 from surrofe2.errors import InputError, MismatchError
+from surrofe2.io.files import flat
 from surrofe2.io.run_folder import RunRecord, StoredRun
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
@@ -29,6 +36,7 @@ class ComparedRun:
         speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
             is None where this run needed none of it.
         cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
+        forces: by name, of every force resultant that both runs have.
     """
 
     name: str
@@ -39,6 +47,7 @@ class ComparedRun:
     counts: Mapping[str, int]
     speed_up: Mapping[str, float | None]
     cache: Mapping[str, Any] = field(default_factory=dict)
+    forces: Mapping[str, ForceDifference] = field(default_factory=dict)
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
@@ -89,24 +98,45 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
     """Difference and speed-up of every run against the reference (see `order_runs`).
 
     Raises:
-        MismatchError: the runs are of different load cases.
+        MismatchError: the runs are of different load cases or problems; meshes may differ.
         InputError: fewer than two runs.
     """
     reference, *others = order_runs(runs)
-    load = reference.record.recipe["load"]
+    load = _load_of(reference)
     for run in others:
-        here = run.record.recipe["load"]
+        here = _load_of(run)
         for key in {**load, **here}:
             if here.get(key) != load.get(key):
                 raise MismatchError(
-                    f"{run.folder}: load.{key} is {here.get(key)}, in {reference.folder} "
+                    f"{run.folder}: {key} is {here.get(key)}, in {reference.folder} "
                     f"{load.get(key)}; compare runs of one load case"
                 )
     compared = (_compared(run, reference) for run in (reference, *others))
     return Comparison(reference.folder.name, load, next(compared), tuple(compared))
 
 
+def _load_of(run: StoredRun) -> dict[str, Any]:
+    """All that a run's problem states, by dotted names, but the mesh it is computed on."""
+    recipe, of = run.record.recipe, ("load", "conditions", "bodies", "watch", "time")
+    stated = flat({name: recipe[name] for name in of if name in recipe})
+    stated.pop("time.frames", None)
+    return stated
+
+
+def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
+    """Force resultants over time by name, µN."""
+    names = [name.removesuffix(" x") for name in run.history if name.endswith(" x")]
+    return {
+        name.removeprefix("force "): DisplacementCurve(
+            run.curve.t, np.stack([run.history[f"{name} {axis}"] for axis in "xy"], axis=1)
+        )
+        for name in names
+        if name.startswith("force ")
+    }
+
+
 def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
+    there = force_curves(reference)
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
@@ -119,6 +149,11 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
             for name, cost in _COSTS.items()
         },
         cache=run.record.cache or {},
+        forces={
+            name: force_difference(force, there[name])
+            for name, force in force_curves(run).items()
+            if name in there
+        },
     )
 
 
@@ -171,11 +206,8 @@ def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[Sto
 
 def _title(reference: StoredRun) -> str:
     recipe = reference.record.recipe
-    load, elements = recipe["load"], recipe["macro"]["elements"]
-    g = float(np.hypot(*load["body_force"]))
     return (
-        f"Watched point of a {load['width']:g} × {load['height']:g} µm tissue, "
-        f"body force {g:g} µm/µs², {elements[0]} × {elements[1]} elements,\n"
+        f"Watched point: {problem_title(recipe)},\n"
         f"cell preset “{recipe['cell']['preset']}”, {reference.record.initialisation}"
     )
 
@@ -218,3 +250,19 @@ def coarse_histogram(histogram: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarr
     shares = np.bincount(coarse - first, weights=counts) / counts.sum()
     powers = np.arange(first - 1, last + 1) / _BINS_A_DECADE
     return histogram["smallest_edge"] * 10.0**powers, shares
+
+
+def problem_title(recipe: Mapping[str, Any]) -> str:
+    """What a run computes, in a line: the bar, or the mesh and all that acts on it."""
+    if "load" in recipe:
+        load = recipe["load"]
+        g = float(np.hypot(*load["body_force"]))
+        size = f"{load['width']:g} × {load['height']:g} µm tissue"
+        return f"{size}, body force {g:g} µm/µs², {_elements(recipe)} elements"
+    mesh = recipe["mesh"]
+    of = mesh["file"] or f"{mesh['width']:g} × {mesh['height']:g} µm, {_elements(recipe)} elements"
+    return f"{of}: {', '.join([*recipe['conditions'], *recipe['bodies']])}"
+
+
+def _elements(recipe: Mapping[str, Any]) -> str:
+    return "{} × {}".format(*recipe["macro"]["elements"])

@@ -11,7 +11,7 @@ import numpy as np
 
 from surrofe2.errors import InputError
 from surrofe2.io.run_folder import StoredRun
-from surrofe2.report.comparison import ComparedRun, compare
+from surrofe2.report.comparison import ComparedRun, compare, problem_title
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 
@@ -93,7 +93,9 @@ def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
         if not run.cache:
             raise InputError(f"{run.name}: law {run.law} has no cache; sweep cached runs")
     rows = sorted(found.runs, key=lambda run: -float(run.cache["tolerance"]["share"]))
-    return Sweep(found.reference_run, found.load, tuple(rows))
+    record = reference.record
+    load = {"title": problem_title(record.recipe), "duration": record.duration}
+    return Sweep(found.reference_run, load, tuple(rows))
 
 
 def write_sweep_plot(path: Path, sweep: Sweep) -> None:
@@ -135,7 +137,7 @@ def write_sweep_plot(path: Path, sweep: Sweep) -> None:
     )
     load = sweep.load
     title = (
-        f"What a stress tolerance buys: {load['width']:g} × {load['height']:g} µm tissue over "
-        f"{load['duration']:g} µs,\ncell preset “{sweep.reference.preset}”, law {sweep.rows[0].law}"
+        f"What a stress tolerance buys: {load['title']} over {load['duration']:g} µs,\n"
+        f"cell preset “{sweep.reference.preset}”, law {sweep.rows[0].law}"
     )
     write_figure(path, title, panels, columns=2)

@@ -46,7 +46,7 @@ def run_sweep(
     caches = [replace(recipe.cache, tolerance=each) for each in tolerances]
     studies = [recipe, *(replace(recipe, cache=cache) for cache in caches)]
     for k, (name, study) in enumerate(zip(names, studies, strict=True)):
-        with stage(f"{k + 1}/{len(names)} {name}", study.load.duration, "µs") as report:
+        with stage(f"{k + 1}/{len(names)} {name}", study.duration, "µs") as report:
             run_study(
                 study,
                 "cached" if k else "rve",

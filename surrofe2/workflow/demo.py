@@ -49,14 +49,14 @@ def run_demo(
     large = replace(
         recipe,
         macro=replace(recipe.macro, elements=LARGE_ELEMENTS),
-        load=replace(recipe.load, duration=min(LARGE_DURATION, recipe.load.duration)),
+        load=replace(recipe.bar_load(), duration=min(LARGE_DURATION, recipe.duration)),
     )
     found = []
     for k, (study, folder) in enumerate(((recipe, out), (large, out / f"{n}x{m}"))):
-        title = "{} × {} elements over {:g} µs".format(*study.macro.elements, study.load.duration)
+        title = "{} × {} elements over {:g} µs".format(*study.macro.elements, study.duration)
         tell(f"{k + 3}/4 {title}")
         for law in LAWS:
-            with stage(f"run by {law}", study.load.duration, "µs") as report:
+            with stage(f"run by {law}", study.duration, "µs") as report:
                 record = run_study(study, law, folder / law, fresh=fresh, report=report)
             tell(f"    {folder / law}: {run_summary(record)}")
         runs = [folder / law for law in LAWS]

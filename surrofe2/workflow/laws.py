@@ -186,19 +186,26 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
 
 
 def warm_up(
-    laws: tuple[StressLaw, ...], settings: MacroSettings, table: StressTable | None = None
+    laws: tuple[StressLaw, ...],
+    settings: MacroSettings,
+    table: StressTable | None = None,
+    *,
+    points: int | None = None,
 ) -> float:
     """Load or compile all that a run with these settings calls, outside its clock; seconds it took.
 
     Each law is asked for as many points as the run has, up to where no law takes another way for
     more, and where laws share the points for a single one; and a small bar moves for an instant.
+
+    Args:
+        points: that the run has; left out: those of a bar with the elements of the settings.
     """
     begin = time.perf_counter()
     nx, ny = settings.elements
-    most = min(_POINTS_OF_A_QUADRILATERAL * nx * ny, _MANY_POINTS)
+    most = min(_POINTS_OF_A_QUADRILATERAL * nx * ny if points is None else points, _MANY_POINTS)
     for law in laws:
-        for points in (1, most) if len(laws) > 1 else (most,):
-            F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (points, 1, 1))
+        for count in (1, most) if len(laws) > 1 else (most,):
+            F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
             answer = law.respond(F, 0.0 * F)
             law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
             if isinstance(law, SurrogateLaw):

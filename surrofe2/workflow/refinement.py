@@ -165,7 +165,7 @@ def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
     folder = out / f"round-{k}"
     folder.mkdir(exist_ok=True)
     surrogate, samples = _surrogate(recipe, out, k, stage)
-    with stage(f"round {k}: run", recipe.load.duration, "µs") as report:
+    with stage(f"round {k}: run", recipe.duration, "µs") as report:
         path = folder / SURROGATE
         record = run_study(recipe, "cached", folder / "run", surrogate_file=path, report=report)
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance

@@ -1,4 +1,4 @@
-"""The bar at rest under its load, into a run folder, and its small oscillations about it."""
+"""A tissue at rest under its loads, into a run folder, and its small oscillations about it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from surrofe2.cache.branches import part_of, within
 from surrofe2.io.fields import write_fields
 from surrofe2.io.run_folder import RunRecord, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
+from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import choose_law, warm_up
+from surrofe2.workflow.run import problem_record
 from surrofe2.workflow.run_lifecycle import (
     Recording,
     Report,
@@ -31,7 +33,7 @@ from surrofe2.workflow.run_lifecycle import (
 )
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
-"""Factor of the body force by the name of the state whose modes are asked for."""
+"""Factor of the loads by the name of the state whose modes are asked for."""
 
 
 def rest_study(
@@ -43,18 +45,19 @@ def rest_study(
     fresh: bool = False,
     report: Report = untold,
 ) -> RunRecord:
-    """Load the recipe's bar in steps and write the run folder.
+    """Load the recipe's tissue in steps and write the run folder.
 
     What was found before a failure or an interrupt is written, and the load goes on from there
     when the call is repeated.
 
     Args:
-        factor: of the body force, at the end.
+        factor: of all loads and prescribed motions, at the end.
         report: is told the part of the load that is on, 0 to 1.
 
     Raises:
         SimulationError: a load step finds no equilibrium.
     """
+    problem = recipe.problem()
     frames: Frames | None = None
     begin = compilation = 0.0
 
@@ -70,7 +73,7 @@ def rest_study(
     def compute(current: Recording) -> Rest:
         nonlocal frames, begin, compilation
         chosen = choose_law(recipe, "rve")
-        compilation = warm_up(chosen.parts, recipe.macro)
+        compilation = warm_up(chosen.parts, recipe.macro, points=n_points_of(problem.mesh))
         begin = time.perf_counter()
         arrays = current.last_state()
         if arrays is not None:
@@ -86,7 +89,7 @@ def rest_study(
             report(rest.factor / factor if factor else 1.0, "")
 
         return find_rest(
-            recipe.load,
+            problem,
             chosen.law,
             recipe.macro,
             factor=factor,
@@ -95,14 +98,14 @@ def rest_study(
             resume=arrays,
         )
 
-    record = new_record(recipe, "rve")
+    record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
     stated = {"factor": factor, "load_steps": load_steps}
     record = replace(record, recipe={**record.recipe, "rest": stated})
     return record_run(folder, record, compute, store, fresh=fresh)
 
 
 def rest_summary(record: RunRecord) -> str:
-    """Where the bar came to rest and what it cost."""
+    """Where the tissue came to rest and what it cost."""
     counts, end = record.counts, record.recipe["rest"]
     u_x, u_y = record.met["watched"]
     return (
@@ -127,7 +130,7 @@ def find_all_modes(
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
     law = choose_law(replace(recipe, rve=replace(recipe.rve, initialisation=method)), "rve").law
-    rest = find_rest(recipe.load, law, recipe.macro, factor=factor, load_steps=4)
+    rest = find_rest(recipe.problem(), law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {
         "watched": rest.watched,

@@ -15,9 +15,17 @@ from surrofe2.io.fields import write_fields
 from surrofe2.io.files import check_same
 from surrofe2.io.harvest import HarvestWriter
 from surrofe2.io.provenance import Origin
-from surrofe2.io.run_folder import RunRecord, file_fingerprint, write_curve, write_energies
+from surrofe2.io.run_folder import (
+    RunRecord,
+    file_fingerprint,
+    write_curve,
+    write_energies,
+    write_history,
+)
 from surrofe2.io.tables import check_table, read_table, stored, write_table
-from surrofe2.macro import MacroRun, MacroState, simulate
+from surrofe2.macro import MacroRun, MacroState, Problem, simulate
+from surrofe2.macro.discretisation import n_points_of
+from surrofe2.macro.problem import label
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import ChosenLaw, choose_law, warm_up
 from surrofe2.workflow.run_lifecycle import (
@@ -42,7 +50,7 @@ def run_study(
     fresh: bool = False,
     report: Report = untold,
 ) -> RunRecord:
-    """Run the recipe's load case by the law called `kind` and write the run folder.
+    """Run the recipe's problem by the law called `kind` and write the run folder.
 
     Args:
         tables: files of tables to start from; the run's own is written into the folder.
@@ -52,13 +60,15 @@ def run_study(
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
+    problem = recipe.problem()
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.on_true_answer)
     compilation = 0.0
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
         outputs.store(chosen.table)
-        write_curve(folder, run.curve)
+        write_curve(folder, run.curve, run.curves)
+        write_history(folder, run.curve.t, run.history)
         write_energies(folder, run.curve.t, run.energies)
         write_fields(folder, run.nodes, run.elements, run.frames)
         return replace(
@@ -84,9 +94,10 @@ def run_study(
                 arrays |= within("law", chosen.law.to_arrays(state.law_state))
             current.checkpoint(arrays, _cache_report(chosen))
 
-        compilation = warm_up(chosen.parts, recipe.macro, chosen.table)
+        points = n_points_of(problem.mesh)
+        compilation = warm_up(chosen.parts, recipe.macro, chosen.table, points=points)
         return simulate(
-            recipe.load,
+            problem,
             chosen.law,
             recipe.macro,
             progress=lambda t, duration: report(t, ""),
@@ -95,8 +106,26 @@ def run_study(
             resume=state,
         )
 
-    record = new_record(recipe, kind, chosen.surrogate)
+    record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
     return record_run(folder, record, compute, store, fresh=fresh)
+
+
+def problem_record(problem: Problem) -> dict[str, Any]:
+    """What a problem consists of: counts of its mesh by name, and what acts on it."""
+    mesh = problem.mesh
+    low, high = mesh.extent
+    return {
+        "nodes": len(mesh.nodes),
+        "elements": len(mesh.elements),
+        "nodes_per_element": mesh.elements.shape[1],
+        "points": n_points_of(mesh),
+        "extent": [low.tolist(), high.tolist()],
+        "boundaries": {name: len(sides) for name, sides in mesh.boundaries.items()},
+        "regions": {name: len(elements) for name, elements in mesh.regions.items()},
+        "conditions": [label(condition) for condition in problem.conditions],
+        "bodies": [body.name for body in problem.bodies],
+        "watched": {name: list(at) for name, at in problem.watched.items()},
+    }
 
 
 def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] | None:
@@ -113,7 +142,7 @@ def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
     wall, counts = record.wall_time, record.counts
     return (
-        f"{record.recipe['load']['duration']:g} µs by {record.law} in "
+        f"{record.duration:g} µs by {record.law} in "
         f"{time_text(wall['total'])} (law {time_text(wall['law'])}, "
         f"macro {time_text(wall['macro'])}; "
         f"compilation {time_text(wall.get('compilation', 0.0))} before), {costs(counts)}"

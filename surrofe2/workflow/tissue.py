@@ -45,7 +45,7 @@ def run_tissue(
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    cells = cells_that_fill(recipe.load, recipe.cell)
+    cells = cells_that_fill(recipe.bar_load(), recipe.cell)
     compilation = 0.0
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
@@ -67,7 +67,7 @@ def run_tissue(
         TissueDynamics(make_tissue(recipe.cell, reference, cells)).elastic_energy()
         compilation = time.perf_counter() - begin
         return simulate_tissue(
-            recipe.load,
+            recipe.bar_load(),
             recipe.cell,
             recipe.tissue,
             reference=reference,
@@ -91,7 +91,7 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
     """
     if min(cells) < 1:
         raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
-    load, side = recipe.load, recipe.cell.cell_side
+    load, side = recipe.bar_load(), recipe.cell.cell_side
     width, height = cells[0] * side, cells[1] * side
     watched = load.watched[0] * width / load.width, load.watched[1] * height / load.height
     changed = replace(load, width=width, height=height, watched=watched)
@@ -103,7 +103,7 @@ def tissue_summary(record: RunRecord) -> str:
     wall, counts = record.wall_time, record.counts
     rate = counts["particle_steps"] / max(wall["run"], 1e-9) / 1e6
     return (
-        f"{record.recipe['load']['duration']:g} µs of {counts['particles']} particles in "
+        f"{record.duration:g} µs of {counts['particles']} particles in "
         f"{time_text(wall['total'])} (relaxation {time_text(wall['relaxation'])}, run "
         f"{time_text(wall['run'])}; compilation {time_text(wall.get('compilation', 0.0))} before), "
         f"{counts['steps']} steps, {rate:.3g} million particle-steps/s"

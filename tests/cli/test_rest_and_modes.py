@@ -157,7 +157,7 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     out = tmp_path / "modes.json"
     done = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
     assert done.exit_code == 0, done.output
-    assert "Unloaded, 2 x 2 elements, preset printed" in done.stdout
+    assert "Unloaded, 4 elements, preset printed" in done.stdout
     record = json.loads(out.read_text(encoding="utf-8"))
     assert record["fingerprint"] == recipe.cell.fingerprint
     law = RveLaw(recipe.cell, initialisation="elastic")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2.io.run_folder import read_curve, read_record
-from tests.cli.finished_run import FILES
+from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw
 
 
@@ -18,7 +18,7 @@ def folder(tmp_path):
 def test_run_folder(invoke, recipe_path, folder, recipe):
     done = invoke("run", recipe_path, "--law", "rve", "--out", folder)
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert sorted(path.name for path in folder.iterdir()) == RUN_FILES
     stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert stored["status"] == "finished"
     assert stored["error"] is None

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -49,7 +51,64 @@ def test_fields_read_back(tmp_path, frames):
             assert (F[:, 2, 2] == 1.0).all()
 
 
+def test_one_grid_a_time_and_no_mesh_beside_them(tmp_path, frames):
+    write_fields(tmp_path, NODES, QUADS, frames)
+    (domain,) = ElementTree.parse(tmp_path / "fields.xdmf").getroot()
+    (series,) = domain
+    assert (series.get("GridType"), series.get("CollectionType")) == ("Collection", "Temporal")
+    assert [float(grid.find("Time").get("Value")) for grid in series] == frames.t.tolist()
+    with h5py.File(tmp_path / "fields.h5") as file:
+        for grid in series:
+            assert grid.get("GridType") == "Uniform"
+            for kind in ("Topology", "Geometry"):
+                assert len(grid.findall(kind)) == 1
+            for item in grid.iter("DataItem"):
+                name, _, inner = item.text.partition(":/")
+                assert name == "fields.h5"
+                assert file[inner].shape == tuple(map(int, item.get("Dimensions").split()))
+    assert {item.text for item in series.iter("DataItem") if "points" in item.text} == {
+        "fields.h5:/points"
+    }
+
+
+def test_invariants_of_known_stresses(tmp_path, frames):
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    frames.stress = (turn @ np.diag([3.0, -1.0]) @ turn.T)[None, None].repeat(3, axis=0)
+    write_fields(tmp_path, NODES, QUADS, frames)
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
+        reader.read_points_cells()
+        _, _, in_quads = reader.read_data(1)
+    expected = {"pressure": -1.0, "largest_shear": 2.0, "von_mises": np.sqrt(9.0 + 3.0 + 1.0)}
+    for name, value in expected.items():
+        np.testing.assert_allclose(in_quads[f"{name}_in_plane_uN_per_um"][0], [value], rtol=1e-13)
+
+
+def test_triangles_with_six_nodes(tmp_path):
+    nodes = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    zero = np.zeros((1, 6, 2))
+    tensors = np.zeros((1, 1, 2, 2))
+    frames = SimpleNamespace(
+        t=np.zeros(1), displacement=zero, velocity=zero, stress=tensors, F=tensors
+    )
+    write_fields(tmp_path, nodes, np.arange(6)[None], frames)
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
+        points, cells = reader.read_points_cells()
+    assert (cells[0].type, cells[0].data.tolist()) == ("triangle6", [[0, 1, 2, 3, 4, 5]])
+    np.testing.assert_array_equal(points[:, :2], nodes)
+
+
+def test_vtk_sees_one_grid_a_time(tmp_path, frames):
+    pyvista = pytest.importorskip("pyvista")
+    write_fields(tmp_path, NODES, QUADS, frames)
+    reader = pyvista.get_reader(tmp_path / "fields.xdmf")
+    reader.set_active_time_value(1.0)
+    shown = reader.read()
+    blocks = shown if isinstance(shown, pyvista.MultiBlock) else [shown]
+    assert len(blocks) == 1
+    assert blocks[0].n_cells == len(QUADS)
+
+
 def test_no_write_permission(unwritable, frames):
     with pytest.raises(FileError) as caught:
         write_fields(unwritable, NODES, QUADS, frames)
-    assert str(caught.value) == f"{unwritable}: cannot be written: Not a directory"
+    assert str(caught.value) == f"{unwritable / 'fields.h5'}: cannot be written: Not a directory"

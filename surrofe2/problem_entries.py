@@ -1,0 +1,173 @@
+"""Entries of a recipe that state parts of a mesh, conditions, amplitudes and rigid bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from surrofe2.amplitude import KINDS, Amplitude, Constant
+from surrofe2.errors import InputError
+from surrofe2.macro.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
+from surrofe2.macro.mesh import Box, Disc, HalfPlane, Part
+from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
+from surrofe2.settings import check_value, from_table, unknown
+from surrofe2.units import LENGTH
+
+Point = tuple[float, float]
+_SHAPES: dict[str, type] = {"plane": Plane, "circle": Circle, "corner": Corner}
+_PARTS: dict[str, dict[str, Any]] = {
+    "half_plane": {"through": Point, "normal": Point},
+    "circle": {"centre": Point, "radius": float},
+}
+
+
+def parts_of(section: str, table: Any) -> dict[str, Part]:
+    """Parts of the plane by name.
+
+    Raises:
+        InputError: naming the entry that is not what it must be; so all functions here.
+    """
+    _check_table(section, table)
+    return {name: _part(f"{section}.{name}", one) for name, one in table.items()}
+
+
+def _part(where: str, table: Any) -> Part:
+    """A box, a half plane or a circle."""
+    kind, given = _one_of(where, table, ("box", *_PARTS))
+    if kind == "box":
+        box = tuple[float, float, float, float]
+        given = check_value(f"{where}.box", given, box, {"unit": LENGTH, "inf": True})
+        if given[0] > given[2] or given[1] > given[3]:
+            raise InputError(
+                f"{where}.box: {list(given)}; it must be [x0, y0, x1, y1], low to high"
+            )
+        return Box(given[:2], given[2:])
+    where = f"{where}.{kind}"
+    _check_table(where, given)
+    for key in given:
+        if key not in _PARTS[kind]:
+            raise InputError(unknown(f"{where}.{key}", key, "key", _PARTS[kind]))
+    values = []
+    for key, hint in _PARTS[kind].items():
+        if key not in given:
+            raise InputError(f"{where}.{key}: missing; it must be given")
+        bounds = {"above": 0.0} if key == "radius" else {}
+        values.append(check_value(f"{where}.{key}", given[key], hint, {"unit": LENGTH, **bounds}))
+    if kind == "circle":
+        return Disc(*values)
+    if not any(values[1]):
+        raise InputError(f"{where}.normal: {list(values[1])}; it must not be zero")
+    return HalfPlane(*values)
+
+
+def condition_of(where: str, table: Any, name: str | None) -> Condition:
+    """A condition of the `name` of its section, or of its own."""
+    _check_table(where, table)
+    given = dict(table)
+    kinds = {each.kind(): each for each in CONDITIONS}
+    if "kind" not in given:
+        raise InputError(f"{where}.kind: missing; it must be one of {', '.join(kinds)}")
+    kind = given.pop("kind")
+    if kind not in kinds:
+        raise InputError(unknown(f"{where}.kind: {kind!r}", str(kind), "kind", kinds))
+    if name is not None:
+        if "name" in given:
+            raise InputError(f"{where}.name: {given['name']!r}; its section names it")
+        given["name"] = name
+    if "amplitude" in given and issubclass(kinds[kind], DrivenCondition):
+        given["amplitude"] = _amplitude(f"{where}.amplitude", given["amplitude"])
+    motion = given.get("displacement")
+    if kinds[kind] is PrescribedMotion and isinstance(motion, list):
+        given["displacement"] = [None if each == "free" else each for each in motion]
+    return from_table(where, kinds[kind], given, ["kind"])
+
+
+def _amplitude(where: str, given: Any) -> Amplitude:
+    """A number, a list of (time, factor), or a table with its kind."""
+    if isinstance(given, list):
+        given = {"kind": "table", "points": given}
+    if not isinstance(given, dict):
+        return Constant(value=check_value(where, given, float, {}))
+    rest = dict(given)
+    kind = rest.pop("kind", None)
+    if kind is None:
+        raise InputError(f"{where}.kind: missing; it must be one of {', '.join(KINDS)}")
+    if kind not in KINDS:
+        raise InputError(unknown(f"{where}.kind: {kind!r}", str(kind), "kind", KINDS))
+    return _within(where, "amplitude", KINDS[kind], rest)
+
+
+def body_of(name: str, table: Any) -> RigidBody:
+    """The rigid body of a section."""
+    where = f"bodies.{name}"
+    _check_table(where, table)
+    given = dict(table)
+    shapes = {key: given.pop(key) for key in _SHAPES if key in given}
+    kind, outline = _one_of(where, shapes, tuple(_SHAPES))
+    _check_table(f"{where}.{kind}", outline)
+    shape: Shape = _within(f"{where}.{kind}", kind, _SHAPES[kind], outline)
+    for key in ("name", "shape"):
+        if key in given:
+            raise InputError(f"{where}.{key}: {given[key]!r}; the section has name and shape")
+    if "amplitude" in given:
+        given["amplitude"] = _amplitude(f"{where}.amplitude", given["amplitude"])
+    return from_table(where, RigidBody, {**given, "name": name, "shape": shape}, _SHAPES)
+
+
+def _within(where: str, own: str, kind: type, table: Mapping[str, Any]) -> Any:
+    """The settings of a table within another; what `own` says of itself is said of `where`."""
+    try:
+        return from_table(where, kind, table, ["kind"] if own == "amplitude" else [])
+    except InputError as error:
+        told = str(error)
+        if told.startswith(f"{own}."):
+            told = where + told.removeprefix(own)
+        raise InputError(told) from None
+
+
+def _one_of(where: str, table: Any, known: tuple[str, ...]) -> tuple[str, Any]:
+    """The one key of a table that has exactly one of the known."""
+    _check_table(where, table)
+    for key in table:
+        if key not in known:
+            raise InputError(unknown(f"{where}.{key}", key, "key", known))
+    if len(table) != 1:
+        found = " and ".join(table) if table else "none of them"
+        raise InputError(f"{where}: {found}; it must have exactly one of {', '.join(known)}")
+    return next(iter(table.items()))
+
+
+def _check_table(where: str, given: Any) -> None:
+    if not isinstance(given, dict):
+        raise InputError(f"{where}: {given!r}; it must be a table of entries")
+
+
+def entries_of(stated: Condition | RigidBody) -> dict[str, Any]:
+    """A condition or body as a recipe has it, without its name."""
+    plain: dict[str, Any] = asdict(stated)
+    plain.pop("name")
+    if isinstance(stated, DrivenCondition | RigidBody):
+        plain["amplitude"] = _with_kind(stated.amplitude, KINDS)
+    if isinstance(stated, RigidBody):
+        shape = _with_kind(stated.shape, _SHAPES)
+        del plain["shape"]
+        plain[shape.pop("kind")] = shape
+    return plain
+
+
+def _with_kind(stated: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
+    name = next(name for name, kind in kinds.items() if isinstance(stated, kind))
+    return {"kind": name, **asdict(stated)}
+
+
+def entries_of_part(part: Part) -> dict[str, Any]:
+    """A part as a recipe has it."""
+    match part:
+        case Box():
+            return {"box": [*part.low, *part.high]}
+        case HalfPlane():
+            return {"half_plane": asdict(part)}
+        case Disc():
+            return {"circle": asdict(part)}
+    raise AssertionError(part)

@@ -1,0 +1,174 @@
+"""Runs of recipes that state their problem: the bar again, contact, a mesh from a file."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from surrofe2.io.run_folder import read_curve, read_history, read_record
+from tests.cli.finished_run import RUN_FILES
+from tests.io.gmsh_files import TRIANGLES
+from tests.laws import SoftLaw
+
+LEAF = TRIANGLES.replace(
+    "0 0 5\n2 0 5\n2 2 5\n0 2 5\n1 1 5", "0 0 5\n100 0 5\n100 100 5\n0 100 5\n50 50 5"
+)
+
+HEAD = """
+[range]
+stretch = [0.95, 1.05]
+shear = 0.05
+rate = 0.01
+"""
+
+BAR = (
+    HEAD
+    + """
+[mesh]
+width = 100.0
+height = 100.0
+elements = [2, 2]
+[conditions.clamp]
+kind = "fixed"
+on = "left"
+[conditions.load]
+kind = "body_force"
+acceleration = [0.0, -0.1]
+[watch]
+point = [100.0, 50.0]
+[time]
+duration = 4.0
+output_interval = 0.5
+"""
+)
+
+PRESSED = (
+    HEAD
+    + """
+[mesh]
+file = "leaf.msh"
+[mesh.boundaries.upper]
+half_plane = { through = [0.0, 100.0], normal = [0.0, 1.0] }
+[conditions.base]
+kind = "fixed"
+on = "base"
+[bodies.plate]
+plane = { normal = [0.0, -1.0] }
+on = "upper"
+position = [0.0, 100.0]
+displacement = [0.0, -2.0]
+amplitude = { kind = "ramp", end = 8.0, smooth = true }
+[watch]
+middle = [50.0, 50.0]
+"top, right" = [100.0, 100.0]
+[time]
+duration = 8.0
+output_interval = 1.0
+frames = 3
+"""
+)
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(name, text):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def run(invoke, path, folder, *more, **settings):
+    return invoke("run", path, "--law", "rve", "--out", folder, *more, **settings)
+
+
+def test_the_bar_is_the_same_by_load_and_by_conditions(invoke, recipe_path, written, tmp_path):
+    assert run(invoke, recipe_path, tmp_path / "load").exit_code == 0
+    done = run(invoke, written("bar.toml", BAR), tmp_path / "stated")
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith(f"{tmp_path / 'stated'}: 4 µs by rve in ")
+    by_load, stated = (read_curve(tmp_path / name) for name in ("load", "stated"))
+    np.testing.assert_array_equal(by_load.t, stated.t)
+    np.testing.assert_allclose(stated.displacement, by_load.displacement, rtol=0, atol=1e-12)
+    assert abs(by_load.displacement).max() > 0.1
+    one, other = ((tmp_path / name / "energies.csv").read_text() for name in ("load", "stated"))
+    assert one == other
+
+
+def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
+    written("leaf.msh", LEAF)
+    path, folder = written("pressed.toml", PRESSED), tmp_path / "rve"
+    law = SoftLaw()
+    done = run(invoke, path, folder, law=law)
+    assert done.exit_code == 0, done.output
+    assert sorted(each.name for each in folder.iterdir()) == RUN_FILES
+    record = read_record(folder)
+    assert record.problem["boundaries"] == {"base": 1, "tip": 1, "upper": 1}
+    assert record.problem["regions"] == {"leaf": 4}
+    assert (record.problem["elements"], record.problem["nodes_per_element"]) == (4, 6)
+    assert record.problem["points"] == 12
+    assert len(record.recipe["mesh"]["sha256"]) == 64
+    assert record.duration == 8.0
+    with (folder / "curve.csv").open(encoding="utf-8", newline="") as file:
+        header = next(csv.reader(file))
+    assert header == ["t_us", "u_x_um", "u_y_um", "u_x_um top, right", "u_y_um top, right"]
+    history = read_history(folder)
+    force = history["force plate y"]
+    assert force[0] > -1e-9 > force[-1]  # the plate presses the tissue down
+    assert force.argmin() < len(force) - 1  # it relaxes when the plate comes to rest
+    assert history["force base y"][-1] > 100.0
+    assert history["position plate y"][-1] == pytest.approx(-2.0)
+    assert history["penetration plate"].min() >= 0.0
+    names = (folder / "history.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert {"force plate y_uN", "position plate y_um", "penetration plate_um"} <= set(names)
+    energies = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert {"plate_pJ", "contact_pJ", "dissipated_pJ", "dissipated leaf_pJ"} <= set(energies)
+
+    soft = tmp_path / "soft"
+    assert run(invoke, path, soft, law=SoftLaw(a=45.0)).exit_code == 0
+    compared = invoke("compare", folder, soft, "--out", tmp_path / "comparison")
+    assert compared.exit_code == 0, compared.output
+    stored = json.loads((tmp_path / "comparison" / "comparison.json").read_text(encoding="utf-8"))
+    found = stored["runs"][0]["forces"]["plate"]
+    there, here = (read_history(each) for each in (folder, soft))
+    apart = np.hypot(*(here[f"force plate {i}"] - there[f"force plate {i}"] for i in "xy"))
+    assert found["largest"] == pytest.approx(apart.max(), rel=1e-12)
+    assert f"soft: force plate: at most {found['largest']:.3g} µN apart, " in compared.stdout
+
+
+def test_a_changed_problem_or_mesh_is_refused(invoke, written, tmp_path):
+    mesh = written("leaf.msh", LEAF)
+    folder = tmp_path / "rve"
+    assert run(invoke, written("pressed.toml", PRESSED), folder).exit_code == 0
+    for old, new, told in (
+        ("-2.0]", "-2.5]", "bodies.plate.displacement: this call has [0.0, -2.5], what is there "
+         "[0.0, -2.0]"),
+        ('"top, right" = [100.0, 100.0]\n', "", "watch: this call has ['middle'], what is there "
+         "['middle', 'top, right']"),
+    ):  # fmt: skip
+        refused = run(invoke, written("pressed.toml", PRESSED.replace(old, new)), folder)
+        assert refused.exit_code == 1
+        assert f"error: {folder}: {told}; change it back" in refused.stderr
+    mesh.write_text(LEAF.replace("50 50 5", "51 50 5"), encoding="utf-8")
+    refused = run(invoke, written("pressed.toml", PRESSED), folder)
+    assert f"error: {folder}: mesh.sha256: this call has " in refused.stderr
+
+
+def test_runs_of_other_problems_are_not_compared(invoke, written, tmp_path):
+    for name, text in (("a", BAR), ("b", BAR.replace("-0.1]", "-0.2]"))):
+        assert run(invoke, written("bar.toml", text), tmp_path / name).exit_code == 0
+    refused = invoke("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c")
+    assert refused.exit_code == 1
+    assert "conditions.load.acceleration is [0.0, -0.2], in " in refused.stderr
+
+
+def test_the_tissue_of_particles_wants_the_bar(invoke, written, tmp_path):
+    refused = invoke("tissue", written("bar.toml", BAR), "--out", tmp_path / "tissue")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        "error: bar.toml: load: missing; this command needs the bar of a section [load]\n"
+    )

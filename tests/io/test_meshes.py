@@ -1,0 +1,197 @@
+"""Mesh files: what they give, and the one sentence each wrong one gets."""
+
+from __future__ import annotations
+
+import meshio
+import numpy as np
+import pytest
+
+from surrofe2.errors import FileError, InputError
+from surrofe2.io.meshes import read_mesh
+from surrofe2.macro.mesh import Mesh, outer_sides
+from tests.io.gmsh_files import QUADS, TRIANGLES
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        path = tmp_path / "leaf.msh"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def refusal(path, error=InputError):
+    with pytest.raises(error) as caught:
+        read_mesh(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def changed(text, *pairs):
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+def test_quadrilaterals_of_gmsh(written):
+    stored = read_mesh(written(QUADS), "mm")
+    np.testing.assert_array_equal(
+        stored.nodes, 1e3 * np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
+    )
+    np.testing.assert_array_equal(stored.elements, [[0, 1, 4, 3], [1, 2, 5, 4]])
+    assert {name: each.tolist() for name, each in stored.regions.items()} == {
+        "skin": [0],
+        "flesh": [1],
+    }
+    # Both sides go round with the tissue on their left, whichever way the file has them.
+    assert {name: each.tolist() for name, each in stored.boundaries.items()} == {
+        "left": [[3, 0]],
+        "right": [[2, 5]],
+    }
+    mesh = Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
+    assert mesh.extent[1].tolist() == [2000.0, 1000.0]
+
+
+def test_triangles_of_three_nodes_get_middles(written):
+    stored = read_mesh(written(TRIANGLES))
+    mesh = Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
+    assert mesh.nodes.shape == (13, 2)  # 5 corners, 8 sides
+    corners, middles = mesh.elements[:, :3], mesh.elements[:, 3:]
+    expected = 0.5 * (mesh.nodes[corners] + mesh.nodes[np.roll(corners, -1, axis=1)])
+    np.testing.assert_array_equal(mesh.nodes[middles], expected)
+    (base,), (tip,) = mesh.boundaries["base"], mesh.boundaries["tip"]
+    assert mesh.nodes[base].tolist() == [[0.0, 0.0], [2.0, 0.0], [1.0, 0.0]]
+    assert mesh.nodes[tip].tolist() == [[2.0, 2.0], [0.0, 2.0], [1.0, 2.0]]
+    assert mesh.regions["leaf"].tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("kind", ["msh", "vtk", "vtu", "inp"])
+def test_triangles_of_six_nodes_from_any_format(tmp_path, written, kind):
+    stored = read_mesh(written(TRIANGLES))
+    clockwise = stored.elements[:, [0, 2, 1, 5, 4, 3]]
+    points = np.pad(stored.nodes, ((0, 0), (0, 1)), constant_values=3.0)
+    path = tmp_path / f"six.{kind}"
+    made = meshio.Mesh(points, [("triangle6", clockwise)])
+    made.write(path, file_format="gmsh" if kind == "msh" else None)
+    back = read_mesh(path, "m")
+    np.testing.assert_allclose(back.nodes, 1e6 * stored.nodes, rtol=1e-12)
+    np.testing.assert_array_equal(back.elements, stored.elements)
+    assert len(outer_sides(back.elements)) == 4
+
+
+def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
+    stored = meshio.read(written(QUADS))
+    path = tmp_path / "old.msh"
+    stored.cell_sets = {}
+    stored.write(path, file_format="gmsh22", binary=False)
+    assert "2.2 0 8" in path.read_text()
+    back, here = read_mesh(path), read_mesh(written(QUADS))
+    assert {**back.regions, **back.boundaries}.keys() == {**here.regions, **here.boundaries}.keys()
+    for name, sides in here.boundaries.items():
+        np.testing.assert_array_equal(back.boundaries[name], sides)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            changed(
+                QUADS, ("5 5 1 5", "5 6 1 6"), ("2 2 3 1\n", "2 2 2 1\n6 2 6 3\n2 2 3 1\n")
+            ).replace("5 6 1 6", "6 6 1 6"),
+            "leaf.msh: mixed elements, 2 of kind quad and 1 of kind triangle; all must be of one "
+            "kind",
+        ),
+        (
+            changed(TRIANGLES, ("1 1 5\n$EndNodes", "1 1 6\n$EndNodes")),
+            "leaf.msh: z from 5 to 6; the mesh must lie in a plane of constant z",
+        ),
+        (
+            changed(TRIANGLES, ("1 2 1 1\n2 3 4", "1 2 1 1\n2 3 5")),
+            "leaf.msh: boundary tip: the line from (2, 2) to (1, 1) is no outer side of an element",
+        ),
+        (
+            changed(TRIANGLES, ('1 2 "tip"\n', ""), ("\n3\n1 1", "\n2\n1 1")),
+            "leaf.msh: physical group 2 of curves has no name; give it one in Gmsh: "
+            'Physical Curve("name", 2) = …',
+        ),
+        (
+            changed(TRIANGLES, ('"leaf"\n', '"leaf"\n2 4 "stem"\n'), ("\n3\n1 1", "\n4\n1 1")),
+            "leaf.msh: physical group stem: it has no element",
+        ),
+        (
+            changed(TRIANGLES, ("6 1 5 4", "6 1 2 5")),
+            "leaf.msh: 3 elements share the side at (1.5, 0.5); elements must not lie on one "
+            "another",
+        ),
+        (
+            changed(TRIANGLES, ("0 2 5\n1 1 5", "0 nan 5\n1 1 5")),
+            "leaf.msh: point 3 at [0.0, nan, 5.0]; coordinates must be finite",
+        ),
+    ],
+)
+def test_wrong_gmsh_files(written, text, sentence):
+    assert refusal(written(text)) == sentence
+
+
+def test_elements_in_space_and_lines_alone(tmp_path):
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    path = tmp_path / "solid.vtk"
+    meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]])]).write(path)
+    assert refusal(path) == (
+        "solid.vtk: 1 elements of kind tetra; they must be one of quad, triangle, triangle6"
+    )
+    meshio.Mesh(points, [("line", [[0, 1]])]).write(path)
+    assert refusal(path) == (
+        "solid.vtk: no element; it must have elements of kind quad, triangle, triangle6"
+    )
+
+
+def test_what_meshio_cannot_read(tmp_path, written, capfd):
+    none = tmp_path / "none.msh"
+    assert refusal(none, FileError) == f"{none}: cannot be read: no such file"
+    damaged = written("nonsense")
+    assert refusal(damaged, FileError).startswith(f"{damaged}: not a mesh that meshio reads")
+    foreign = tmp_path / "leaf.txt"
+    foreign.write_text("nonsense")
+    assert refusal(foreign, FileError).startswith(f"{foreign}: not a mesh that meshio reads (")
+    untagged = written(changed(QUADS, ("9 1 3 0 1 5", "9 1 3 0 0")))
+    assert refusal(untagged, FileError) == (
+        f"{untagged}: not a mesh that meshio reads (some elements have physical groups and others "
+        "none: export from Gmsh with Mesh.SaveAll = 0)"
+    )
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("points", "quads", "sentence"),
+    [
+        (
+            [[0, 0], [1, 0], [1, 1], [0, 1], [5, 5]],
+            [[0, 1, 2, 3]],
+            "mesh: 1 nodes without an element, the first is 4 at (5, 5) µm; remove them",
+        ),
+        (
+            [[0, 0], [1, 0], [0.1, 0.1], [0, 1]],
+            [[0, 1, 2, 3]],
+            "mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go round "
+            "counter-clockwise and bulge outward",
+        ),
+        (
+            [[0, 0], [1, 0], [1, 1], [0, 1], [4, 0], [5, 0], [5, 1], [4, 1]],
+            [[0, 1, 2, 3], [4, 5, 6, 7]],
+            "mesh: 2 pieces that do not touch, the smallest of 4 nodes at (0, 0) µm; it must be "
+            "one",
+        ),
+    ],
+)
+def test_meshes_that_no_tissue_has(tmp_path, points, quads, sentence):
+    path = tmp_path / "wrong.vtu"
+    points = np.pad(np.array(points, float), ((0, 0), (0, 1)))
+    meshio.Mesh(points, [("quad", quads)]).write(path)
+    stored = read_mesh(path)
+    with pytest.raises(InputError) as caught:
+        Mesh(stored.nodes, stored.elements)
+    assert str(caught.value) == sentence

@@ -1,0 +1,371 @@
+"""Recipes of any problem: what they give, and the one sentence each wrong one gets."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from surrofe2.amplitude import Constant, Pulse, Ramp, Sine, Table
+from surrofe2.errors import FileError, InputError
+from surrofe2.macro import (
+    BodyForce,
+    Circle,
+    Corner,
+    Fixed,
+    Foundation,
+    InitialVelocity,
+    Plane,
+    PrescribedMotion,
+    Pressure,
+    RigidBody,
+    Symmetry,
+    Traction,
+)
+from surrofe2.recipe import load_recipe, make_recipe
+from tests.io.gmsh_files import QUADS
+
+RECIPE = """
+[range]
+stretch = [0.95, 1.05]
+shear = 0.05
+rate = 0.01
+
+[mesh]
+width = 200.0
+height = 100.0
+elements = [4, 2]
+
+[mesh.boundaries.patch]
+box = [0.0, 100.0, 100.0, 100.0]
+[mesh.boundaries.outside]
+half_plane = { through = [200.0, 0.0], normal = [1.0, 0.0] }
+[mesh.regions.core]
+circle = { centre = [100.0, 50.0], radius = 40.0 }
+
+[conditions.clamp]
+kind = "fixed"
+on = "left"
+
+[conditions.mirror]
+kind = "symmetry"
+on = "bottom"
+
+[conditions.pull]
+kind = "prescribed_motion"
+on = "outside"
+displacement = [4.0, "free"]
+amplitude = { kind = "ramp", end = 10.0, smooth = true }
+
+[conditions.wind]
+kind = "traction"
+on = "top"
+traction = [1.0, 0]
+amplitude = [[0, 0], [5, 1.0], [6, 0]]
+
+[conditions.turgor]
+kind = "pressure"
+on = "patch"
+pressure = 0.1
+amplitude = { kind = "sine", frequency = 0.1 }
+
+[conditions.weight]
+kind = "body_force"
+on = "core"
+acceleration = [0.0, -0.1]
+amplitude = 0.5
+
+[conditions.soil]
+kind = "foundation"
+on = "bottom"
+stiffness = 3.0
+components = "x"
+
+[conditions.throw]
+kind = "initial_velocity"
+velocity = [0.0, -1.0]
+
+[bodies.plate]
+plane = { normal = [0.0, -1.0] }
+on = "top"
+position = [0.0, 110.0]
+displacement = [0.0, -8.0]
+amplitude = { kind = "pulse", length = 9.0 }
+
+[bodies.ball]
+circle = { radius = 5.0 }
+on = "top"
+position = [100.0, 120.0]
+mass = 2.0
+velocity = [0.0, -3.0]
+
+[bodies.blade]
+corner = { axis = [0.0, 1.0], angle = 30.0, radius = 2.0 }
+on = "top"
+position = [10.0, 104.0]
+friction = 0.3
+
+[watch]
+tip = [200.0, 50.0]
+middle = [100.0, 50.0]
+
+[time]
+duration = 20.0
+frames = 5
+"""
+
+
+@pytest.fixture
+def changed(tmp_path):
+    """changed(old, new): the path of the recipe above with a part replaced."""
+
+    def change(old="", new=""):
+        assert old in RECIPE
+        path = tmp_path / "tissue.toml"
+        path.write_text(RECIPE.replace(old, new, 1), encoding="utf-8")
+        return path
+
+    return change
+
+
+def refusal(path, error=InputError):
+    with pytest.raises(error) as caught:
+        load_recipe(path).problem()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_every_kind_of_condition_body_and_part(changed):
+    recipe = load_recipe(changed())
+    problem = recipe.problem()
+    assert problem.conditions == (
+        Fixed(name="clamp", on="left"),
+        Symmetry(name="mirror", on="bottom"),
+        PrescribedMotion(
+            name="pull", on="outside", displacement=(4.0, None),
+            amplitude=Ramp(end=10.0, smooth=True),
+        ),
+        Traction(
+            name="wind", on="top", traction=(1.0, 0.0),
+            amplitude=Table(points=((0.0, 0.0), (5.0, 1.0), (6.0, 0.0))),
+        ),
+        Pressure(name="turgor", on="patch", pressure=0.1, amplitude=Sine(frequency=0.1)),
+        BodyForce(
+            name="weight", on="core", acceleration=(0.0, -0.1), amplitude=Constant(value=0.5)
+        ),
+        Foundation(name="soil", on="bottom", stiffness=3.0, components="x"),
+        InitialVelocity(name="throw", velocity=(0.0, -1.0)),
+    )  # fmt: skip
+    plate, ball, blade = problem.bodies
+    assert plate == RigidBody(
+        name="plate", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, 110.0),
+        displacement=(0.0, -8.0), amplitude=Pulse(length=9.0),
+    )  # fmt: skip
+    assert (ball.shape, ball.mass) == (Circle(radius=5.0), 2.0)
+    assert (blade.shape.angle, blade.friction) == (30.0, 0.3)
+    assert isinstance(blade.shape, Corner)
+    mesh = problem.mesh
+    assert len(mesh.elements) == 8
+    sides = {name: len(each) for name, each in mesh.boundaries.items()}
+    assert sides == {"left": 2, "right": 2, "bottom": 4, "top": 4, "patch": 2, "outside": 2}
+    np.testing.assert_array_equal(mesh.regions["core"], [2, 3, 4, 5])
+    assert list(problem.watched) == ["tip", "middle"]
+    assert (problem.duration, problem.output_interval) == (20.0, 0.04)
+    assert (recipe.macro.elements, recipe.macro.frames) == ((4, 2), 5)
+    assert recipe.duration == 20.0
+
+
+def test_the_whole_problem_is_in_its_provenance_and_comes_back(changed):
+    recipe = load_recipe(changed())
+    stored = recipe.to_dict()
+    json.dumps(stored, allow_nan=False)
+    assert "load" not in stored
+    assert stored["conditions"]["pull"]["amplitude"] == {
+        "kind": "ramp", "begin": 0.0, "end": 10.0, "smooth": True,
+    }  # fmt: skip
+    assert stored["bodies"]["blade"]["corner"] == {
+        "axis": [0.0, 1.0], "angle": 30.0, "radius": 2.0,
+    }  # fmt: skip
+    given = tomllib.loads(RECIPE)
+    for section in ("mesh", "conditions", "bodies", "watch", "time"):
+        for name, entries in given[section].items():
+            there = stored[section][name]
+            if isinstance(entries, dict) and section != "mesh":
+                for key in entries.keys() - {"amplitude", "displacement"}:
+                    assert there[key] == entries[key], (name, key)
+            elif section != "mesh" or name not in ("boundaries", "regions"):
+                assert there == entries
+    assert stored["mesh"]["boundaries"] == given["mesh"]["boundaries"]
+    assert stored["mesh"]["regions"] == given["mesh"]["regions"]
+
+
+def test_conditions_may_be_a_list():
+    table = tomllib.loads(RECIPE)
+    table["conditions"] = [
+        {"kind": "fixed", "on": "left"},
+        {"kind": "body_force", "acceleration": [0, -1], "name": "g"},
+    ]
+    names = list(make_recipe(table).to_dict()["conditions"])
+    assert names == ["fixed left", "g"]
+
+
+def test_a_mesh_file_is_relative_to_the_recipe_and_told_by_its_digest(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "leaf.msh").write_text(QUADS, encoding="utf-8")
+    path = tmp_path / "leaf.toml"
+    path.write_text(
+        "[range]\nstretch = [0.9, 1.1]\nshear = 0.1\nrate = 0.1\n"
+        '[mesh]\nfile = "meshes/leaf.msh"\nlength_unit = "mm"\n'
+        '[conditions.hold]\nkind = "fixed"\non = "left"\n'
+        '[conditions.pull]\nkind = "traction"\non = "rigth"\ntraction = [1, 0]\n',
+        encoding="utf-8",
+    )
+    assert refusal(path) == (
+        "leaf.toml: conditions.pull.on: rigth; no such boundary; did you mean right? known are "
+        "left, right"
+    )
+    path.write_text(path.read_text().replace("rigth", "right"), encoding="utf-8")
+    recipe = load_recipe(path)
+    assert recipe.problem().mesh.extent[1].tolist() == [2000.0, 1000.0]
+    stored = recipe.to_dict()["mesh"]
+    assert stored["sha256"] == hashlib.sha256(QUADS.encode()).hexdigest()
+    assert stored["file"] == "meshes/leaf.msh"
+    path.write_text(path.read_text().replace("leaf.msh", "none.msh"), encoding="utf-8")
+    none = tmp_path / "meshes" / "none.msh"
+    assert refusal(path, FileError) == f"{none}: cannot be read: No such file or directory"
+
+
+RECT = "width = 200.0\nheight = 100.0\nelements = [4, 2]\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("width = 200.0", "wdith = 200.0", "mesh.wdith: unknown key; did you mean width? known"),
+        ("height = 100.0\n", "", "mesh.height: missing; a rectangle or a mesh.file must be given"),
+        ("elements = [4, 2]", "elements = [4, 0]", "mesh.elements[1]: 0; it must be an integer of"),
+        ("elements = [4, 2]", 'length_unit = "mm"\nelements = [4, 2]', "mesh.length_unit: 'mm'; "),
+        ("elements = [4, 2]", 'length_unit = "inch"\nelements = [4, 2]',
+         "mesh.length_unit: 'inch'; it must be one of µm, um, mm, m"),
+        ("box = [0.0, 100.0, 100.0, 100.0]", "box = [0.0, 1.0, 2.0]",
+         "mesh.boundaries.patch.box: [0.0, 1.0, 2.0]; it must be a list of 4 (µm)"),
+        ("box = [0.0, 100.0, 100.0, 100.0]", "box = [9.0, 0.0, 2.0, 1.0]",
+         "mesh.boundaries.patch.box: [9.0, 0.0, 2.0, 1.0]; it must be [x0, y0, x1, y1], low to"),
+        ("box = [0.0, 100.0, 100.0, 100.0]", "box = [10.0, 90.0, 20.0, 100.0]",
+         "mesh.boundaries.patch: Box(low=(10.0, 90.0), high=(20.0, 100.0)); it must hold both"),
+        ("box = [0.0, 100.0, 100.0, 100.0]", "disc = 1",
+         "mesh.boundaries.patch.disc: unknown key; known are box, circle, half_plane"),
+        ("box = [0.0, 100.0, 100.0, 100.0]", "",
+         "mesh.boundaries.patch: none of them; it must have exactly one of box, half_plane, circ"),
+        ("[mesh.boundaries.patch]", "[mesh.boundaries.top]",
+         "mesh.boundaries.top: the mesh has one of that name; take another"),
+        ("normal = [1.0, 0.0] }", "normal = [0, 0] }",
+         "mesh.boundaries.outside.half_plane.normal: [0.0, 0.0]; it must not be zero"),
+        ("radius = 40.0", "radius = -1",
+         "mesh.regions.core.circle.radius: -1; it must be positive and finite"),
+        ("centre = [100.0, 50.0], radius = 40.0", "centre = [0.0, 0.0], radius = 4.0",
+         "mesh.regions.core: Disc(centre=(0.0, 0.0), radius=4.0); it must hold the centre of an"),
+        (', radius = 40.0', "", "mesh.regions.core.circle.radius: missing; it must be given"),
+        ('kind = "traction"', 'kind = "tracton"',
+         "conditions.wind.kind: 'tracton': unknown kind; did you mean traction? known are body_f"),
+        ('kind = "traction"\n', "", "conditions.wind.kind: missing; it must be one of fixed, symm"),
+        ("traction = [1.0, 0]", "traction = [1.0]",
+         "conditions.wind.traction: [1.0]; it must be a list of 2 (µN/µm)"),
+        ("traction = [1.0, 0]", "force = [1.0, 0]", "conditions.wind.force: unknown key; known"),
+        ("traction = [1.0, 0]\n", "", "conditions.wind.traction: missing; it must be given (µN"),
+        ('on = "top"\ntraction', 'on = "tpo"\ntraction',
+         "conditions.wind.on: tpo; no such boundary; did you mean top? known are left, right, bo"),
+        ('on = "core"', 'on = "top"',
+         "conditions.weight.on: top; no such region; known are core"),
+        ('on = "left"\n', "", "conditions.clamp.on: missing; it must be given"),
+        ("pressure = 0.1", 'pressure = "high"',
+         "conditions.turgor.pressure: 'high'; it must be a number (µN/µm)"),
+        ('components = "x"', 'components = "z"',
+         "conditions.soil.components: 'z'; it must be one of x, y, xy"),
+        ('displacement = [4.0, "free"]', 'displacement = [4.0, "loose"]',
+         "conditions.pull.displacement[1]: 'loose'; it must be a number (µm)"),
+        ("amplitude = { kind = \"ramp\", end = 10.0, smooth = true }", 'amplitude = "ramp"',
+         "conditions.pull.amplitude: 'ramp'; it must be a number"),
+        ('kind = "ramp"', 'kind = "rampe"',
+         "conditions.pull.amplitude.kind: 'rampe': unknown kind; did you mean ramp? known are c"),
+        ("end = 10.0", "stop = 10.0", "conditions.pull.amplitude.stop: unknown key; known are"),
+        ("end = 10.0", "end = -1.0",
+         "conditions.pull.amplitude.end: -1.0; it must be after begin, 0.0 µs"),
+        ("[6, 0]]", "[5, 0]]",
+         "conditions.wind.amplitude.points: [(0.0, 0.0), (5.0, 1.0), (5.0, 0.0)]; times must in"),
+        ("[6, 0]]", '[6, "0"]]',
+         "conditions.wind.amplitude.points[2][1]: '0'; it must be a number ((µs, 1))"),
+        ("circle = { radius = 5.0 }\n", "",
+         "bodies.ball: none of them; it must have exactly one of plane, circle, corner"),
+        ("circle = { radius = 5.0 }", "circle = { radius = 5.0 }\nplane = { normal = [0, 1] }",
+         "bodies.ball: plane and circle; it must have exactly one of plane, circle, corner"),
+        ("plane = { normal = [0.0, -1.0] }", "plane = { normal = [0.0, 0.0] }",
+         "bodies.plate.plane.normal: [0.0, 0.0]; it must not be zero"),
+        ("angle = 30.0", "angle = 200.0",
+         "bodies.blade.corner.angle: 200.0; it must be between 0 and 180"),
+        ("mass = 2.0", "mass = 0.0", "bodies.ball.mass: 0.0; it must be positive and finite"),
+        ("mass = 2.0", "mass = 2.0\ndisplacement = [1, 0]",
+         "bodies.ball: mass 2.0 and displacement [1.0, 0.0]; a body is either free, with a mass"),
+        ('on = "top"\nposition = [0.0', 'on = "lid"\nposition = [0.0',
+         "bodies.plate.on: lid; no such boundary; known are left, right, bottom, top, patch, out"),
+        ("tip = [200.0, 50.0]", "tip = [200.0]", "watch.tip: [200.0]; it must be a list of 2 (µm)"),
+        ("tip = [200.0, 50.0]", "tip = [201.0, 50.0]",
+         "watch.tip: (201, 50) µm; it must lie within the mesh"),
+        ("duration = 20.0", "duration = 0", "time.duration: 0; it must be positive and finite"),
+        ("duration = 20.0", "lenght = 20.0", "time.lenght: unknown key; known are duration, fram"),
+        ("[time]", "[load]\nwidth = 9.0\n[time]",
+         "load: [load] states the paper's bar, [mesh] another problem; leave one out"),
+        ("[time]", "[macro]\nelements = [4, 4]\n[time]",
+         "macro.elements: [4, 4]; it stands in [mesh]"),
+        ("[mesh]\n" + RECT, "", "mesh.width: missing; a rectangle or a mesh.file must be given"),
+        (RECT, RECT + 'file = "leaf.msh"\n', "mesh.width: 200.0; a mesh from a file has its own"),
+        ("[watch]\ntip = [200.0, 50.0]\nmiddle = [100.0, 50.0]\n", "[wacth]\n",
+         "wacth: unknown section; did you mean watch? known are"),
+    ],
+)  # fmt: skip
+def test_a_wrong_recipe_gets_one_sentence(changed, old, new, sentence):
+    assert refusal(changed(old, new)).startswith(f"tissue.toml: {sentence}")
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ({"conditions": {}}, "mesh: missing; [conditions] needs the section [mesh]"),
+        ({"mesh": 3}, "mesh: 3; it must be a section [mesh]"),
+        (
+            {"mesh": {"width": 1.0, "height": 1.0, "elements": [1, 1]}},
+            "conditions: missing; something must hold or move the tissue",
+        ),
+        (
+            {
+                "mesh": {"width": 1.0, "height": 1.0, "elements": [1, 1]},
+                "conditions": [{"kind": "fixed", "on": "left"}, {"kind": "fixed", "on": "left"}],
+            },
+            "conditions[1]: a second one called fixed left; give it another name",
+        ),
+        (
+            {
+                "mesh": {"width": 1.0, "height": 1.0, "elements": [1, 1]},
+                "conditions": [3],
+            },
+            "conditions[0]: 3; it must be a table of entries",
+        ),
+    ],
+)
+def test_wrong_tables(table, sentence):
+    whole = {"range": {"stretch": [0.9, 1.1], "shear": 0.1, "rate": 0.1}, **table}
+    with pytest.raises(InputError) as caught:
+        make_recipe(whole)
+    assert str(caught.value) == sentence
+
+
+def test_what_needs_the_bar_says_so(changed):
+    recipe = load_recipe(changed())
+    with pytest.raises(InputError) as caught:
+        recipe.bar_load()
+    assert str(caught.value) == (
+        "tissue.toml: load: missing; this command needs the bar of a section [load]"
+    )
