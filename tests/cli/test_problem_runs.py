@@ -11,7 +11,7 @@ import pytest
 from surrofe2.io.run_folder import read_curve, read_history, read_record
 from tests.cli.finished_run import RUN_FILES
 from tests.io.gmsh_files import TRIANGLES
-from tests.laws import SoftLaw
+from tests.laws import SoftLaw, StoppingLaw
 
 LEAF = TRIANGLES.replace(
     "0 0 5\n2 0 5\n2 2 5\n0 2 5\n1 1 5", "0 0 5\n100 0 5\n100 100 5\n0 100 5\n50 50 5"
@@ -156,6 +156,18 @@ def test_a_changed_problem_or_mesh_is_refused(invoke, written, tmp_path):
     mesh.write_text(LEAF.replace("50 50 5", "51 50 5"), encoding="utf-8")
     refused = run(invoke, written("pressed.toml", PRESSED), folder)
     assert f"error: {folder}: mesh.sha256: this call has " in refused.stderr
+
+
+def test_an_interrupted_press_goes_on_with_all_of_its_history(invoke, written, tmp_path):
+    written("leaf.msh", LEAF)
+    path = written("pressed.toml", PRESSED)
+    assert run(invoke, path, tmp_path / "whole").exit_code == 0
+    folder = tmp_path / "stopped"
+    assert run(invoke, path, folder, law=StoppingLaw(calls=300)).exit_code == 130
+    assert (folder / "checkpoint.h5").exists()
+    assert run(invoke, path, folder).exit_code == 0
+    for name in ("curve.csv", "history.csv", "energies.csv"):
+        assert (folder / name).read_text() == (tmp_path / "whole" / name).read_text(), name
 
 
 def test_runs_of_other_problems_are_not_compared(invoke, written, tmp_path):

@@ -68,6 +68,23 @@ def test_triangles_of_three_nodes_get_middles(written):
     assert mesh.regions["leaf"].tolist() == [0, 1, 2, 3]
 
 
+def test_curved_lines_of_three_nodes_are_sides_of_triangles_of_six(tmp_path, written):
+    straight = read_mesh(written(TRIANGLES))
+    (side,) = straight.boundaries["base"]
+    made = meshio.Mesh(
+        np.pad(straight.nodes, ((0, 0), (0, 1))),
+        [("triangle6", straight.elements), ("line3", side[None, [1, 0, 2]])],
+        cell_data={"gmsh:physical": [np.full(4, 3), np.array([1])],
+                   "gmsh:geometrical": [np.full(4, 1), np.array([1])]},
+        field_data={"leaf": np.array([3, 2]), "base": np.array([1, 1])},
+    )  # fmt: skip
+    path = tmp_path / "curved.msh"
+    made.write(path, file_format="gmsh22")
+    back = read_mesh(path)
+    np.testing.assert_array_equal(back.boundaries["base"], [side])
+    np.testing.assert_array_equal(back.regions["leaf"], [0, 1, 2, 3])
+
+
 @pytest.mark.parametrize("kind", ["msh", "vtk", "vtu", "inp"])
 def test_triangles_of_six_nodes_from_any_format(tmp_path, written, kind):
     stored = read_mesh(written(TRIANGLES))
