@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where particles are looked at
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from surrofe2.plant_cell.arrangement import make_arrangement
 from surrofe2.plant_cell.pair_lists import Patch
@@ -223,7 +223,7 @@ def _push_on_walls(patch: Patch, pairs: _Pairs, pushes: Array, fluid_cell: Index
 def _summed(target: Index, values: Array, size: int) -> Array:
     """(n, size, …) sums of values (n, k, …) by their targets (k,)."""
     sums = np.zeros((size, len(values), *values.shape[2:]))
-    matrix = csr_matrix(
+    matrix = scipy.sparse.csr_matrix(
         (np.ones(target.size), (target, np.arange(target.size))), (size, target.size)
     )
     sums[:] = (matrix @ values.swapaxes(0, 1).reshape(target.size, -1)).reshape(sums.shape)
