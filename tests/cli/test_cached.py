@@ -182,7 +182,7 @@ def test_an_interrupted_run_keeps_its_audit(invoke, recipe_path, tmp_path, monke
     out = tmp_path / "cached"
     monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
     command = ("run", recipe_path, "--law", "cached", "--out", out, "--audit", "1.0")
-    invoke(*command, law=StoppingLaw(30))
+    invoke(*command, law=StoppingLaw(24))
     before = read_record(out)
     assert before.status == "interrupted"
     assert before.cache["audit"]["audited"] > 50
