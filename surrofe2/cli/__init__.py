@@ -22,6 +22,7 @@ from surrofe2.cli.console import INTERRUPTED, InterruptedWork, PrintHandler, pri
 from surrofe2.errors import Surrofe2Error
 
 COMMANDS = {
+    "range": "Propose the range of (F, Ḟ) that the recipe's problem needs, by a dry run.",
     "generate": "Compute plant-cell stresses over a range of (F, Ḟ) into a data set.",
     "train": "Fit a surrogate of the plant-cell stress to the recipe's data set.",
     "run": "Run the recipe's load case by true, learnt or cached stresses.",

@@ -1,0 +1,97 @@
+"""`surrofe2 range`: a sampling range from a dry run."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+from surrofe2.errors import InputError
+from surrofe2.macro import MetRange, simulate
+from surrofe2.recipe import load_recipe
+from surrofe2.rve import RveLaw
+from surrofe2.sampling import SamplingRange
+from surrofe2.workflow.range import proposed_range
+from tests.source_contract import ROOT
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(entry) for entry in arguments])
+
+
+def proposed_for(path, *options):
+    done = call("range", path, *options)
+    assert done.exit_code == 0, done.output
+    return SamplingRange(**tomllib.loads(done.stdout)["range"]), done.stdout
+
+
+@pytest.fixture
+def bending_bar(tmp_path):
+    """The paper's bar up to past its first minimum, without a range."""
+    text = (ROOT / "data/bending-bar.toml").read_text(encoding="utf-8")
+    head, rest = text.split("[range]")
+    path = tmp_path / "bar.toml"
+    text = head + rest[rest.index("[samples]") :].replace("duration = 250.0", "duration = 40.0")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_true_run_stays_within_the_range_proposed(bending_bar):
+    range, printed = proposed_for(bending_bar)
+    assert "by the quadratic law of the RVE at rest" in printed
+    assert "margin 20 %" in printed
+    recipe = load_recipe(bending_bar)
+    met = simulate(recipe.problem(), RveLaw(recipe.cell, recipe.rve), recipe.macro).met
+    assert range.stretch[0] < met.stretch[0] < met.stretch[1] < range.stretch[1]
+    assert met.shear < range.shear
+    assert met.rate < range.rate
+    # and is no waste: of what the run met, each at most twice
+    assert 1.0 - range.stretch[0] < 2.0 * (1.0 - met.stretch[0])
+    assert range.stretch[1] - 1.0 < 2.0 * (met.stretch[1] - 1.0)
+    assert range.shear < 2.0 * met.shear
+    assert range.rate < 2.0 * met.rate
+
+
+def test_the_margin_is_of_strain_and_rate(recipe_path):
+    none, _ = proposed_for(recipe_path, "--margin", 0)
+    double, _ = proposed_for(recipe_path, "--margin", 1)
+    np.testing.assert_allclose(
+        [1.0 - double.stretch[0], double.stretch[1] - 1.0, double.shear, double.rate],
+        2.0 * np.array([1.0 - none.stretch[0], none.stretch[1] - 1.0, none.shear, none.rate]),
+        rtol=0.1,
+    )
+
+
+def met(stretch, shear, rate):
+    U = np.array([np.diag([stretch[0]] * 2), np.diag([stretch[1]] * 2)])
+    U[0, 0, 1], U[1, 0, 1] = -shear, 0.5 * shear
+    return MetRange(
+        F=U, F_dot=0.0 * U, U=U, RT_F_dot=np.array([-rate, rate])[:, None, None] + 0 * U
+    )
+
+
+def test_bounds_are_rounded_outward_to_two_digits_of_strain():
+    found = proposed_range(met((0.9876, 1.0), 0.0331, 0.001234), margin=0.0)
+    assert (found.stretch, found.shear, found.rate) == ((0.987, 1.0), 0.034, 0.0013)
+
+
+@pytest.mark.parametrize(
+    ("given", "margin", "sentence"),
+    [
+        (((0.9, 1.1), 0.1, 0.01), -0.1, "--margin: -0.1; it must be a number of at least 0"),
+        (((0.9, 1.1), 0.1, 0.01), float("nan"), "--margin: nan"),
+        (((1.0, 1.0), 0.0, 0.0), 0.2, "the run met no strain"),
+        (((0.4, 1.1), 0.3, 0.01), 0.2, "met stretches down to 0.4 and shear up to 0.3"),
+    ],
+)
+def test_what_gives_no_range_says_why(given, margin, sentence):
+    with pytest.raises(InputError, match=sentence):
+        proposed_range(met(*given), margin)
+
+
+def test_a_recipe_with_the_iterated_solver_is_taken_too(recipe_path):
+    text = recipe_path.read_text(encoding="utf-8")
+    plain, _ = proposed_for(recipe_path)
+    recipe_path.write_text(text + '\n[rve]\nsolver = "iterated"\n', encoding="utf-8")
+    assert proposed_for(recipe_path)[0] == plain
