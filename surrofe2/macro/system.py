@@ -255,7 +255,7 @@ def make_system(
         supports=supports,
         forces=tuple(forces),
         solve_mass=_mass_solver(mass, free),
-        initial_velocity=_initial_velocity(problem, n),
+        initial_velocity=_initial_velocity(problem, supports, n),
         watched=tuple(
             space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
             for name, at in problem.watched.items()
@@ -287,7 +287,8 @@ def _mass_matrix(problem: Problem, tissue: tuple[Array, Index, Index], n: int) -
     return np.bincount(n * row + column, entries, n * n).reshape(n, n)
 
 
-def _initial_velocity(problem: Problem, n: int) -> Array:
+def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
+    """(n, 2) velocities at t = 0; what is held has none."""
     velocity = np.zeros((n, 2))
     for condition in problem.conditions:
         if isinstance(condition, InitialVelocity):
@@ -296,6 +297,8 @@ def _initial_velocity(problem: Problem, n: int) -> Array:
     for k, body in enumerate(problem.bodies):
         if body.mass is not None:
             velocity[len(problem.mesh.nodes) + k] = body.velocity
+    for support in supports:
+        velocity.ravel()[support.unknowns[support.largest == 0.0]] = 0.0
     return velocity
 
 

@@ -10,8 +10,10 @@ from surrofe2.macro import (
     Circle,
     Fixed,
     Foundation,
+    InitialVelocity,
     MacroSettings,
     MacroState,
+    Mesh,
     PrescribedMotion,
     Pressure,
     Problem,
@@ -186,3 +188,18 @@ def test_balance_closes_with_everything_that_acts(integrator, tolerance, allowed
         abs(energies["balance"]).max() < {"explicit": 1e-6, "implicit": 1e-4}[integrator] * largest
     )
     assert energies["balance"].size == problem.output_times().size
+
+
+def test_an_initial_velocity_of_all_leaves_what_is_held_at_rest_without_a_blow():
+    """Kinetic energy at t = 0 is that of the free nodes' velocity, and no work was done."""
+    mesh = Mesh.rectangle(30.0, 20.0, (3, 2))
+    thrown = Problem(
+        mesh=mesh,
+        conditions=(Fixed(on="left"), InitialVelocity(velocity=(0.0, 0.3))),
+        duration=1.0,
+    )
+    run = simulate(thrown, KelvinVoigt())
+    held = mesh.nodes[:, 0] == 0.0
+    assert not run.frames.velocity[0, held].any()
+    np.testing.assert_array_equal(run.frames.velocity[0, ~held], [[0.0, 0.3]] * (~held).sum())
+    assert run.energies["balance"][0] == 0.0
