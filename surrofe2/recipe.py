@@ -14,10 +14,15 @@ from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surrofe2.cache.settings import CacheSettings, TableSettings
+from surrofe2.cell_types import CellType, SampleSettings, cell_types, points_of_cells
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.plant_cell.parameters import CellParameters
@@ -25,25 +30,11 @@ from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
 from surrofe2.problem_sections import StatedProblem, stated_problem
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_settings, check_value, from_table, hints_of, setting, unknown
+from surrofe2.settings import check_value, from_table, hints_of, unknown
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampleSettings:
-    """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
-
-    count: int = setting(16384, "number of samples", least=1)
-    seed: int = setting(1, "of the sequence", least=0)
-    tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
-    file: str | None = setting(None, "of the data set, relative to the recipe")
-    add: tuple[str, ...] = setting((), "harvests that training takes in besides the data set")
-
-    def __post_init__(self) -> None:
-        check_settings(self, "samples")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +44,8 @@ class Recipe:
     Attributes:
         load: the paper's bar; None where the recipe states another problem.
         stated: that problem.
+        types: cells by name, of a recipe with [cells.NAME]; its `cell` is the first of them.
+        cell_name: whose the recipe is, where it is a part of one with several.
     """
 
     path: Path
@@ -70,6 +63,66 @@ class Recipe:
     cache: CacheSettings = field(default_factory=CacheSettings)
     training_file: str | None = None
     stated: StatedProblem | None = None
+    types: Mapping[str, CellType] = field(default_factory=dict)
+    cell_name: str | None = None
+
+    def parts(self, name: str | None = None) -> dict[str, Recipe]:
+        """A recipe of one cell for each of [cells.NAME]; of a recipe with [cell], itself by "".
+
+        Args:
+            name: of the only cell wanted.
+
+        Raises:
+            InputError: there is no cell of that name.
+        """
+        if name is not None and name not in self.types:
+            raise InputError(unknown(f"--cell: {name!r}", name, "cell", self.types or ("[cell]",)))
+        names = self.types if name is None else (name,)
+        return {each: self._part(each) for each in names} if names else {"": self}
+
+    def _part(self, name: str) -> Recipe:
+        each = self.types[name]
+        return replace(
+            self,
+            preset=each.preset,
+            cell=each.cell,
+            range=each.range,
+            samples=each.samples,
+            training=each.training,
+            training_file=each.training_file,
+            types={},
+            cell_name=name,
+        )
+
+    def check_one_cell(self) -> None:
+        """Refuse a recipe of several cells where one is meant.
+
+        Raises:
+            InputError: it has several.
+        """
+        if self.types:
+            raise InputError(
+                f"{self.path.name}: cells: {', '.join(self.types)}; this needs a recipe with one "
+                "[cell]"
+            )
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the cell, or of all cells in their order."""
+        return " ".join(part.cell.fingerprint for part in self.parts().values())
+
+    @property
+    def cell_section(self) -> str:
+        """Where the cell stands in the file."""
+        return "cell" if self.cell_name is None else f"cells.{self.cell_name}"
+
+    def points_of_cells(self, mesh: Mesh) -> dict[str, NDArray[np.int64]]:
+        """Numbers of the points of the mesh that each of several cells fills.
+
+        Raises:
+            InputError: there is no such region, or an element is of no cell or of two.
+        """
+        return points_of_cells(mesh, self.types)
 
     def sampling_range(self) -> SamplingRange:
         """The range of (F, Ḟ), for what cannot do without.
@@ -78,8 +131,9 @@ class Recipe:
             InputError: the recipe has none.
         """
         if self.range is None:
+            name = self._own("range")
             raise InputError(
-                f"{self.path.name}: range: missing; this command needs the section [range] with "
+                f"{self.path.name}: {name}: missing; this command needs the section [{name}] with "
                 "stretch, shear and rate (1/µs)"
             )
         return self.range
@@ -94,7 +148,10 @@ class Recipe:
         if self.stated is None:
             return bar(self.bar_load(), self.macro.elements)
         try:
-            return self.stated.problem(self.path.parent)
+            problem = self.stated.problem(self.path.parent)
+            if self.types:
+                self.points_of_cells(problem.mesh)
+            return problem
         except InputError as error:
             raise InputError(f"{self.path.name}: {error}") from None
 
@@ -128,19 +185,27 @@ class Recipe:
         return tuple(Path(os.path.normpath(self.path.parent / name)) for name in self.samples.add)
 
     def _path_of(self, section: str, file: str | None, what: str) -> Path:
+        self.check_one_cell()
         if file is None:
             raise InputError(
-                f"{self.path.name}: {section}.file: missing; this command needs the file of the "
-                f"{what}, relative to the recipe"
+                f"{self.path.name}: {self._own(section)}.file: missing; this command needs the "
+                f"file of the {what}, relative to the recipe"
             )
         return Path(os.path.normpath(self.path.parent / file))
 
+    def _own(self, section: str) -> str:
+        """Where the section of the cell stands in the file."""
+        return section if self.cell_name is None else f"{self.cell_section}.{section}"
+
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        entries = asdict(replace(self, stated=None))
+        entries = asdict(replace(self, stated=None, types={}))
         sections = {name: entries[name] for name in SECTIONS if entries[name] is not None}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["training"]["file"] = self.training_file
+        if self.types:
+            del sections["cell"]
+            sections["cells"] = {name: each.to_dict() for name, each in self.types.items()}
         if self.stated is not None:
             sections |= self.stated.to_dict()
         plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
@@ -151,7 +216,10 @@ SECTIONS: dict[str, type] = {
     name: kind
     for name, hint in hints_of(Recipe).items()
     for kind in (get_args(hint) or (hint,))
-    if isinstance(kind, type) and is_dataclass(kind) and kind is not StatedProblem
+    if name != "types"
+    and isinstance(kind, type)
+    and is_dataclass(kind)
+    and kind is not StatedProblem
 }
 """The fields of a recipe that are settings, by name."""
 _NOT_NEEDED = ("range",)
@@ -190,11 +258,12 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         InputError: naming the section or key that is unknown or out of its range.
     """
     for name, section in table.items():
-        if name not in (*SECTIONS, *PROBLEM_SECTIONS):
-            raise InputError(unknown(name, name, "section", (*SECTIONS, *PROBLEM_SECTIONS)))
+        known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
+        if name not in known:
+            raise InputError(unknown(name, name, "section", known))
         if name in SECTIONS and not isinstance(section, dict):
             raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
-    stated = _stated(table, path.parent)
+    stated, types = _stated(table, path.parent), cell_types(table)
     given = {name: dict(table.get(name, {})) for name in SECTIONS}
     extras: dict[str, Any] = {}
     for section, (key, kind, default) in _EXTRA_KEYS.items():
@@ -207,6 +276,9 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
     }
     preset = extras["cell"]
     made["cell"] = CellParameters.preset(preset, **given["cell"])
+    if types:
+        first = next(iter(types.values()))
+        preset, made["cell"], made["types"] = first.preset, first.cell, types
     if stated is not None:
         made["load"], frames = None, stated.time.frames
         wanted = {"elements": stated.mesh.elements, "frames": frames}

@@ -82,8 +82,8 @@ def test_unknown_section(changed_recipe):
     path = changed_recipe("[load]", "[lood]")
     assert message(InputError, path) == (
         "recipe.toml: lood: unknown section; did you mean load? "
-        "known are bodies, cache, calibration, cell, conditions, load, macro, mesh, range, rve, "
-        "samples, table, time, tissue, training, watch"
+        "known are bodies, cache, calibration, cell, cells, conditions, load, macro, mesh, range, "
+        "rve, samples, table, time, tissue, training, watch"
     )
 
 

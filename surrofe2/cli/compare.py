@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from surrofe2.cli import console
+from surrofe2.io.run_folder import caches_of
 from surrofe2.recipe import changed
 from surrofe2.report.comparison import Comparison
 from surrofe2.workflow.comparison import (
@@ -79,8 +80,10 @@ def show_comparison(result: Comparison, of: str = "") -> None:
     title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
     console.show_table(title, *result.table.for_people())
     for run in result.runs:
-        if run.cache and run.cache["audit"]["audited"]:
-            console.print_line(f"{run.name}: {audit_line(run.cache)}")
+        for name, cache in caches_of(run.cache).items():
+            if cache["audit"]["audited"]:
+                of = f"{run.name}, {name}" if name else run.name
+                console.print_line(f"{of}: {audit_line(cache)}")
         for name, force in run.forces.items():
             share = f", {force.largest / force.scale:.2g} of its largest" if force.scale else ""
             console.print_line(

@@ -150,6 +150,10 @@ CellName = Annotated[
         help="printed or water, the paper's with 2.7 or 0.27 ng; apple, potato; or a TOML file.",
     ),
 ]
+OneCell = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Only this of the recipe's [cells.NAME]; default: all."),
+]
 Initialisation = Annotated[
     str | None, typer.Option(help="How RVEs are initialised; default: the recipe's.")
 ]

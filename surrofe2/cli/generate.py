@@ -11,7 +11,10 @@ from surrofe2.workflow.run_lifecycle import time_text
 
 
 def generate(
-    recipe: console.RecipeFile, fresh: console.Fresh = False, threads: console.Threads = None
+    recipe: console.RecipeFile,
+    cell: console.OneCell = None,
+    fresh: console.Fresh = False,
+    threads: console.Threads = None,
 ) -> None:
     """Compute plant-cell stresses over a range of (F, Ḟ) into a data set.
 
@@ -25,8 +28,10 @@ def generate(
     Next: [bold]surrofe2 train data/bending-bar.toml[/bold]
     """
     study = open_study(recipe, threads)
-    begin, kept = time.perf_counter(), "the samples so far are kept"
-    with console.working("generate", study.samples.count, "samples", kept) as report:
-        made = generate_data_set(study, fresh=fresh, report=report)
-    taken = time_text(time.perf_counter() - begin)
-    console.print_line(f"{made.path}: {data_summary(made)}, {taken}")
+    for name, part in study.parts(cell).items():
+        begin, kept = time.perf_counter(), "the samples so far are kept"
+        what = f"generate {name}".rstrip()
+        with console.working(what, part.samples.count, "samples", kept) as report:
+            made = generate_data_set(part, fresh=fresh, report=report)
+        taken = time_text(time.perf_counter() - begin)
+        console.print_line(f"{made.path}: {data_summary(made)}, {taken}")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from surrofe2.cli import console
-from surrofe2.errors import SimulationError
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.refinement import QUANTITIES, SURROGATE, Round, refine_surrogate
@@ -26,6 +28,7 @@ def train(
             help="Harvest (harvest.h5) of a cached run to train on too; may be repeated.",
         ),
     ] = None,
+    cell: console.OneCell = None,
     fresh: console.Fresh = False,
     threads: console.Threads = None,
 ) -> None:
@@ -41,9 +44,19 @@ def train(
     Next: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
     """
     study = open_study(recipe, threads)
+    parts = study.parts(cell)
+    if add and len(parts) > 1:
+        raise InputError(
+            f"--add: a harvest is of one cell; say --cell and one of {', '.join(parts)}"
+        )
+    for part in parts.values():
+        _train(part, add or (), fresh)
+
+
+def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     begin = time.perf_counter()
     with console.on_interrupt("the iterations so far are kept"):
-        trained = train_surrogate(study, fresh=fresh, add=add or (), stage=console.progress)
+        trained = train_surrogate(study, fresh=fresh, add=add, stage=console.progress)
     errors = trained.surrogate.errors
     quantities: list[Quantity[str]] = [
         Quantity("stress", "", "", lambda name: name),
@@ -51,7 +64,8 @@ def train(
         Quantity("RMS", "", percent(".2g"), lambda name: errors["rms"][name]),
         Quantity("worst", "", percent(".2g"), lambda name: errors["worst"][name]),
     ]
-    title = f"Held-out errors, {errors['points']} samples"
+    of = "" if study.cell_name is None else f" of {study.cell_name}"
+    title = f"Held-out errors{of}, {errors['points']} samples"
     console.show_table(title, *Table(quantities, STRESSES).for_people())
     console.print_line(trained.bound)
     taken = time_text(time.perf_counter() - begin)

@@ -23,9 +23,11 @@ FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
     "checkpoint.h5", "table.h5", "harvest.h5",
 )  # fmt: skip
-_NAMED_ENTRIES = ("conditions", "bodies", "watch")
+_NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
 _SECTIONS = ("cell", "rve", "load", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "rest")
+_OF_TRAINING = ("range", "samples", "training")
+"""Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
 CURVE_HEADER = "t_us,u_x_um,u_y_um"
 
@@ -45,7 +47,8 @@ class RunRecord:
         counts: steps, stress calls and what the law's answers cost: RVE solves, hits,
             fallbacks by reason, …
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
-            audit with the errors found, trust with what became of it, cost against true RVEs.
+            audit with the errors found, trust with what became of it, cost against true RVEs; of
+            several cells, that of each by name under `cells`.
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run. Of a rest, also where the `watched` point
             came to.
@@ -94,6 +97,8 @@ class RunRecord:
             for name in (*_SECTIONS, *self._sections_of_law())
             for key in self.recipe.get(name, {})
         }
+        for name, cell in self.recipe.get("cells", {}).items():
+            flat[f"cells.{name}"] = {k: v for k, v in cell.items() if k not in _OF_TRAINING}
         names = {name: list(self.recipe[name]) for name in _NAMED_ENTRIES if name in self.recipe}
         surrogate = self.surrogate and self.surrogate["fingerprint"]
         rest = self.recipe.get("rest", {})  # of other runs, whose law may be the same, nothing
@@ -145,10 +150,25 @@ def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> 
         check_same(folder, record.compared(), earlier.compared())
         return earlier
     with reported(folder, "written"):
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)
+        for path in [*(folder / name for name in FILES), *folder.glob("harvest-*.h5")]:
+            path.unlink(missing_ok=True)
     write_record(folder, record)
     return None
+
+
+def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
+    """The reports in a record's `cache` by name of the cell, which is "" where there is one."""
+    if not cache:
+        return {}
+    found: dict[str, Mapping[str, Any]] = cache.get("cells", {"": cache})
+    return found
+
+
+def presets_of(recipe: Mapping[str, Any]) -> str:
+    """The preset of a recorded recipe's cell, or of each cell by name."""
+    if "cell" in recipe:
+        return str(recipe["cell"]["preset"])
+    return ", ".join(f"{name}: {cell['preset']}" for name, cell in recipe["cells"].items())
 
 
 def write_record(folder: Path, record: RunRecord) -> None:

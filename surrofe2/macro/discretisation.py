@@ -155,20 +155,23 @@ def n_points_of(mesh: Mesh) -> int:
     return len(mesh.elements) * (quadrature(k, 2)[1].size + (k == 4))
 
 
-def points_by_region(mesh: Mesh, names: Sequence[str]) -> dict[str, Index]:
+def points_by_region(mesh: Mesh, names: Sequence[str], where: str = "regions") -> dict[str, Index]:
     """Numbers of the points in each of the regions, which together must be the whole mesh.
+
+    Args:
+        where: who asks, for the sentence.
 
     Raises:
         InputError: an element is in none of them or in two, or there is no region of a name.
     """
     claims = np.zeros(len(mesh.elements), dtype=np.int64)
     for name in names:
-        claims[mesh.region(name, "regions")] += 1
+        claims[mesh.region(name, where)] += 1
     wrong = np.flatnonzero(claims != 1)
     if wrong.size:
         x, y = mesh.nodes[mesh.elements[wrong[0]]].mean(axis=0)
         raise InputError(
-            f"regions: element {wrong[0]} at ({x:.6g}, {y:.6g}) µm is in {claims[wrong[0]]} of "
+            f"{where}: element {wrong[0]} at ({x:.6g}, {y:.6g}) µm is in {claims[wrong[0]]} of "
             f"{', '.join(names)}; every element must be in one"
         )
     n_q = n_points_of(mesh) // len(mesh.elements)

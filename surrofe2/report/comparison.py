@@ -18,7 +18,7 @@ from surrofe2.displacement_curve import (
 )
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import flat
-from surrofe2.io.run_folder import RunRecord, StoredRun
+from surrofe2.io.run_folder import RunRecord, StoredRun, caches_of, presets_of
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 
@@ -140,7 +140,7 @@ def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
-        preset=run.record.recipe["cell"]["preset"],
+        preset=presets_of(run.record.recipe),
         difference=difference(run.curve, reference.curve),
         wall_time=run.record.wall_time["total"],
         counts=run.record.counts,
@@ -184,9 +184,9 @@ def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[Sto
         apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
         share = 100.0 * np.linalg.norm(apart, axis=0) / scale
         differences.append(Curve("", run.curve.t, share, markers=False))
-        cache = run.record.cache
-        if cache is not None and cache["audit"]["quantiles"]:
-            audits += _audit_curves(k, cache["audit"])
+        for cache in caches_of(run.record.cache).values():
+            if cache["audit"]["quantiles"]:
+                audits += _audit_curves(k, cache["audit"])
     panels = [
         Panel("", "displacement $u_y$ (µm)", tuple(curves)),
         Panel(
@@ -208,7 +208,7 @@ def _title(reference: StoredRun) -> str:
     recipe = reference.record.recipe
     return (
         f"Watched point: {problem_title(recipe)},\n"
-        f"cell preset “{recipe['cell']['preset']}”, {reference.record.initialisation}"
+        f"cell preset “{presets_of(recipe)}”, {reference.record.initialisation}"
     )
 
 
@@ -216,8 +216,8 @@ def _label(run: StoredRun, reference: StoredRun) -> str:
     """The folder, and what differs from the title's preset and initialisation."""
     record, usual = run.record, reference.record
     notes = [] if run.folder.name == record.law else [record.law]
-    if record.recipe["cell"]["preset"] != usual.recipe["cell"]["preset"]:
-        notes.append(record.recipe["cell"]["preset"])
+    if presets_of(record.recipe) != presets_of(usual.recipe):
+        notes.append(presets_of(record.recipe))
     if record.initialisation != usual.initialisation:
         notes.append(record.initialisation)
     return f"{run.folder.name} ({', '.join(notes)})" if notes else run.folder.name

@@ -35,7 +35,9 @@ class NamedCell:
         """The plant cell of a preset, or of a recipe where the name ends in .toml."""
         if not name.endswith(".toml"):
             return cls(CellParameters.preset(name), name)
-        return cls(load_recipe(name).cell, Path(name).stem, "recipe")
+        recipe = load_recipe(name)
+        recipe.check_one_cell()
+        return cls(recipe.cell, Path(name).stem, "recipe")
 
     def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What numbers about it depend on; asked: what was wanted besides the cell."""

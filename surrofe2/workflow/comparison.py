@@ -42,6 +42,7 @@ def run_sweep(
     stage: Stage = silent,
 ) -> Sweep:
     """True FE² and a cached run at each tolerance, each in a folder of its own, and their sweep."""
+    recipe.check_one_cell()
     names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
     caches = [replace(recipe.cache, tolerance=each) for each in tolerances]
     studies = [recipe, *(replace(recipe, cache=cache) for cache in caches)]

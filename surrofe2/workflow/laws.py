@@ -57,6 +57,7 @@ def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> Ref
     From the cache folder, where the first command puts it, else from the surrogate or from the
     data set, else settled.
     """
+    recipe.check_one_cell()
     cell = recipe.cell
     path = reference_path(cell)
     known = read_reference(path, cell)
@@ -105,7 +106,7 @@ def choose_law(
         on_true_answer: is given true answers at accepted steps, see `CachedLaw`.
 
     Raises:
-        InputError: tables for a law that takes none.
+        InputError: tables for a law that takes none, or the recipe has several cells.
         MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
     if tables and kind not in ("cached", "table"):
@@ -174,8 +175,9 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
     if surrogate.cell != recipe.cell:
         here, there = recipe.cell.to_dict(), surrogate.cell.to_dict()
         name = next(key for key in here if here[key] != there[key])
+        of = "the recipe" if recipe.cell_name is None else f"[{recipe.cell_section}]"
         raise MismatchError(
-            f"{path}: trained for cell.{name} = {there[name]}, the recipe has {here[name]}; "
+            f"{path}: trained for cell.{name} = {there[name]}, {of} has {here[name]}; "
             "train a surrogate for this recipe"
         )
     if surrogate.initialisation != recipe.rve.initialisation:

@@ -123,6 +123,7 @@ def refine_surrogate(
     Raises:
         SimulationError: the last round is not settled.
     """
+    recipe.check_one_cell()
     done = _open(recipe, out, fresh)
     for k in range(rounds):
         if k < len(done):

@@ -18,7 +18,8 @@ from surrofe2.io.run_folder import RunRecord, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
-from surrofe2.workflow.laws import choose_law, warm_up
+from surrofe2.workflow.cell_laws import choose_laws
+from surrofe2.workflow.laws import warm_up
 from surrofe2.workflow.run import problem_record
 from surrofe2.workflow.run_lifecycle import (
     Recording,
@@ -72,7 +73,7 @@ def rest_study(
 
     def compute(current: Recording) -> Rest:
         nonlocal frames, begin, compilation
-        chosen = choose_law(recipe, "rve")
+        chosen = choose_laws(recipe, "rve", problem.mesh)
         compilation = warm_up(chosen.parts, recipe.macro, points=n_points_of(problem.mesh))
         begin = time.perf_counter()
         arrays = current.last_state()
@@ -129,8 +130,12 @@ def find_all_modes(
 
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
-    law = choose_law(replace(recipe, rve=replace(recipe.rve, initialisation=method)), "rve").law
-    rest = find_rest(recipe.problem(), law, recipe.macro, factor=factor, load_steps=4)
+    problem, study = (
+        recipe.problem(),
+        replace(recipe, rve=replace(recipe.rve, initialisation=method)),
+    )
+    law = choose_laws(study, "rve", problem.mesh).law
+    rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {
         "watched": rest.watched,
@@ -155,7 +160,7 @@ def modes_identity(recipe: Recipe, methods: Sequence[str], count: int) -> dict[s
 def modes_record(recipe: Recipe, states: Mapping[str, Any]) -> dict[str, Any]:
     """The modes with everything needed to compute them again."""
     return {
-        "fingerprint": recipe.cell.fingerprint,
+        "fingerprint": recipe.fingerprint,
         "threads": numba.get_num_threads(),
         "platform": describe_platform(),
         "units": {

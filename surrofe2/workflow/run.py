@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from surrofe2.cache import CachedLaw, StressTable
+from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
@@ -17,6 +17,7 @@ from surrofe2.io.harvest import HarvestWriter
 from surrofe2.io.provenance import Origin
 from surrofe2.io.run_folder import (
     RunRecord,
+    caches_of,
     file_fingerprint,
     write_curve,
     write_energies,
@@ -27,7 +28,8 @@ from surrofe2.macro import MacroRun, MacroState, Problem, simulate
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.problem import label
 from surrofe2.recipe import Recipe
-from surrofe2.workflow.laws import ChosenLaw, choose_law, warm_up
+from surrofe2.workflow.cell_laws import cache_report, choose_laws, law_arrays, law_state
+from surrofe2.workflow.laws import warm_up
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
     Recording,
@@ -62,7 +64,7 @@ def run_study(
     """
     problem = recipe.problem()
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
-    chosen = choose_law(recipe, kind, surrogate_file, tables, outputs.on_true_answer)
+    chosen = choose_laws(recipe, kind, problem.mesh, surrogate_file, tables, outputs.taker)
     compilation = 0.0
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
@@ -75,7 +77,7 @@ def run_study(
             record,
             wall_time={**run.wall_time, "compilation": compilation},
             counts={**run.counts, **run.effort, **counts_of(chosen.table)},
-            cache=_cache_report(chosen, whole=record.status == "finished"),
+            cache=cache_report(chosen.law, whole=record.status == "finished"),
             met=run.met.to_dict(),
             threads=run.threads,
         )
@@ -84,15 +86,14 @@ def run_study(
         nonlocal compilation
         arrays = current.last_state()
         state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
-        if arrays is not None and state is not None and isinstance(chosen.law, CachedLaw):
-            state = replace(state, law_state=chosen.law.from_arrays(part_of(arrays, "law")))
+        if arrays is not None and state is not None:
+            state = replace(state, law_state=law_state(chosen.law, part_of(arrays, "law")))
 
         def checkpoint(state: MacroState) -> None:
             outputs.store(chosen.table)
             arrays = within("macro", state.to_arrays())
-            if isinstance(chosen.law, CachedLaw):
-                arrays |= within("law", chosen.law.to_arrays(state.law_state))
-            current.checkpoint(arrays, _cache_report(chosen))
+            arrays |= within("law", law_arrays(chosen.law, state.law_state))
+            current.checkpoint(arrays, cache_report(chosen.law))
 
         points = n_points_of(problem.mesh)
         compilation = warm_up(chosen.parts, recipe.macro, chosen.table, points=points)
@@ -128,16 +129,6 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _cache_report(chosen: ChosenLaw, *, whole: bool = False) -> dict[str, Any] | None:
-    """What a cached law has to report; None of any other law.
-
-    whole: the run is over: audit what waits and say what true RVEs would have cost.
-    """
-    if not isinstance(chosen.law, CachedLaw):
-        return None
-    return chosen.law.report() if whole else chosen.law.history()
-
-
 def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
     wall, counts = record.wall_time, record.counts
@@ -170,14 +161,13 @@ def costs(counts: Mapping[str, int]) -> str:
 
 def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     """Sentences on audit, trust and cost of a run, each with whether it is a warning."""
-    cache = record.cache
-    if cache is None:
-        return
-    yield f"audit: {audit_sentence(cache)}", False
-    for event in cache["trust"]["events"]:
-        yield f"cache, step {event['step']}: {event['finding']}", True
-    if cache["cost"] is not None:
-        yield f"cost: {cache['cost']['sentence']}", not cache["cost"]["pays"]
+    for name, cache in caches_of(record.cache).items():
+        of = name and f"{name}: "
+        yield f"{of}audit: {audit_sentence(cache)}", False
+        for event in cache["trust"]["events"]:
+            yield f"{of}cache, step {event['step']}: {event['finding']}", True
+        if cache["cost"] is not None:
+            yield f"{of}cost: {cache['cost']['sentence']}", not cache["cost"]["pays"]
 
 
 def audit_sentence(cache: Mapping[str, Any]) -> str:
@@ -199,28 +189,36 @@ TABLE, HARVEST = "table.h5", "harvest.h5"
 
 
 class RunOutputs:
-    """Writes table and harvest of a run along with its checkpoints.
-
-    Attributes:
-        on_true_answer: what `CachedLaw` gives true answers to, or None where nothing is harvested.
-    """
+    """Writes table and harvest of a run along with its checkpoints; a harvest for each cell."""
 
     def __init__(self, recipe: Recipe, folder: Path, harvest: bool) -> None:
         self.recipe, self.folder = recipe, folder
-        self.on_true_answer: OnTrueAnswer | None = self._take if harvest else None
-        self._writer: HarvestWriter | None = None
+        self._harvest = harvest
+        self._writers: list[HarvestWriter] = []
+
+    def taker(self, part: Recipe) -> OnTrueAnswer | None:
+        """What a `CachedLaw` of the recipe's only cell, or of one of them, gives true answers to;
+        None where nothing is harvested."""
+        if not self._harvest:
+            return None
+        name = HARVEST if part.cell_name is None else f"harvest-{part.cell_name}.h5"
+        writer: HarvestWriter | None = None
+
+        def take(F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
+            nonlocal writer
+            if writer is None:
+                writer = HarvestWriter(self.folder / name, origin_of(part))
+                self._writers.append(writer)
+            writer(F, F_dot, stress, status, why)
+
+        return take
 
     def store(self, table: StressTable | None) -> None:
         """Write what there is now."""
-        if self._writer is not None:
-            self._writer.flush()
+        for writer in self._writers:
+            writer.flush()
         if table is not None:
             write_table(self.folder / TABLE, stored(table, self.recipe.to_dict()))
-
-    def _take(self, F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
-        if self._writer is None:
-            self._writer = HarvestWriter(self.folder / HARVEST, origin_of(self.recipe))
-        self._writer(F, F_dot, stress, status, why)
 
 
 def origin_of(recipe: Recipe) -> Origin:

@@ -133,9 +133,9 @@ def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = N
         solver=recipe.rve.solver,
         package_version=version("surrofe2"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
-        cell_fingerprint=recipe.cell.fingerprint,
+        cell_fingerprint=recipe.fingerprint,
         threads=numba.get_num_threads(),
-        seed=recipe.samples.seed,
+        seed=None if recipe.types else recipe.samples.seed,
         surrogate=surrogate,
         platform=describe_platform(),
     )

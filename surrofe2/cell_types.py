@@ -1,0 +1,158 @@
+"""Cell types of a recipe: plant cells by name, and the regions of the mesh that each fills."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError
+from surrofe2.macro.discretisation import points_by_region
+from surrofe2.macro.mesh import Mesh
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
+from surrofe2.settings import check_settings, check_value, from_table, setting
+from surrofe2.surrogate.settings import TrainingSettings
+
+T = TypeVar("T")
+Index = NDArray[np.int64]
+
+REST = "rest"
+"""As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
+_SHARED = ("range", "samples", "training")
+"""Sections that a cell may have; what they leave out is as in the recipe's section."""
+_OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
+"""Files that cells cannot share."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleSettings:
+    """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
+
+    count: int = setting(16384, "number of samples", least=1)
+    seed: int = setting(1, "of the sequence", least=0)
+    tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
+    file: str | None = setting(None, "of the data set, relative to the recipe")
+    add: tuple[str, ...] = setting((), "harvests that training takes in besides the data set")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "samples")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellType:
+    """A plant cell, the regions it fills, and how its stress is sampled and learnt."""
+
+    preset: str
+    cell: CellParameters
+    regions: tuple[str, ...]
+    range: SamplingRange | None
+    samples: SampleSettings
+    training: TrainingSettings
+    training_file: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a recipe has it, defaults filled in."""
+        found = {"preset": self.preset, **self.cell.to_dict(), "regions": list(self.regions)}
+        found["samples"] = asdict(self.samples)
+        found["training"] = {**asdict(self.training), "file": self.training_file}
+        return found if self.range is None else found | {"range": asdict(self.range)}
+
+
+def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
+    """The cell types that a recipe's tables state, by name; empty where it has [cell] or neither.
+
+    Raises:
+        InputError: naming the entry that is not what it must be.
+    """
+    if "cells" not in table:
+        return {}
+    cells = table["cells"]
+    if not isinstance(cells, dict) or not cells:
+        raise InputError(f"cells: {cells!r}; it must have a section [cells.NAME] for each cell")
+    if "cell" in table:
+        raise InputError("cell: [cell] fills the tissue with one cell, [cells.NAME] with several; "
+                         "leave one out")  # fmt: skip
+    if "mesh" not in table:
+        raise InputError(
+            "cells: [cells.NAME] fill regions of a mesh; the section [mesh] is missing"
+        )
+    shared = {name: table.get(name, {}) for name in _SHARED}
+    for section, key in _OWN:
+        if key in shared[section]:
+            raise InputError(
+                f"{section}.{key}: {shared[section][key]!r}; each cell has its own: give "
+                f"cells.NAME.{section}.{key}"
+            )
+    made = {name: _cell_type(name, entries, shared) for name, entries in cells.items()}
+    for kind, files in (
+        ("samples", {name: each.samples.file for name, each in made.items()}),
+        ("training", {name: each.training_file for name, each in made.items()}),
+    ):
+        known: dict[str, str] = {}
+        for name, file in files.items():
+            first = known.setdefault(str(Path(file)), name) if file is not None else name
+            if first != name:
+                raise InputError(f"cells.{name}.{kind}.file: {file!r}; that is {first}'s")
+    return made
+
+
+def _cell_type(name: str, table: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+    where = f"cells.{name}"
+    if not re.fullmatch(r"[\w-]+", name):
+        raise InputError(f"{where}: {name!r}; a name must be of letters, digits, _ and -")
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: {table!r}; it must be a section [{where}]")
+    given = dict(table)
+    for section in _SHARED:
+        if not isinstance(given.get(section, {}), dict):
+            raise InputError(f"{where}.{section}: {given[section]!r}; it must be a table")
+    sections = {section: {**shared[section], **given.pop(section, {})} for section in _SHARED}
+    preset = check_value(f"{where}.preset", given.pop("preset", "printed"), str, {})
+    regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})
+    if not regions:
+        raise InputError(f"{where}.regions: []; it must name a region of the mesh")
+    file = sections["training"].pop("file", None)
+    try:
+        from_table("cell", CellParameters, given, ("preset", "regions", *_SHARED))
+        return CellType(
+            preset=preset,
+            cell=CellParameters.preset(preset, **given),
+            regions=regions,
+            range=from_table("range", SamplingRange, sections["range"])
+            if sections["range"]
+            else None,
+            samples=from_table("samples", SampleSettings, sections["samples"]),
+            training=from_table("training", TrainingSettings, sections["training"], ("file",)),
+            training_file=check_value("training.file", file, str | None, {}),
+        )
+    except InputError as error:
+        told = str(error)
+        own = "cell." if told.startswith("cell.") else ""
+        raise InputError(f"{where}.{told.removeprefix(own)}") from None
+
+
+def points_of_cells(mesh: Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
+    """Numbers of the points that each cell fills; together the whole mesh.
+
+    Raises:
+        InputError: there is no such region, or an element is of no cell or of two.
+    """
+    filled, rests = {}, []
+    for name, each in types.items():
+        own = [region for region in each.regions if region != REST or REST in mesh.regions]
+        rests += [name] * (len(own) < len(each.regions))
+        found = [mesh.region(region, f"cells.{name}.regions") for region in own]
+        filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
+    left = np.setdiff1d(np.arange(len(mesh.elements)), np.concatenate([*filled.values()]))
+    for name in rests:
+        filled[name] = np.union1d(filled[name], left)
+    for name, elements in filled.items():
+        if not elements.size:
+            raise InputError(f"cells.{name}.regions: {REST}; the other cells fill the whole mesh")
+    return points_by_region(replace(mesh, regions=filled), tuple(filled), "cells")

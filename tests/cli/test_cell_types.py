@@ -1,0 +1,280 @@
+"""Tissue of several cell types: its recipes, their mistakes, and runs by all laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+from surrofe2.errors import InputError
+from surrofe2.io.harvest import read_harvest
+from surrofe2.io.run_folder import read_curve, read_record
+from surrofe2.macro import simulate
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe import load_recipe
+from surrofe2.regional_law import RegionalLaw
+from surrofe2.rve import RveLaw
+from surrofe2.workflow import laws
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.run import run_study
+from tests.laws import SoftLaw, StoppingLaw
+
+BAR = """
+[range]
+stretch = [0.95, 1.05]
+shear = 0.05
+rate = 0.01
+[samples]
+count = 40
+[training]
+form = "stress"
+hidden = [4]
+baseline_degree = 2
+iterations = 40
+[calibration]
+walks = 9
+states = 20
+runs = 0
+length = 6
+share = 0.1
+[mesh]
+width = 100.0
+height = 100.0
+elements = [2, 2]
+[mesh.regions.skin]
+box = [0.0, 50.0, 100.0, 100.0]
+[mesh.regions.inside]
+box = [0.0, 0.0, 100.0, 50.0]
+[conditions.clamp]
+kind = "fixed"
+on = "left"
+[conditions.load]
+kind = "body_force"
+acceleration = [0.0, -0.1]
+[watch]
+tip = [100.0, 50.0]
+[time]
+duration = 4.0
+output_interval = 0.5
+[cells.skin]
+wall_stiffness = 8000.0
+samples = { file = "skin.h5", seed = 2 }
+training = { file = "skin.safetensors" }
+[cells.flesh]
+preset = "water"
+regions = ["inside"]
+range = { rate = 0.02 }
+samples = { file = "flesh.h5" }
+training = { file = "flesh.safetensors" }
+"""
+ONE = BAR[: BAR.index("[cells.skin]")].replace("[mesh]", '[cell]\npreset = "water"\n[mesh]')
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text=BAR, name="bar.toml"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+class SoftCell(SoftLaw):
+    """A soft law as stiff and as heavy as its cell says."""
+
+    def of(self, cell, settings=None):
+        self.a, self.b, self.density = cell.wall_stiffness / 80.0, 100.0, cell.density
+        return super().of(cell, settings)
+
+
+@pytest.fixture
+def invoke(monkeypatch):
+    """invoke(*arguments, law=…): run a command whose RVEs are a `law()` for each cell."""
+
+    def run(*arguments, law=SoftCell):
+        monkeypatch.setattr(laws, "true_law", lambda part, *_: law().of(part.cell, part.rve))
+        return CliRunner().invoke(app, [str(entry) for entry in arguments])
+
+    return run
+
+
+def test_each_cell_has_its_own_parameters_range_and_files(written):
+    recipe = load_recipe(written())
+    skin, flesh = recipe.parts().values()
+    assert skin.cell == CellParameters.preset("printed", wall_stiffness=8000.0)
+    assert flesh.cell == CellParameters.preset("water")
+    assert (skin.range.rate, flesh.range.rate) == (0.01, 0.02)
+    assert (skin.samples.seed, flesh.samples.seed, flesh.samples.count) == (2, 1, 40)
+    assert flesh.training_path().name == "flesh.safetensors"
+    assert recipe.fingerprint.split() == [skin.cell.fingerprint, flesh.cell.fingerprint]
+    assert list(recipe.parts("flesh")) == ["flesh"]
+
+
+def test_points_of_a_cell_are_those_of_its_regions(written):
+    recipe = load_recipe(written())
+    points = recipe.points_of_cells(recipe.problem().mesh)
+    # Elements are numbered along y, then x; each has five points.
+    assert points["skin"].tolist() == [*range(5, 10), *range(15, 20)]
+    rest = load_recipe(written(BAR.replace('["inside"]', '["rest"]')))
+    assert (rest.points_of_cells(rest.problem().mesh)["flesh"] == points["flesh"]).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('["inside"]', '["insied"]', "cells.flesh.regions: insied; no such region; did you mean "),
+        ('["inside"]', '["inside", "skin"]', "cells: element 1 at (25, 75) µm is in 2 of skin, "),
+        ("100.0, 50.0]\n[cond", "50.0, 50.0]\n[cond", "cells: element 2 at (75, 25) µm is in 0"),
+        ('["inside"]', "[]", "cells.flesh.regions: []; it must name a region of the mesh"),
+        ('["inside"]', '"inside"', "cells.flesh.regions: 'inside'; it must be a list"),
+        ("[mesh]", "[cell]\n[mesh]", "cell: [cell] fills the tissue with one cell, [cells.NAME] "),
+        ("wall_stiffness", "wall_stifness", "cells.skin.wall_stifness: unknown key; did you mean "),
+        ("8000.0", "-1.0", "cells.skin.wall_stiffness: -1.0; it must be positive and finite"),
+        ('"water"', '"wter"', "cells.flesh.preset: 'wter'; it must be one of printed, water"),
+        ("rate = 0.02", "rate = -1", "cells.flesh.range.rate: -1; it must be at least 0"),
+        ("count = 40", 'file = "a.h5"', "samples.file: 'a.h5'; each cell has its own: give cells."),
+        ("flesh.h5", "skin.h5", "cells.flesh.samples.file: 'skin.h5'; that is skin's"),
+        ("[cells.skin]", '[cells."a b"]', "cells.a b: 'a b'; a name must be of letters, digits"),
+    ],
+)  # fmt: skip
+def test_wrong_recipes_get_a_sentence(written, old, new, told):
+    assert old in BAR
+    with pytest.raises(InputError) as caught:
+        load_recipe(written(BAR.replace(old, new, 1))).problem()
+    assert str(caught.value).startswith(f"bar.toml: {told}")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_paper_s_bar_has_no_regions(written):
+    load = BAR[: BAR.index("[mesh]")] + "[load]\n" + BAR[BAR.index("[cells.skin]") :]
+    with pytest.raises(InputError, match=r"cells: \[cells.NAME\] fill regions of a mesh; the sect"):
+        load_recipe(written(load))
+
+
+def test_what_knows_one_cell_refuses_several(invoke, written, tmp_path):
+    path = written()
+    for command in (("refine", path), ("sweep", path, "--out", tmp_path / "out")):
+        refused = invoke(*command)
+        assert refused.stderr.startswith("error: bar.toml: cells: skin, flesh; this needs a recipe")
+    refused = invoke("run", path, "--law", "table", "--out", tmp_path / "out")
+    assert "cells: skin, flesh; tables know one cell" in refused.stderr
+    refused = invoke(
+        "run", path, "--law", "cached", "--out", tmp_path / "out", "--surrogate", "a.safetensors"
+    )
+    assert "give each its cells.NAME.training.file" in refused.stderr
+    with pytest.raises(InputError, match="this needs a recipe with one"):
+        generate_data_set(load_recipe(path))
+    assert "unknown cell; did you mean flesh?" in invoke("train", path, "--cell", "flsh").stderr
+
+
+def displacement(folder):
+    return read_curve(folder).displacement
+
+
+@pytest.mark.parametrize("law", ["rve", "cached"])
+def test_two_regions_of_one_cell_move_as_one_cell_does(invoke, written, tmp_path, law):
+    two = BAR.replace('"water"', '"printed"').replace("8000.0", "4000.0")
+    two = two.replace(", seed = 2", "").replace("rate = 0.02", "rate = 0.01")
+    one = ONE.replace('"water"', '"printed"').replace("count = 40", 'count = 40\nfile = "one.h5"')
+    one = one.replace("[training]", '[training]\nfile = "one.safetensors"')
+    folders = []
+    for name, text in (("one", one), ("two", two)):
+        path = written(text, f"{name}.toml")
+        for command in ("generate", "train") if law == "cached" else ():
+            assert invoke(command, path).exit_code == 0
+        folders.append(tmp_path / name)
+        done = invoke("run", path, "--law", law, "--out", folders[-1])
+        assert done.exit_code == 0, done.output
+    alone, both = map(displacement, folders)
+    np.testing.assert_allclose(both, alone, rtol=0, atol=1e-6 * abs(alone).max())
+
+
+def test_the_stiffer_and_heavier_skin_is_felt(invoke, written, tmp_path):
+    paths = {"both": written(), "water": written(ONE, "water.toml")}
+    for name, path in paths.items():
+        assert invoke("run", path, "--law", "rve", "--out", tmp_path / name).exit_code == 0
+    both, water = (displacement(tmp_path / name)[-1] for name in paths)
+    assert np.linalg.norm(both - water) > 0.05 * np.linalg.norm(water)
+    record = read_record(tmp_path / "both")
+    assert record.recipe["cells"]["skin"]["wall_stiffness"] == 8000.0
+    assert len(record.cell_fingerprint.split()) == 2
+    refused = invoke(
+        "run", written(BAR.replace("8000.0", "7000.0")), "--law", "rve", "--out", tmp_path / "both"
+    )
+    assert "cells.skin.wall_stiffness: this call has 7000.0, what is there 8000" in refused.stderr
+    done = invoke("compare", tmp_path / "both", tmp_path / "water", "--out", tmp_path / "c")
+    assert done.exit_code == 0, done.output
+
+
+def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, monkeypatch):
+    path = written()
+    for command in ("generate", "train"):
+        first = invoke(command, path, "--cell", "skin")
+        assert first.exit_code == 0, first.output
+        assert not (tmp_path / "flesh.safetensors").exists()
+        done = invoke(command, path)
+        assert done.exit_code == 0, done.output
+        assert "(already " in done.output
+        assert "flesh" in done.output
+    monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
+
+    def run(folder, **more):
+        command = ("run", path, "--law", "cached", "--out", tmp_path / folder, "--audit", "0.5")
+        return invoke(*command, "--tolerance", "0.1", **more)
+
+    done = run("whole")
+    assert done.exit_code == 0, done.output
+    whole = read_record(tmp_path / "whole")
+    assert list(whole.cache["cells"]) == ["skin", "flesh"]
+    for name, cache in whole.cache["cells"].items():
+        assert f"{name}: audit: {cache['audit']['audited']} of " in done.output
+        assert cache["audit"]["audited"] > 10
+        harvest = read_harvest(tmp_path / "whole" / f"harvest-{name}.h5")
+        assert harvest.cell == load_recipe(path).parts()[name].cell
+    assert whole.surrogate["file"] == "skin.safetensors, flesh.safetensors"
+
+    class Stopping(SoftCell, StoppingLaw):
+        def __init__(self):
+            StoppingLaw.__init__(self, 12)
+
+    assert run("stopped", law=Stopping).exit_code == 130
+    before = read_record(tmp_path / "stopped").cache["cells"]
+    assert all(cache["audit"]["audited"] for cache in before.values())
+    assert run("stopped").exit_code == 0
+    stopped = read_record(tmp_path / "stopped")
+    np.testing.assert_array_equal(*map(displacement, (tmp_path / "whole", tmp_path / "stopped")))
+    for name, cache in stopped.cache["cells"].items():
+        of_whole = whole.cache["cells"][name]
+        assert cache["audit"]["audited"] == of_whole["audit"]["audited"]
+        assert cache["accepted"] == of_whole["accepted"]
+    folders = [tmp_path / "whole", tmp_path / "stopped"]
+    assert invoke("compare", *folders, "--out", tmp_path / "c").exit_code == 0
+
+    (tmp_path / "flesh.safetensors").write_bytes((tmp_path / "skin.safetensors").read_bytes())
+    refused = run("other")
+    assert refused.exit_code == 1
+    told = "flesh.safetensors: trained for cell.fluid_particle_mass = 2.7, [cells.flesh] has 0.27; "
+    assert told in refused.stderr
+
+
+def test_two_cells_of_true_particles(written, tmp_path):
+    """The run is that of each cell's RVEs at the points of its regions, put together by hand."""
+    path = written(BAR.replace("duration = 4.0", "duration = 1.0"))
+    recipe = load_recipe(path)
+    record = run_study(recipe, "rve", tmp_path / "two")
+    problem = recipe.problem()
+    upper = problem.mesh.nodes[problem.mesh.elements].mean(axis=1)[:, 1] > 50.0
+    of_skin = np.repeat(upper, 5)
+    law = RegionalLaw(
+        {"skin": RveLaw(CellParameters.preset("printed", wall_stiffness=8000.0), recipe.rve),
+         "flesh": RveLaw(CellParameters.preset("water"), recipe.rve)},
+        {"skin": np.flatnonzero(of_skin), "flesh": np.flatnonzero(~of_skin)},
+    )  # fmt: skip
+    assert (law.density[of_skin] > 2.0 * law.density[~of_skin][0]).all()
+    by_hand = simulate(problem, law, recipe.macro)
+    np.testing.assert_array_equal(displacement(tmp_path / "two"), by_hand.curve.displacement)
+    assert record.counts["rve_solves"] == by_hand.effort["rve_solves"]
+    alone = simulate(problem, law.laws["flesh"], recipe.macro).curve.displacement
+    assert abs(alone - by_hand.curve.displacement).max() > 1e-3 * abs(alone).max()
