@@ -19,7 +19,8 @@ Index = NDArray[np.int64]
 class RegionalLaw:
     """Laws by region, each asked for its own points all at once.
 
-    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost.
+    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost. All
+    laws are asked to accept a step, so what one counts may be of a step that another objects to.
 
     Attributes:
         laws: by name of the region.

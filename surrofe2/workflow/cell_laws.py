@@ -63,6 +63,14 @@ def choose_laws(
     )
 
 
+def law_by_region(recipe: Recipe, mesh: Mesh, law_of: Callable[[Recipe], StressLaw]) -> StressLaw:
+    """The law of a recipe's cell, or of its cells, each at the points of its regions."""
+    if not recipe.types:
+        return law_of(recipe)
+    laws = {name: law_of(part) for name, part in recipe.parts().items()}
+    return RegionalLaw(laws, recipe.points_of_cells(mesh))
+
+
 def _record_of(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:
     if not surrogates:
         return None

@@ -10,6 +10,7 @@ from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
+from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.laws import true_law
 from surrofe2.workflow.run_lifecycle import Report, untold
 
@@ -27,10 +28,11 @@ def met_by_quadratic_law(recipe: Recipe, *, report: Report = untold) -> MetRange
         SimulationError: the run could not be carried on.
     """
     direct = replace(recipe, rve=replace(recipe.rve, solver="direct"))
-    law = QuadraticLaw.of(true_law(direct))
+    problem = recipe.problem()
+    law = law_by_region(direct, problem.mesh, lambda part: QuadraticLaw.of(true_law(part)))
     settings = replace(recipe.macro, record_dissipation=False, frames=2)
     try:
-        run = simulate(recipe.problem(), law, settings, progress=lambda t, duration: report(t, ""))
+        run = simulate(problem, law, settings, progress=lambda t, duration: report(t, ""))
     except SimulationError as error:
         raise SimulationError(f"range: the run by the quadratic law: {error}") from error
     return run.met

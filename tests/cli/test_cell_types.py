@@ -17,6 +17,8 @@ from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.range import met_by_quadratic_law
+from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from tests.laws import SoftLaw, StoppingLaw
 
@@ -278,3 +280,18 @@ def test_two_cells_of_true_particles(written, tmp_path):
     assert record.counts["rve_solves"] == by_hand.effort["rve_solves"]
     alone = simulate(problem, law.laws["flesh"], recipe.macro).curve.displacement
     assert abs(alone - by_hand.curve.displacement).max() > 1e-3 * abs(alone).max()
+
+
+def test_rest_and_range_ask_each_cell(written, tmp_path):
+    recipe = load_recipe(written(BAR.replace("duration = 4.0", "duration = 2.0")))
+    same = BAR.replace("wall_stiffness = 8000.0", 'preset = "water"')
+    ends = {}
+    for name, text in (("both", BAR), ("same", same), ("one", ONE)):
+        study = load_recipe(written(text, f"{name}.toml"))
+        ends[name] = np.array(rest_study(study, tmp_path / name, load_steps=2).met["watched"])
+    np.testing.assert_allclose(ends["same"], ends["one"], rtol=1e-6)
+    assert np.linalg.norm(ends["both"] - ends["one"]) > 0.02 * np.linalg.norm(ends["one"])
+    met = met_by_quadratic_law(recipe)
+    true = run_study(recipe, "rve", tmp_path / "run").met
+    assert met.rate == pytest.approx(true["rate"], rel=0.02)
+    assert met.shear == pytest.approx(true["shear"], rel=0.02)
