@@ -68,7 +68,9 @@ class RegionalLaw:
             for (law, own), part in zip(self._parts, states, strict=True)
         ]
         effort: dict[str, int] = {}
-        for answer in answers:
+        reasons: dict[int, str] = {}
+        for answer, (_, own) in zip(answers, self._parts, strict=True):
+            reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
             for name, value in answer.effort.items():
                 effort[name] = effort.get(name, 0) + int(value)
         return StressResponse(
@@ -79,6 +81,7 @@ class RegionalLaw:
             tangents=self._tangents(answers) if tangents else None,
             switched=self._where_any([answer.switched for answer in answers], np.int8),
             left_bifurcation=self._where_any([each.left_bifurcation for each in answers], bool),
+            reasons=reasons,
         )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:

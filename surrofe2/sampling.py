@@ -85,6 +85,41 @@ def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:
     return inside
 
 
+QUANTITIES = ("U₁₁", "U₂₂", "U₁₂", "(RᵀḞ)₁₁", "(RᵀḞ)₁₂", "(RᵀḞ)₂₁", "(RᵀḞ)₂₂")
+"""What a range bounds."""
+
+
+def farthest_out(
+    range: SamplingRange, F: Array, F_dot: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Which of `QUANTITIES` is farthest beyond its bound, by its half width, at n finite points.
+
+    Returns:
+        its number (n,), −1 where all are within; its value (n,) and the bound that it passed (n,).
+    """
+    U, A, _ = unrotated(F, F_dot)
+    values = np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
+    low, high = range.stretch
+    upper = np.array([high, high, range.shear, *[range.rate] * 4])
+    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    bound = np.where(values > 0.5 * (upper + lower), upper, lower)
+    half = np.maximum(0.5 * (upper - lower), SLACK)
+    beyond = np.abs(values - 0.5 * (upper + lower)) / half
+    which = beyond.argmax(axis=1)
+    rows = np.arange(len(F))
+    inside = contains(range, F, F_dot)
+    return np.where(inside, -1, which), values[rows, which], bound[rows, which]
+
+
+def out_of_range(quantity: str, value: float, bound: float) -> str:
+    """By how much a quantity is beyond its bound, in words."""
+    side = "most" if value > bound else "least"
+    return (
+        f"{quantity} = {value:.6g} of at {side} {bound:g} after the rotation is taken out, "
+        f"{abs(value - bound):.2g} beyond"
+    )
+
+
 def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange:
     """The least range that holds another one and these points, (n, 2, 2) each."""
     if contains(range, F, F_dot).all():

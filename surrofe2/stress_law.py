@@ -98,6 +98,8 @@ class StressResponse:
         left_bifurcation: (n,) whether the point left its branch at a bifurcation on its way: the
             stress is that of a stable equilibrium, but other ways may lead to another one. None:
             nowhere.
+        reasons: by number of a point without stress, what a law has to say beyond `describe`; of
+            some of them, the first one included.
     """
 
     stress: Array
@@ -107,6 +109,7 @@ class StressResponse:
     tangents: Tangents | None = None
     switched: NDArray[np.int8] | None = None
     left_bifurcation: NDArray[np.bool_] | None = None
+    reasons: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

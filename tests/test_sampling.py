@@ -1,5 +1,6 @@
 """The range of deformations, its sequence of points, and the samples."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -9,7 +10,14 @@ from scipy.stats import qmc
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange, contains, sample
+from surrofe2.sampling import (
+    QUANTITIES,
+    SamplingRange,
+    contains,
+    farthest_out,
+    out_of_range,
+    sample,
+)
 from surrofe2.stress_samples import StressSamples
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
@@ -193,3 +201,22 @@ def test_tangents_belong_to_the_samples():
         samples(P_by_F=np.ones((8, 2, 2)), P_by_F_dot=slopes[1])
     with pytest.raises(InputError, match=r"samples\.P_by_F: not finite"):
         samples(P_by_F=slopes[0], P_by_F_dot=slopes[1])
+
+
+@pytest.mark.parametrize(
+    ("U", "A", "said"),
+    [
+        ([[1.1, 0.0], [0.0, 0.95]], 0.0, "U₁₁ = 1.1 of at most 1.05 .*, 0.05 beyond"),
+        ([[1.0, 0.0], [0.0, 0.8]], 0.0, "U₂₂ = 0.8 of at least 0.9 .*, 0.1 beyond"),
+        ([[1.06, -0.1], [-0.1, 1.0]], 0.0, "U₁₂ = -0.1 of at least -0.08 .*, 0.02 beyond"),
+        ([[1.06, 0.0], [0.0, 1.0]], 0.03, r"\(RᵀḞ\)₂₁ = 0.03 of at most 0.01 .*, 0.02 beyond"),
+        ([[1.05, 0.08], [0.08, 0.9]], 0.01, None),
+    ],
+)
+def test_what_is_farthest_out_is_named_after_the_rotation_is_taken_out(U, A, said):
+    F = turned(np.array(U), 0.7)[None]
+    F_dot = turned(np.array([[0.0, 0.0], [A, 0.0]]), 0.7)[None]
+    (which,), (value,), (bound,) = farthest_out(RANGE, F, F_dot)
+    assert (which < 0) == (said is None)
+    if said is not None:
+        assert re.fullmatch(said, out_of_range(QUANTITIES[which], value, bound))

@@ -16,6 +16,7 @@ from surrofe2.cache.cost import Meter
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.trust import FaultDetector, Trust
+from surrofe2.sampling import QUANTITIES, farthest_out
 from surrofe2.stress_law import Status
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ class Monitor:
         allowed = np.inf if self._spread is None else settings.tolerance * float(self._spread)
         self.trust = Trust(allowed)
         self.meter = Meter()
+        self._left: dict[str, dict[str, float]] = {}
         self._audit = Audit(fallback, settings.audit, settings.seed, allowed)
         self._faults = FaultDetector(learns=surrogate.learns)
         if self._spread is None and np.isfinite(settings.tolerance):
@@ -81,6 +83,8 @@ class Monitor:
         counts["in_domain"] += len(hits)
         step = counts["steps"]
         if len(known):
+            out = known.points[known.why == Status.OUT_OF_RANGE]
+            self._note_what_left(F[out], F_dot[out])
             self.distribute(F, F_dot, stress, known)
         if self.trust.is_off or state.bound is None:
             return
@@ -99,6 +103,20 @@ class Monitor:
         fault = self._faults.check(F, stress, state.bound, hits, known.why, state.tolerance)
         if fault is not None and not self.trust.is_off:
             self.trust.switch_off(step, fault)
+
+    def _note_what_left(self, F: Array, F_dot: Array) -> None:
+        """Count by quantity the points beyond the range, and keep the farthest value of each."""
+        if self._surrogate.range is None:
+            return
+        found = zip(*farthest_out(self._surrogate.range, F, F_dot), strict=True)
+        for which, value, bound in found:
+            if which < 0:
+                continue
+            new = {"points": 0, "farthest": float(value), "bound": float(bound)}
+            left = self._left.setdefault(QUANTITIES[which], new)
+            left["points"] += 1
+            if abs(value - bound) > abs(left["farthest"] - left["bound"]):
+                left["farthest"], left["bound"] = float(value), float(bound)
 
     def distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
         """Give the fallback's answers to whoever keeps or learns them."""
@@ -140,6 +158,7 @@ class Monitor:
                 "absolute": self.trust.allowed,
             },
             "accepted": dict(self.counts),
+            "left_range": {name: dict(left) for name, left in self._left.items()},
             "audit": {
                 "share": self._settings.audit,
                 "seed": self._settings.seed,
@@ -158,6 +177,7 @@ class Monitor:
         """All that it knows, and what the surrogate has learnt, for `from_arrays`."""
         values = {
             "counts": self.counts,
+            "left_range": self._left,
             "trust": asdict(self.trust),
             "faults": asdict(self._faults),
             "audit": self._audit.to_values(),
@@ -173,6 +193,7 @@ class Monitor:
         """Know what the monitor of the same law and settings knew at its `to_arrays`."""
         values = json.loads(arrays["values"].tobytes())
         self.counts = dict(values["counts"])
+        self._left = dict(values["left_range"])
         self.trust = Trust(**values["trust"])
         self._faults = FaultDetector(**values["faults"])
         self._audit.restore(part_of(arrays, "audit"), values["audit"])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import StressLaw, Tangents
 
 Array = NDArray[np.float64]
@@ -28,6 +29,10 @@ class Surrogate(Protocol):
     @property
     def density(self) -> float | NDArray[np.float64]:
         """Mass per reference area, ng/µm²."""
+
+    @property
+    def range(self) -> SamplingRange | None:
+        """Bounds outside which there is no answer, to say what left them; None: not known."""
 
     @property
     def stress_spread(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, cast
@@ -153,7 +154,7 @@ class EquationsOfMotion:
         self.tally.counts["stress_calls"] += 1
         self.tally.counts["stress_points"] += len(F)
         if response.status.any():
-            return self._failed(t, F, response.status)
+            return self._failed(t, F, response.status, response.reasons)
         if response.switched is not None:
             return Switched(y, response.switched)
         now = self._evaluation(t, y, (u, v), F, F_dot, response)
@@ -318,6 +319,10 @@ class EquationsOfMotion:
             self.tally.effort[name] += int(value)
         return response
 
-    def _failed(self, t: float, F: Array, status: NDArray[np.int8]) -> NoStress:
+    def _failed(
+        self, t: float, F: Array, status: NDArray[np.int8], reasons: Mapping[int, str] | None = None
+    ) -> NoStress:
         point = int(np.flatnonzero(status)[0])
-        return self.no_stress(t, point, F, describe(status[point]))
+        said = (reasons or {}).get(point)
+        reason = describe(status[point])
+        return self.no_stress(t, point, F, reason if said is None else f"{said}; {reason}")

@@ -77,6 +77,33 @@ def reach_of(values: Array, pairs: Table, signs: Array) -> Array:
     return reach
 
 
+_NAMES = (
+    *("(U₁₁ + U₂₂ − 2)", "(U₁₁ − U₂₂)", "2 U₁₂"),
+    *("(A₁₁ + A₂₂)", "(A₁₁ − A₂₂)", "(A₁₂ + A₂₁)", "(A₂₁ − A₁₂)"),
+    *("(U₁₁ − U₂₂)(A₁₁ − A₂₂)", "2 U₁₂ (A₁₂ + A₂₁)"),
+)
+
+
+def why_outside(domain: Domain, F: Array, F_dot: Array) -> str:
+    """Which half-space a point (1, 2, 2) is farthest beyond, in words; A = RᵀḞ."""
+    values = features(scaled_inputs(F, F_dot, domain.scale), domain.square)
+    reach = reach_of(values, domain.pairs, domain.signs)[0]
+    k = int((reach - domain.limits).argmax())
+    if not reach[k] > domain.limits[k]:
+        return "beyond where samples have no stress"
+    pair = [
+        f"{'−' if sign < 0.0 else '+'} {'|' * folded}{_NAMES[i]}{'|' * folded}"
+        for i, sign in zip(domain.pairs[k], domain.signs[k], strict=True)
+        for folded in (domain.square and i < INPUTS and i not in SUMS,)
+        if sign
+    ]
+    return (
+        f"{' '.join(pair).removeprefix('+ ')} = {reach[k]:.4g} of at most {domain.limits[k]:.4g} "
+        "that samples reach, by their half widths, after the rotation is taken out, "
+        f"{reach[k] - domain.limits[k]:.2g} beyond"
+    )
+
+
 def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
     """(n, 7) scaled components of U − I and RᵀḞ."""
     scaled: Array = to_inputs(F, F_dot)[0] / scale

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.sampling import SamplingRange
+from surrofe2.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
 from surrofe2.stress_law import (
     Acceptance,
     Status,
@@ -22,7 +22,7 @@ from surrofe2.stress_law import (
 )
 from surrofe2.surrogate.compiled_bound import BoundArrays
 from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
-from surrofe2.surrogate.domain import Domain
+from surrofe2.surrogate.domain import Domain, why_outside
 from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import NetworkArrays, NetworkParameters, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
@@ -105,7 +105,18 @@ class SurrogateLaw:
             slopes = self.tangents(F, F_dot)
             for values in (slopes.P_by_F, slopes.P_by_F_dot):
                 values[status != Status.OK] = np.nan
-        return StressResponse(stress, status, state, {"surrogate_points": len(F)}, slopes)
+        lost = np.flatnonzero(status == Status.OUT_OF_RANGE)[:1]
+        reasons = {int(k): self._why_out(F[[k]], F_dot[[k]]) for k in lost}
+        return StressResponse(
+            stress, status, state, {"surrogate_points": len(F)}, slopes, reasons=reasons
+        )
+
+    def _why_out(self, F: Array, F_dot: Array) -> str:
+        """What is beyond its bound at a point (1, 2, 2) without an answer."""
+        (which,), (value,), (bound,) = farthest_out(self.range, F, F_dot)
+        if which >= 0:
+            return out_of_range(QUANTITIES[which], value, bound)
+        return "det F ≤ 0" if self.domain is None else why_outside(self.domain, F, F_dot)
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ of the surrogate, exact; no range is tested.

@@ -28,6 +28,7 @@ from surrofe2.macro import MacroRun, MacroState, Problem, simulate
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.problem import label
 from surrofe2.recipe import Recipe
+from surrofe2.sampling import out_of_range
 from surrofe2.workflow.cell_laws import cache_report, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import warm_up
 from surrofe2.workflow.run_lifecycle import (
@@ -164,6 +165,15 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     for name, cache in caches_of(record.cache).items():
         of = name and f"{name}: "
         yield f"{of}audit: {audit_sentence(cache)}", False
+        left = cache.get("left_range")
+        if left:
+            quantity, most = max(left.items(), key=lambda item: item[1]["points"])
+            points = sum(each["points"] for each in left.values())
+            far = out_of_range(quantity, most["farthest"], most["bound"])
+            yield (
+                f"{of}out of range: {most['points']} of {points} fallbacks by {far} at worst",
+                False,
+            )
         for event in cache["trust"]["events"]:
             yield f"{of}cache, step {event['step']}: {event['finding']}", True
         if cache["cost"] is not None:

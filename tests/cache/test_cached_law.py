@@ -9,6 +9,7 @@ import pytest
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Acceptance, Status, StressResponse
 from tests.laws import CELL, ZERO, Surrogate, TrueLaw, exact, stretched
 
@@ -43,6 +44,29 @@ def test_effort_names_the_reason(cached):
         "fallbacks_not_trusted": 0,
         "rve_solves": 3,
     }
+
+
+def test_what_left_the_range_is_counted_at_accepted_steps(fallback):
+    """Three points leave by U₁₁, one by U₂₂; what another reason sent to the fallback is not."""
+    surrogate = Surrogate()
+    surrogate.range = SamplingRange(stretch=(0.9, 1.5), shear=0.1, rate=0.1)
+    cached = CachedLaw(surrogate, fallback)
+    F, F_dot = stretched(1.0, 1.6, 1.1, 0.4, 1.7, 1.6)
+    F[5, 1, 1] = 3.0
+    for _ in range(2):
+        answer = cached.respond(F, F_dot)
+        assert cached.history()["left_range"] == {}
+    state = cached.accept(F, F_dot, answer).state
+    F[1, 0, 0] = 1.55
+    cached.accept(F, F_dot, cached.respond(F, F_dot, state))
+    expected = {
+        "U₁₁": {"points": 4, "farthest": pytest.approx(1.7), "bound": 1.5},
+        "U₂₂": {"points": 2, "farthest": pytest.approx(3.0), "bound": 1.5},
+    }
+    assert cached.history()["left_range"] == expected
+    again = CachedLaw(surrogate, fallback)
+    again.from_arrays(cached.to_arrays(state))
+    assert again.history()["left_range"] == expected
 
 
 def test_counts_are_of_accepted_steps(cached):

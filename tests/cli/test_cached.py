@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -61,6 +62,9 @@ def test_fallbacks_are_counted_by_reason(invoke, recipe_path, changed_recipe, tm
     counts = read_record(tmp_path / "cached").counts
     assert counts["fallbacks"] == counts["fallbacks_out_of_range"] == counts["rve_solves"] > 0
     assert f"{counts['fallbacks']} fallbacks ({counts['fallbacks']} out of range)" in done.stdout
+    assert re.search(
+        r"out of range: \d+ of \d+ fallbacks by .* = .* of at (most|least)", done.stdout
+    )
 
 
 @pytest.mark.usefixtures("_trained")

@@ -101,5 +101,7 @@ def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invo
     met = calibrating._states_met(load, surrogate, recipe.macro)
     assert all(surrogate.in_range(F, F_dot).all() for F, F_dot in met)
     assert len(met) > 2
-    with pytest.raises(SimulationError, match="outside the range"):
+    with pytest.raises(
+        SimulationError, match=r"after the rotation is taken out, .* beyond; .* outside the range"
+    ):
         simulate(load, surrogate, recipe.macro)

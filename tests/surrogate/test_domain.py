@@ -10,6 +10,7 @@ from surrofe2.sampling import SamplingRange, contains, sample
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.calibration import fit_domain
 from surrofe2.surrogate.deformation_paths import random_states
+from surrofe2.surrogate.domain import Domain, why_outside
 from surrofe2.tensors import to_inputs
 from tests.laws import CELL, RANGE, lattice_samples
 from tests.surrogate.domain_twin import within
@@ -130,3 +131,20 @@ def test_a_range_of_no_width_in_some_directions():
     domain = fit_domain(samples)
     assert within(domain, F, F_dot).all()
     assert not within(domain, F, F_dot + 0.01).any()
+
+
+def test_what_is_beyond_the_samples_is_named():
+    one = Domain(
+        scale=np.ones(7),
+        square=True,
+        pairs=np.array([[0, 0], [2, 5]]),
+        signs=np.array([[-1.0, 0.0], [1.0, 1.0]]),
+        limits=np.array([0.1, 0.05]),
+        cliff=np.empty(0),
+    )
+    F, F_dot = np.array([[[0.9, 0.0], [0.0, 0.95]]]), np.zeros((1, 2, 2))
+    assert why_outside(one, F, F_dot).startswith("− (U₁₁ + U₂₂ − 2) = 0.15 of at most 0.1 that")
+    F, F_dot = np.array([[[1.0, -0.02], [-0.02, 1.0]]]), np.full((1, 2, 2), 0.01)
+    found = why_outside(one, F, F_dot)
+    assert found.startswith("|2 U₁₂| + |(A₁₂ + A₂₁)| = 0.06 of at most 0.05 that samples reach")
+    assert found.endswith("after the rotation is taken out, 0.01 beyond")

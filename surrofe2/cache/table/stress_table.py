@@ -264,7 +264,7 @@ class ChainedSurrogate:
         self.table = table
         self.cell, self.initialisation = surrogate.cell, surrogate.initialisation
         self.density, self.stress_spread = surrogate.density, surrogate.stress_spread
-        self.has_bound = surrogate.has_bound
+        self.has_bound, self.range = surrogate.has_bound, surrogate.range
         self.tangents, self.learn = table.tangents, table.learn
         self.to_arrays, self.from_arrays = table.to_arrays, table.from_arrays
 
