@@ -25,10 +25,8 @@ def met_by_quadratic_law(recipe: Recipe, *, report: Report = untold) -> MetRange
         report: is told the time reached in µs.
 
     Raises:
-        InputError: the recipe has several cells.
         SimulationError: the run could not be carried on.
     """
-    recipe.check_one_cell()
     direct = replace(recipe, rve=replace(recipe.rve, solver="direct"))
     problem = recipe.problem()
     law = law_by_region(direct, problem.mesh, lambda part: QuadraticLaw.of(true_law(part)))
