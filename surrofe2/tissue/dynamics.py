@@ -120,9 +120,7 @@ class TissueDynamics:
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
-                    raise SimulationError(
-                        "tissue: particles fly apart within a step; lower tissue.micro_step"
-                    )
+                    raise SimulationError("tissue: particles fly apart within a step")
                 steps, renewed = steps[taken:], True
         finally:
             numba.set_num_threads(allowed)

@@ -145,7 +145,7 @@ class PairLister:
         """Plant cells further apart than RINGS must be out of each other's reach."""
         grid, tissue = self.grid, self._tissue
         if not np.isfinite(x).all():
-            raise SimulationError("tissue: positions are not finite; lower tissue.micro_step")
+            raise SimulationError("tissue: positions are not finite")
         weight = grid.exists * grid.per_count[:, None]
         centre = (x * weight[:, None]).sum(axis=2)
         extent = np.hypot(*np.moveaxis((x - centre[:, :, None]) * grid.exists[:, None], 1, 0)).max()
@@ -160,7 +160,7 @@ class PairLister:
         if (distance < near + self._skin * rings)[rings > RINGS].any():
             raise SimulationError(
                 f"tissue: plant cells with {RINGS} others between them come within reach of each "
-                "other; the tissue has collapsed: lower the load or tissue.micro_step"
+                "other; the tissue has collapsed"
             )
 
 

@@ -12,8 +12,12 @@ from surrofe2.units import FORCE, LENGTH, TIME
 class TissueSettings:
     """Time step, accuracy of the unloaded equilibrium, and what is kept."""
 
-    micro_step: float = setting(
-        2e-3, "longest leapfrog step; an output interval has a whole number of them", TIME, above=0
+    micro_step: float | None = setting(
+        None,
+        "longest leapfrog step; an output interval has a whole number of them; left out: 2e-3, or "
+        "less where the cell's largest frequency and damping ask for it",
+        TIME,
+        above=0,
     )
     residual: float = setting(
         1e-6, "largest force left on a particle of the unloaded tissue", FORCE, above=0

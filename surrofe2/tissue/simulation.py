@@ -7,14 +7,15 @@ Leapfrog with lagged velocities in the dashpots, one force evaluation a step::
 begun and ended with half a kick where positions and velocities are wanted at one time: at every
 sample of the energies. Because v_{k−1/2} stands for v_k in velocity-dependent forces, the method
 is first order in Δt; without damping it is second order. Stable to about 2.4e-3 µs with critical
-damping (docs/theory.md), which limits the step before accuracy does: on the paper's bar the default
-of 2e-3 µs moves the watched point by less than 1e-4 µm in the first 30 µs, 3e-6 of its way, by
-comparison with steps of 1e-3 and 5e-4.
+damping (docs/theory.md), which limits the step before accuracy does: `stable_step`. On the paper's
+bar the default of 2e-3 µs moves the watched point by less than 1e-4 µm in the first 30 µs, 3e-6 of
+its way, by comparison with steps of 1e-3 and 5e-4.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import monotonic
 
 import numpy as np
@@ -29,6 +30,7 @@ from surrofe2.tissue.history import Recorder, TissueRun, TissueState
 from surrofe2.tissue.layout import Tissue, make_tissue
 from surrofe2.tissue.relaxation import relax
 from surrofe2.tissue.settings import TissueSettings
+from surrofe2.tissue.stable_step import LONGEST, default_micro_step, stable_step
 
 Array = NDArray[np.float64]
 
@@ -72,6 +74,7 @@ def simulate_tissue(
             f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
         )
     tissue = make_tissue(cell, reference, cells_that_fill(load_case, cell))
+    settings = with_step(settings, cell, reference)
     dynamics = clamped_and_loaded(load_case, tissue, settings)
     numbers = identity(load_case, tissue, settings)
     recorder = Recorder(load_case, settings, dynamics, numbers)
@@ -101,12 +104,32 @@ def simulate_tissue(
                 checkpoint(recorder.state)
                 last_checkpoint = monotonic()
     except SimulationError as error:
-        raise SimulationError(str(error), partial=recorder.run(finished=False)) from error
+        said = f"{error}; {_about_step(settings, cell, reference)}"
+        raise SimulationError(said, partial=recorder.run(finished=False)) from error
     except KeyboardInterrupt:
         if checkpoint is not None:
             checkpoint(recorder.state)
         raise
     return recorder.run(finished=True)
+
+
+def with_step(
+    settings: TissueSettings, cell: CellParameters, reference: ReferenceState
+) -> TissueSettings:
+    """The settings with the cell's own step where they state none."""
+    if settings.micro_step is not None:
+        return settings
+    return replace(settings, micro_step=default_micro_step(cell, reference))
+
+
+def _about_step(settings: TissueSettings, cell: CellParameters, reference: ReferenceState) -> str:
+    """The step against the longest that the cell bears at rest, and what to change."""
+    step, limit = settings.micro_step or 0.0, stable_step(cell, reference)
+    default = default_micro_step(cell, reference)
+    beside = f"tissue.micro_step is {step:.3g} µs, at rest this cell bears {limit:.3g} µs"
+    if step > default:
+        return f"{beside}: the step is too long; leave it out or take {default:g}"
+    return f"{beside}: lower the load, or the step"
 
 
 def cells_that_fill(load_case: LoadCase, cell: CellParameters) -> tuple[int, int]:
@@ -152,7 +175,8 @@ def advance(
     The work of a body force of amplitude a between two samples is ā load·Δx, exact where a is
     constant; the dissipated power is integrated by the trapezoidal rule, second order in the step.
     """
-    total = int(np.ceil((end - start) / settings.micro_step * (1.0 - 1e-9)))
+    longest = settings.micro_step or LONGEST
+    total = int(np.ceil((end - start) / longest * (1.0 - 1e-9)))
     samples = -(-total // settings.energy_steps)
     count = -(-total // samples)
     length = (end - start) / samples
@@ -171,7 +195,7 @@ def advance(
         work += mean * float(np.sum(dynamics.load * (x - x_before)))
         lost += 0.5 * length * (rate_before + rate)
     if not (np.isfinite(work) and np.isfinite(lost)):
-        raise SimulationError("tissue: the motion is not finite; lower tissue.micro_step")
+        raise SimulationError("tissue: the motion is not finite")
     return samples * count, work, lost
 
 
@@ -180,6 +204,6 @@ def identity(load_case: LoadCase, tissue: Tissue, settings: TissueSettings) -> A
     amplitude = np.array(load_case.amplitude, dtype=np.float64).ravel()
     return np.array(
         [*tissue.cells, *tissue.constants, tissue.cell.wall_particle_mass, *load_case.body_force,
-         *load_case.watched, load_case.output_interval, settings.micro_step, settings.skin,
-         settings.energy_steps, *amplitude]
+         *load_case.watched, load_case.output_interval, settings.micro_step or LONGEST,
+         settings.skin, settings.energy_steps, *amplitude]
     )  # fmt: skip

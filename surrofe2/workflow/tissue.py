@@ -17,7 +17,7 @@ from surrofe2.tissue import (
     make_tissue,
     simulate_tissue,
 )
-from surrofe2.tissue.simulation import cells_that_fill
+from surrofe2.tissue.simulation import cells_that_fill, with_step
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
@@ -46,6 +46,8 @@ def run_tissue(
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
     cells = cells_that_fill(recipe.bar_load(), recipe.cell)
+    reference = kept_reference(recipe)
+    recipe = replace(recipe, tissue=with_step(recipe.tissue, recipe.cell, reference))
     compilation = 0.0
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
@@ -62,7 +64,6 @@ def run_tissue(
     def compute(current: Recording) -> TissueRun:
         nonlocal compilation
         arrays = current.last_state()
-        reference = kept_reference(recipe)
         begin = time.perf_counter()  # forces and energy are compiled outside the clock of the run
         TissueDynamics(make_tissue(recipe.cell, reference, cells)).elastic_energy()
         compilation = time.perf_counter() - begin

@@ -1,0 +1,64 @@
+"""The micro step that a plant cell bears."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import SimulationError
+from surrofe2.load_case import LoadCase
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.tissue import TissueSettings, simulate_tissue
+from surrofe2.tissue.stable_step import default_micro_step, stable_step
+
+
+def run(cell, **settings):
+    """Two by two plant cells pulled down for 2 µs."""
+    side = cell.cell_side
+    load = LoadCase(
+        width=2.0 * side, height=2.0 * side, watched=(2.0 * side, side), duration=2.0,
+        body_force=(0.0, -12.5 / side), output_interval=0.5,
+    )  # fmt: skip
+    return simulate_tissue(load, cell, TissueSettings(**settings), reference=RveLaw(cell).reference)
+
+
+@pytest.mark.parametrize("preset", ["printed", "water", "apple", "potato"])
+def test_presets_keep_the_step_of_two_nanoseconds(preset):
+    cell = CellParameters.preset(preset)
+    assert default_micro_step(cell, RveLaw(cell).reference) == 2e-3
+
+
+def test_without_damping_the_limit_is_two_over_the_largest_frequency():
+    """Nearly that of the walls: a chain's largest is 2 √(k/m), so the limit is √(m/k)."""
+    cell = CellParameters.preset("printed")
+    undamped = replace(cell, wall_damping_ratio=0.0, contact_damping_ratio=0.0, viscosity=0.0)
+    reference = replace(RveLaw(cell).reference, fingerprint=undamped.fingerprint)
+    found = stable_step(undamped, reference)
+    chain = (cell.wall_particle_mass / cell.wall_stiffness) ** 0.5
+    assert 0.8 * chain < found < 1.02 * chain
+
+
+@pytest.mark.parametrize("stiffness", [4400.0, 6000.0])
+def test_stiff_walls_get_a_step_that_they_bear(stiffness):
+    cell = CellParameters.preset("printed", wall_stiffness=stiffness)
+    done = run(cell)
+    energies = done.energies
+    assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
+    half = run(cell, micro_step=0.5 * default_micro_step(cell, RveLaw(cell).reference))
+    way = np.abs(half.curve.displacement).max()
+    assert np.abs(done.curve.displacement - half.curve.displacement).max() < 1e-3 * way
+
+
+@pytest.mark.parametrize("preset", ["apple", "potato"])
+def test_living_cells_run(preset):
+    energies = run(CellParameters.preset(preset)).energies
+    assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
+
+
+def test_a_step_that_is_too_long_is_named_and_not_the_load():
+    with pytest.raises(SimulationError) as caught:
+        run(CellParameters.preset("printed", wall_stiffness=6000.0), micro_step=4e-3)
+    assert "tissue.micro_step is 0.004 µs, at rest this cell bears 0.0019" in str(caught.value)
+    assert "the step is too long; leave it out or take 0.0016" in str(caught.value)
+    assert "load" not in str(caught.value)
