@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.stress_law import Acceptance, StressLaw, StressResponse, SwitchingLaw, Tangents
+from surrofe2.stress_law import (
+    Acceptance,
+    Sources,
+    StressLaw,
+    StressResponse,
+    SwitchingLaw,
+    Tangents,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -82,7 +89,25 @@ class RegionalLaw:
             switched=self._where_any([answer.switched for answer in answers], np.int8),
             left_bifurcation=self._where_any([each.left_bifurcation for each in answers], bool),
             reasons=reasons,
+            sources=self._sources([answer.sources for answer in answers]),
         )
+
+    def _sources(
+        self, told: Sequence[Callable[[], Sources] | None]
+    ) -> Callable[[], Sources] | None:
+        """What tells for all points; None where a law does not tell."""
+        telling = [each for each in told if each is not None]
+        if len(telling) < len(told):
+            return None
+
+        def tell() -> Sources:
+            parts = [each() for each in telling]
+            return Sources(
+                self._gathered([part.source for part in parts]),
+                self._gathered([part.bound for part in parts]),
+            )
+
+        return tell
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """As of `StressLaw`."""

@@ -6,7 +6,7 @@ the macro scale knows nothing else of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Protocol
@@ -82,6 +82,23 @@ class Tangents:
         return by_F, by_F_dot / J[:, None, None, None, None]
 
 
+SURROGATE, TABLE = 0, 1
+"""Codes of `Sources` besides those of `Status`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Where the stress of n points came from.
+
+    Attributes:
+        source: (n,) int8 `SURROGATE`, `TABLE`, or the `Status` for which the true law was asked.
+        bound: (n,) of the error of the stress, µN/µm; 0 where the true law answered.
+    """
+
+    source: NDArray[np.int8]
+    bound: Array
+
+
 @dataclass(frozen=True, slots=True)
 class StressResponse:
     """What a stress law answers for n points.
@@ -100,6 +117,7 @@ class StressResponse:
             nowhere.
         reasons: by number of a point without stress, what a law has to say beyond `describe`; of
             some of them, the first one included.
+        sources: tells where the stress came from; None: from the law itself.
     """
 
     stress: Array
@@ -110,6 +128,7 @@ class StressResponse:
     switched: NDArray[np.int8] | None = None
     left_bifurcation: NDArray[np.bool_] | None = None
     reasons: Mapping[int, str] = field(default_factory=dict)
+    sources: Callable[[], Sources] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -29,7 +30,10 @@ from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.errors import MismatchError
 from surrofe2.stress_law import (
+    SURROGATE,
+    TABLE,
     Acceptance,
+    Sources,
     Status,
     StressResponse,
     Tangents,
@@ -144,7 +148,14 @@ class CachedLaw:
         if not len(missed) and not len(state.on_fallback):
             slopes = self.surrogate.tangents(F, F_dot) if tangents else None
             after = CachedState(count, state.on_fallback, state.tolerance, bound, state.before)
-            return StressResponse(stress, status, after, {**NO_EFFORT, "hits": count}, slopes)
+            return StressResponse(
+                stress,
+                status,
+                after,
+                {**NO_EFFORT, "hits": count},
+                slopes,
+                sources=partial(self._sources, F, F_dot, after),
+            )
         check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
         why = status[missed]
         with self._monitor.meter.part("fallback"):
@@ -170,7 +181,19 @@ class CachedLaw:
             added(effort_of(count, known.why), answer.effort),
             self._tangents(F, F_dot, after, answer.tangents) if tangents else None,
             switched,
+            sources=partial(self._sources, F, F_dot, after),
         )
+
+    def _sources(self, F: Array, F_dot: Array, state: CachedState) -> Sources:
+        """Where an answer came from, `state` being the one that it carries."""
+        source = np.full(state.count, SURROGATE, dtype=np.int8)
+        bound = np.zeros(state.count) if state.bound is None else state.bound.copy()
+        free, known = state.free().nonzero()[0], state.on_fallback
+        if len(free) and self.surrogate.learns:
+            of_table = self.surrogate.is_of_table(F[free], F_dot[free], state.tolerance)
+            source[free[of_table]] = TABLE
+        source[known.points], bound[known.points] = known.why, 0.0
+        return Sources(source, bound)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,10 +12,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.files import replacing, write_text
+from surrofe2.errors import FileError
+from surrofe2.io.files import opened_hdf5, replacing, write_text
 
 Array = NDArray[np.float64]
 Data = dict[str, Array]
+F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
 _RANKS = {1: "Scalar", 2: "Vector", 3: "Tensor"}
 """What XDMF calls data of so many axes."""
 
@@ -31,31 +34,82 @@ class Motion(Protocol):
 
 
 class Frames(Motion, Protocol):
-    """The same of the nodes of a mesh; stress and F (m, e, 2, 2) of its elements."""
+    """The same of the nodes of a mesh; stress, F and Ḟ (m, e, 2, 2), source and bound (m, e) of
+    its elements, these two (m, 0) where not known.
+    """
 
     @property
     def stress(self) -> Array: ...  # noqa: D102
     @property
     def F(self) -> Array: ...  # noqa: D102
+    @property
+    def F_dot(self) -> Array: ...  # noqa: D102
+    @property
+    def source(self) -> Array: ...  # noqa: D102
+    @property
+    def bound(self) -> Array: ...  # noqa: D102
 
 
-def write_fields(folder: Path, nodes: Array, elements: NDArray[np.integer], frames: Frames) -> None:
+def write_fields(
+    folder: Path,
+    nodes: Array,
+    elements: NDArray[np.integer],
+    frames: Frames,
+    more: Mapping[str, Array] | None = None,
+) -> None:
     """Write fields.xdmf and fields.h5: a mesh in µm and what its nodes and elements have.
 
     Args:
         nodes: (n, 2) µm.
         elements: (e, 4) quadrilaterals or (e, 6) triangles with the middles of their sides.
+        more: (m, e) of the elements, by name.
     """
     kind = {4: "Quadrilateral", 6: "Triangle_6"}[elements.shape[1]]
-    with _writing_series(folder, nodes, kind, elements) as write:
+    with writing_series(folder, nodes, kind, elements) as write:
         for k, t in enumerate(frames.t):
             stress = frames.stress[k]
             in_elements = {
                 "cauchy_stress_uN_per_um": _tensor_in_space(stress),
-                "deformation_gradient": _tensor_in_space(frames.F[k], thickness=1.0),
+                F_NAME: _tensor_in_space(frames.F[k], thickness=1.0),
+                F_DOT_NAME: _tensor_in_space(frames.F_dot[k]),
                 **_invariants(stress),
+                **{name: values[k] for name, values in (more or {}).items()},
             }
+            if frames.source.size:
+                in_elements |= {
+                    "stress_source": frames.source[k],
+                    "stress_bound_uN_per_um": frames.bound[k],
+                }
             write(float(t), _motion_at(frames, k), in_elements)
+
+
+@dataclass(frozen=True, slots=True)
+class ElementMotion:
+    """A mesh and the F and Ḟ (m, e, 2, 2) of its elements at times t (m,), µs, read back."""
+
+    nodes: Array
+    elements: NDArray[np.int64]
+    t: Array
+    F: Array
+    F_dot: Array
+
+
+def read_element_motion(folder: Path) -> ElementMotion:
+    """What `write_fields` wrote of the motion of elements.
+
+    Raises:
+        FileError: fields.h5 is missing, damaged, or without Ḟ.
+    """
+    path = folder / "fields.h5"
+    with opened_hdf5(path, "r") as file:
+        if f"{F_DOT_NAME}.0" not in file:
+            raise FileError(f"{path}: no {F_DOT_NAME} of elements in it; run anew with --fresh")
+        t = file["t"][()]
+        F, F_dot = (
+            np.stack([file[f"{name}.{k}"][:, :2, :2] for k in range(len(t))])
+            for name in (F_NAME, F_DOT_NAME)
+        )
+        return ElementMotion(file["points"][:, :2], file["cells"][()], t, F, F_dot)
 
 
 def _invariants(stress: Array) -> dict[str, Array]:
@@ -86,13 +140,13 @@ def write_particle_fields(
     Point Gaussian or by Glyph; `wall` is 1 on wall particles, 0 on fluid.
     """
     wall = np.asarray(is_wall, np.float64)
-    with _writing_series(folder, position, "Polyline", bonds) as write:
+    with writing_series(folder, position, "Polyline", bonds) as write:
         for k, t in enumerate(frames.t):
             write(float(t), _motion_at(frames, k) | {"wall": wall}, {})
 
 
 @contextmanager
-def _writing_series(
+def writing_series(
     folder: Path, points: Array, kind: str, cells: NDArray[np.integer]
 ) -> Iterator[Callable[[float, Data, Data], None]]:
     """A function that writes t and the data of points and cells; the files appear at the end.
@@ -106,6 +160,7 @@ def _writing_series(
         cells: (e, k) the points of each.
     """
     grids: list[str] = []
+    times: list[float] = []
     with replacing(folder / "fields.h5") as partial, h5py.File(partial, "w") as file:
 
         def stored(name: str, values: NDArray[Any]) -> str:
@@ -121,7 +176,7 @@ def _writing_series(
             f'<Topology TopologyType="{kind}" NumberOfElements="{len(cells)}" '
             f'NodesPerElement="{cells.shape[1]}">'
             f"{stored('cells', np.asarray(cells, np.int64))}</Topology>\n"
-            f'<Geometry GeometryType="XYZ">{stored("points", _in_space(points))}</Geometry>\n'
+            f'<Geometry GeometryType="XYZ">{stored("points", in_space(points))}</Geometry>\n'
         )
 
         def write(t: float, at_points: Data, in_cells: Data) -> None:
@@ -131,12 +186,14 @@ def _writing_series(
                 for centre, data in (("Node", at_points), ("Cell", in_cells))
                 for name, values in data.items()
             ]
+            times.append(t)
             grids.append(
                 f'<Grid Name="{len(grids)}" GridType="Uniform">\n<Time Value="{t!r}"/>\n'
                 f"{mesh}{''.join(attributes)}</Grid>\n"
             )
 
         yield write
+        file["t"] = np.array(times)
     text = (
         '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n'
         '<Grid Name="fields" GridType="Collection" CollectionType="Temporal">\n'
@@ -148,12 +205,12 @@ def _writing_series(
 def _motion_at(frames: Motion, k: int) -> dict[str, Array]:
     """Displacement and velocity of frame k by the names they have in the files."""
     return {
-        "displacement_um": _in_space(frames.displacement[k]),
-        "velocity_um_per_us": _in_space(frames.velocity[k]),
+        "displacement_um": in_space(frames.displacement[k]),
+        "velocity_um_per_us": in_space(frames.velocity[k]),
     }
 
 
-def _in_space(vectors: Array) -> Array:
+def in_space(vectors: Array) -> Array:
     """(n, 2) vectors as (n, 3)."""
     return np.pad(np.asarray(vectors, dtype=np.float64), ((0, 0), (0, 1)))
 

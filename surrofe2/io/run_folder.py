@@ -229,10 +229,15 @@ HISTORY_UNITS = {"force": "uN"}
 """Unit of a column of the history by its first word; of the others µm."""
 
 
-def write_history(folder: Path, t: np.ndarray, history: Mapping[str, np.ndarray]) -> None:
-    """Write history.csv: what `MacroRun.history` holds over t, (m,) each, in µN or µm."""
+def write_history(
+    folder: Path, t: np.ndarray, history: Mapping[str, np.ndarray], clock: str = "t_us"
+) -> None:
+    """Write history.csv: what `MacroRun.history` holds over t, (m,) each, in µN or µm.
+
+    clock: the name of t; a rest has the factor of the load in its place.
+    """
     names = [f"{name}_{HISTORY_UNITS.get(name.split()[0], 'um')}" for name in history]
-    _write_table(folder / "history.csv", ["t_us", *names], [t, *history.values()])
+    _write_table(folder / "history.csv", [clock, *names], [t, *history.values()])
 
 
 def read_history(folder: Path) -> dict[str, np.ndarray]:
@@ -255,6 +260,11 @@ def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarra
 def write_load_path(folder: Path, path: np.ndarray) -> None:
     """Write path.csv: factor of the load, displacement of the watched point in µm; (m, 3)."""
     _write_table(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
+
+
+def write_named(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write a CSV file of columns (m,) by name."""
+    _write_table(path, list(columns), list(columns.values()))
 
 
 def _write_table(path: Path, header: list[str], columns: list[np.ndarray]) -> None:

@@ -106,18 +106,28 @@ class Discretisation:
         at = np.flatnonzero((self.nodes == point).all(axis=1))
         if at.size:
             return at[:1], np.ones(1)
-        corners, k = self.nodes[self.elements], self.elements.shape[1]
-        size = np.ptp(corners, axis=1)
-        low, high = corners.min(axis=1) - 0.1 * size, corners.max(axis=1) + 0.1 * size
-        for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
-            local = _local_position(corners[e], point)
-            outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
-            if outside <= 1e-9:
-                shape, _ = reference_shapes(k, local[:, None])
-                return self.elements[e], shape[0]
-        raise InputError(
-            f"{name}: ({point[0]:.6g}, {point[1]:.6g}) µm; it must lie within the mesh"
-        )
+        e, local = find_element(self.nodes, self.elements, point, name)
+        shape, _ = reference_shapes(self.elements.shape[1], local[:, None])
+        return self.elements[e], shape[0]
+
+
+def find_element(
+    nodes: Array, elements: Index, point: Array, name: str = "point"
+) -> tuple[int, Array]:
+    """Number of an element that holds a reference position, and (2,) where in its reference.
+
+    Raises:
+        InputError: the position is outside the mesh.
+    """
+    corners, k = nodes[elements], elements.shape[1]
+    size = np.ptp(corners, axis=1)
+    low, high = corners.min(axis=1) - 0.1 * size, corners.max(axis=1) + 0.1 * size
+    for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
+        local = _local_position(corners[e], point)
+        outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
+        if outside <= 1e-9:
+            return int(e), local
+    raise InputError(f"{name}: ({point[0]:.6g}, {point[1]:.6g}) µm; it must lie within the mesh")
 
 
 def make_discretisation(mesh: Mesh) -> Discretisation:

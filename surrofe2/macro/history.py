@@ -14,10 +14,15 @@ from surrofe2.errors import InputError
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.internal_force import element_mean_F, element_mean_stress
+from surrofe2.macro.internal_force import (
+    deformation_gradient,
+    element_mean_F,
+    element_mean_stress,
+)
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
+from surrofe2.stress_law import Sources
 
 Array = NDArray[np.float64]
 
@@ -44,7 +49,9 @@ class Frames:
         t: (k,) µs, increasing, from 0 to the end.
         displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
         stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
-        F: (k, n_el, 2, 2) element mean of the deformation gradient.
+        F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
+        source, bound: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
+            that does not tell.
     """
 
     t: Array
@@ -52,25 +59,49 @@ class Frames:
     velocity: Array
     stress: Array
     F: Array
+    F_dot: Array
+    source: Array
+    bound: Array
 
     @classmethod
     def of(
-        cls, discretisation: Discretisation, t: float, u: Array, v: Array, F: Array, stress: Array
+        cls,
+        space: Discretisation,
+        t: float,
+        motion: tuple[Array, Array],
+        F: Array,
+        stress: Array,
+        sources: Sources | None = None,
     ) -> Frames:
-        """Those of one time, from values (n, 2) at nodes and bodies and at the points."""
-        mean_stress, n = element_mean_stress(discretisation, F, stress), len(discretisation.nodes)
+        """Those of one time, from displacement and velocity (n, 2) of nodes and bodies, and from
+        values at the points.
+        """
+        u, v = motion
+        n = len(space.nodes)
+        _, F_dot, _ = deformation_gradient(space, u, v)
         return cls(
             t=np.array([t]),
             displacement=u[None, :n],
             velocity=v[None, :n],
-            stress=mean_stress[None],
-            F=element_mean_F(discretisation, F)[None],
+            stress=element_mean_stress(space, F, stress)[None],
+            F=element_mean_F(space, F)[None],
+            F_dot=element_mean_F(space, F_dot)[None],
+            source=_largest(space, None if sources is None else sources.source),
+            bound=_largest(space, None if sources is None else sources.bound),
         )
 
     def followed_by(self, other: Frames) -> Frames:
         """Both, one after the other."""
         pairs = zip(astuple(self), astuple(other), strict=True)
         return Frames(*(np.concatenate(pair) for pair in pairs))
+
+
+def _largest(space: Discretisation, values: NDArray | None) -> Array:
+    """(1, n_el) largest of values (n_points,) in each element; (1, 0) of None."""
+    if values is None:
+        return np.empty((1, 0))
+    whole: Array = values.reshape(len(space.elements), -1).max(axis=1).astype(np.float64)[None]
+    return whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -298,5 +329,6 @@ class Recorder:
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
     def _frame(self, now: Evaluation) -> Frames:
-        stress = now.response.stress
-        return Frames.of(self._system.discretisation, now.t, now.u, now.v, now.F, stress)
+        answer, space = now.response, self._system.discretisation
+        told = None if answer.sources is None else answer.sources()
+        return Frames.of(space, now.t, (now.u, now.v), now.F, answer.stress, told)

@@ -67,7 +67,7 @@ class Rest:
     def frame(self) -> Frames:
         """Whole fields, the factor of the load in the place of time."""
         u, space = self.u, self.system.discretisation
-        return Frames.of(space, self.factor, u, 0.0 * u, self.F, self.stress)
+        return Frames.of(space, self.factor, (u, 0.0 * u), self.F, self.stress)
 
     def to_arrays(self) -> dict[str, Array]:
         """What `find_rest` goes on from."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from surrofe2.cache.branches import part_of, within
 from surrofe2.io.fields import write_fields
-from surrofe2.io.run_folder import RunRecord, write_load_path
+from surrofe2.io.run_folder import RunRecord, write_history, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
@@ -60,11 +60,13 @@ def rest_study(
     """
     problem = recipe.problem()
     frames: Frames | None = None
+    forces: list[np.ndarray] = []
     begin = compilation = 0.0
 
     def store(record: RunRecord, last: Rest) -> RunRecord:
         assert frames is not None
         write_load_path(folder, last.path)
+        write_history(folder, last.path[:, 0], _by_name(last, forces), "factor")
         space = last.system.discretisation
         write_fields(folder, space.nodes, space.elements, frames)
         wall = {"total": time.perf_counter() - begin, "compilation": compilation}
@@ -80,13 +82,15 @@ def rest_study(
         if arrays is not None:
             begin -= float(arrays["seconds"])
             frames = Frames(**part_of(arrays, "frames"))
+            forces.extend(arrays["forces"])
 
         def reached(rest: Rest) -> None:
             nonlocal frames
             frames = rest.frame if frames is None else frames.followed_by(rest.frame)
+            forces.append(rest.forces)
             current.partial = rest
-            spent = {"seconds": np.array(time.perf_counter() - begin)}
-            current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | spent)
+            more = {"seconds": np.array(time.perf_counter() - begin), "forces": np.array(forces)}
+            current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | more)
             report(rest.factor / factor if factor else 1.0, "")
 
         return find_rest(
@@ -103,6 +107,15 @@ def rest_study(
     stated = {"factor": factor, "load_steps": load_steps}
     record = replace(record, recipe={**record.recipe, "rest": stated})
     return record_run(folder, record, compute, store, fresh=fresh)
+
+
+def _by_name(rest: Rest, forces: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Components (m,) of forces [(k, 2), …] on the tissue, as `MacroRun.history` names them."""
+    return {
+        f"force {name} {axis}": np.array([found[k, i] for found in forces])
+        for k, name in enumerate(rest.system.force_names)
+        for i, axis in enumerate("xy")
+    }
 
 
 def rest_summary(record: RunRecord) -> str:

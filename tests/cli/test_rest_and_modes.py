@@ -41,7 +41,16 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     with h5py.File(out / "fields.h5") as file:
         shapes = [item.shape for item in file.values()]
     assert shapes.count((9, 3)) == 1 + 2 * 5  # nodes; displacement and velocity of 5 states
-    assert shapes.count((4, 3, 3)) == 2 * 5
+    assert shapes.count((4, 3, 3)) == 3 * 5  # stress, F, its rate
+    header, *rows = (out / "history.csv").read_text(encoding="utf-8").splitlines()
+    names = [f"force {name} {axis}_uN" for name in expected.system.force_names for axis in "xy"]
+    assert header.split(",") == ["factor", *names]
+    forces = np.array([[float(entry) for entry in row.split(",")] for row in rows])
+    np.testing.assert_array_equal(forces[:, 0], table[:, 0])
+    size = abs(expected.forces).max()
+    np.testing.assert_allclose(forces[-1, 1:], expected.forces.ravel(), rtol=0, atol=1e-6 * size)
+    whole = forces[:, 1:].reshape(5, -1, 2).sum(axis=1)
+    assert abs(whole).max() < 1e-6 * size < 1e-3 * abs(forces[-1, 1:]).sum()
     assert f"watched point at ({table[-1, 1]:.4g}, {table[-1, 2]:.4g}) µm" in done.stdout
     kept = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert f"{out}: finished before" in kept.stdout

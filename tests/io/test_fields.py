@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.fields import write_fields
+from surrofe2.io.fields import read_element_motion, write_fields, write_particle_fields
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 QUADS = np.array([[0, 1, 2, 3]])
@@ -25,12 +25,15 @@ def frames():
         velocity=numbers.normal(size=(3, 4, 2)),
         stress=numbers.normal(size=(3, 1, 2, 2)),
         F=numbers.normal(size=(3, 1, 2, 2)),
+        F_dot=numbers.normal(size=(3, 1, 2, 2)),
+        source=np.array([[0.0], [3.0], [6.0]]),
+        bound=np.array([[0.1], [0.0], [0.0]]),
     )
 
 
 def test_fields_read_back(tmp_path, frames):
     here = Path.cwd()
-    write_fields(tmp_path, NODES, QUADS, frames)
+    write_fields(tmp_path, NODES, QUADS, frames, {"swelling": np.arange(1.0, 4.0)[:, None]})
     assert Path.cwd() == here
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fields.h5", "fields.xdmf"]
     with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
@@ -49,6 +52,28 @@ def test_fields_read_back(tmp_path, frames):
             np.testing.assert_array_equal(stress[:, :2, :2], frames.stress[k])
             np.testing.assert_array_equal(F[:, :2, :2], frames.F[k])
             assert (F[:, 2, 2] == 1.0).all()
+            assert in_quads["stress_source"][0] == frames.source[k]
+            assert in_quads["stress_bound_uN_per_um"][0] == frames.bound[k]
+            np.testing.assert_array_equal(in_quads["swelling"][0], 1.0 + k)
+    read = read_element_motion(tmp_path)
+    np.testing.assert_array_equal(read.nodes, NODES)
+    np.testing.assert_array_equal(read.elements, QUADS)
+    for name in ("t", "F", "F_dot"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(frames, name))
+
+
+def test_fields_of_particles_have_no_motion_of_elements(tmp_path):
+    motion = SimpleNamespace(
+        t=np.zeros(1), displacement=np.zeros((1, 4, 2)), velocity=np.zeros((1, 4, 2))
+    )
+    write_particle_fields(tmp_path, NODES, QUADS[:, :2], np.ones(4, bool), motion)
+    with pytest.raises(FileError) as caught:
+        read_element_motion(tmp_path)
+    path = tmp_path / "fields.h5"
+    assert (
+        str(caught.value) == f"{path}: no deformation_rate_1_per_us of elements in it; run "
+        "anew with --fresh"
+    )
 
 
 def test_one_grid_a_time_and_no_mesh_beside_them(tmp_path, frames):
@@ -88,7 +113,13 @@ def test_triangles_with_six_nodes(tmp_path):
     zero = np.zeros((1, 6, 2))
     tensors = np.zeros((1, 1, 2, 2))
     frames = SimpleNamespace(
-        t=np.zeros(1), displacement=zero, velocity=zero, stress=tensors, F=tensors
+        t=np.zeros(1),
+        displacement=zero,
+        velocity=zero,
+        stress=tensors,
+        F=tensors,
+        F_dot=tensors,
+        source=np.empty((1, 0)),
     )
     write_fields(tmp_path, nodes, np.arange(6)[None], frames)
     with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:

@@ -113,6 +113,10 @@ class StressTable:
         """Those of `lookup`."""
         return self.lookup(F, F_dot, tolerance)[1:]
 
+    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(F), dtype=np.bool_)
+
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """An InputError: each record has its own slope, which jumps from one to the next."""
         raise InputError("tangents: a table has none; use true RVEs")
@@ -293,3 +297,8 @@ class ChainedSurrogate:
             found = known == Status.OK
             status[missed[found]], bound[missed[found]] = Status.OK, of_table[found]
         return status, bound
+
+    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
+        """See `Surrogate.is_of_table`."""
+        status, _ = self.surrogate.status_and_bound(F, F_dot, tolerance)
+        return status != Status.OK
