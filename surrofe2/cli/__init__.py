@@ -30,6 +30,7 @@ COMMANDS = {
     "tissue": "Run the recipe's load case on all particles of the tissue.",
     "compare": "Compare displacement curves and costs of runs of one load case.",
     "sweep": "Run the load case at several stress tolerances: what a tolerance buys.",
+    "zoom": "Look into the plant cells of a run: the RVE at a point over time.",
     "rest": "Find the tissue at rest under the recipe's loads.",
     "modes": "Period and damping of the bar's small oscillations.",
     "demo": "The bending bar by true and by cached FE²: all steps and their comparison.",
@@ -62,6 +63,8 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
   the same with every particle of every plant cell, nothing homogenised
 [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
   difference and speed-up
+[bold]surrofe2 zoom out/cached --point X,Y[/bold]
+  the plant cells at a point over time: picture, animation, table, particles
 [bold]surrofe2 sweep RECIPE --out out/sweep[/bold]
   what a stress tolerance buys: error, hits and speed over tolerances
 

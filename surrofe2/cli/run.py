@@ -36,6 +36,14 @@ def run(
     harvest: Annotated[
         bool, typer.Option(help="Keep the true answers of cached runs in DIR/harvest.h5.")
     ] = True,
+    cell_fields: Annotated[
+        bool,
+        typer.Option(
+            "--cell-fields",
+            help="Fields of wall stretch and tension, turgor, area and contact pressure too, by "
+            "a true RVE for each element and frame.",
+        ),
+    ] = False,
     initialisation: console.Initialisation = None,
     solver: Annotated[
         str | None, typer.Option(help="How constrained runs are solved; default: the recipe's.")
@@ -82,6 +90,7 @@ def run(
             surrogate_file=surrogate,
             tables=table or (),
             harvest=harvest,
+            cells=cell_fields,
             fresh=fresh,
             report=report,
         )

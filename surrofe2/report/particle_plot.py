@@ -20,13 +20,16 @@ from surrofe2.rve.particles import Particles
 Array = NDArray[np.float64]
 
 PANELS = 6
+CLOCK = "t = {:.4g} µs"
 _COPIES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 _WALLS, _FLUID = "viridis", "Blues"
 _FRAMES_PER_SECOND = 12
 
 
-def write_particle_picture(path: Path, title: str, seen: Particles, t: Array) -> None:
-    """Draw the RVE at six times from the first to the last of t (n,), µs, into a PNG."""
+def write_particle_picture(
+    path: Path, title: str, seen: Particles, t: Array, clock: str = CLOCK
+) -> None:
+    """Draw the RVE at six times from the first to the last of t (n,), as `clock` tells, as PNG."""
     chosen = np.unique(np.linspace(0, len(t) - 1, min(PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
@@ -35,7 +38,7 @@ def write_particle_picture(path: Path, title: str, seen: Particles, t: Array) ->
     window = _window(seen)
     for place, k in zip(places.flat, chosen, strict=False):
         drawn = _draw(place, seen, int(k), window)
-        place.set_title(f"t = {t[k]:.4g} µs", fontsize=9)
+        place.set_title(clock.format(t[k]), fontsize=9)
     for place in places.flat[len(chosen) :]:
         place.axis("off")
     _add_scales(figure, places.ravel().tolist(), drawn)
@@ -44,8 +47,10 @@ def write_particle_picture(path: Path, title: str, seen: Particles, t: Array) ->
         figure.savefig(partial, format="png", dpi=150)
 
 
-def write_particle_animation(path: Path, title: str, seen: Particles, t: Array) -> None:
-    """Draw the RVE at all times t (n,), µs, as an animated GIF."""
+def write_particle_animation(
+    path: Path, title: str, seen: Particles, t: Array, clock: str = CLOCK
+) -> None:
+    """Draw the RVE at all times t (n,), as `clock` tells, as an animated GIF."""
     figure = _new_figure(5.6, 4.6)
     place = figure.subplots()
     window = _window(seen)
@@ -56,7 +61,7 @@ def write_particle_animation(path: Path, title: str, seen: Particles, t: Array) 
     def frame(k: int) -> None:
         place.clear()
         _draw(place, seen, k, window)
-        place.set_title(f"t = {t[k]:.4g} µs", fontsize=9)
+        place.set_title(clock.format(t[k]), fontsize=9)
 
     animation = FuncAnimation(figure, frame, frames=len(t), repeat=False)
     with replacing(path) as partial, TemporaryDirectory(dir=path.parent) as folder:

@@ -1,0 +1,105 @@
+"""The particles of one RVE over time: for ParaView and for OVITO."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.io.fields import in_space, writing_series
+from surrofe2.io.files import write_text
+from surrofe2.rve.particles import Particles
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _WithImages:
+    """An RVE with those images of its particles to which springs lead across its boundary.
+
+    Attributes:
+        owner: (p,) particle of each point. shift: (p, 2) lattice shift of each, 0 of the particles.
+        springs: (b, 2) points.
+    """
+
+    owner: NDArray[np.int64]
+    shift: NDArray[np.int64]
+    springs: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, seen: Particles) -> _WithImages:
+        particles = seen.position.shape[1]
+        across = seen.bond_shift.any(axis=1)
+        needed = np.column_stack([seen.bonds[across, 1], seen.bond_shift[across]])
+        images, place = np.unique(needed, axis=0, return_inverse=True)
+        springs = seen.bonds.copy()
+        springs[across, 1] = particles + place.ravel()
+        own = np.column_stack([np.arange(particles), np.zeros((particles, 2), np.int64)])
+        points = np.concatenate([own, images])
+        return cls(points[:, 0], points[:, 1:], springs)
+
+    def moved(self, vectors: Array, step: Array) -> Array:
+        """(p, 2) vectors of the particles (particles, 2), of images by `step` a shift more."""
+        moved: Array = vectors[self.owner] + self.shift @ step.T
+        return moved
+
+
+def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
+    """Write fields.xdmf and fields.h5 of the RVE of `seen` at times t (n,), µs.
+
+    Points are its particles as they are at the first time, with images where wall springs lead
+    across its boundary; lines are the springs. `displacement_um` moves them.
+    """
+    points, particles = _WithImages.of(seen), seen.position.shape[1]
+    walls = int(seen.is_wall.sum())
+
+    def lattice(k: int) -> Array:
+        return seen.F[k] @ seen.lattice
+
+    first = points.moved(seen.position[0], lattice(0))
+    with writing_series(folder, first, "Polyline", points.springs) as write:
+        for k, time in enumerate(t):
+            now = points.moved(seen.position[k], lattice(k))
+            velocity = points.moved(seen.velocity[k], seen.F_dot[k] @ seen.lattice)
+            turgor, contact = np.zeros(particles), np.zeros(particles)
+            turgor[walls:], contact[:walls] = seen.pressure[k], seen.contact_pressure[k]
+            at_points = {
+                "displacement_um": in_space(now - first),
+                "velocity_um_per_us": in_space(velocity),
+                "force_uN": in_space(seen.force[k][points.owner]),
+                "turgor_uN_per_um": turgor[points.owner],
+                "contact_pressure_uN_per_um": contact[points.owner],
+                "wall": seen.is_wall[points.owner].astype(np.float64),
+                "image": (points.shift != 0).any(axis=1).astype(np.float64),
+            }
+            of_springs = {"wall_stretch": seen.stretch[k], "wall_tension_uN": seen.tension[k]}
+            write(float(time), at_points, of_springs)
+
+
+def write_extended_xyz(path: Path, seen: Particles, t: Array) -> None:
+    """Write the RVE at times t (n,), µs, as extended XYZ with its periodic box, for OVITO.
+
+    Species are Wall and Fluid; `pressure` is the turgor of fluid, on walls the largest contact
+    pressure, µN/µm.
+    """
+    names = ["Wall" if wall else "Fluid" for wall in seen.is_wall]
+    lines: list[str] = []
+    for k, time in enumerate(t):
+        periods = np.zeros((3, 3))
+        periods[:2, :2], periods[2, 2] = (seen.F[k] @ seen.lattice).T, 1.0
+        box = " ".join(map(repr, periods.ravel().tolist()))
+        lines += [
+            str(len(names)),
+            f'Lattice="{box}" pbc="T T F" Time={float(time)!r} '
+            "Properties=species:S:1:pos:R:3:velo:R:3:force:R:3:pressure:R:1",
+        ]
+        pressure = np.concatenate([seen.contact_pressure[k], seen.pressure[k]])
+        vectors = (in_space(each[k]) for each in (seen.position, seen.velocity, seen.force))
+        table = np.column_stack([*vectors, pressure])
+        lines += [
+            f"{name} {' '.join(map(repr, row))}"
+            for name, row in zip(names, table.tolist(), strict=True)
+        ]
+    write_text(path, "\n".join(lines) + "\n")

@@ -1,0 +1,113 @@
+"""A look into the plant cells of a run: one point over time, or all elements at all frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import FileError, InputError
+from surrofe2.io.fields import read_element_motion
+from surrofe2.io.particles import write_extended_xyz, write_rve_fields
+from surrofe2.io.run_folder import RunRecord, read_record, write_named
+from surrofe2.macro import Frames
+from surrofe2.macro.discretisation import find_element
+from surrofe2.recipe import Recipe, make_recipe
+from surrofe2.report.particle_plot import write_particle_animation, write_particle_picture
+from surrofe2.rve import RveLaw
+from surrofe2.rve.particles import Particles
+from surrofe2.stress_law import describe
+from surrofe2.workflow.laws import true_law
+
+Array = NDArray[np.float64]
+
+_AT_ONCE = 512
+"""RVEs whose particles are computed together: 40 MB for one plant cell each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Zoom:
+    """The RVE of one element over time.
+
+    Attributes:
+        element: number of the element. centre: (2,) mean position of its nodes, unloaded, µm.
+        t: (n,) µs, of a rest the factor of the load.
+        seen: the particles at these times.
+        is_rest: whether the run is a rest.
+    """
+
+    element: int
+    centre: Array
+    t: Array
+    seen: Particles
+    is_rest: bool
+
+
+def zoom_into(folder: Path, point: tuple[float, float]) -> Zoom:
+    """The true RVE of the element at a point, with its mean F and Ḟ at all frames of a run.
+
+    Args:
+        folder: of a run or a rest by any law, finished or not.
+        point: unloaded position, µm.
+
+    Raises:
+        FileError: not a run folder, or one without fields of elements.
+        InputError: the point is outside the mesh, or the RVE has no stress at a frame.
+    """
+    if not (folder / "run.json").exists():
+        raise FileError(f"{folder}: no run.json; it is not a run folder")
+    record = read_record(folder)
+    if record.law == "tissue":
+        raise InputError(f"{folder}: of the full tissue, whose fields are its particles already")
+    if not (folder / "fields.h5").exists():
+        raise FileError(f"{folder}: the run is {record.status} and has no fields")
+    motion = read_element_motion(folder)
+    element, _ = find_element(motion.nodes, motion.elements, np.array(point))
+    law = true_law(recipe_of(record))
+    F, F_dot = motion.F[:, element], motion.F_dot[:, element]
+    answer = law.respond(F, F_dot)
+    for k in np.flatnonzero(answer.status)[:1]:
+        why = describe(answer.status[k])
+        raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
+    centre = motion.nodes[motion.elements[element]].mean(axis=0)
+    seen = law.particles(F, F_dot, answer.state)
+    return Zoom(element, centre, motion.t, seen, "rest" in record.recipe)
+
+
+def write_zoom(found: Zoom, out: Path) -> None:
+    """Write zoom.png, zoom.gif, zoom.csv, zoom.xyz for OVITO and fields.xdmf for ParaView."""
+    clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
+    x, y = found.centre
+    title = f"RVE of element {found.element} about ({x:.4g}, {y:.4g}) µm"
+    write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
+    write_particle_animation(out / "zoom.gif", title, found.seen, found.t, clock)
+    columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
+    write_named(out / "zoom.csv", columns)
+    write_extended_xyz(out / "zoom.xyz", found.seen, found.t)
+    write_rve_fields(out, found.seen, found.t)
+
+
+def recipe_of(record: RunRecord) -> Recipe:
+    """Cell and initialisation of a run as a recipe."""
+    return make_recipe({name: record.recipe[name] for name in ("cell", "rve")})
+
+
+def cell_fields(law: RveLaw, frames: Frames) -> dict[str, Array]:
+    """`Particles.extremes` of true RVEs with the mean F and Ḟ of each element, (k, n_el) by name.
+
+    NaN where an RVE has no stress.
+    """
+    F, F_dot = (each.reshape(-1, 2, 2) for each in (frames.F, frames.F_dot))
+    found: dict[str, Array] = {}
+    for begin in range(0, len(F), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        answer = law.respond(F[part], F_dot[part])
+        good = np.flatnonzero(answer.status == 0)
+        if not good.size:
+            continue
+        seen = law.particles(F[part][good], F_dot[part][good], answer.state.take(good))
+        for name, values in seen.extremes().items():
+            found.setdefault(name, np.full(len(F), np.nan))[begin + good] = values
+    return {name: values.reshape(frames.F.shape[:2]) for name, values in found.items()}

@@ -1,0 +1,160 @@
+"""A look into the cells of short runs by true plant cells: the command, its files and errors."""
+
+from __future__ import annotations
+
+import shutil
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from surrofe2.cli import app
+from surrofe2.io.fields import read_element_motion
+from surrofe2.io.run_folder import read_record
+from surrofe2.recipe import load_recipe
+from surrofe2.rve import RveLaw
+from tests.conftest import RECIPE
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(entry) for entry in arguments])
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A recipe and the folder of its run with cell fields."""
+    folder = tmp_path_factory.mktemp("zoom")
+    recipe = folder / "recipe.toml"
+    recipe.write_text(RECIPE + "frames = 5\n", encoding="utf-8")
+    done = call("run", recipe, "--law", "rve", "--cell-fields", "--out", folder / "run")
+    assert done.exit_code == 0, done.output
+    return recipe, folder / "run"
+
+
+@pytest.fixture(scope="module")
+def looked(study):
+    done = call("zoom", study[1], "--point", "90,70")
+    assert done.exit_code == 0, done.output
+    return done, study[1] / "zoom-90-70"
+
+
+@pytest.fixture(scope="module")
+def seen(study):
+    recipe, run = study
+    motion = read_element_motion(run)
+    settings = load_recipe(recipe)
+    law = RveLaw(settings.cell, settings.rve)
+    return motion, law.particles(motion.F[:, 3], motion.F_dot[:, 3])
+
+
+def test_the_command_writes_what_it_saw(looked):
+    done, out = looked
+    names = ["fields.h5", "fields.xdmf", "zoom.csv", "zoom.gif", "zoom.png", "zoom.xyz"]
+    assert sorted(path.name for path in out.iterdir()) == names
+    assert f"{out}: element 3 at 5 times" in done.stdout
+    with Image.open(out / "zoom.gif") as animation:
+        assert animation.n_frames == 5
+    with Image.open(out / "zoom.png") as picture:
+        assert np.asarray(picture.convert("L")).std() > 10.0
+
+
+def test_table_of_extremes(looked, seen):
+    motion, particles = seen
+    table = np.genfromtxt(looked[1] / "zoom.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["t_us"], motion.t)
+    for name, values in particles.extremes().items():
+        np.testing.assert_allclose(table[name], values, rtol=1e-7)
+    assert np.ptp(table["largest_wall_stretch"]) > 1e-4
+
+
+def test_springs_for_paraview_have_their_length_across_the_boundary_too(looked, seen):
+    _, particles = seen
+    with meshio.xdmf.TimeSeriesReader(looked[1] / "fields.xdmf") as reader:
+        points, (springs,) = reader.read_points_cells()
+        for k in range(5):
+            _, at_points, (of_springs,) = _step(reader, k)
+            x = points + at_points["displacement_um"]
+            own = x[: particles.position.shape[1], :2]
+            np.testing.assert_allclose(own, particles.position[k], rtol=0, atol=1e-6)
+            ends = x[springs.data]
+            length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+            ratio = length / of_springs["wall_stretch"]
+            np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
+    assert at_points["image"].sum() > 0
+
+
+def _step(reader, k):
+    t, at_points, of_cells = reader.read_data(k)
+    return t, at_points, [{name: values[0] for name, values in of_cells.items()}]
+
+
+def test_extended_xyz(looked, seen):
+    _, particles = seen
+    lines = (looked[1] / "zoom.xyz").read_text(encoding="utf-8").splitlines()
+    count = int(lines[0])
+    assert len(lines) == 5 * (count + 2)
+    last = lines[-count - 1 :]
+    box = [float(entry) for entry in last[0].split('"')[1].split()]
+    lattice = particles.F[-1] @ particles.lattice
+    np.testing.assert_allclose(np.reshape(box, (3, 3))[:2, :2].T, lattice, rtol=1e-7)
+    rows = [row.split() for row in last[1:]]
+    assert [row[0] == "Wall" for row in rows] == particles.is_wall.tolist()
+    numbers = np.array([[float(entry) for entry in row[1:]] for row in rows])
+    np.testing.assert_allclose(numbers[:, :2], particles.position[-1], rtol=0, atol=1e-6)
+    walls = particles.is_wall.sum()
+    np.testing.assert_allclose(numbers[walls:, 9], particles.pressure[-1], rtol=1e-6)
+
+
+def test_cell_fields_are_the_extremes_of_the_particles(study, seen):
+    _, particles = seen
+    with h5py.File(study[1] / "fields.h5") as file:
+        for name, values in particles.extremes().items():
+            of_element = [file[f"{name}.{k}"][3] for k in range(5)]
+            np.testing.assert_allclose(of_element, values, rtol=1e-7)
+            assert file[f"{name}.4"].shape == (4,)
+    assert read_record(study[1]).wall_time["cell_fields"] > 0.0
+
+
+def test_finished_without_cell_fields(study, tmp_path):
+    recipe, _ = study
+    assert call("run", recipe, "--law", "rve", "--out", tmp_path / "run").exit_code == 0
+    refused = call("run", recipe, "--law", "rve", "--cell-fields", "--out", tmp_path / "run")
+    assert refused.exit_code == 1
+    assert "finished without --cell-fields; --fresh runs anew" in refused.stderr
+
+
+def test_zoom_into_a_rest(study, tmp_path):
+    done = call("rest", study[0], "--load-steps", 2, "--out", tmp_path / "rest")
+    assert done.exit_code == 0, done.output
+    done = call("zoom", tmp_path / "rest", "--point", "10,10", "--out", tmp_path / "look")
+    assert done.exit_code == 0, done.output
+    table = np.genfromtxt(tmp_path / "look" / "zoom.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["factor"], [0.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("point", "sentence"),
+    [
+        ("200,50", "point: (200, 50) µm; it must lie within the mesh"),
+        ("200", "--point: '200'; it must be two numbers X,Y in µm"),
+        ("a,b", "--point: 'a,b'; it must be two numbers X,Y in µm"),
+        ("nan,1", "point: (nan, 1) µm; it must lie within the mesh"),
+    ],
+)
+def test_points_that_are_none(study, point, sentence):
+    refused = call("zoom", study[1], "--point", point)
+    assert refused.exit_code == 1
+    assert refused.stderr == f"error: {sentence}\n"
+
+
+def test_folders_without_a_run_or_its_fields(study, tmp_path):
+    refused = call("zoom", tmp_path, "--point", "1,1")
+    assert refused.exit_code == 1
+    assert f"{tmp_path}: no run.json; it is not a run folder" in refused.stderr
+    shutil.copy(study[1] / "run.json", tmp_path)
+    refused = call("zoom", tmp_path, "--point", "1,1")
+    assert refused.exit_code == 1
+    assert f"{tmp_path}: the run is finished and has no fields" in refused.stderr
