@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,8 +11,10 @@ import typer
 
 from surrofe2.cli import console
 from surrofe2.recipe import changed
+from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run import cache_notes, run_study, run_summary
+from surrofe2.workflow.run_lifecycle import time_text
 
 
 def run(
@@ -90,10 +93,14 @@ def run(
             surrogate_file=surrogate,
             tables=table or (),
             harvest=harvest,
-            cells=cell_fields,
             fresh=fresh,
             report=report,
         )
     console.print_line(f"{out}: {run_summary(record)}")
+    if cell_fields:
+        begin = time.perf_counter()
+        count = add_cell_fields(out)
+        seconds = time.perf_counter() - begin
+        console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
     for sentence, is_warning in cache_notes(record):
         (console.print_error if is_warning else console.print_line)(sentence)

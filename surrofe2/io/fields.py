@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError
-from surrofe2.io.files import opened_hdf5, replacing, write_text
+from surrofe2.io.files import opened_hdf5, replacing, reported, write_text
 
 Array = NDArray[np.float64]
 Data = dict[str, Array]
@@ -55,14 +55,12 @@ def write_fields(
     nodes: Array,
     elements: NDArray[np.integer],
     frames: Frames,
-    more: Mapping[str, Array] | None = None,
 ) -> None:
     """Write fields.xdmf and fields.h5: a mesh in µm and what its nodes and elements have.
 
     Args:
         nodes: (n, 2) µm.
         elements: (e, 4) quadrilaterals or (e, 6) triangles with the middles of their sides.
-        more: (m, e) of the elements, by name.
     """
     kind = {4: "Quadrilateral", 6: "Triangle_6"}[elements.shape[1]]
     with writing_series(folder, nodes, kind, elements) as write:
@@ -73,7 +71,6 @@ def write_fields(
                 F_NAME: _tensor_in_space(frames.F[k], thickness=1.0),
                 F_DOT_NAME: _tensor_in_space(frames.F_dot[k]),
                 **_invariants(stress),
-                **{name: values[k] for name, values in (more or {}).items()},
             }
             if frames.source.size:
                 in_elements |= {
@@ -165,12 +162,7 @@ def writing_series(
 
         def stored(name: str, values: NDArray[Any]) -> str:
             file[name] = values
-            number, size = ("Int", 8) if values.dtype.kind == "i" else ("Float", 8)
-            shape = " ".join(map(str, values.shape))
-            return (
-                f'<DataItem DataType="{number}" Precision="{size}" Dimensions="{shape}" '
-                f'Format="HDF">fields.h5:/{name}</DataItem>'
-            )
+            return _item(name, values)
 
         mesh = (
             f'<Topology TopologyType="{kind}" NumberOfElements="{len(cells)}" '
@@ -181,8 +173,7 @@ def writing_series(
 
         def write(t: float, at_points: Data, in_cells: Data) -> None:
             attributes = [
-                f'<Attribute Name="{name}" AttributeType="{_RANKS[values.ndim]}" '
-                f'Center="{centre}">{stored(f"{name}.{len(grids)}", values)}</Attribute>\n'
+                _attribute(name, centre, stored(f"{name}.{len(grids)}", values), values.ndim)
                 for centre, data in (("Node", at_points), ("Cell", in_cells))
                 for name, values in data.items()
             ]
@@ -200,6 +191,45 @@ def writing_series(
         f"{''.join(grids)}</Grid>\n</Domain></Xdmf>\n"
     )
     write_text(folder / "fields.xdmf", text)
+
+
+def _item(name: str, values: NDArray[Any]) -> str:
+    """The words of XDMF for a data set of fields.h5."""
+    number = "Int" if values.dtype.kind == "i" else "Float"
+    shape = " ".join(map(str, values.shape))
+    return (
+        f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" '
+        f'Format="HDF">fields.h5:/{name}</DataItem>'
+    )
+
+
+def _attribute(name: str, centre: str, item: str, rank: int) -> str:
+    return (
+        f'<Attribute Name="{name}" AttributeType="{_RANKS[rank]}" Center="{centre}">'
+        f"{item}</Attribute>\n"
+    )
+
+
+def add_to_elements(folder: Path, added: Mapping[str, Array]) -> None:
+    """Add values (m, e) of the elements, by name, to the fields of a folder, or renew them.
+
+    Raises:
+        FileError: there are none, or they are damaged.
+    """
+    with opened_hdf5(folder / "fields.h5", "r+") as file:
+        for name, values in added.items():
+            for k, at_once in enumerate(values):
+                if f"{name}.{k}" in file:
+                    del file[f"{name}.{k}"]
+                file[f"{name}.{k}"] = at_once
+    path = folder / "fields.xdmf"
+    with reported(path, "read"):
+        *grids, end = path.read_text(encoding="utf-8").split("</Grid>\n")
+    for k in range(len(grids) - 1):
+        for name, values in added.items():
+            words = _attribute(name, "Cell", _item(f"{name}.{k}", values[k]), 1)
+            grids[k] += "" if words in grids[k] else words
+    write_text(path, "</Grid>\n".join([*grids, end]))
 
 
 def _motion_at(frames: Motion, k: int) -> dict[str, Array]:

@@ -19,7 +19,7 @@ from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
 
-PANELS = 6
+PANELS, ANIMATED = 6, 50
 CLOCK = "t = {:.4g} µs"
 _COPIES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 _WALLS, _FLUID = "viridis", "Blues"
@@ -50,7 +50,8 @@ def write_particle_picture(
 def write_particle_animation(
     path: Path, title: str, seen: Particles, t: Array, clock: str = CLOCK
 ) -> None:
-    """Draw the RVE at all times t (n,), as `clock` tells, as an animated GIF."""
+    """Draw the RVE at up to `ANIMATED` times of t (n,), as `clock` tells, as an animated GIF."""
+    shown = np.unique(np.linspace(0, len(t) - 1, min(ANIMATED, len(t))).round().astype(int))
     figure = _new_figure(5.6, 4.6)
     place = figure.subplots()
     window = _window(seen)
@@ -58,12 +59,13 @@ def write_particle_animation(
     _add_scales(figure, [place], drawn)
     figure.suptitle(title, fontsize=11)
 
-    def frame(k: int) -> None:
+    def frame(number: int) -> None:
+        k = int(shown[number])
         place.clear()
         _draw(place, seen, k, window)
         place.set_title(clock.format(t[k]), fontsize=9)
 
-    animation = FuncAnimation(figure, frame, frames=len(t), repeat=False)
+    animation = FuncAnimation(figure, frame, frames=len(shown), repeat=False)
     with replacing(path) as partial, TemporaryDirectory(dir=path.parent) as folder:
         # Pillow takes the format from the name's ending.
         drawn_file = Path(folder) / "animation.gif"

@@ -163,8 +163,8 @@ def _pairs(
     shift = _shift_of(patch, listed[:, 1]) - _shift_of(patch, listed[:, 0])
     offset = shift @ patch.lattice.T
     i, j = own[listed[:, 0]], own[listed[:, 1]]
-    r = x[:, j] - x[:, i] + np.einsum("nij,kj->nki", F, offset)
-    w = v[:, j] - v[:, i] + np.einsum("nij,kj->nki", rate, offset)
+    r = x[:, j] - x[:, i] + offset @ F.transpose(0, 2, 1)
+    w = v[:, j] - v[:, i] + offset @ rate.transpose(0, 2, 1)
     return _Pairs(i, j, shift, r, w, np.linalg.norm(r, axis=2))
 
 

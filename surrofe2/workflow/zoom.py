@@ -1,4 +1,4 @@
-"""A look into the plant cells of a run: one point over time, or all elements at all frames."""
+"""A look into the plant cells of a run: one point over time."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ from numpy.typing import NDArray
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.fields import read_element_motion
 from surrofe2.io.particles import write_extended_xyz, write_rve_fields
-from surrofe2.io.run_folder import RunRecord, read_record, write_named
-from surrofe2.macro import Frames
+from surrofe2.io.run_folder import read_record, write_named
 from surrofe2.macro.discretisation import find_element
-from surrofe2.recipe import Recipe, make_recipe
 from surrofe2.report.particle_plot import write_particle_animation, write_particle_picture
-from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.stress_law import describe
+from surrofe2.workflow.cell_fields import recipe_of
 from surrofe2.workflow.laws import true_law
 
 Array = NDArray[np.float64]
-
-_AT_ONCE = 512
-"""RVEs whose particles are computed together: 40 MB for one plant cell each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +40,7 @@ class Zoom:
     is_rest: bool
 
 
-def zoom_into(folder: Path, point: tuple[float, float]) -> Zoom:
+def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
     """The true RVE of the element at a point, with its mean F and Ḟ at all frames of a run.
 
     Args:
@@ -56,6 +51,7 @@ def zoom_into(folder: Path, point: tuple[float, float]) -> Zoom:
         FileError: not a run folder, or one without fields of elements.
         InputError: the point is outside the mesh, or the RVE has no stress at a frame.
     """
+    folder = Path(folder)
     if not (folder / "run.json").exists():
         raise FileError(f"{folder}: no run.json; it is not a run folder")
     record = read_record(folder)
@@ -76,8 +72,9 @@ def zoom_into(folder: Path, point: tuple[float, float]) -> Zoom:
     return Zoom(element, centre, motion.t, seen, "rest" in record.recipe)
 
 
-def write_zoom(found: Zoom, out: Path) -> None:
+def write_zoom(found: Zoom, out: str | Path) -> None:
     """Write zoom.png, zoom.gif, zoom.csv, zoom.xyz for OVITO and fields.xdmf for ParaView."""
+    out = Path(out)
     clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
     x, y = found.centre
     title = f"RVE of element {found.element} about ({x:.4g}, {y:.4g}) µm"
@@ -87,27 +84,3 @@ def write_zoom(found: Zoom, out: Path) -> None:
     write_named(out / "zoom.csv", columns)
     write_extended_xyz(out / "zoom.xyz", found.seen, found.t)
     write_rve_fields(out, found.seen, found.t)
-
-
-def recipe_of(record: RunRecord) -> Recipe:
-    """Cell and initialisation of a run as a recipe."""
-    return make_recipe({name: record.recipe[name] for name in ("cell", "rve")})
-
-
-def cell_fields(law: RveLaw, frames: Frames) -> dict[str, Array]:
-    """`Particles.extremes` of true RVEs with the mean F and Ḟ of each element, (k, n_el) by name.
-
-    NaN where an RVE has no stress.
-    """
-    F, F_dot = (each.reshape(-1, 2, 2) for each in (frames.F, frames.F_dot))
-    found: dict[str, Array] = {}
-    for begin in range(0, len(F), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        answer = law.respond(F[part], F_dot[part])
-        good = np.flatnonzero(answer.status == 0)
-        if not good.size:
-            continue
-        seen = law.particles(F[part][good], F_dot[part][good], answer.state.take(good))
-        for name, values in seen.extremes().items():
-            found.setdefault(name, np.full(len(F), np.nan))[begin + good] = values
-    return {name: values.reshape(frames.F.shape[:2]) for name, values in found.items()}

@@ -13,10 +13,12 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.io.fields import read_element_motion
-from surrofe2.io.run_folder import read_record
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
+from surrofe2.workflow.cell_fields import extremes_of
 from tests.conftest import RECIPE
+from tests.source_contract import ROOT
 
 
 def call(*arguments):
@@ -115,15 +117,27 @@ def test_cell_fields_are_the_extremes_of_the_particles(study, seen):
             of_element = [file[f"{name}.{k}"][3] for k in range(5)]
             np.testing.assert_allclose(of_element, values, rtol=1e-7)
             assert file[f"{name}.4"].shape == (4,)
-    assert read_record(study[1]).wall_time["cell_fields"] > 0.0
 
 
-def test_finished_without_cell_fields(study, tmp_path):
-    recipe, _ = study
-    assert call("run", recipe, "--law", "rve", "--out", tmp_path / "run").exit_code == 0
-    refused = call("run", recipe, "--law", "rve", "--cell-fields", "--out", tmp_path / "run")
-    assert refused.exit_code == 1
-    assert "finished without --cell-fields; --fresh runs anew" in refused.stderr
+def test_cell_fields_of_a_run_that_is_finished(study, tmp_path):
+    recipe, with_them = study
+    command = ("run", recipe, "--law", "rve", "--out", tmp_path / "run")
+    assert call(*command).exit_code == 0
+    name = "largest_wall_stretch.4"
+    with h5py.File(tmp_path / "run" / "fields.h5") as file:
+        assert name not in file
+    done = call(*command, "--cell-fields")
+    assert "cell fields of 20 RVEs in " in done.stdout
+    with h5py.File(tmp_path / "run" / "fields.h5") as file, h5py.File(with_them / "fields.h5") as b:
+        np.testing.assert_allclose(file[name], b[name], rtol=1e-12)
+
+
+def test_no_stress_no_extremes():
+    law = RveLaw(CellParameters.preset("printed"))
+    F = np.stack([np.eye(2), np.diag([3.0, 0.3])])[:, None]
+    found = extremes_of(law, F, 0.0 * F)["largest_wall_stretch"]
+    assert np.isfinite(found[0, 0])
+    assert np.isnan(found[1, 0])
 
 
 def test_zoom_into_a_rest(study, tmp_path):
@@ -158,3 +172,16 @@ def test_folders_without_a_run_or_its_fields(study, tmp_path):
     refused = call("zoom", tmp_path, "--point", "1,1")
     assert refused.exit_code == 1
     assert f"{tmp_path}: the run is finished and has no fields" in refused.stderr
+
+
+def test_the_example_of_the_docs(study, seen, tmp_path, monkeypatch):
+    text = (ROOT / "docs" / "usage.md").read_text(encoding="utf-8")
+    _, _, part = text.partition("### A look into the cells")
+    code = part.split("```python\n")[1].split("```")[0]
+    shutil.copytree(study[1], tmp_path / "out" / "run")
+    monkeypatch.chdir(tmp_path)
+    found = {}
+    exec(code, found)
+    expected = seen[1].extremes()["largest_wall_stretch"]
+    np.testing.assert_allclose(found["stretch"], expected, rtol=1e-7)
+    assert (tmp_path / "out" / "look" / "zoom.png").exists()

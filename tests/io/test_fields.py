@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.fields import read_element_motion, write_fields, write_particle_fields
+from surrofe2.io.fields import (
+    add_to_elements,
+    read_element_motion,
+    write_fields,
+    write_particle_fields,
+)
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 QUADS = np.array([[0, 1, 2, 3]])
@@ -33,7 +38,9 @@ def frames():
 
 def test_fields_read_back(tmp_path, frames):
     here = Path.cwd()
-    write_fields(tmp_path, NODES, QUADS, frames, {"swelling": np.arange(1.0, 4.0)[:, None]})
+    write_fields(tmp_path, NODES, QUADS, frames)
+    for factor in (2.0, 1.0):
+        add_to_elements(tmp_path, {"swelling": factor * np.arange(1.0, 4.0)[:, None]})
     assert Path.cwd() == here
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fields.h5", "fields.xdmf"]
     with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:
