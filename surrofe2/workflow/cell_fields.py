@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.errors import InputError
 from surrofe2.io.fields import add_to_elements, read_element_motion
 from surrofe2.io.run_folder import RunRecord, read_record
 from surrofe2.recipe import Recipe, make_recipe
@@ -20,7 +21,16 @@ _AT_ONCE = 512
 
 
 def recipe_of(record: RunRecord) -> Recipe:
-    """Cell and initialisation of a run as a recipe."""
+    """Cell and initialisation of a run as a recipe.
+
+    Raises:
+        InputError: the run has several cells.
+    """
+    types = record.recipe.get("cells")
+    if types:
+        raise InputError(
+            f"cells: {', '.join(types)}; a look into the cells needs a run with one [cell]"
+        )
     return make_recipe({name: record.recipe[name] for name in ("cell", "rve")})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import h5py
 import meshio
@@ -12,11 +13,13 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
+from surrofe2.errors import InputError
 from surrofe2.io.fields import read_element_motion
+from surrofe2.io.run_folder import read_record
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow.cell_fields import extremes_of
+from surrofe2.workflow.cell_fields import extremes_of, recipe_of
 from tests.conftest import RECIPE
 from tests.source_contract import ROOT
 
@@ -169,6 +172,10 @@ def test_folders_without_a_run_or_its_fields(study, tmp_path):
     assert refused.exit_code == 1
     assert f"{tmp_path}: no run.json; it is not a run folder" in refused.stderr
     shutil.copy(study[1] / "run.json", tmp_path)
+    record = read_record(tmp_path)
+    several = replace(record, recipe={**record.recipe, "cells": {"skin": {}, "flesh": {}}})
+    with pytest.raises(InputError, match="cells: skin, flesh; a look into the cells needs"):
+        recipe_of(several)
     refused = call("zoom", tmp_path, "--point", "1,1")
     assert refused.exit_code == 1
     assert f"{tmp_path}: the run is finished and has no fields" in refused.stderr
