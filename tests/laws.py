@@ -447,6 +447,7 @@ class Untaught:
     """What a surrogate has that neither learns nor gives tangents."""
 
     has_bound, has_tangents, learns, stress_spread, range = True, False, False, 1.0, None
+    is_calibrated = True
 
     def status_and_bound(self, F, F_dot, tolerance=np.inf):
         return self.lookup(F, F_dot, tolerance)[1:]

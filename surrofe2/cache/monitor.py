@@ -72,6 +72,13 @@ class Monitor:
                 "the surrogate knows no bound of its error: its range alone decides, whatever "
                 "the tolerance",
             )
+        if surrogate.has_bound and not surrogate.is_calibrated and np.isfinite(allowed):
+            self.trust.warn(
+                0,
+                "the surrogate's error was not calibrated, its bound is infinite and RVEs answer "
+                "in its place: calibrate it after training (surrofe2 train does, or "
+                "surrofe2.surrogate.calibration.calibrate), or allow the tolerance inf",
+            )
 
     def note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:
         """Everything that changes at a kept step but the branches."""

@@ -43,6 +43,10 @@ class Surrogate(Protocol):
         """Whether `lookup` bounds its error; else its range alone decides, with a warning."""
 
     @property
+    def is_calibrated(self) -> bool:
+        """Whether that bound is known by now; else it is infinite."""
+
+    @property
     def has_tangents(self) -> bool:
         """Whether `tangents` answers."""
 

@@ -11,12 +11,13 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
+from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.surrogates import read_surrogate, write_surrogate, write_training
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings, train
-from tests.laws import RANGE, WELL_INSIDE, lattice_samples
+from tests.laws import RANGE, WELL_INSIDE, TrueLattice, lattice_samples
 from tests.surrogate.torch_twin import read_parts, torch_stress, write_parts
 
 
@@ -253,3 +254,16 @@ def test_a_shifted_range_is_obeyed(law):
     narrow = replace(law, range=replace(RANGE, rate=0.001))
     F, F_dot = sample(WELL_INSIDE, 50, seed=4)
     assert (narrow.respond(F, F_dot).status == Status.OUT_OF_RANGE).sum() > 40
+
+
+def test_a_cached_law_says_that_a_surrogate_was_not_calibrated(law, caplog):
+    fallback = TrueLattice()
+    finding = "the surrogate's error was not calibrated"
+    cached = CachedLaw(law, fallback)
+    assert finding in cached.history()["trust"]["events"][0]["finding"]
+    assert finding in caplog.text
+    F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
+    assert cached.respond(F, F_dot).effort["fallbacks"] == 1
+    trusting = CachedLaw(law, fallback, CacheSettings(tolerance=np.inf))
+    assert trusting.history()["trust"]["events"] == []
+    assert trusting.respond(F, F_dot).effort["hits"] == 1

@@ -56,7 +56,7 @@ class StressTable:
         InputError: the law gives no tangents, or the tolerance is not positive.
     """
 
-    has_tangents, has_bound, learns = False, True, True
+    has_tangents, has_bound, learns, is_calibrated = False, True, True, True
 
     def __init__(
         self,
@@ -269,6 +269,7 @@ class ChainedSurrogate:
         self.cell, self.initialisation = surrogate.cell, surrogate.initialisation
         self.density, self.stress_spread = surrogate.density, surrogate.stress_spread
         self.has_bound, self.range = surrogate.has_bound, surrogate.range
+        self.is_calibrated = surrogate.is_calibrated
         self.tangents, self.learn = table.tangents, table.learn
         self.to_arrays, self.from_arrays = table.to_arrays, table.from_arrays
 
