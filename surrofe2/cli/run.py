@@ -13,7 +13,7 @@ from surrofe2.cli import console
 from surrofe2.recipe import changed
 from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.run import cache_notes, run_study, run_summary
+from surrofe2.workflow.run import cache_notes, contact_notes, run_study, run_summary
 from surrofe2.workflow.run_lifecycle import time_text
 
 
@@ -102,5 +102,5 @@ def run(
         count = add_cell_fields(out)
         seconds = time.perf_counter() - begin
         console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
-    for sentence, is_warning in cache_notes(record):
+    for sentence, is_warning in (*contact_notes(record), *cache_notes(record)):
         (console.print_error if is_warning else console.print_line)(sentence)

@@ -52,7 +52,8 @@ class RunRecord:
         met: extremes of F, Ḟ, U and RᵀḞ at all points; `stretch`, `shear`, `rate` as in a
             recipe's range that would hold the run. Of a rest, also where the `watched` point
             came to.
-        problem: counts of the mesh, its names, conditions, bodies and watched points.
+        problem: counts of the mesh, its names, conditions, bodies and watched points; of a
+            run also the largest `penetration` of each body, µm.
     """
 
     status: str

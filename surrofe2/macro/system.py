@@ -236,6 +236,8 @@ def make_system(
     supports = make_supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
+    if not free.size:
+        raise InputError("conditions: they hold or move every node; leave one free")
     wave_speed = float(np.sqrt(modulus / per_element.max()))
     forces = [
         *make_loads(problem, space, per_element, n, proportional),

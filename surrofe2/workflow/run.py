@@ -78,6 +78,7 @@ def run_study(
             record,
             wall_time={**run.wall_time, "compilation": compilation},
             counts={**run.counts, **run.effort, **counts_of(chosen.table)},
+            problem={**record.problem, "penetration": penetrations(run)},
             cache=cache_report(chosen.law, whole=record.status == "finished"),
             met=run.met.to_dict(),
             threads=run.threads,
@@ -128,6 +129,33 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
     }
+
+
+def penetrations(run: MacroRun) -> dict[str, float]:
+    """Largest penetration of each rigid body, µm."""
+    return {
+        name.removeprefix("penetration "): float(depth.max(initial=0.0))
+        for name, depth in run.history.items()
+        if name.startswith("penetration ")
+    }
+
+
+def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """A sentence on each rigid body that was touched, with whether it is a warning.
+
+    One is where the penetration exceeds a hundredth of an element's side.
+    """
+    of = record.problem
+    if not of.get("penetration"):
+        return
+    (x0, y0), (x1, y1) = of["extent"]
+    side = ((x1 - x0) * (y1 - y0) / of["elements"]) ** 0.5
+    for name, depth in of["penetration"].items():
+        if depth > 0.01 * side:
+            wish = f"; a larger bodies.{name}.stiffness would lessen it"
+            yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", True
+        elif depth > 0.0:
+            yield f"contact: {name} penetrates by {depth:.2g} µm", False
 
 
 def run_summary(record: RunRecord) -> str:

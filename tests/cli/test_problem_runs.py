@@ -123,6 +123,9 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     assert history["force base y"][-1] > 100.0
     assert history["position plate y"][-1] == pytest.approx(-2.0)
     assert history["penetration plate"].min() >= 0.0
+    deepest = history["penetration plate"].max()
+    assert record.problem["penetration"] == {"plate": deepest}
+    assert f"contact: plate penetrates by {deepest:.2g} µm" in done.output
     names = (folder / "history.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert {"force plate y_uN", "position plate y_um", "penetration plate_um"} <= set(names)
     energies = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
