@@ -56,6 +56,11 @@ class Problem:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
                 raise InputError(f"problem: a condition is called {name}; an energy has that name")
+        for amplitude in self.amplitudes():
+            if not isinstance(amplitude, Amplitude):
+                raise InputError(
+                    f"problem: amplitude: {amplitude!r}; it must be an Amplitude, as Table"
+                )
         if not self.watched:
             low, high = self.mesh.extent
             nearest = abs(self.mesh.nodes - 0.5 * (low + high)).sum(axis=1).argmin()
