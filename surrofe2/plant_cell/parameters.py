@@ -219,9 +219,9 @@ _CARRIED = 1.1484
 """Turgor that the walls carry, over c_s² times the fluid's mass per area, at these three."""
 
 _WALLS = (
-    "chosen so that the tissue's Young's modulus is a measured one; walls measured so far have 20 "
-    "to 90 MPa (pollen tube; Vogler et al. 2013, doi:10.1111/tpj.12061) and 2300 MPa (tomato; "
-    "Wang, Wang, Thomas 2004, Annals of Botany 93, 443-453)"
+    "chosen between walls that were measured: 20 to 90 MPa (pollen tube; Vogler et al. 2013, "
+    "doi:10.1111/tpj.12061) and 2300 MPa (tomato; Wang, Wang, Thomas 2004, Annals of Botany 93, "
+    "443-453)"
 )
 _TURGOR = "within 0.3 to 1 MPa: Cosgrove 1997, Annu. Rev. Cell Dev. Biol. 13, 171-201, p. 185"
 LIVING: dict[str, tuple[LivingTissue, dict[str, str]]] = {
