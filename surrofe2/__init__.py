@@ -7,7 +7,7 @@ In reading order, which is the order of the data:
     sampling     which (F, Ḟ) to ask; StressSamples, the answers
     surrogate    a small network trained on them
     cache        the surrogate where it may be trusted, the RVE elsewhere
-    macro        a finite-element bar that asks any stress law at its quadrature points
+    macro        finite elements of any problem, which ask a stress law at their points
     stress_law   the hinge between them: respond(F, F_dot) -> StressResponse
 
 Units are µm, µs, ng throughout, see `surrofe2.units`.
@@ -25,12 +25,16 @@ if TYPE_CHECKING:
     from surrofe2.errors import Surrofe2Error
     from surrofe2.io.surrogates import read_surrogate, write_surrogate
     from surrofe2.load_case import LoadCase
+    from surrofe2.macro.mesh import Mesh
+    from surrofe2.macro.problem import Problem
     from surrofe2.macro.settings import MacroSettings
     from surrofe2.macro.simulation import MacroRun, simulate
     from surrofe2.plant_cell.parameters import CellParameters
+    from surrofe2.regional_law import RegionalLaw
     from surrofe2.rve.rve_law import RveLaw
     from surrofe2.sampling import SamplingRange, sample
     from surrofe2.stress_law import Status, StressLaw, StressResponse
+    from surrofe2.stress_paths import StressPath, follow_path, oscillation, ramp_and_hold
     from surrofe2.stress_samples import StressSamples
     from surrofe2.surrogate.settings import TrainingSettings
     from surrofe2.surrogate.surrogate_law import SurrogateLaw
