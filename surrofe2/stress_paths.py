@@ -22,7 +22,7 @@ Entries = tuple[NDArray[np.int64], ...]
 Motion = Callable[[float], tuple[Array, Array]]
 """(F, Ḟ) (2, 2) at a time in µs; entries that are free are not looked at."""
 
-_TOLERANCE, _ITERATIONS = 1e-10, 20
+_TOLERANCE, _ITERATIONS = 1e-12, 20
 _LEAST_STEPS = 8
 
 
@@ -118,7 +118,7 @@ def follow_path(
     if free:
         require_tangents(law, "free")
     h, state = duration / steps, None
-    t = h * np.arange(steps + 1)
+    t: Array = h * np.arange(steps + 1.0)
     entries: Entries = tuple(np.array(free, dtype=np.int64).reshape(-1, 2).T)
     F, F_dot, stress = (np.empty((steps + 1, 2, 2)) for _ in range(3))
     for n in range(steps + 1):
