@@ -74,7 +74,8 @@ def test_both_plates_feel_one_force_and_get_the_work_back():
     _, run = whole("block-between-plates")
     upper, lower = (run.history[f"force {name} y"] for name in ("upper", "lower"))
     assert abs(upper + lower).max() < 0.05 * abs(upper).max()
-    assert run.history["penetration upper"].max() < 0.01 * 20.0
+    side = 100.0  # of an element, µm; a run warns above a hundredth of it
+    assert run.history["penetration upper"].max() < 0.01 * side
     assert abs(upper[-1]) < 0.01 * abs(upper).max()
 
 
@@ -89,4 +90,4 @@ def test_a_dropped_sample_meets_the_force_of_the_wave_and_rebounds():
     wave = recipe.cell.density * 69.0 * 1.0 * 5000.0
     assert np.trapezoid(force, t) / time == pytest.approx(wave, rel=0.06)
     assert force.min() >= 0.0
-    assert run.history["mean displacement top y"][-1] > 100.0
+    assert run.curves["top"].displacement[-1, 1] > 100.0
