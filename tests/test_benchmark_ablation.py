@@ -33,7 +33,7 @@ def test_it_writes_figure_table_and_numbers(tmp_path):
     assert [row.name for row in rows] == [
         f"{name}, {count} samples: RMS error" for count in (64, 128) for name in ablation.CONTENDERS
     ]
-    stem = tmp_path / "ablation"
+    stem = tmp_path / "ablation-printed"
     record = json.loads(stem.with_suffix(".json").read_text(encoding="utf-8"))
     found = {(row["contender"], row["samples"]): row for row in record["results"]["all"]}
     assert all(row["query"] > 0.0 for row in found.values())
