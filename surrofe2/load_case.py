@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.settings import check_settings, setting
@@ -50,8 +51,13 @@ class LoadCase:
         times, factors = zip(*self.amplitude, strict=True)
         return float(np.interp(t, times, factors))
 
-    def output_times(self) -> np.ndarray:
-        """(m,) times in µs at which results are kept: multiples of the interval, and the end."""
-        count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
-        times = self.output_interval * np.arange(count + 1)
-        return times if np.isclose(times[-1], self.duration) else np.append(times, self.duration)
+    def output_times(self) -> NDArray[np.float64]:
+        """(m,) times in µs at which results are kept, as of the function of this name."""
+        return output_times(self.duration, self.output_interval)
+
+
+def output_times(duration: float, interval: float) -> NDArray[np.float64]:
+    """(m,) times in µs at which results are kept: multiples of the interval, and the end."""
+    count = int(np.floor(duration / interval * (1.0 + 1e-12)))
+    times: NDArray[np.float64] = interval * np.arange(count + 1.0)
+    return times if np.isclose(times[-1], duration) else np.append(times, duration)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.amplitude import ONE, Amplitude, Table
 from surrofe2.errors import InputError
-from surrofe2.load_case import LoadCase
+from surrofe2.load_case import LoadCase, output_times
 from surrofe2.macro.conditions import BodyForce, Condition, DrivenCondition, Fixed
 from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.rigid_bodies import RigidBody
@@ -92,9 +92,7 @@ class Problem:
 
     def output_times(self) -> Array:
         """(m,) times in µs at which results are kept: multiples of the interval, and the end."""
-        count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
-        times: Array = self.output_interval * np.arange(count + 1.0)
-        return times if np.isclose(times[-1], self.duration) else np.append(times, self.duration)
+        return output_times(self.duration, self.output_interval)
 
 
 def label(condition: Condition) -> str:

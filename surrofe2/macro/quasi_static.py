@@ -12,7 +12,7 @@ from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.forces import Matrix
+from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.history import Frames
 from surrofe2.macro.problem import Problem
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
@@ -182,9 +182,8 @@ class _Newton:
             found = restarted if isinstance(restarted, NoStress) else self.balanced(factor, u)
         if isinstance(found, NoStress):
             return found
-        now, residuals = found
+        now, residuals, (K, C) = found
         system = self.equations.system
-        K, C = self.assembly.tangents(now)
         self.equations.tally.counts["load_steps"] += factor != 0.0
         here = np.append(factor, system.at_watched_points(now.u)[0])
         return Rest(
@@ -214,8 +213,8 @@ class _Newton:
 
     def balanced(
         self, factor: float, u: Array
-    ) -> tuple[Evaluation, list[float]] | NoStress | Switched:
-        """The equilibrium on one branch of the law, and the residuals on the way to it.
+    ) -> tuple[Evaluation, list[float], Slopes] | NoStress | Switched:
+        """The equilibrium on one branch of the law, the residuals on the way to it, and K and C.
 
         Newton goes on where the equilibrium of the tissue has lost that of a point.
         """
@@ -224,30 +223,33 @@ class _Newton:
         while True:
             now = self.equations.evaluate(factor, y, tangents=True)
             while isinstance(now, Evaluation):
-                residuals.append(self.relative_residual(now))
+                slopes = self.assembly.tangents(now)
+                residuals.append(self.relative_residual(now, slopes[0]))
                 if residuals[-1] <= self.settings.newton_tolerance:
                     break
-                now = self.corrected(now, last=len(residuals) > MAX_ITERATIONS)
+                now = self.corrected(now, slopes[0], last=len(residuals) > MAX_ITERATIONS)
             else:
                 return now
             start = self.equations.accept(now)
             if isinstance(start, NoStress):
                 return start
             if start is now or start.response.left_bifurcation is None:
-                return now, residuals
+                return now, residuals, slopes
             y = now.y
 
-    def corrected(self, now: Evaluation, *, last: bool) -> Evaluation | NoStress | Switched:
+    def corrected(
+        self, now: Evaluation, K: Matrix, *, last: bool
+    ) -> Evaluation | NoStress | Switched:
         """Newton's correction, halved until the residual is smaller and every point has a stress.
 
         Args:
+            K: derivative of the residual.
             last: that there were corrections enough.
         """
         equations, residual = self.equations, -now.residual
         if last:
             reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
             return equations.out_of_balance(now, residual, reason)
-        K, _ = self.assembly.tangents(now)
         equations.tally.counts["factorisations"] += 1
         solve = factorised(K)
         if solve is None:
@@ -266,11 +268,10 @@ class _Newton:
             fraction *= 0.5
         return equations.out_of_balance(now, residual, reason)
 
-    def relative_residual(self, now: Evaluation) -> float:
+    def relative_residual(self, now: Evaluation, K: Matrix) -> float:
         """Largest residual relative to the largest of internal force, other forces, those at
         factor 1, and the force that moves the stiffest unknown by what the tolerance allows.
         """
-        K, _ = self.assembly.tangents(now)
         full = [force.at(1.0, now.within, now.u, now.v) for force in self.equations.system.forces]
         forces = (now.internal, now.forces, *full)
         least = float(abs(K.diagonal()).max()) * self.settings.absolute_tolerance

@@ -29,6 +29,8 @@ from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro.discretisation import n_points_of
+from surrofe2.macro.problem import bar
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe, load_recipe
@@ -37,7 +39,6 @@ from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 
-_POINTS_OF_A_QUADRILATERAL = 5
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
 _INSTANT = LoadCase(duration=1e-3, watched=(0.0, 0.0))
@@ -203,8 +204,9 @@ def warm_up(
         points: that the run has; left out: those of a bar with the elements of the settings.
     """
     begin = time.perf_counter()
-    nx, ny = settings.elements
-    most = min(_POINTS_OF_A_QUADRILATERAL * nx * ny if points is None else points, _MANY_POINTS)
+    if points is None:
+        points = n_points_of(bar(_INSTANT, settings.elements).mesh)
+    most, (nx, ny) = min(points, _MANY_POINTS), settings.elements
     for law in laws:
         for count in (1, most) if len(laws) > 1 else (most,):
             F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
