@@ -110,9 +110,9 @@ def _bar(console: Console, what: str, total: float, unit: str) -> Iterator[Repor
 
         def report(done: float, note: str = "") -> None:
             now = time.perf_counter()
-            if not first:
+            if not first and done > 0.0:  # what comes before is not a part of the work
                 first.extend((now, done))
-            elapsed = now - first[0]
+            elapsed = now - first[0] if first else 0.0
             rate = f"{(done - first[1]) / elapsed:.3g} {unit}/s" if elapsed > 0.2 else ""
             shown.update(task, completed=done, rate=rate, note=note)
 

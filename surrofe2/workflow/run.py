@@ -98,6 +98,7 @@ def run_study(
             current.checkpoint(arrays, cache_report(chosen.law))
 
         points = n_points_of(problem.mesh)
+        report(0.0, "loading kernels")
         compilation = warm_up(chosen.parts, recipe.macro, chosen.table, points=points)
         return simulate(
             problem,

@@ -6,6 +6,7 @@ import pytest
 from surrofe2.macro import MacroSettings
 from surrofe2.surrogate.compiled_lookup import MANY
 from surrofe2.workflow import laws
+from surrofe2.workflow.run import run_study
 from tests.laws import SoftLaw
 
 
@@ -60,3 +61,12 @@ def test_a_run_after_it_compiles_nothing(recipe):
     assert done.counts["steps"] > 1
     assert np.isfinite(done.curve.displacement).all()
     assert seen.names == ()
+
+
+def test_the_bar_says_that_kernels_are_loaded_until_the_first_step(recipe, tmp_path, monkeypatch):
+    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
+    told = []
+    run_study(recipe, "rve", tmp_path / "run", report=lambda t, note: told.append((t, note)))
+    assert told[0] == (0.0, "loading kernels")
+    assert told[1][0] > 0.0
+    assert {note for _, note in told[1:]} == {""}
