@@ -27,20 +27,30 @@ class DisplacementCurve:
 
 @dataclass(frozen=True, slots=True)
 class CurveDifference:
-    """Difference of two curves, relative to the largest displacement of the reference."""
+    """Difference of two curves, relative to the largest displacement of the reference.
+
+    Attributes:
+        of_largest: of the largest displacements, whenever they are reached.
+    """
 
     largest: float
     rms: float
     at_time: float
+    of_largest: float
 
 
 @dataclass(frozen=True, slots=True)
 class ForceDifference:
-    """Largest distance of two forces over time, µN, and the largest of the reference."""
+    """Largest distance of two forces over time, µN, and the largest of the reference.
+
+    Attributes:
+        of_largest: largest force less that of the reference, whenever they are reached, µN.
+    """
 
     largest: float
     scale: float
     at_time: float
+    of_largest: float
 
 
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
@@ -52,13 +62,14 @@ def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveD
     Raises:
         InputError: they have no common time, or the reference does not move.
     """
-    t, distance, scale = _distances(curve, reference)
+    t, distance, scale, of_largest = _distances(curve, reference)
     if scale == 0.0:
         raise InputError("displacement curves: the reference does not move; nothing to compare to")
     return CurveDifference(
         largest=float(distance.max() / scale),
         rms=float(np.sqrt(np.mean(distance**2)) / scale),
         at_time=float(t[distance.argmax()]),
+        of_largest=of_largest / scale,
     )
 
 
@@ -68,19 +79,19 @@ def force_difference(curve: DisplacementCurve, reference: DisplacementCurve) -> 
     Raises:
         InputError: they have no common time.
     """
-    t, distance, scale = _distances(curve, reference)
-    return ForceDifference(float(distance.max()), scale, float(t[distance.argmax()]))
+    t, distance, scale, of_largest = _distances(curve, reference)
+    return ForceDifference(float(distance.max()), scale, float(t[distance.argmax()]), of_largest)
 
 
 def _distances(
     curve: DisplacementCurve, reference: DisplacementCurve
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Common times, distances there, and the largest of the reference."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """Common times, distances there, the largest of the reference, and what `curve` has more."""
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():
         raise InputError("displacement curves: no common time; they must overlap")
     t = reference.t[within]
     there = reference.displacement[within]
     here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
-    scale = float(np.linalg.norm(there, axis=1).max())
-    return t, np.linalg.norm(here - there, axis=1), scale
+    scale, largest = (float(np.linalg.norm(values, axis=1).max()) for values in (there, here))
+    return t, np.linalg.norm(here - there, axis=1), scale, largest - scale

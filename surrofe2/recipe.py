@@ -45,7 +45,8 @@ class Recipe:
         load: the paper's bar; None where the recipe states another problem.
         stated: that problem.
         types: cells by name, of a recipe with [cells.NAME]; its `cell` is the first of them.
-        cell_name: whose the recipe is, where it is a part of one with several.
+        cell_name: whose the recipe is, where it is a part of one with several: its `siblings`,
+            itself among them.
     """
 
     path: Path
@@ -65,6 +66,7 @@ class Recipe:
     stated: StatedProblem | None = None
     types: Mapping[str, CellType] = field(default_factory=dict)
     cell_name: str | None = None
+    siblings: Mapping[str, CellType] = field(default_factory=dict)
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
         """A recipe of one cell for each of [cells.NAME]; of a recipe with [cell], itself by "".
@@ -92,7 +94,14 @@ class Recipe:
             training_file=each.training_file,
             types={},
             cell_name=name,
+            siblings=self.types,
         )
+
+    def whole(self) -> Recipe:
+        """The recipe that this is a part of; itself where it is of no other."""
+        if not self.siblings:
+            return self
+        return replace(self, types=self.siblings, siblings={}, cell_name=None)
 
     def check_one_cell(self) -> None:
         """Refuse a recipe of several cells where one is meant.
@@ -199,7 +208,7 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        entries = asdict(replace(self, stated=None, types={}))
+        entries = asdict(replace(self, stated=None, types={}, siblings={}))
         sections = {name: entries[name] for name in SECTIONS if entries[name] is not None}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["training"]["file"] = self.training_file
@@ -216,7 +225,7 @@ SECTIONS: dict[str, type] = {
     name: kind
     for name, hint in hints_of(Recipe).items()
     for kind in (get_args(hint) or (hint,))
-    if name != "types"
+    if name not in ("types", "siblings")
     and isinstance(kind, type)
     and is_dataclass(kind)
     and kind is not StatedProblem

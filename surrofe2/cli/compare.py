@@ -31,8 +31,9 @@ def compare(
     """Compare displacement curves, forces and costs of runs of one load case.
 
     The reference is the first full tissue, else the first run by true RVEs, else the first one.
-    Writes comparison.json and comparison.png: difference relative to the largest displacement,
-    speed-up of wall time and of RVE solves.
+    Writes comparison.json and comparison.png: difference relative to the largest displacement, at
+    any time and of the largest ones; the same of every force on the tissue; speed-up of wall time
+    and of RVE solves.
 
     Example: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
     """
@@ -79,16 +80,13 @@ def show_comparison(result: Comparison, of: str = "") -> None:
     """The figures of a comparison as a table."""
     title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
     console.show_table(title, *result.table.for_people())
+    if result.force_table.rows:
+        console.show_table("Forces on the tissue", *result.force_table.for_people())
     for run in result.runs:
         for name, cache in caches_of(run.cache).items():
             if cache["audit"]["audited"]:
                 of = f"{run.name}, {name}" if name else run.name
                 console.print_line(f"{of}: {audit_line(cache)}")
-        for name, force in run.forces.items():
-            share = f", {force.largest / force.scale:.2g} of its largest" if force.scale else ""
-            console.print_line(
-                f"{run.name}: force {name}: at most {force.largest:.3g} µN apart{share}"
-            )
 
 
 def audit_line(cache: Mapping[str, Any]) -> str:

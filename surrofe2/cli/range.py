@@ -22,7 +22,7 @@ def range(
 
     The dry run takes the quadratic law: the exact tangents of the recipe's RVE at rest, turned with
     the material. It knows neither stiffening nor loss of stability; the margin is for that. The
-    section is printed to be pasted; no file is written.
+    section is printed to be pasted, one for each of several cells; no file is written.
 
     Example: [bold]surrofe2 range data/bending-bar.toml[/bold]
 
@@ -30,10 +30,11 @@ def range(
     """
     study = open_study(recipe, threads)
     with console.working("range", study.duration, "µs", "nothing was changed") as report:
-        met = met_by_quadratic_law(study, report=report)
-    low, high = met.stretch
-    console.print_line(range_section(proposed_range(met, margin)))
-    console.print_line(
-        f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, shear "
-        f"{met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
-    )
+        found = met_by_quadratic_law(study, report=report)
+    for cell, met in found.items():
+        low, high = met.stretch
+        console.print_line(range_section(proposed_range(met, margin), cell))
+        console.print_line(
+            f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
+            f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
+        )

@@ -53,12 +53,42 @@ class ComparedRun:
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("run", "", "", lambda run: run.name),
     Quantity("largest difference", "", percent(".3g"), lambda run: run.difference.largest),
+    Quantity("of largest", "", percent("+.2g"), lambda run: run.difference.of_largest),
     Quantity("RMS", "", percent(".3g"), lambda run: run.difference.rms),
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
     Quantity("fewer solves", "×", ".3g", lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedForce:
+    """A force resultant of a run against that of the reference."""
+
+    run: str
+    name: str
+    difference: ForceDifference
+
+    def share(self, apart: float) -> float | None:
+        """A difference as a share of the reference's largest; None where that is zero."""
+        return apart / self.difference.scale if self.difference.scale else None
+
+
+FORCE_QUANTITIES: tuple[Quantity[ComparedForce], ...] = (
+    Quantity("run", "", "", lambda force: force.run),
+    Quantity("force", "", "", lambda force: force.name),
+    Quantity("largest", "µN", ".4g", lambda force: force.difference.scale),
+    Quantity(
+        "largest difference",
+        "",
+        percent(".3g"),
+        lambda force: force.share(force.difference.largest),
+    ),
+    Quantity(
+        "of largest", "", percent("+.2g"), lambda force: force.share(force.difference.of_largest)
+    ),
 )
 
 
@@ -75,6 +105,16 @@ class Comparison:
     def table(self) -> Table[ComparedRun]:
         """What people read of it."""
         return Table(QUANTITIES, (self.reference_run, *self.runs))
+
+    @property
+    def force_table(self) -> Table[ComparedForce]:
+        """Of the forces of supports, surface loads and rigid bodies on the tissue."""
+        rows = [
+            ComparedForce(run.name, name, force)
+            for run in self.runs
+            for name, force in run.forces.items()
+        ]
+        return Table(FORCE_QUANTITIES, rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for comparison.json."""
@@ -175,12 +215,13 @@ def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[Sto
     reference, *others = order_runs(runs)
     t, there = reference.curve.t, reference.curve.displacement
     scale = np.linalg.norm(there, axis=1).max()
-    curves = [Curve("reference", t, there[:, 1], _label(reference, reference), markers=False)]
+    axis = int(abs(there).max(axis=0).argmax())
+    curves = [Curve("reference", t, there[:, axis], _label(reference, reference), markers=False)]
     differences: list[Curve] = []
     audits: list[Curve] = []
     for k, run in enumerate(others):
         u = run.curve.displacement
-        curves.append(Curve("", run.curve.t, u[:, 1], _label(run, reference), markers=False))
+        curves.append(Curve("", run.curve.t, u[:, axis], _label(run, reference), markers=False))
         apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
         share = 100.0 * np.linalg.norm(apart, axis=0) / scale
         differences.append(Curve("", run.curve.t, share, markers=False))
@@ -188,7 +229,7 @@ def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[Sto
             if cache["audit"]["quantiles"]:
                 audits += _audit_curves(k, cache["audit"])
     panels = [
-        Panel("", "displacement $u_y$ (µm)", tuple(curves)),
+        Panel("", f"displacement $u_{'xy'[axis]}$ (µm)", tuple(curves)),
         Panel(
             x_label="time $t$ (µs)",
             y_label="difference (% of\nlargest displacement)",

@@ -126,15 +126,15 @@ def random_loads(load: LoadCase, count: int, seed: int) -> list[LoadCase]:
 
 
 class WatchedLaw:
-    """A stress law that keeps the (F, Ḟ) of every time step that a run accepts.
+    """A stress law that tells the (F, Ḟ) of every time step that a run accepts.
 
     Attributes:
-        met: F and F_dot, (n, 2, 2) each, at the ends of the steps.
+        note: called with F and F_dot, (n, 2, 2) each, at the end of a step.
     """
 
-    def __init__(self, law: StressLaw) -> None:
+    def __init__(self, law: StressLaw, note: Callable[[Array, Array], None]) -> None:
         self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
-        self.met: list[State] = []
+        self.note = note
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
@@ -144,7 +144,7 @@ class WatchedLaw:
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """The law's acceptance, and a note of where it was."""
-        self.met.append((F.copy(), F_dot.copy()))
+        self.note(F, F_dot)
         return self.law.accept(F, F_dot, response)
 
 

@@ -55,7 +55,7 @@ class CalibrationSettings:
     walks: int = setting(500, "random walks in the sampling range", least=0)
     states: int = setting(2000, "single random states of it", least=0)
     runs: int = setting(
-        100, "short runs of the bar under random loads; all points are one path", least=0
+        100, "runs of the recipe's problem under varied loads; all points are one path", least=0
     )
     length: int = setting(24, "states taken along a walk; along a run a third as many", least=1)
     share: float = setting(

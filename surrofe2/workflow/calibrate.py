@@ -8,9 +8,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from surrofe2.errors import SimulationError
+from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro import MacroSettings, Problem, simulate
 from surrofe2.recipe import Recipe
 from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import StressSamples
@@ -27,9 +27,11 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.workflow import laws
+from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.run_lifecycle import Report
+from surrofe2.workflow.varied_loads import varied_problems
 
-_MOST_ELEMENTS = 4  # of the bar's elements in each direction, in runs that make paths
+_MOST_ELEMENTS = 4  # of a rectangle in each direction, in runs that make paths
 _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
 
 
@@ -75,28 +77,70 @@ def _make_paths(
     if states:
         yield random_states(recipe.sampling_range(), states, seeds[1])
     if runs:
-        along, across = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
-        macro = replace(
-            recipe.macro,
-            elements=(along, across),
-            integrator="explicit",
-            frames=2,
-            record_dissipation=False,
-        )
         met = []
-        # The paper's bar stands in for a problem that the recipe states itself.
-        for k, load in enumerate(random_loads(recipe.load or LoadCase(), runs, seeds[2])):
-            report(0.0, f"run {k + 1} of {runs}")
-            met.append(_states_met(load, surrogate, macro))
+        for along_a_run in _runs(recipe, surrogate, runs, seeds[2]):
+            met.append(along_a_run)
+            report(0.0, f"run {len(met)} of {runs}")
         yield run_paths(met, -(-settings.length // 3))
 
 
-def _states_met(load: LoadCase, surrogate: StressLaw, macro: MacroSettings) -> list[State]:
-    """(F, F_dot) of all points at the steps of a run on the surrogate, while it is in range."""
-    watched = WatchedLaw(surrogate)
+def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
+    """What runs of the recipe's problem under other loads meet at the points of its cell.
+
+    Points of other cells follow the quadratic law of their RVE at rest.
+    """
+    along, across = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
+    macro = replace(recipe.macro, elements=(along, across), frames=2, record_dissipation=False)
+    if recipe.stated is None:
+        macro = replace(macro, integrator="explicit")
+        for load in random_loads(recipe.bar_load(), count, seed):
+            yield _states_met(load, surrogate, macro)
+        return
+    problem, whole = _coarse_problem(recipe), recipe.whole()
+    others = {
+        name: laws.quadratic_law(part)
+        for name, part in whole.parts().items()
+        if name != (recipe.cell_name or "")
+    }
+
+    def tissue(watched: StressLaw) -> StressLaw:
+        return law_by_region(
+            whole, problem.mesh, lambda part: others.get(part.cell_name or "", watched)
+        )
+
+    for each in varied_problems(problem, count, seed):
+        yield _states_met(each, surrogate, macro, tissue)
+
+
+def _coarse_problem(recipe: Recipe) -> Problem:
+    """The recipe's problem on a coarser mesh, where that is a rectangle of one cell and has all it
+    names."""
+    whole, stated = recipe.whole(), recipe.stated
+    assert stated is not None
+    if stated.mesh.elements is not None and not whole.types:
+        along, across = (min(n, _MOST_ELEMENTS) for n in stated.mesh.elements)
+        mesh = replace(stated.mesh, elements=(along, across))
+        with suppress(InputError):
+            return replace(whole, stated=replace(stated, mesh=mesh)).problem()
+    return whole.problem()
+
+
+def _states_met(
+    load: LoadCase | Problem,
+    surrogate: StressLaw,
+    macro: MacroSettings,
+    tissue: Callable[[StressLaw], StressLaw] = lambda watched: watched,
+) -> list[State]:
+    """(F, F_dot) of the surrogate's points at the steps of a run, while they are in its range.
+
+    Args:
+        tissue: the law of all points, by that of the surrogate's.
+    """
+    met: list[State] = []
+    watched = WatchedLaw(surrogate, lambda F, F_dot: met.append((F.copy(), F_dot.copy())))
     with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
-        simulate(load, watched, macro)
-    return watched.met
+        simulate(load, tissue(watched), macro)
+    return met
 
 
 def _ask(paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None]) -> Truth:

@@ -38,6 +38,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
+from surrofe2.surrogate.quadratic_law import QuadraticLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
@@ -50,6 +51,11 @@ _AT_REST = 1e-6
 def true_law(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> RveLaw:
     """The RVEs of a recipe, around their kept reference state, see `kept_reference`."""
     return RveLaw(recipe.cell, recipe.rve, reference=kept_reference(recipe, surrogate))
+
+
+def quadratic_law(recipe: Recipe) -> QuadraticLaw:
+    """The tangents at rest of the RVE of a recipe's only cell, as a law."""
+    return QuadraticLaw.of(true_law(replace(recipe, rve=replace(recipe.rve, solver="direct"))))
 
 
 def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> ReferenceState:

@@ -7,35 +7,44 @@ from dataclasses import replace
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.macro import MetRange, simulate
+from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange
-from surrofe2.surrogate.quadratic_law import QuadraticLaw
+from surrofe2.stress_law import StressLaw
+from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.laws import true_law
+from surrofe2.workflow.laws import quadratic_law
 from surrofe2.workflow.run_lifecycle import Report, untold
 
 MARGIN = 0.2
 _DIGITS = 2
 
 
-def met_by_quadratic_law(recipe: Recipe, *, report: Report = untold) -> MetRange:
-    """What the recipe's problem meets by the tangents of its RVE at rest.
+def met_by_quadratic_law(recipe: Recipe, *, report: Report = untold) -> dict[str, MetRange]:
+    """What each cell of the recipe's problem meets by the tangents of its RVE at rest.
 
     Args:
         report: is told the time reached in µs.
 
+    Returns:
+        By name of the cell, which is "" where there is one.
+
     Raises:
         SimulationError: the run could not be carried on.
     """
-    direct = replace(recipe, rve=replace(recipe.rve, solver="direct"))
-    problem = recipe.problem()
-    law = law_by_region(direct, problem.mesh, lambda part: QuadraticLaw.of(true_law(part)))
+    problem, extremes = recipe.problem(), {name: NO_EXTREMES.copy() for name in recipe.parts()}
+
+    def watched(part: Recipe) -> StressLaw:
+        own = extremes[part.cell_name or ""]
+        return WatchedLaw(quadratic_law(part), lambda F, F_dot: widen_extremes(own, F, F_dot))
+
+    law = law_by_region(recipe, problem.mesh, watched)
     settings = replace(recipe.macro, record_dissipation=False, frames=2)
     try:
-        run = simulate(problem, law, settings, progress=lambda t, duration: report(t, ""))
+        simulate(problem, law, settings, progress=lambda t, duration: report(t, ""))
     except SimulationError as error:
         raise SimulationError(f"range: the run by the quadratic law: {error}") from error
-    return run.met
+    return {name: MetRange.of(met) for name, met in extremes.items()}
 
 
 def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
@@ -63,10 +72,10 @@ def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
     )
 
 
-def range_section(range: SamplingRange) -> str:
-    """The section of a recipe, in TOML."""
-    low, high = range.stretch
-    return f"[range]\nstretch = [{low}, {high}]\nshear = {range.shear}\nrate = {range.rate}"
+def range_section(range: SamplingRange, cell: str = "") -> str:
+    """The section of a recipe, or of one of its cells, in TOML."""
+    (low, high), name = range.stretch, f"cells.{cell}.range" if cell else "range"
+    return f"[{name}]\nstretch = [{low}, {high}]\nshear = {range.shear}\nrate = {range.rate}"
 
 
 def _rounded_up(value: float) -> float:

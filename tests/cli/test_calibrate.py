@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from surrofe2 import simulate
+from surrofe2.amplitude import Pulse, Ramp, Sine
 from surrofe2.errors import SimulationError
 from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate
+from surrofe2.recipe import load_recipe
 from surrofe2.workflow import calibrate as calibrating
+from surrofe2.workflow.varied_loads import FACTOR, PACE, Varied, varied_problems
 from tests.laws import SoftLaw
 
 AT_REST = np.eye(2)[None], np.zeros((1, 2, 2))
@@ -105,3 +108,168 @@ def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invo
         SimulationError, match=r"after the rotation is taken out, .* beyond; .* outside the range"
     ):
         simulate(load, surrogate, recipe.macro)
+
+
+@pytest.fixture
+def stated(recipe_path):
+    """stated(more): the small recipe with a block that is stretched along x, 2 % in 20 µs."""
+
+    def write(more=""):
+        text = recipe_path.read_text(encoding="utf-8")
+        text = (
+            text[: text.index("[load]")]
+            + """
+[mesh]
+width = 100.0
+height = 60.0
+elements = [6, 1]
+[conditions.left]
+kind = "symmetry"
+on = "left"
+[conditions.bottom]
+kind = "symmetry"
+on = "bottom"
+[conditions.top]
+kind = "symmetry"
+on = "top"
+[conditions.grip]
+kind = "prescribed_motion"
+on = "right"
+displacement = [2.0, 0.0]
+amplitude = { kind = "ramp", end = 20.0, smooth = true }
+[time]
+duration = 25.0
+"""
+        )
+        recipe_path.write_text(text + more, encoding="utf-8")
+        return load_recipe(recipe_path)
+
+    return write
+
+
+CELLS = """
+[mesh.regions.end]
+box = [0.0, 0.0, 17.0, 60.0]
+[cells.end]
+samples = { file = "end.h5" }
+training = { file = "end.safetensors" }
+[cells.middle]
+wall_stiffness = 8000.0
+regions = ["rest"]
+"""
+
+
+def of_cells(text=CELLS):
+    """Edits the written recipe into one of two cells, each with its own files."""
+    return lambda given: (
+        given.replace('[cell]\npreset = "printed"\n', "")
+        .replace('file = "cells.h5"\n', "")
+        .replace('file = "cells.safetensors"\n', "")
+        + text
+    )
+
+
+def test_runs_of_a_stated_problem_are_its_own_with_other_loads(stated, monkeypatch):
+    """Pure stretch along x, which no bending bar meets; slower or faster, less or more."""
+    recipe = stated()
+    monkeypatch.setattr(calibrating, "simulate", recording := Recording())
+    runs = list(calibrating._runs(recipe, SoftLaw(), 40, seed=3))
+    assert [len(each.mesh.elements) for each in recording.problems] == [4] * 40
+    ends = []
+    for problem, met in zip(recording.problems, runs, strict=True):
+        pace = 25.0 / problem.duration
+        assert PACE[0] <= pace <= PACE[1]
+        F, F_dot = (np.array([state[part] for state in met]) for part in (0, 1))
+        assert F.shape[1:] == (4 * 5, 2, 2)
+        sideways = F - np.eye(2)
+        sideways[..., 0, 0] = 0.0
+        assert abs(sideways).max() < 1e-12
+        ends.append(F[-1, :, 0, 0].mean() - 1.0)
+        assert abs(F_dot).max() > 0.5 * ends[-1] / (20.0 / pace)
+    low, high = (0.02 * factor for factor in FACTOR)
+    assert low <= min(ends) < 1.5 * low
+    assert 0.8 * high < max(ends) <= high
+
+
+class Recording:
+    """`simulate`, and what it was asked."""
+
+    def __init__(self):
+        self.problems = []
+
+    def __call__(self, problem, law, settings):
+        self.problems.append(problem)
+        return simulate(problem, law, settings)
+
+
+@pytest.mark.parametrize(
+    "amplitude",
+    [Ramp(begin=1.0, end=5.0, smooth=True), Sine(frequency=0.1), Pulse(length=6.0)],
+)
+def test_a_varied_amplitude_is_the_amplitude_scaled_in_size_and_time(amplitude):
+    varied, h = Varied(amplitude, 0.7, 1.6), 1e-5
+    assert varied.corners() == tuple(t / 1.6 for t in amplitude.corners())
+    assert varied.resolved_by == amplitude.resolved_by / 1.6
+    for t in (0.9, 2.3):
+        value, rate, bend = varied.at(t, t)
+        assert value == 0.7 * amplitude.at(1.6 * t, 1.6 * t)[0]
+        ahead, behind = varied.at(t + h, t), varied.at(t - h, t)
+        assert rate == pytest.approx((ahead[0] - behind[0]) / (2.0 * h), rel=1e-6)
+        assert bend == pytest.approx((ahead[1] - behind[1]) / (2.0 * h), rel=1e-6)
+
+
+def test_falls_and_free_bodies_vary_by_their_factor(stated):
+    more = """
+[conditions.fall]
+kind = "initial_velocity"
+velocity = [0.0, -2.0]
+[bodies.ball]
+circle = { radius = 10.0 }
+on = "top"
+position = [50.0, 71.0]
+mass = 3.0
+velocity = [0.0, -1.0]
+"""
+    found = list(varied_problems(stated(more).problem(), 50, seed=1))
+    falls = np.array([problem.conditions[-1].velocity for problem in found])
+    balls = np.array([problem.bodies[0].velocity for problem in found])
+    for velocity, most in ((falls, 2.0), (balls, 1.0)):
+        assert not velocity[:, 0].any()
+        assert -FACTOR[1] * most <= velocity[:, 1].min() < -1.3 * most
+        assert -0.45 * most < velocity[:, 1].max() <= -FACTOR[0] * most
+    assert abs(np.corrcoef(falls[:, 1], balls[:, 1])[0, 1]) < 0.4
+    assert found[0].bodies[0].mass == 3.0
+
+
+def test_a_cell_sees_its_own_points_among_the_others(stated, recipe_path, monkeypatch):
+    """The stiff middle leaves more of the stretch to the soft end."""
+    stated()
+    text = recipe_path.read_text(encoding="utf-8")
+    recipe_path.write_text(of_cells()(text), encoding="utf-8")
+    recipe = load_recipe(recipe_path)
+
+    class SoftCell(SoftLaw):
+        def __init__(self, cell):
+            super().__init__(a=cell.wall_stiffness / 80.0)
+
+    monkeypatch.setattr(calibrating.laws, "quadratic_law", lambda part: SoftCell(part.cell))
+    monkeypatch.setattr(calibrating, "simulate", recording := Recording())
+    parts = recipe.parts()
+    met = {}
+    for name, part in parts.items():
+        (states,) = calibrating._runs(part, SoftCell(part.cell), 1, seed=4)
+        met[name] = states[-1][0]
+    # Coarser elements would make the end thicker, so the mesh stays.
+    assert [len(problem.mesh.elements) for problem in recording.problems] == [6, 6]
+    assert [len(F) for F in met.values()] == [5, 5 * 5]
+    stretch = {name: F[:, 0, 0].mean() - 1.0 for name, F in met.items()}
+    assert stretch["end"] > 1.5 * stretch["middle"] > 0.0
+
+
+def test_train_of_a_stated_problem_and_of_its_cells(stated, recipe_path, invoke):
+    stated()
+    assert invoke("generate", recipe_path, "--fresh").exit_code == 0
+    done = invoke("train", recipe_path)
+    assert done.exit_code == 0, done.output
+    kinds = read_surrogate(recipe_path.parent / "cells.safetensors").calibration.kinds
+    assert kinds["runs"]["paths"] == 9

@@ -291,7 +291,8 @@ def test_rest_and_range_ask_each_cell(written, tmp_path):
         ends[name] = np.array(rest_study(study, tmp_path / name, load_steps=2).met["watched"])
     np.testing.assert_allclose(ends["same"], ends["one"], rtol=1e-6)
     assert np.linalg.norm(ends["both"] - ends["one"]) > 0.02 * np.linalg.norm(ends["one"])
-    met = met_by_quadratic_law(recipe)
+    of = met_by_quadratic_law(recipe)
     true = run_study(recipe, "rve", tmp_path / "run").met
-    assert met.rate == pytest.approx(true["rate"], rel=0.02)
-    assert met.shear == pytest.approx(true["shear"], rel=0.02)
+    rate, shear = (max(getattr(met, name) for met in of.values()) for name in ("rate", "shear"))
+    assert rate == pytest.approx(true["rate"], rel=0.02)
+    assert shear == pytest.approx(true["shear"], rel=0.02)

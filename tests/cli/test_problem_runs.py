@@ -140,7 +140,11 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     there, here = (read_history(each) for each in (folder, soft))
     apart = np.hypot(*(here[f"force plate {i}"] - there[f"force plate {i}"] for i in "xy"))
     assert found["largest"] == pytest.approx(apart.max(), rel=1e-12)
-    assert f"soft: force plate: at most {found['largest']:.3g} µN apart, " in compared.stdout
+    table = compared.stdout[compared.stdout.index("Forces on the tissue") :]
+    shares = [found[name] / found["scale"] for name in ("largest", "of_largest")]
+    assert f"{found['scale']:.4g}" in table
+    assert f"{100.0 * shares[0]:.3g} %" in table
+    assert f"{100.0 * shares[1]:+.2g} %" in table
 
 
 def test_a_changed_problem_or_mesh_is_refused(invoke, written, tmp_path):

@@ -12,7 +12,9 @@ from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange
-from surrofe2.workflow.range import proposed_range
+from surrofe2.workflow.cell_laws import law_by_region
+from surrofe2.workflow.laws import quadratic_law
+from surrofe2.workflow.range import met_by_quadratic_law, proposed_range
 from tests.source_contract import ROOT
 
 
@@ -95,3 +97,51 @@ def test_a_recipe_with_the_iterated_solver_is_taken_too(recipe_path):
     plain, _ = proposed_for(recipe_path)
     recipe_path.write_text(text + '\n[rve]\nsolver = "iterated"\n', encoding="utf-8")
     assert proposed_for(recipe_path)[0] == plain
+
+
+def test_each_cell_gets_the_range_that_its_own_points_meet(recipe_path):
+    """A stiff layer beside a soft one in series: each strained by its share."""
+    recipe_path.write_text(SERIES, encoding="utf-8")
+    done = call("range", recipe_path)
+    assert done.exit_code == 0, done.output
+    printed = tomllib.loads(done.stdout)["cells"]
+    assert list(printed) == ["stiff", "soft"]
+    recipe = load_recipe(recipe_path)
+    met = met_by_quadratic_law(recipe)
+    for name, found in met.items():
+        assert SamplingRange(**printed[name]["range"]) == proposed_range(found)
+    whole = simulate(
+        recipe.problem(),
+        law_by_region(recipe, recipe.problem().mesh, quadratic_law),
+        recipe.macro,
+    ).met
+    assert max(each.stretch[1] for each in met.values()) == whole.stretch[1]
+    assert min(each.rate for each in met.values()) < max(each.rate for each in met.values())
+    assert max(each.rate for each in met.values()) == whole.rate
+    strain = {name: each.stretch[1] - 1.0 for name, each in met.items()}
+    assert strain["soft"] > 1.3 * strain["stiff"]
+
+
+SERIES = """
+[mesh]
+width = 100.0
+height = 50.0
+elements = [2, 1]
+[mesh.regions.near]
+box = [0.0, 0.0, 50.0, 50.0]
+[conditions.clamp]
+kind = "fixed"
+on = "left"
+[conditions.grip]
+kind = "prescribed_motion"
+on = "right"
+displacement = [1.0, 0.0]
+amplitude = { kind = "ramp", end = 60.0, smooth = true }
+[time]
+duration = 60.0
+[cells.stiff]
+wall_stiffness = 12000.0
+regions = ["near"]
+[cells.soft]
+regions = ["rest"]
+"""

@@ -45,6 +45,28 @@ def test_difference_and_speed_up(make_run):
     assert run.speed_up["law_time_per_stress"] == pytest.approx((24.0 / 100) / (1.6 / 50))
 
 
+def test_the_largest_are_compared_whenever_they_are_reached(make_run):
+    """A curve and a force that come half a microsecond late, the force 2 % too small."""
+    t = np.linspace(0.0, 4.0, 801)
+
+    def run(name, law, late, factor):
+        wave = factor * np.sin(np.pi * (t - late))
+        history = {"force plate x": 0.0 * t, "force plate y": 50.0 * wave, "force idle x": 0.0 * t}
+        history["force idle y"] = 0.0 * t
+        curve = DisplacementCurve(t, np.stack([wave, 0.0 * t], axis=1))
+        return replace(make_run(name, law, 0.0, 1.0, 1), curve=curve, history=history)
+
+    result = compare([run("rve", "rve", 0.0, 1.0), run("cached", "cached", 0.5, 0.98)])
+    difference = result.runs[0].difference
+    assert difference.of_largest == pytest.approx(-0.02)
+    assert difference.largest == pytest.approx(np.hypot(1.0, 0.98), rel=1e-4)
+    plate, idle = result.force_table.to_records()
+    assert (plate["run"], plate["force"], plate["largest"]) == ("cached", "plate", 50.0)
+    assert plate["of_largest"] == pytest.approx(-0.02)
+    assert plate["largest_difference"] == pytest.approx(difference.largest)
+    assert (idle["force"], idle["largest"], idle["of_largest"]) == ("idle", 0.0, None)
+
+
 def test_reference_is_the_run_by_rves_wherever_it_stands(make_run):
     result = compare(
         [make_run("cached", "cached", 0.04, 2.0, 10), make_run("rve", "rve", 0.0, 30.0, 1000)]

@@ -14,7 +14,7 @@ def row(tolerance, error, hits, audit, ratios):
         "trust": {"off": not hits, "factor": 1.5},
     }
     speed_up = dict(zip(("wall_time", "right_hand_sides"), ratios, strict=True))
-    apart = CurveDifference(error, error, 0.0)
+    apart = CurveDifference(error, error, 0.0, 0.0)
     return ComparedRun("run", "cached", "water", apart, 1.0, counts, speed_up, cache)
 
 

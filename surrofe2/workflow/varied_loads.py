@@ -1,0 +1,83 @@
+"""A problem under other loads: every amplitude by a factor of its own, all at another pace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from surrofe2.amplitude import Amplitude, Value
+from surrofe2.macro import Problem
+from surrofe2.macro.conditions import Condition, DrivenCondition, InitialVelocity
+from surrofe2.macro.rigid_bodies import RigidBody
+
+FACTOR = (0.25, 1.5)
+"""Of an amplitude or a velocity, uniform between."""
+PACE = (0.5, 2.0)
+"""Of all amplitudes, its logarithm uniform between."""
+
+
+@dataclass(frozen=True, slots=True)
+class Varied:
+    """factor · amplitude(pace · t)."""
+
+    amplitude: Amplitude
+    factor: float
+    pace: float
+
+    def at(self, t: float, within: float) -> Value:
+        """As of `Amplitude`."""
+        factor, pace = self.factor, self.pace
+        value, rate, bend = self.amplitude.at(pace * t, pace * within)
+        return factor * value, factor * pace * rate, factor * pace**2 * bend
+
+    def corners(self) -> tuple[float, ...]:
+        """As of `Amplitude`."""
+        return tuple(t / self.pace for t in self.amplitude.corners())
+
+    @property
+    def resolved_by(self) -> float:
+        """As of `Amplitude`."""
+        return self.amplitude.resolved_by / self.pace
+
+
+def varied_problems(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
+    """The problem under loads that are weaker or stronger, and faster or slower with its duration.
+
+    Constant loads and initial velocities vary by their factor alone.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in np.arange(count):
+        pace = float(np.exp(rng.uniform(*np.log(PACE))))
+        conditions = tuple(
+            _varied(each, float(rng.uniform(*FACTOR)), pace) for each in problem.conditions
+        )
+        bodies = tuple(_varied(each, float(rng.uniform(*FACTOR)), pace) for each in problem.bodies)
+        yield replace(
+            problem,
+            conditions=conditions,
+            bodies=bodies,
+            duration=problem.duration / pace,
+            output_interval=problem.duration / pace,
+        )
+
+
+def _varied(stated: Condition | RigidBody, factor: float, pace: float) -> Any:
+    if isinstance(stated, DrivenCondition):
+        return replace(stated, amplitude=Varied(stated.amplitude, factor, pace))
+    if isinstance(stated, InitialVelocity):
+        return replace(stated, velocity=_times(factor, stated.velocity))
+    if isinstance(stated, RigidBody):
+        return replace(
+            stated,
+            amplitude=Varied(stated.amplitude, factor, pace),
+            velocity=_times(factor, stated.velocity),
+            acceleration=_times(factor, stated.acceleration),
+        )
+    return stated
+
+
+def _times(factor: float, vector: tuple[float, float]) -> tuple[float, float]:
+    return factor * vector[0], factor * vector[1]
