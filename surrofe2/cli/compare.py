@@ -13,6 +13,7 @@ from surrofe2.cli import console
 from surrofe2.io.run_folder import caches_of
 from surrofe2.recipe import changed
 from surrofe2.report.comparison import Comparison
+from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.comparison import (
     COMPARISON_FILES,
     SWEEP_FILES,
@@ -49,7 +50,7 @@ def sweep(
         str, typer.Option(metavar="X,…", help="Stress tolerances, shares of the spread of stress.")
     ] = "1e-1,3e-2,1e-2,3e-3,1e-3,3e-4,1e-4",
     audit: console.Audit = None,
-    surrogate: console.SurrogateFile = None,
+    surrogate: console.SurrogateFiles = None,
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
@@ -65,7 +66,12 @@ def sweep(
     numbers = parse_tolerances(tolerances)
     with console.on_interrupt(f"{out} keeps what is finished"):
         result = run_sweep(
-            study, out, numbers, surrogate_file=surrogate, fresh=fresh, stage=console.progress
+            study,
+            out,
+            numbers,
+            surrogates=files_by_cell(study, surrogate or ()),
+            fresh=fresh,
+            stage=console.progress,
         )
     title = f"Against true FE² of {result.reference.wall_time:.3g} s"
     console.show_table(title, *result.table.for_people())

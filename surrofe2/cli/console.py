@@ -137,9 +137,13 @@ AnyInitialisation = Literal["all", "cauchy-born", "elastic", "constrained-runs",
 RecipeFile = Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")]
 OutFolder = Annotated[Path, typer.Option(metavar="DIR", help="The folder to write.")]
 JsonFile = Annotated[Path | None, typer.Option(metavar="FILE", help="All numbers as JSON.")]
-SurrogateFile = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Surrogate file; default: the recipe's."),
+SurrogateFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--surrogate",
+        metavar="FILE",
+        help="Surrogate file; default: the recipe's. One for each of several cells.",
+    ),
 ]
 CellName = Annotated[
     str,

@@ -12,6 +12,7 @@ import typer
 from surrofe2.cli import console
 from surrofe2.recipe import changed
 from surrofe2.workflow.cell_fields import add_cell_fields
+from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run import cache_notes, contact_notes, run_study, run_summary
 from surrofe2.workflow.run_lifecycle import time_text
@@ -27,13 +28,13 @@ def run(
         ),
     ],
     out: console.OutFolder,
-    surrogate: console.SurrogateFile = None,
+    surrogate: console.SurrogateFiles = None,
     table: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; more than one are "
-            "merged. Default: an empty one.",
+            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; more than one of a "
+            "cell are merged. Default: an empty one.",
         ),
     ] = None,
     harvest: Annotated[
@@ -90,7 +91,7 @@ def run(
             study,
             law,
             out,
-            surrogate_file=surrogate,
+            surrogates=files_by_cell(study, surrogate or ()),
             tables=table or (),
             harvest=harvest,
             fresh=fresh,

@@ -15,6 +15,7 @@ from surrofe2.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.refinement import QUANTITIES, SURROGATE, Round, refine_surrogate
+from surrofe2.workflow.run import of_cell
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.train import STRESSES, train_surrogate, training_summary
 
@@ -78,6 +79,7 @@ def refine(
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the rounds; default: out/refine-RECIPE."),
     ] = None,
+    cell: console.OneCell = None,
     rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds at most.")] = 6,
     fresh: console.Fresh = False,
     threads: console.Threads = None,
@@ -86,7 +88,8 @@ def refine(
 
     Runs through the cache, collects the states that the surrogate did not know well enough, asks
     RVEs there and around, trains again, and so on until a run has no unknown state and its audit
-    holds. DIR receives refine.json (the table of rounds) and surrogate.safetensors.
+    holds. DIR receives refine.json (the table of rounds) and surrogate.safetensors, of several
+    cells surrogate-NAME.safetensors.
 
     Example: [bold]surrofe2 refine data/bending-bar-triple-load.toml[/bold]
 
@@ -104,14 +107,21 @@ def refine(
     try:
         with console.on_interrupt(f"{folder} keeps the finished rounds"):
             refine_surrogate(
-                study, folder, rounds=rounds, fresh=fresh, stage=console.progress, tell=tell
+                study,
+                folder,
+                cell=cell,
+                rounds=rounds,
+                fresh=fresh,
+                stage=console.progress,
+                tell=tell,
             )
     except SimulationError:
         show_rounds(found)
         raise
     show_rounds(found)
     taken = time_text(time.perf_counter() - begin)
-    console.print_line(f"{folder / SURROGATE}: settled after {len(found)} rounds, {taken}")
+    files = ", ".join(str(folder / of_cell(SURROGATE, name)) for name in study.parts(cell))
+    console.print_line(f"{files}: settled after {found[-1].round + 1} rounds, {taken}")
 
 
 def show_rounds(found: list[Round]) -> None:

@@ -18,6 +18,7 @@ from surrofe2.io.files import opened_hdf5, replacing, reported, write_text
 Array = NDArray[np.float64]
 Data = dict[str, Array]
 F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
+_CELL = "plant_cell"
 _RANKS = {1: "Scalar", 2: "Vector", 3: "Tensor"}
 """What XDMF calls data of so many axes."""
 
@@ -55,12 +56,14 @@ def write_fields(
     nodes: Array,
     elements: NDArray[np.integer],
     frames: Frames,
+    cell: Array | None = None,
 ) -> None:
     """Write fields.xdmf and fields.h5: a mesh in µm and what its nodes and elements have.
 
     Args:
         nodes: (n, 2) µm.
         elements: (e, 4) quadrilaterals or (e, 6) triangles with the middles of their sides.
+        cell: (e,) number of each element's plant cell, where there are several.
     """
     kind = {4: "Quadrilateral", 6: "Triangle_6"}[elements.shape[1]]
     with writing_series(folder, nodes, kind, elements) as write:
@@ -77,18 +80,25 @@ def write_fields(
                     "stress_source": frames.source[k],
                     "stress_bound_uN_per_um": frames.bound[k],
                 }
+            if cell is not None:
+                in_elements[_CELL] = cell
             write(float(t), _motion_at(frames, k), in_elements)
 
 
 @dataclass(frozen=True, slots=True)
 class ElementMotion:
-    """A mesh and the F and Ḟ (m, e, 2, 2) of its elements at times t (m,), µs, read back."""
+    """A mesh and the F and Ḟ (m, e, 2, 2) of its elements at times t (m,), µs, read back.
+
+    Attributes:
+        cell: (e,) number of each element's plant cell; None where there is one.
+    """
 
     nodes: Array
     elements: NDArray[np.int64]
     t: Array
     F: Array
     F_dot: Array
+    cell: NDArray[np.int64] | None
 
 
 def read_element_motion(folder: Path) -> ElementMotion:
@@ -106,7 +116,8 @@ def read_element_motion(folder: Path) -> ElementMotion:
             np.stack([file[f"{name}.{k}"][:, :2, :2] for k in range(len(t))])
             for name in (F_NAME, F_DOT_NAME)
         )
-        return ElementMotion(file["points"][:, :2], file["cells"][()], t, F, F_dot)
+        cell = file[f"{_CELL}.0"][()].astype(np.int64) if f"{_CELL}.0" in file else None
+        return ElementMotion(file["points"][:, :2], file["cells"][()], t, F, F_dot, cell)
 
 
 def _invariants(stress: Array) -> dict[str, Array]:

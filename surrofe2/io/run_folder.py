@@ -151,7 +151,11 @@ def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> 
         check_same(folder, record.compared(), earlier.compared())
         return earlier
     with reported(folder, "written"):
-        for path in [*(folder / name for name in FILES), *folder.glob("harvest-*.h5")]:
+        for path in [
+            *(folder / name for name in FILES),
+            *folder.glob("harvest-*.h5"),
+            *folder.glob("table-*.h5"),
+        ]:
             path.unlink(missing_ok=True)
     write_record(folder, record)
     return None

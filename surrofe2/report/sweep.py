@@ -10,25 +10,48 @@ from typing import Any
 import numpy as np
 
 from surrofe2.errors import InputError
-from surrofe2.io.run_folder import StoredRun
+from surrofe2.io.run_folder import StoredRun, caches_of
 from surrofe2.report.comparison import ComparedRun, compare, problem_title
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 
 
-def _stress_error(run: ComparedRun, error: float | None) -> float | None:
-    """An error that the audit found, relative to the spread of stress where both are known."""
-    spread = run.cache["tolerance"]["spread"]
-    return error / spread if error is not None and spread else None
+def _caches(run: ComparedRun) -> list[Mapping[str, Any]]:
+    """What the caches of the run's cells report; of several, the worst is told."""
+    return [*caches_of(run.cache).values()]
+
+
+def _stress_error(run: ComparedRun, error: Callable[[Mapping[str, Any]], float]) -> float | None:
+    """An error that audits found, relative to the spread of stress where both are known."""
+    found = [
+        error(cache["audit"]) / cache["tolerance"]["spread"]
+        for cache in _caches(run)
+        if cache["audit"]["quantiles"] and cache["tolerance"]["spread"]
+    ]
+    return max(found, default=None)
 
 
 def _error_99(run: ComparedRun) -> float | None:
-    return _stress_error(run, run.cache["audit"]["quantiles"].get("0.99"))
+    return _stress_error(run, lambda audit: audit["quantiles"]["0.99"])
 
 
 def _error_largest(run: ComparedRun) -> float | None:
-    audit = run.cache["audit"]
-    return _stress_error(run, audit["largest"] if audit["quantiles"] else None)
+    return _stress_error(run, lambda audit: audit["largest"])
+
+
+def _above(run: ComparedRun) -> str:
+    above, audited = (
+        sum(cache["audit"][count] for cache in _caches(run)) for count in ("violations", "audited")
+    )
+    return f"{above} of {audited}"
+
+
+def _tolerance(run: ComparedRun) -> float:
+    return float(_caches(run)[0]["tolerance"]["share"])
+
+
+def _is_off(run: ComparedRun) -> bool:
+    return any(cache["trust"]["off"] for cache in _caches(run))
 
 
 def _hits(run: ComparedRun) -> float:
@@ -37,10 +60,10 @@ def _hits(run: ComparedRun) -> float:
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
-    Quantity("tolerance", "", percent("g"), lambda run: float(run.cache["tolerance"]["share"])),
+    Quantity("tolerance", "", percent("g"), _tolerance),
     Quantity("stress error", "", percent(".2g"), _error_99),
     Quantity("largest stress error", "", None, _error_largest),
-    Quantity("above", "", "", lambda run: "{violations} of {audited}".format(**run.cache["audit"])),
+    Quantity("above", "", "", _above),
     Quantity("displacement error", "", percent(".2g"), lambda run: run.difference.largest),
     Quantity("hits", "", percent(".3g"), _hits),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
@@ -50,8 +73,8 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
         percent(".4g"),
         lambda run: 1.0 / (run.speed_up["right_hand_sides"] or float("inf")),
     ),
-    Quantity("factor", "", None, lambda run: run.cache["trust"]["factor"]),
-    Quantity("switched off", "", lambda off: "yes", lambda run: run.cache["trust"]["off"] or None),
+    Quantity("factor", "", None, lambda run: max(each["trust"]["factor"] for each in _caches(run))),
+    Quantity("switched off", "", lambda off: "yes", lambda run: _is_off(run) or None),
 )
 """Stresses relative to their spread; the stress error is what 99 % of the audited answers keep."""
 
@@ -92,7 +115,7 @@ def make_sweep(reference: StoredRun, runs: Sequence[StoredRun]) -> Sweep:
     for run in found.runs:
         if not run.cache:
             raise InputError(f"{run.name}: law {run.law} has no cache; sweep cached runs")
-    rows = sorted(found.runs, key=lambda run: -float(run.cache["tolerance"]["share"]))
+    rows = sorted(found.runs, key=lambda run: -_tolerance(run))
     record = reference.record
     load = {"title": problem_title(record.recipe), "duration": record.duration}
     return Sweep(found.reference_run, load, tuple(rows))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
-from surrofe2.io.fields import add_to_elements, read_element_motion
+from surrofe2.errors import FileError, InputError
+from surrofe2.io.fields import ElementMotion, add_to_elements, read_element_motion
 from surrofe2.io.run_folder import RunRecord, read_record
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import Recipe, make_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.workflow.laws import true_law
@@ -20,18 +24,38 @@ _AT_ONCE = 512
 """RVEs whose particles are computed together: 40 MB for one plant cell each."""
 
 
-def recipe_of(record: RunRecord) -> Recipe:
-    """Cell and initialisation of a run as a recipe.
+def recipes_of(record: RunRecord) -> dict[str, Recipe]:
+    """Cell and initialisation of a run as a recipe for each of its cells by name, "" of one.
 
     Raises:
-        InputError: the run has several cells.
+        InputError: the run was by a law without plant cells.
     """
-    types = record.recipe.get("cells")
-    if types:
+    stored = record.recipe
+    cells: Mapping[str, Any] = stored.get("cells") or {"": stored.get("cell")}
+    if not all(cells.values()):
         raise InputError(
-            f"cells: {', '.join(types)}; a look into the cells needs a run with one [cell]"
+            f"law: {record.law}; it has no plant cells to look into, as rve and cached have"
         )
-    return make_recipe({name: record.recipe[name] for name in ("cell", "rve")})
+    names = {"preset", *(item.name for item in fields(CellParameters))}
+    return {
+        name: make_recipe(
+            {"cell": {key: cell[key] for key in names & cell.keys()}, "rve": stored["rve"]}
+        )
+        for name, cell in cells.items()
+    }
+
+
+def cell_numbers(motion: ElementMotion, recipes: Mapping[str, Recipe]) -> NDArray[np.int64]:
+    """(e,) number of the recipe of each element's cell.
+
+    Raises:
+        FileError: there are several cells and the fields do not say which is where.
+    """
+    if len(recipes) == 1:
+        return np.zeros(motion.F.shape[1], np.int64)
+    if motion.cell is None:
+        raise FileError("fields.h5: no plant_cell of elements in it; run anew with --fresh")
+    return motion.cell
 
 
 def add_cell_fields(folder: Path) -> int:
@@ -45,8 +69,14 @@ def add_cell_fields(folder: Path) -> int:
     Raises:
         FileError: the folder has no run with fields of elements.
     """
-    motion = read_element_motion(folder)
-    values = extremes_of(true_law(recipe_of(read_record(folder))), motion.F, motion.F_dot)
+    recipes, motion = recipes_of(read_record(folder)), read_element_motion(folder)
+    numbers = cell_numbers(motion, recipes)
+    values: dict[str, Array] = {}
+    for k, recipe in enumerate(recipes.values()):
+        own = numbers == k
+        found = extremes_of(true_law(recipe), motion.F[:, own], motion.F_dot[:, own])
+        for name, of_cell in found.items():
+            values.setdefault(name, np.full(motion.F.shape[:2], np.nan))[:, own] = of_cell
     add_to_elements(folder, values)
     return int(motion.F.size) // 4
 

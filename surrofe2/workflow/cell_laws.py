@@ -7,52 +7,54 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache import CachedLaw
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.io.surrogates import read_surrogate
+from surrofe2.io.tables import StoredTable, read_table
 from surrofe2.macro.mesh import Mesh
 from surrofe2.recipe import Recipe
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.stress_law import StressLaw
+from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import ChosenLaw, choose_law
 
+Array = NDArray[np.float64]
 Taker = Callable[[Recipe], OnTrueAnswer | None]
 """What takes the true answers of a cell."""
+
+NO_FILES: Mapping[str, Path] = MappingProxyType({})
 
 
 def choose_laws(
     recipe: Recipe,
     kind: str,
     mesh: Mesh,
-    surrogate_file: Path | None = None,
+    surrogates: Mapping[str, Path] = NO_FILES,
     tables: Sequence[Path] = (),
     taker: Taker = lambda recipe: None,
 ) -> ChosenLaw:
     """The law called `kind` of each cell of a recipe, each at the points of its regions.
 
+    Args:
+        surrogates: files by name of the cell, in the place of the recipe's; see `files_by_cell`.
+        tables: files to start from, each for the cells whose answers it has.
+
     Raises:
-        InputError: tables, or one surrogate file, for several cells.
-        MismatchError: a surrogate is of other cell parameters or initialisation.
+        MismatchError: a surrogate or a table is of other cell parameters or initialisation.
     """
     if not recipe.types:
-        return choose_law(recipe, kind, surrogate_file, tables, taker(recipe))
-    if kind == "table" or tables or recipe.table.enabled:
-        raise InputError(
-            f"{recipe.path.name}: cells: {', '.join(recipe.types)}; tables know one cell: use "
-            "--law rve or cached, without [table] enabled"
-        )
-    if surrogate_file is not None:
-        raise InputError(
-            f"--surrogate: {surrogate_file}; the recipe has the cells {', '.join(recipe.types)}: "
-            "give each its cells.NAME.training.file"
-        )
+        return choose_law(recipe, kind, surrogates.get(""), tables, taker(recipe))
+    of_cells = _by_cell(recipe, tables, read_table, "--table")
     chosen = {
-        name: choose_law(part, kind, on_true_answer=taker(part))
+        name: choose_law(part, kind, surrogates.get(name), of_cells[name], taker(part))
         for name, part in recipe.parts().items()
     }
     laws = {name: each.law for name, each in chosen.items()}
@@ -60,7 +62,58 @@ def choose_laws(
         RegionalLaw(laws, recipe.points_of_cells(mesh)),
         tuple(part for each in chosen.values() for part in each.parts),
         _record_of({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
+        {name: table for each in chosen.values() for name, table in each.tables.items()},
     )
+
+
+def files_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
+    """Files of surrogates by name of the cells that they were trained for.
+
+    Raises:
+        InputError: two are for one cell.
+        MismatchError: one is for none of the cells.
+    """
+    if not recipe.types and len(files) == 1:
+        return {"": files[0]}
+    found = _by_cell(recipe, files, read_surrogate, "--surrogate")
+    for name, paths in found.items():
+        if len(paths) > 1:
+            of = f"cell {name}" if name else "the recipe's only cell"
+            raise InputError(f"--surrogate: {paths[0]} and {paths[1]}; both are of {of}, give one")
+    return {name: paths[0] for name, paths in found.items() if paths}
+
+
+def _by_cell(
+    recipe: Recipe,
+    files: Sequence[Path],
+    read: Callable[[Path], SurrogateLaw | StoredTable],
+    option: str,
+) -> dict[str, list[Path]]:
+    """Files by name of the cells whose parameters and initialisation they have."""
+    parts = recipe.parts()
+    found: dict[str, list[Path]] = {name: [] for name in parts}
+    for path in files:
+        stored = read(path)
+        of = stored.cell, stored.initialisation
+        own = [name for name, part in parts.items() if of == (part.cell, part.rve.initialisation)]
+        if not own:
+            raise MismatchError(
+                f"{option}: {path}; cell parameters {stored.cell.fingerprint} by "
+                f"{stored.initialisation} are of none of the cells {', '.join(parts)}"
+            )
+        for name in own:
+            found[name].append(path)
+    return found
+
+
+def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
+    """(elements,) number of the law that each element asks; None where there is one for all."""
+    if not isinstance(law, RegionalLaw):
+        return None
+    found = np.empty(elements)
+    for k, points in enumerate(law.points.values()):
+        found[points * elements // law.density.size] = k
+    return found
 
 
 def law_by_region(recipe: Recipe, mesh: Mesh, law_of: Callable[[Recipe], StressLaw]) -> StressLaw:
@@ -78,6 +131,7 @@ def _record_of(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | 
         "file": ", ".join(each["file"] for each in surrogates.values()),
         "fingerprint": " ".join(each["fingerprint"] for each in surrogates.values()),
         "errors": {name: each["errors"] for name, each in surrogates.items()},
+        "tables": {name: each.get("tables") for name, each in surrogates.items()},
     }
 
 

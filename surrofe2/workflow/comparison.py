@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from surrofe2.recipe import Recipe
 from surrofe2.report.comparison import Comparison, write_comparison_plot
 from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.sweep import Sweep, make_sweep, write_sweep_plot
+from surrofe2.workflow.cell_laws import NO_FILES
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Stage, silent
 
@@ -37,12 +38,15 @@ def run_sweep(
     out: Path,
     tolerances: Sequence[float],
     *,
-    surrogate_file: Path | None = None,
+    surrogates: Mapping[str, Path] = NO_FILES,
     fresh: bool = False,
     stage: Stage = silent,
 ) -> Sweep:
-    """True FE² and a cached run at each tolerance, each in a folder of its own, and their sweep."""
-    recipe.check_one_cell()
+    """True FE² and a cached run at each tolerance, each in a folder of its own, and their sweep.
+
+    Args:
+        surrogates: as of `run_study`.
+    """
     names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
     caches = [replace(recipe.cache, tolerance=each) for each in tolerances]
     studies = [recipe, *(replace(recipe, cache=cache) for cache in caches)]
@@ -52,7 +56,7 @@ def run_sweep(
                 study,
                 "cached" if k else "rve",
                 out / name,
-                surrogate_file=surrogate_file,
+                surrogates=surrogates,
                 fresh=fresh,
                 report=report,
             )

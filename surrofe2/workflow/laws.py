@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,12 +91,15 @@ def _is_usable(known: ReferenceState, cell: CellParameters) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ChosenLaw:
-    """A law, the laws it is made of, and what to record of its surrogate; its table, if any."""
+    """A law, the laws it is made of, what to record of its surrogate, and its tables by cell.
+
+    The only cell of a recipe with [cell] is called "".
+    """
 
     law: StressLaw
     parts: tuple[StressLaw, ...]
     surrogate: Mapping[str, Any] | None = None
-    table: StressTable | None = None
+    tables: Mapping[str, StressTable] = field(default_factory=dict)
 
 
 def choose_law(
@@ -125,7 +128,7 @@ def choose_law(
         rve = true_law(recipe)
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, on_true_answer)
-        return ChosenLaw(law, (rve,), _record_of(tables), table)
+        return ChosenLaw(law, (rve,), _record_of(tables), {recipe.cell_name or "": table})
     path = surrogate_file or recipe.training_path()
     surrogate = read_surrogate(path)
     record: dict[str, Any] = {
@@ -143,7 +146,7 @@ def choose_law(
     table = make_table(recipe, rve, tables, surrogate.stress_spread)
     record |= {"tables": _record_of(tables)}
     law = CachedLaw(ChainedSurrogate(surrogate, table), rve, recipe.cache, on_true_answer)
-    return ChosenLaw(law, (surrogate, rve), record, table)
+    return ChosenLaw(law, (surrogate, rve), record, {recipe.cell_name or "": table})
 
 
 def make_table(
@@ -197,7 +200,7 @@ def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
 def warm_up(
     laws: tuple[StressLaw, ...],
     settings: MacroSettings,
-    table: StressTable | None = None,
+    tables: Iterable[StressTable] = (),
     *,
     points: int | None = None,
 ) -> float:
@@ -224,7 +227,7 @@ def warm_up(
     for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
             simulate(_INSTANT, law, small)
-    if table is not None:
+    for table in tables:
         table.warm_up()
     return time.perf_counter() - begin
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shutil import rmtree
@@ -17,6 +17,7 @@ from surrofe2.errors import SimulationError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import check_same, read_json, replacing, reported, write_json
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
+from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
 from surrofe2.report.tables import NONE, Quantity, percent
@@ -27,7 +28,7 @@ from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate_surrogate
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.run import HARVEST, origin_of, run_study
+from surrofe2.workflow.run import HARVEST, of_cell, origin_of, run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent, time_text
 from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
 
@@ -44,10 +45,11 @@ CHUNK = 512
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """A row of the table of rounds.
+    """A row of the table of rounds, of one cell.
 
     Attributes:
-        hits: share of the run's answers that came from the surrogate.
+        cell: its name, "" of the only one.
+        hits: share of the answers at kept steps that came from the surrogate.
         unknown: states at accepted steps that the surrogate could not answer, and audited ones
             over the tolerance.
         samples: valid ones that the surrogate was trained on.
@@ -56,10 +58,11 @@ class Round:
             nothing was audited.
         range: of the surrogate.
         added: samples taken in after the run.
-        seconds: of the run, sampling and training.
+        seconds: since the round began, with run, sampling and training.
     """
 
     round: int
+    cell: str = ""
     hits: float
     unknown: int
     samples: int
@@ -78,14 +81,16 @@ class Round:
     @property
     def sentence(self) -> str:
         """What became of the round."""
+        of = self.cell and f"{self.cell}: "
         return (
-            f"round {self.round}: {100 * self.hits:.4g} % hits, {self.unknown} unknown states, "
+            f"round {self.round}: {of}{100 * self.hits:.4g} % hits, {self.unknown} unknown states, "
             f"{self.added} samples added"
         )
 
 
 QUANTITIES: tuple[Quantity[Round], ...] = (
     Quantity("round", "", "", lambda row: row.round),
+    Quantity("cell", "", "", lambda row: row.cell or None),
     Quantity("hits", "", percent(".4g"), lambda row: row.hits),
     Quantity("unknown", "", "", lambda row: row.unknown),
     Quantity("samples", "", "", lambda row: row.samples),
@@ -104,6 +109,7 @@ def refine_surrogate(
     recipe: Recipe,
     out: Path,
     *,
+    cell: str | None = None,
     rounds: int = 6,
     fresh: bool = False,
     stage: Stage = silent,
@@ -114,63 +120,92 @@ def refine_surrogate(
     The first round runs on the recipe's surrogate, which is made where it is not there. Each
     later one was trained anew on the recipe's data set and everything sampled since; where states
     left the range, the range of the surrogate is the least box that holds them too. The last
-    surrogate is `out`/surrogate.safetensors.
+    surrogate is `out`/surrogate.safetensors, of several cells `out`/surrogate-NAME.safetensors.
 
     Args:
+        cell: the only one of several that is refined; None: all, each until it is settled.
         rounds: how many at most.
-        tell: called with each finished round.
+        tell: called with the rows of each finished round.
 
     Raises:
         SimulationError: the last round is not settled.
     """
-    recipe.check_one_cell()
-    done = _open(recipe, out, fresh)
+    parts = recipe.parts(cell)
+    done = _open(recipe, parts, out, fresh)
     for k in range(rounds):
-        if k < len(done):
-            row = done[k]
-        else:
-            row = _round(recipe, out, k, stage)
-            done.append(row)
-            content = {"recipe": recipe.to_dict(), "rounds": [asdict(entry) for entry in done]}
-            write_json(out / ROUNDS, content)
-        tell(row)
-        if row.settled:
-            (out / SURROGATE).write_bytes((out / f"round-{k}" / SURROGATE).read_bytes())
+        rows = [row for row in done if row.round == k]
+        if not rows:
+            rows = _round(recipe, parts, out, k, stage)
+            done += rows
+            _write_rounds(recipe, parts, out, done)
+        for row in rows:
+            tell(row)
+        if all(row.settled for row in rows):
+            for name in (of_cell(SURROGATE, cell) for cell in parts):
+                (out / name).write_bytes((out / f"round-{k}" / name).read_bytes())
             return done
+    unknown = sum(row.unknown for row in rows)
     raise SimulationError(
-        f"{out}: {done[-1].unknown} states still unknown after {rounds} rounds; go on with "
+        f"{out}: {unknown} states still unknown after {rounds} rounds; go on with "
         f"--rounds {2 * rounds}",
         partial=done,
     )
 
 
-def _open(recipe: Recipe, out: Path, fresh: bool) -> list[Round]:
+def _open(recipe: Recipe, parts: Iterable[str], out: Path, fresh: bool) -> list[Round]:
     """The finished rounds to go on from."""
     begun = out / ROUNDS
     if begun.exists() and not fresh:
         stored = read_json(begun)
-        check_same(out, recipe.to_dict(), stored["recipe"])
+        here, there = ({"--cell": names} for names in ([*parts], stored.get("cells", [""])))
+        check_same(out, recipe.to_dict() | here, stored["recipe"] | there)
         return [Round(**row) for row in stored["rounds"]]
     with reported(out, "written"):
         out.mkdir(parents=True, exist_ok=True)
         for folder in out.glob("round-*"):
             rmtree(folder)
-        (out / SURROGATE).unlink(missing_ok=True)
-    write_json(begun, {"recipe": recipe.to_dict(), "rounds": []})
+        for path in out.glob("surrogate*.safetensors"):
+            path.unlink()
+    _write_rounds(recipe, parts, out, [])
     return []
 
 
-def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
-    """One round; what it has finished before an interruption is kept."""
+def _write_rounds(recipe: Recipe, parts: Iterable[str], out: Path, done: list[Round]) -> None:
+    rounds = [asdict(row) for row in done]
+    write_json(out / ROUNDS, {"recipe": recipe.to_dict(), "cells": [*parts], "rounds": rounds})
+
+
+def _round(
+    recipe: Recipe, parts: Mapping[str, Recipe], out: Path, k: int, stage: Stage
+) -> list[Round]:
+    """One round, a row for each cell; what it has finished before an interruption is kept."""
     begin = time.perf_counter()
     folder = out / f"round-{k}"
     folder.mkdir(exist_ok=True)
-    surrogate, samples = _surrogate(recipe, out, k, stage)
+    learnt = {name: _surrogate(part, out, k, stage) for name, part in parts.items()}
+    files = {name: folder / of_cell(SURROGATE, name) for name in parts}
     with stage(f"round {k}: run", recipe.duration, "µs") as report:
-        path = folder / SURROGATE
-        record = run_study(recipe, "cached", folder / "run", surrogate_file=path, report=report)
+        record = run_study(recipe, "cached", folder / "run", surrogates=files, report=report)
+    caches = caches_of(record.cache)
+    return [
+        _row(part, folder, k, learnt[name], caches[name]["accepted"], begin, stage)
+        for name, part in parts.items()
+    ]
+
+
+def _row(
+    recipe: Recipe,
+    folder: Path,
+    k: int,
+    learnt: tuple[SurrogateLaw, StressSamples],
+    counts: Mapping[str, int],
+    begin: float,
+    stage: Stage,
+) -> Round:
+    """What the run of a round met that its surrogate did not know, and the samples of that."""
+    (surrogate, samples), name = learnt, recipe.cell_name or ""
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
-    path = folder / "run" / HARVEST
+    path = folder / "run" / of_cell(HARVEST, name)
     harvest = read_harvest(path) if path.exists() else None  # None: the surrogate knew it all
     unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
     added, wider = 0, surrogate.range
@@ -179,12 +214,12 @@ def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
         wider = range_holding(surrogate.range, *states)
         seed = recipe.samples.seed + k + 1
         asked = _new_states(recipe, states, wider, wider != surrogate.range, seed)
-        with stage(f"round {k}: sample", 1.0, "of the samples") as report:
-            added = _write_samples(folder / _NEW, recipe, harvest, asked, report)
-        write_json(folder / _STARTED, {"range": wider})
-    counts = record.counts
+        with stage(f"round {k}: sample {name}".rstrip(), 1.0, "of the samples") as report:
+            added = _write_samples(folder / of_cell(_NEW, name), recipe, harvest, asked, report)
+        write_json(folder / of_cell(_STARTED, name), {"range": wider})
     return Round(
         round=k,
+        cell=name,
         hits=counts["hits"] / max(1, counts["hits"] + counts["fallbacks"]),
         unknown=len(unknown),
         samples=len(samples.valid.F),
@@ -200,23 +235,31 @@ def _round(recipe: Recipe, out: Path, k: int, stage: Stage) -> Round:
 def _surrogate(
     recipe: Recipe, out: Path, k: int, stage: Stage
 ) -> tuple[SurrogateLaw, StressSamples]:
-    """The surrogate that round k runs on, in its folder, and the samples behind it."""
-    path = out / f"round-{k}" / SURROGATE
+    """The surrogate of a cell that round k runs on, in its folder, and the samples behind it."""
+    name = recipe.cell_name or ""
+    file, new, started = (of_cell(each, name) for each in (SURROGATE, _NEW, _STARTED))
+    path = out / f"round-{k}" / file
     if k == 0:  # the recipe's, made where it is not there
-        with stage("generate", recipe.samples.count, "samples") as report:
+        with stage(f"generate {name}".strip(), recipe.samples.count, "samples") as report:
             generate_data_set(recipe, report=report)
         if not recipe.training_path().exists():
             train_surrogate(recipe, stage=stage)
-    more = [*recipe.added_paths(), *(out / f"round-{j}" / _NEW for j in range(k))]
+    # A round in which a cell was settled has no new samples of it.
+    grown = [out / f"round-{j}" for j in range(k) if (out / f"round-{j}" / started).exists()]
+    more = [*recipe.added_paths(), *(folder / new for folder in grown)]
     samples = with_harvests(read_data_set(recipe.data_path()), more, recipe)
-    if k:
-        wider = SamplingRange(**read_json(out / f"round-{k - 1}" / _STARTED)["range"])
+    if grown:
+        wider = SamplingRange(**read_json(grown[-1] / started)["range"])
         samples = replace(samples, range=wider)
     if not path.exists():
+        before = out / f"round-{k - 1}"
         if k == 0:
             path.write_bytes(recipe.training_path().read_bytes())
+        elif before not in grown:
+            path.write_bytes((before / file).read_bytes())
         else:
-            write_surrogate(_trained(recipe, samples, f"round {k}", stage), path)
+            title = f"round {k} {name}".rstrip()
+            write_surrogate(_trained(recipe, samples, title, stage), path)
     return read_surrogate(path), samples
 
 

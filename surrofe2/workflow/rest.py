@@ -18,7 +18,7 @@ from surrofe2.io.run_folder import RunRecord, write_history, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
-from surrofe2.workflow.cell_laws import choose_laws
+from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws
 from surrofe2.workflow.laws import warm_up
 from surrofe2.workflow.run import problem_record
 from surrofe2.workflow.run_lifecycle import (
@@ -59,6 +59,7 @@ def rest_study(
         SimulationError: a load step finds no equilibrium.
     """
     problem = recipe.problem()
+    chosen = choose_laws(recipe, "rve", problem.mesh)
     frames: Frames | None = None
     forces: list[np.ndarray] = []
     begin = compilation = 0.0
@@ -68,14 +69,14 @@ def rest_study(
         write_load_path(folder, last.path)
         write_history(folder, last.path[:, 0], _by_name(last, forces), "factor")
         space = last.system.discretisation
-        write_fields(folder, space.nodes, space.elements, frames)
+        cell = cell_of_elements(chosen.law, len(space.elements))
+        write_fields(folder, space.nodes, space.elements, frames, cell)
         wall = {"total": time.perf_counter() - begin, "compilation": compilation}
         met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
     def compute(current: Recording) -> Rest:
         nonlocal frames, begin, compilation
-        chosen = choose_laws(recipe, "rve", problem.mesh)
         compilation = warm_up(chosen.parts, recipe.macro, points=n_points_of(problem.mesh))
         begin = time.perf_counter()
         arrays = current.last_state()

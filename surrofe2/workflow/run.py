@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -29,7 +30,14 @@ from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.problem import label
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import out_of_range
-from surrofe2.workflow.cell_laws import cache_report, choose_laws, law_arrays, law_state
+from surrofe2.workflow.cell_laws import (
+    NO_FILES,
+    cache_report,
+    cell_of_elements,
+    choose_laws,
+    law_arrays,
+    law_state,
+)
 from surrofe2.workflow.laws import warm_up
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
@@ -47,7 +55,7 @@ def run_study(
     kind: str,
     folder: Path,
     *,
-    surrogate_file: Path | None = None,
+    surrogates: Mapping[str, Path] = NO_FILES,
     tables: Sequence[Path] = (),
     harvest: bool = True,
     fresh: bool = False,
@@ -56,7 +64,8 @@ def run_study(
     """Run the recipe's problem by the law called `kind` and write the run folder.
 
     Args:
-        tables: files of tables to start from; the run's own is written into the folder.
+        surrogates: files by name of the cell, in the place of the recipe's.
+        tables: files of tables to start from; the run's own are written into the folder.
         harvest: whether true answers of a cached run are kept in the folder.
         report: is told the time reached in µs.
 
@@ -65,19 +74,20 @@ def run_study(
     """
     problem = recipe.problem()
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
-    chosen = choose_laws(recipe, kind, problem.mesh, surrogate_file, tables, outputs.taker)
+    chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
     compilation = 0.0
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
-        outputs.store(chosen.table)
+        outputs.store(chosen.tables)
         write_curve(folder, run.curve, run.curves)
         write_history(folder, run.curve.t, run.history)
         write_energies(folder, run.curve.t, run.energies)
-        write_fields(folder, run.nodes, run.elements, run.frames)
+        cell = cell_of_elements(chosen.law, len(run.elements))
+        write_fields(folder, run.nodes, run.elements, run.frames, cell)
         return replace(
             record,
             wall_time={**run.wall_time, "compilation": compilation},
-            counts={**run.counts, **run.effort, **counts_of(chosen.table)},
+            counts={**run.counts, **run.effort, **counts_of(chosen.tables)},
             problem={**record.problem, "penetration": penetrations(run)},
             cache=cache_report(chosen.law, whole=record.status == "finished"),
             met=run.met.to_dict(),
@@ -92,14 +102,14 @@ def run_study(
             state = replace(state, law_state=law_state(chosen.law, part_of(arrays, "law")))
 
         def checkpoint(state: MacroState) -> None:
-            outputs.store(chosen.table)
+            outputs.store(chosen.tables)
             arrays = within("macro", state.to_arrays())
             arrays |= within("law", law_arrays(chosen.law, state.law_state))
             current.checkpoint(arrays, cache_report(chosen.law))
 
         points = n_points_of(problem.mesh)
         report(0.0, "loading kernels")
-        compilation = warm_up(chosen.parts, recipe.macro, chosen.table, points=points)
+        compilation = warm_up(chosen.parts, recipe.macro, chosen.tables.values(), points=points)
         return simulate(
             problem,
             chosen.law,
@@ -227,8 +237,14 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
 TABLE, HARVEST = "table.h5", "harvest.h5"
 
 
+def of_cell(file: str, cell: str) -> str:
+    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
+    name, dot, kind = file.rpartition(".")
+    return f"{name}-{cell}{dot}{kind}" if cell else file
+
+
 class RunOutputs:
-    """Writes table and harvest of a run along with its checkpoints; a harvest for each cell."""
+    """Writes tables and harvests of a run along with its checkpoints, of each cell its own."""
 
     def __init__(self, recipe: Recipe, folder: Path, harvest: bool) -> None:
         self.recipe, self.folder = recipe, folder
@@ -240,7 +256,7 @@ class RunOutputs:
         None where nothing is harvested."""
         if not self._harvest:
             return None
-        name = HARVEST if part.cell_name is None else f"harvest-{part.cell_name}.h5"
+        name = of_cell(HARVEST, part.cell_name or "")
         writer: HarvestWriter | None = None
 
         def take(F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
@@ -252,12 +268,12 @@ class RunOutputs:
 
         return take
 
-    def store(self, table: StressTable | None) -> None:
+    def store(self, tables: Mapping[str, StressTable]) -> None:
         """Write what there is now."""
         for writer in self._writers:
             writer.flush()
-        if table is not None:
-            write_table(self.folder / TABLE, stored(table, self.recipe.to_dict()))
+        for name, table in tables.items():
+            write_table(self.folder / of_cell(TABLE, name), stored(table, self.recipe.to_dict()))
 
 
 def origin_of(recipe: Recipe) -> Origin:
@@ -265,12 +281,13 @@ def origin_of(recipe: Recipe) -> Origin:
     return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
 
 
-def counts_of(table: StressTable | None) -> dict[str, int]:
-    """What became of a table, for the record of a run."""
-    if table is None:
-        return {}
-    changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
-    return {"table_records": table.size, **changed}
+def counts_of(tables: Mapping[str, StressTable]) -> dict[str, int]:
+    """What became of the tables, for the record of a run."""
+    counts: Counter[str] = Counter()
+    for table in tables.values():
+        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+        counts.update({"table_records": table.size, **changed})
+    return dict(counts)
 
 
 def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import read_element_motion
+from surrofe2.io.fields import ElementMotion, read_element_motion
 from surrofe2.io.particles import write_extended_xyz, write_rve_fields
-from surrofe2.io.run_folder import read_record, write_named
+from surrofe2.io.run_folder import RunRecord, read_record, write_named
 from surrofe2.macro.discretisation import find_element
 from surrofe2.report.particle_plot import write_particle_animation, write_particle_picture
+from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.stress_law import describe
-from surrofe2.workflow.cell_fields import recipe_of
+from surrofe2.workflow.cell_fields import cell_numbers, recipes_of
 from surrofe2.workflow.laws import true_law
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ class Zoom:
         t: (n,) µs, of a rest the factor of the load.
         seen: the particles at these times.
         is_rest: whether the run is a rest.
+        cell: name of its plant cell, of several.
     """
 
     element: int
@@ -38,6 +40,7 @@ class Zoom:
     t: Array
     seen: Particles
     is_rest: bool
+    cell: str = ""
 
 
 def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
@@ -61,7 +64,7 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         raise FileError(f"{folder}: the run is {record.status} and has no fields")
     motion = read_element_motion(folder)
     element, _ = find_element(motion.nodes, motion.elements, np.array(point))
-    law = true_law(recipe_of(record))
+    name, law = _law_at(record, motion, element)
     F, F_dot = motion.F[:, element], motion.F_dot[:, element]
     answer = law.respond(F, F_dot)
     for k in np.flatnonzero(answer.status)[:1]:
@@ -69,7 +72,15 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
     centre = motion.nodes[motion.elements[element]].mean(axis=0)
     seen = law.particles(F, F_dot, answer.state)
-    return Zoom(element, centre, motion.t, seen, "rest" in record.recipe)
+    return Zoom(element, centre, motion.t, seen, "rest" in record.recipe, name)
+
+
+def _law_at(record: RunRecord, motion: ElementMotion, element: int) -> tuple[str, RveLaw]:
+    """Name and true RVE of the plant cell of an element."""
+    recipes = recipes_of(record)
+    numbers = cell_numbers(motion, recipes)
+    name, recipe = [*recipes.items()][numbers[element]]
+    return name, true_law(recipe)
 
 
 def write_zoom(found: Zoom, out: str | Path) -> None:
@@ -77,7 +88,8 @@ def write_zoom(found: Zoom, out: str | Path) -> None:
     out = Path(out)
     clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
     x, y = found.centre
-    title = f"RVE of element {found.element} about ({x:.4g}, {y:.4g}) µm"
+    of = found.cell and f"{found.cell}, "
+    title = f"RVE of {of}element {found.element} about ({x:.4g}, {y:.4g}) µm"
     write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
     write_particle_animation(out / "zoom.gif", title, found.seen, found.t, clock)
     columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -10,6 +12,7 @@ from surrofe2.cli import app
 from surrofe2.errors import InputError
 from surrofe2.io.harvest import read_harvest
 from surrofe2.io.run_folder import read_curve, read_record
+from surrofe2.io.tables import read_table
 from surrofe2.macro import simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
@@ -20,7 +23,7 @@ from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.range import met_by_quadratic_law
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
-from tests.laws import SoftLaw, StoppingLaw
+from tests.laws import SoftLaw, SquareLaw, StoppingLaw
 
 BAR = """
 [range]
@@ -155,20 +158,100 @@ def test_the_paper_s_bar_has_no_regions(written):
         load_recipe(written(load))
 
 
-def test_what_knows_one_cell_refuses_several(invoke, written, tmp_path):
+def test_what_is_of_one_cell_refuses_several(invoke, written, tmp_path):
     path = written()
-    for command in (("refine", path), ("sweep", path, "--out", tmp_path / "out")):
-        refused = invoke(*command)
-        assert refused.stderr.startswith("error: bar.toml: cells: skin, flesh; this needs a recipe")
-    refused = invoke("run", path, "--law", "table", "--out", tmp_path / "out")
-    assert "cells: skin, flesh; tables know one cell" in refused.stderr
-    refused = invoke(
-        "run", path, "--law", "cached", "--out", tmp_path / "out", "--surrogate", "a.safetensors"
-    )
-    assert "give each its cells.NAME.training.file" in refused.stderr
     with pytest.raises(InputError, match="this needs a recipe with one"):
         generate_data_set(load_recipe(path))
     assert "unknown cell; did you mean flesh?" in invoke("train", path, "--cell", "flsh").stderr
+    refused = invoke("tissue", path, "--out", tmp_path / "out")
+    assert refused.exit_code == 1
+
+
+def test_each_cell_has_its_table(invoke, written, tmp_path):
+    path = written(BAR.replace("duration = 4.0", "duration = 12.0").replace("-0.1]", "-0.5]"))
+    command = "run", path, "--law", "table", "--out"
+    done = invoke(*command, tmp_path / "first", law=SquareLaw)
+    assert done.exit_code == 0, done.output
+    files = [tmp_path / "first" / f"table-{name}.h5" for name in ("skin", "flesh")]
+    first = read_record(tmp_path / "first").counts
+    tables = [read_table(file) for file in files]
+    parts = load_recipe(path).parts()
+    assert [table.cell for table in tables] == [part.cell for part in parts.values()]
+    sizes = [len(table.records.centre) for table in tables]
+    assert sum(sizes) == first["table_records"] == first["table_added"]
+    assert min(sizes) > 0
+    # Files are told apart by the cells that they are of, in whatever order they come.
+    given = [entry for file in files[::-1] for entry in ("--table", file)]
+    done = invoke(*command, tmp_path / "second", *given, law=SquareLaw)
+    assert done.exit_code == 0, done.output
+    second = read_record(tmp_path / "second").counts
+    assert second["table_records"] - second["table_added"] == sum(sizes)
+    assert second["fallbacks"] < 0.85 * first["fallbacks"]
+    moved = [displacement(tmp_path / name) for name in ("first", "second")]
+    np.testing.assert_allclose(*moved, atol=1e-3 * abs(moved[0]).max())
+    other = written(path.read_text().replace("8000.0", "7000.0"), "other.toml")
+    refused = invoke("run", other, "--law", "table", "--out", tmp_path / "x", *given)
+    assert f"error: --table: {files[0]}; cell parameters " in refused.stderr
+    assert refused.stderr.endswith("are of none of the cells skin, flesh\n")
+
+
+@pytest.fixture
+def trained(invoke, written):
+    """The recipe, with a data set and a surrogate of each cell."""
+    path = written()
+    for command in ("generate", "train"):
+        assert invoke(command, path).exit_code == 0
+    return path
+
+
+def test_a_sweep_tells_the_worst_cell(invoke, trained, tmp_path):
+    out = tmp_path / "sweep"
+    done = invoke("sweep", trained, "--out", out, "--tolerances", "1e-1,1e-3", "--audit", "1.0")
+    assert done.exit_code == 0, done.output
+    rows = json.loads((out / "sweep.json").read_text(encoding="utf-8"))["rows"]
+    for row in rows:
+        cells = read_record(out / f"tolerance-{row['tolerance']:g}").cache["cells"].values()
+        audits = [cell["audit"] for cell in cells]
+        assert row["above"] == f"0 of {sum(audit['audited'] for audit in audits)}"
+        largest = [cell["audit"]["largest"] / cell["tolerance"]["spread"] for cell in cells]
+        assert row["largest_stress_error"] == pytest.approx(max(largest))
+    assert rows[0]["hits"] > 0.9
+    assert rows[0]["displacement_error"] < 1e-3
+
+
+def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_path):
+    path = written(BAR.replace("-0.1]", "-0.6]").replace("duration = 4.0", "duration = 8.0"))
+    out = tmp_path / "refined"
+    done = invoke("refine", path, "--out", out)
+    assert done.exit_code == 0, done.output
+    rows = json.loads((out / "refine.json").read_text(encoding="utf-8"))["rounds"]
+    by_cell = {name: [row for row in rows if row["cell"] == name] for name in ("skin", "flesh")}
+    for name, own in by_cell.items():
+        assert [row["round"] for row in own] == list(range(len(own)))
+        assert own[0]["unknown"] > 0
+        assert own[-1]["unknown"] == 0
+        assert own[1]["samples"] == own[0]["samples"] + own[0]["added"]
+        assert f"round 0: {name}: " in done.stdout
+    assert by_cell["skin"][0]["added"] != by_cell["flesh"][0]["added"]
+    files = [out / f"surrogate-{name}.safetensors" for name in by_cell]
+    given = [entry for file in files[::-1] for entry in ("--surrogate", file)]
+    run = "run", path, "--law", "cached", "--out"
+    done = invoke(*run, tmp_path / "run", *given)
+    assert done.exit_code == 0, done.output
+    record = read_record(tmp_path / "run")
+    assert record.surrogate["file"] == ", ".join(file.name for file in files)
+    assert record.counts["fallbacks"] < 0.1 * record.counts["hits"]
+    twice = invoke(*run, tmp_path / "x", "--surrogate", files[0], "--surrogate", files[0])
+    assert twice.stderr == (
+        f"error: --surrogate: {files[0]} and {files[0]}; both are of cell skin, give one\n"
+    )
+
+    only = tmp_path / "only"
+    done = invoke("refine", path, "--out", only, "--cell", "flesh", "--rounds", 1)
+    assert "states still unknown after 1 rounds" in done.stderr
+    assert not (only / "round-0" / "surrogate-skin.safetensors").exists()
+    refused = invoke("refine", path, "--out", only)
+    assert "--cell: this call has ['skin', 'flesh'], what is there ['flesh']" in refused.stderr
 
 
 def displacement(folder):

@@ -13,13 +13,15 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.errors import InputError
+from surrofe2.errors import FileError, InputError
 from surrofe2.io.fields import read_element_motion
 from surrofe2.io.run_folder import read_record
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow.cell_fields import extremes_of, recipe_of
+from surrofe2.workflow.cell_fields import cell_numbers, extremes_of, recipes_of
+from surrofe2.workflow.zoom import zoom_into
+from tests.cli.test_cell_types import BAR as SEVERAL_CELLS
 from tests.conftest import RECIPE
 from tests.source_contract import ROOT
 
@@ -152,6 +154,33 @@ def test_zoom_into_a_rest(study, tmp_path):
     np.testing.assert_array_equal(table["factor"], [0.0, 0.5, 1.0])
 
 
+def test_several_cells_are_looked_into_by_the_cell_of_the_point(tmp_path):
+    path = tmp_path / "two.toml"
+    path.write_text(SEVERAL_CELLS.replace("duration = 4.0", "duration = 2.0\nframes = 3"))
+    run, rest = tmp_path / "run", tmp_path / "rest"
+    done = call("run", path, "--law", "rve", "--cell-fields", "--out", run)
+    assert "cell fields of 12 RVEs" in done.stdout, done.output
+    assert call("rest", path, "--load-steps", 1, "--out", rest).exit_code == 0
+    with h5py.File(run / "fields.h5") as file:
+        assert file["plant_cell.2"][()].tolist() == [1.0, 0.0, 1.0, 0.0]
+        stretch = file["largest_wall_stretch.2"][()]
+    cells = {name: part.cell for name, part in load_recipe(path).parts().items()}
+    for y, name in ((75.0, "skin"), (25.0, "flesh")):
+        found = zoom_into(run, (25.0, y))
+        assert found.cell == name
+        motion = read_element_motion(run)
+        law = RveLaw(cells[name], load_recipe(path).rve)
+        own = law.particles(*(T[:, found.element] for T in (motion.F, motion.F_dot)))
+        np.testing.assert_array_equal(found.seen.position, own.position)
+        of_last = own.extremes()["largest_wall_stretch"][-1]
+        assert stretch[found.element] == pytest.approx(of_last, rel=1e-9)
+        assert zoom_into(rest, (25.0, y)).cell == name
+    assert stretch[1] != pytest.approx(stretch[0], rel=1e-5)
+    motion = replace(motion, cell=None)
+    with pytest.raises(FileError, match="no plant_cell of elements in it; run anew with --fresh"):
+        cell_numbers(motion, recipes_of(read_record(run)))
+
+
 @pytest.mark.parametrize(
     ("point", "sentence"),
     [
@@ -173,9 +202,9 @@ def test_folders_without_a_run_or_its_fields(study, tmp_path):
     assert f"{tmp_path}: no run.json; it is not a run folder" in refused.stderr
     shutil.copy(study[1] / "run.json", tmp_path)
     record = read_record(tmp_path)
-    several = replace(record, recipe={**record.recipe, "cells": {"skin": {}, "flesh": {}}})
-    with pytest.raises(InputError, match="cells: skin, flesh; a look into the cells needs"):
-        recipe_of(several)
+    without = {name: part for name, part in record.recipe.items() if name != "cell"}
+    with pytest.raises(InputError, match="law: OwnLaw; it has no plant cells to look into"):
+        recipes_of(replace(record, law="OwnLaw", recipe=without))
     refused = call("zoom", tmp_path, "--point", "1,1")
     assert refused.exit_code == 1
     assert f"{tmp_path}: the run is finished and has no fields" in refused.stderr
