@@ -11,6 +11,8 @@ IDLE = (
     "torch",
     "sklearn",
     "skfem",
+    "pydantic",
+    "scipy.linalg",
     "scipy.sparse",
     "scipy.optimize",
     "scipy.spatial",
@@ -68,3 +70,31 @@ def test_a_cached_run_loads_what_it_uses(invoke, short_recipe, tmp_path):
     idle, kernels = loaded(*arguments, "--out", tmp_path / "run")
     assert idle == ""
     assert len(kernels) <= 14, kernels
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["--version"], 0, "surrofe2"),
+        (["run"], 2, "Missing argument"),
+        (["range", "none.toml"], 1, "none.toml"),
+    ],
+)
+def test_the_exit_code_is_that_of_the_command(arguments, code, told):
+    command = [sys.executable, "-m", "surrofe2", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert told in done.stdout + done.stderr
+
+
+def test_what_an_error_of_the_program_says_is_kept():
+    code = "from surrofe2 import cli; cli.app = lambda: 1 / 0; cli.main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
+
+
+def test_output_that_cannot_be_written_is_no_success():
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "surrofe2", "--version"]
+        assert subprocess.run(command, stdout=full, check=False).returncode != 0
