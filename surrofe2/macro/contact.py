@@ -1,13 +1,19 @@
-"""Contact of a boundary with a rigid body: a smooth penalty and Coulomb friction.
+"""Contact of a boundary with a rigid body: a smooth penalty, a dashpot and Coulomb friction.
 
-Contact acts at three points of each side, by unloaded length. With the gap g of a point,
+Contact acts at three points of each side, by unloaded length. With the depth d = −g of a point, g
+its gap, and x = min(d/δ, 1), a spring and a dashpot resist that it comes closer,
 
-    p = k φ(−g),   φ(d) = 0 (d ≤ 0),  d²/2δ (0 < d < δ),  d − δ/2 (d ≥ δ),
+    p = e + q (q ≥ 0),  e²/(e − q) (q < 0),
+    e = k (d − δ x + δ x²/2),   q = c x² (3 − 2 x) ḋ.
 
-a pressure with a continuous slope that is the slope of an energy. Friction is −µ p w/√(w² + s²) in
-the direction of the sliding velocity w, s being the slip speed: a force that follows Coulomb's law
-where sliding is fast and creeps where it is slow. The body takes the opposite forces, so momentum
-is kept to rounding.
+The pressure has a continuous slope by d and by ḋ, and never pulls. The spring's part is the slope
+of an energy; without the dashpot the boundary's nodes would bounce off a stiff spring, for they
+have a mass and the true boundary has none (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440–445,
+have the form; a spring and a dashpot as the contact of finite elements with a rigid body).
+
+Friction is −µ p w/√(w² + s²) in the direction of the sliding velocity w, s being the slip speed: a
+force that follows Coulomb's law where sliding is fast and creeps where it is slow. The body takes
+the opposite forces, so momentum is kept to rounding.
 """
 
 from __future__ import annotations
@@ -24,6 +30,10 @@ from surrofe2.macro.rigid_bodies import RigidBody, Shape
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+MODULI, ONSET, DAMPING = 200.0, 0.04, 0.5
+"""Defaults: k by modulus over the length h of a side, k δ by modulus, c by the critical damping of
+the mass by which k moves the boundary of a mesh, ρ h/√12 a length."""
+
 
 @dataclass(frozen=True, slots=True)
 class Contact:
@@ -34,7 +44,7 @@ class Contact:
         shape: its outline. position: (2,) at t = 0, µm.
         sides: (m, k) nodes of the sides that may touch it.
         points: (m, 3, 2) reference positions. lengths: (m, 3). shapes: (3, k).
-        stiffness: k, µN/µm². smoothing: δ, µm.
+        stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
         friction: µ. slip_speed: s, µm/µs.
     """
 
@@ -48,6 +58,7 @@ class Contact:
     shapes: Array
     stiffness: float
     smoothing: float
+    damping: float
     friction: float
     slip_speed: float
 
@@ -57,12 +68,13 @@ class Contact:
         gap, normal, _ = self._gaps(u)
         if not (gap < 0.0).any():
             return force
-        pressure, _ = self._pressure(gap)
+        relative = self._relative(v)
+        pressure, *_ = self._pressure(-gap, -_dot(relative, normal))
+        tangent = _turned(normal)
         traction = pressure[:, None] * normal
         if self.friction:
-            tangent, sliding = self._sliding(normal, v)
-            drag = self.friction * pressure * sliding / np.hypot(sliding, self.slip_speed)
-            traction = traction - drag[:, None] * tangent
+            drag, *_ = self._drag(pressure, _dot(relative, tangent))
+            traction -= drag[:, None] * tangent
         at_points = traction.reshape(*self.lengths.shape, 2) * self.lengths[:, :, None]
         np.add.at(force, self.sides, np.einsum("mqi,qa->mai", at_points, self.shapes))
         force[self.row] -= at_points.sum(axis=(0, 1))
@@ -74,34 +86,22 @@ class Contact:
         touching = np.flatnonzero(gap < 0.0)
         if not touching.size:
             return None
-        pressure, slope = self._pressure(gap)
-        outer = np.einsum("ni,nj->nij", normal, normal)
-        # ∂(p n)/∂x with ∂g/∂x = n and ∂p/∂g = −slope.
-        by_x = -slope[:, None, None] * outer
-        by_x += (pressure * curvature)[:, None, None] * (np.eye(2) - outer)
-        by_v = np.zeros_like(by_x)
+        tangent, relative = _turned(normal), self._relative(v)
+        apart, sliding = _dot(relative, normal), _dot(relative, tangent)
+        pressure, by_depth, by_closing = self._pressure(-gap, -apart)
+        # ∂g/∂x = n; the frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.
+        p_by_x = -by_depth[:, None] * normal - (by_closing * curvature * sliding)[:, None] * tangent
+        p_by_v = -by_closing[:, None] * normal
+        both = _outer(tangent, tangent)
+        by_x = _outer(normal, p_by_x) + (pressure * curvature)[:, None, None] * both
+        by_v = _outer(normal, p_by_v)
         if self.friction:
-            tangent, w = self._sliding(normal, v)
-            size = np.hypot(w, self.slip_speed)
-            relative = (v[self.sides].transpose(0, 2, 1) @ self.shapes.T).transpose(0, 2, 1)
-            relative = relative.reshape(-1, 2) - v[self.row]
-            along = w / size
-            by_x += (
-                self.friction
-                * (slope * along)[:, None, None]
-                * np.einsum("ni,nj->nij", tangent, normal)
-            )
-            # The frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.
-            by_x += (
-                self.friction
-                * (pressure * along * curvature)[:, None, None]
-                * np.einsum("ni,nj->nij", normal, tangent)
-            )
-            towards = np.einsum("ni,ni->n", relative, normal)
-            steep = self.friction * pressure * self.slip_speed**2 / size**3
-            both = np.einsum("ni,nj->nij", tangent, tangent)
-            by_x += (steep * curvature * towards)[:, None, None] * both
-            by_v = -steep[:, None, None] * both
+            drag, by_pressure, by_sliding = self._drag(pressure, sliding)
+            along = by_pressure[:, None] * tangent
+            by_x -= _outer(along, p_by_x)
+            by_x += (by_sliding * curvature * apart)[:, None, None] * both
+            by_x += (drag * curvature)[:, None, None] * _outer(normal, tangent)
+            by_v -= _outer(along, p_by_v) + by_sliding[:, None, None] * both
         n = u.size
         return self._assembled(-by_x, touching, n), self._assembled(-by_v, touching, n)
 
@@ -110,7 +110,7 @@ class Contact:
         return float(max(0.0, -self._gaps(u)[0].min()))
 
     def energy(self, u: Array) -> float:
-        """Energy stored in the penalty, pJ."""
+        """Energy stored in the springs, pJ."""
         d, delta = np.maximum(-self._gaps(u)[0], 0.0), self.smoothing
         far = 0.5 * d**2 - 0.5 * delta * d + delta**2 / 6.0
         density = self.stiffness * np.where(d < delta, d**3 / (6.0 * delta), far)
@@ -120,18 +120,33 @@ class Contact:
         moved = self.points + np.einsum("qa,mai->mqi", self.shapes, u[self.sides])
         return self.shape.gap((moved - self.position - u[self.row]).reshape(-1, 2))
 
-    def _pressure(self, gap: Array) -> tuple[Array, Array]:
-        """Pressure and its slope by the depth."""
-        d, delta = np.maximum(-gap, 0.0), self.smoothing
-        near = d < delta
-        pressure = np.where(near, d**2 / (2.0 * delta), d - 0.5 * delta)
-        return self.stiffness * pressure, self.stiffness * np.where(near, d / delta, 1.0)
+    def _relative(self, v: Array) -> Array:
+        """(n, 2) velocity of the points relative to the body."""
+        moving = np.einsum("qa,mai->mqi", self.shapes, v[self.sides]) - v[self.row]
+        return moving.reshape(-1, 2)
 
-    def _sliding(self, normal: Array, v: Array) -> tuple[Array, Array]:
-        """(n, 2) tangents and (n,) sliding velocities along them."""
-        tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-        moving = np.einsum("qa,mai->mqi", self.shapes, v[self.sides]).reshape(-1, 2)
-        return tangent, np.einsum("ni,ni->n", moving - v[self.row], tangent)
+    def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
+        """Pressure and its slopes by the depth and by the speed of closing."""
+        d, delta, k = np.maximum(depth, 0.0), self.smoothing, self.stiffness
+        near = np.minimum(d / delta, 1.0)
+        spring = k * (d - delta * near * (1.0 - 0.5 * near))
+        by_spring, by_dashpot = np.ones(d.size), np.ones(d.size)
+        dashpot = self.damping * near**2 * (3.0 - 2.0 * near) * closing
+        pulled = np.flatnonzero(dashpot < 0.0)
+        pressure = spring + dashpot
+        s, total = spring[pulled], spring[pulled] - dashpot[pulled]
+        pressure[pulled] = s**2 / total
+        by_dashpot[pulled] = (s / total) ** 2
+        by_spring[pulled] = s / total * (2.0 - s / total)
+        growing = self.damping * closing * 6.0 * near * (1.0 - near) / delta
+        by_depth = by_spring * k * near + by_dashpot * growing
+        return pressure, by_depth, by_dashpot * self.damping * near**2 * (3.0 - 2.0 * near)
+
+    def _drag(self, pressure: Array, sliding: Array) -> tuple[Array, Array, Array]:
+        """Friction per length against sliding, and its slopes by pressure and sliding velocity."""
+        size = np.hypot(sliding, self.slip_speed)
+        share = self.friction * sliding / size
+        return share * pressure, share, self.friction * pressure * self.slip_speed**2 / size**3
 
     def _assembled(self, blocks: Array, touching: Index, size: int) -> Matrix:
         """Σ L B ⊗ (N, −1) (N, −1)ᵀ over the points that touch, (size, size)."""
@@ -148,12 +163,30 @@ class Contact:
         )
 
 
+def _dot(a: Array, b: Array) -> Array:
+    """(n,) of (n, 2) vectors."""
+    return np.einsum("ni,ni->n", a, b)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """(n, 2, 2) of (n, 2) vectors."""
+    return a[:, :, None] * b[:, None, :]
+
+
+def _turned(normal: Array) -> Array:
+    """(n, 2) tangents."""
+    return np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+
+
 def make_contact(
-    body: RigidBody, row: int, nodes: Array, sides: Index, modulus: float, wave_speed: float
+    body: RigidBody, row: int, nodes: Array, sides: Index, modulus: float, density: float
 ) -> Contact:
-    """The contact of `body` with sides (m, k); defaults from the tissue's modulus (µN/µm)."""
+    """The contact of `body` with sides (m, k) of a tissue of this modulus (µN/µm) and density."""
     lengths, shape, _ = side_points(nodes, sides)
     size = float(lengths.sum() / len(sides))
+    stiffness = MODULI * modulus / size if body.stiffness is None else body.stiffness
+    critical = 2.0 * np.sqrt(stiffness * density * size / np.sqrt(12.0))
+    slip_speed = 1e-3 * np.sqrt(modulus / density)
     return Contact(
         name=body.name,
         row=row,
@@ -163,8 +196,9 @@ def make_contact(
         points=np.einsum("qa,mai->mqi", shape, nodes[sides]),
         lengths=lengths,
         shapes=shape,
-        stiffness=20.0 * modulus / size if body.stiffness is None else body.stiffness,
-        smoothing=0.01 * size if body.smoothing is None else body.smoothing,
+        stiffness=stiffness,
+        smoothing=ONSET * modulus / stiffness if body.smoothing is None else body.smoothing,
+        damping=float(DAMPING * critical if body.damping is None else body.damping),
         friction=body.friction,
-        slip_speed=1e-3 * wave_speed if body.slip_speed is None else body.slip_speed,
+        slip_speed=float(slip_speed if body.slip_speed is None else body.slip_speed),
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,10 @@ BULGE = np.array(
 """Of the rates, for `StepResult.bulge`: fourth order within the step, fifth at its end."""
 
 
+_ENERGY = 0.1
+"""Part of the relative tolerance that the energy of a step may err by."""
+
+
 @dataclass(frozen=True, slots=True)
 class DormandPrince:
     """The explicit `Method`; it needs no memory, for each step starts anew from y.
@@ -56,11 +61,15 @@ class DormandPrince:
     Attributes:
         rhs: ẏ and powers at (t, y), or why there are none.
         absolute_tolerance, relative_tolerance: error of y allowed in a step.
+        mass: (m, m) of the free unknowns, ng, where a step must also keep energy to a tenth of
+            the relative tolerance. A stiff contact needs that: it is damped where stability
+            limits the step, which the error of y does not see.
     """
 
     rhs: Callable[[float, Array], Evaluation | NoStress | Switched]
     absolute_tolerance: float
     relative_tolerance: float
+    mass: Any = None
 
     control = StepControl(order=5, gain=0.4, largest_growth=10.0, splits_rest=False)
 
@@ -74,18 +83,22 @@ class DormandPrince:
         """
         h, now = t - start.t, start
         rates, powers = np.empty((STAGES, start.y.size)), np.empty((STAGES, start.powers.size))
-        rates[0], powers[0] = start.rate, start.powers
+        rates[0], powers[0], residuals = start.rate, start.powers, [start.residual]
         for stage in range(1, STAGES):
             y = start.y + h * (WEIGHTS[stage] @ rates[:stage])
             trial = self.rhs(start.t + TIMES[stage] * h if stage < STAGES - 2 else t, y)
             if not isinstance(trial, Evaluation):
                 return trial
             now, rates[stage], powers[stage] = trial, trial.rate, trial.powers
+            residuals.append(trial.residual)
         allowed = self._allowed(np.maximum(abs(start.y), abs(now.y)))
+        error = _root_mean_square(h * (ERROR @ rates) / allowed)
+        if self.mass is not None:
+            error = max(error, self._energy_error(start, now, h * np.array(residuals), rates))
         return StepResult(
             start=start,
             end=now,
-            error=_root_mean_square(h * (ERROR @ rates) / allowed),
+            error=error,
             mean_power=WEIGHTS[-1] @ powers[:-1],
             bulge=BULGE @ rates,
             power_bulge=BULGE @ powers,
@@ -104,6 +117,19 @@ class DormandPrince:
         fastest = max(speed, _root_mean_square((ahead.rate - start.rate) / allowed) / short)
         length = max(1e-6, 1e-3 * short) if fastest <= 1e-15 else (0.01 / fastest) ** 0.2
         return min(100.0 * short, length, t_end - start.t)
+
+    def _energy_error(
+        self, start: Evaluation, end: Evaluation, impulses: Array, rates: Array
+    ) -> float:
+        """Kinetic energy gained less work of all forces, relative to what is allowed."""
+        before, after = start.y[start.y.size // 2 :], end.y[end.y.size // 2 :]
+        # The gain is the impulse times the mean velocity, M (v₁ − v₀) · (v₀ + v₁)/2.
+        gained = 0.5 * (before + after) @ (WEIGHTS[-1] @ impulses[:-1])
+        works = np.einsum("sm,sm->s", rates[:-1, : before.size], impulses[:-1])
+        energy = 0.5 * (before @ (self.mass @ before) + after @ (self.mass @ after))
+        allowed = _ENERGY * self.relative_tolerance * (energy + abs(WEIGHTS[-1]) @ abs(works))
+        allowed += self.absolute_tolerance**2 * float(self.mass.sum())
+        return float(abs(gained - WEIGHTS[-1] @ works) / allowed)
 
     def _allowed(self, size: Array) -> Array:
         return self.absolute_tolerance + self.relative_tolerance * size

@@ -114,12 +114,16 @@ class RigidBody:
     )
     friction: float = setting(0.0, "Coulomb's coefficient", NONE, least=0.0)
     stiffness: float | None = setting(
-        None, "contact pressure per penetration; left out: 20 moduli of the tissue a side of an "
-        "element", "µN/µm²", above=0.0,
+        None, "contact pressure per penetration; left out: 200 moduli of the tissue a side of "
+        "an element", "µN/µm²", above=0.0,
     )  # fmt: skip
     smoothing: float | None = setting(
-        None, "penetration over which contact sets in; left out: a hundredth of a side of an "
-        "element", LENGTH, above=0.0,
+        None, "penetration over which contact sets in; left out: where the pressure is "
+        "1/50 of the tissue's modulus", LENGTH, above=0.0,
+    )  # fmt: skip
+    damping: float | None = setting(
+        None, "contact pressure per speed of closing, fully in where contact has set in; left out: "
+        "half of the critical one of the tissue's boundary", "µN µs/µm²", least=0.0,
     )  # fmt: skip
     slip_speed: float | None = setting(
         None, "sliding speed at which friction is 0.7 of its limit; left out: a thousandth of the "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from time import monotonic
 
@@ -24,6 +24,7 @@ from surrofe2.macro.history import Frames, MacroState, Recorder, columns_of
 from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import PARTS, System, make_system
+from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
 
@@ -39,8 +40,9 @@ class MacroRun:
         energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal`
             and, by the names of the conditions, the work of the internal and of all other forces
             since t = 0, integrated along with the equations of motion by the same method;
-            `motion`, that of prescribed motion; `contact`, what is stored in contact, a part of
-            the work of bodies; `balance`, all other works − gain of kinetic energy − internal,
+            `motion`, that of prescribed motion; `contact`, what is stored in contact, and
+            `contact dissipated`, what its dashpots and friction took, together minus the work of
+            bodies; `balance`, all other works − gain of kinetic energy − internal,
             zero but for the error of the time integration; `dissipated`, the work of the stress
             in excess of σ(F, 0), from samples at the ends of steps joined by a monotone cubic
             (second order or better), NaN where not recorded, and by region ``dissipated NAME``.
@@ -178,7 +180,9 @@ def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method
     if settings.integrator == "implicit":
         return GeneralisedAlpha(equations, settings)
     tolerances = settings.absolute_tolerance, settings.relative_tolerance
-    return DormandPrince(equations.evaluate, *tolerances)
+    system = equations.system
+    mass = mass_matrix(system) if system.contacts else None
+    return DormandPrince(equations.evaluate, *tolerances, mass)
 
 
 def _make_stepper(
@@ -228,7 +232,7 @@ def _make_run(system: System, state: MacroState, finished: bool) -> MacroRun:
             "kinetic": kinetic,
             "internal": internal,
             **works,
-            **({"contact": found["contact"]} if system.contacts else {}),
+            **_of_contact(system, found),
             **dissipated,
             "balance": started + sum(works.values()) - kinetic - internal,
         },
@@ -244,6 +248,14 @@ def _make_run(system: System, state: MacroState, finished: bool) -> MacroRun:
         threads=numba.get_num_threads(),
         finished=finished,
     )
+
+
+def _of_contact(system: System, found: Mapping[str, Array]) -> dict[str, Array]:
+    """What contact stores, and what it has dissipated; nothing without bodies."""
+    if not system.contacts:
+        return {}
+    work = sum(found[f"work {contact.name}"] for contact in system.contacts)
+    return {"contact": found["contact"], "contact dissipated": -work - found["contact"]}
 
 
 def _dissipated(t: Array, samples: Array) -> Array:

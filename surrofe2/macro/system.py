@@ -238,13 +238,13 @@ def make_system(
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
     if not free.size:
         raise InputError("conditions: they hold or move every node; leave one free")
-    wave_speed = float(np.sqrt(modulus / per_element.max()))
+    heaviest = float(per_element.max())
     forces = [
         *make_loads(problem, space, per_element, n, proportional),
         *(
             make_contact(
                 body, n_nodes + k, mesh.nodes,
-                mesh.boundary(body.on, f"{body.name}.on"), modulus, wave_speed,
+                mesh.boundary(body.on, f"{body.name}.on"), modulus, heaviest,
             )
             for k, body in enumerate(problem.bodies)
         ),

@@ -12,6 +12,7 @@ from surrofe2.macro import (
     Fixed,
     Foundation,
     MacroSettings,
+    Mesh,
     Plane,
     PrescribedMotion,
     Pressure,
@@ -78,17 +79,19 @@ def test_slopes_of_pressure_and_foundation(kind, rng):
 def test_slopes_of_contact(kind, shape, friction, rng):
     """By displacement and velocity of the nodes and of the body itself."""
     struck = body(shape, friction=friction, mass=40.0, slip_speed=0.05, stiffness=50.0)
-    struck = replace(struck, smoothing=0.1)
+    struck = replace(struck, smoothing=0.8, damping=30.0)
     problem = Problem(mesh=plate(kind, rng, (3, 2)), conditions=(), bodies=(struck,))
     system = make_system(problem, 0.08)
     (contact,) = system.contacts
     u, v = rng.uniform(-0.1, 0.1, (2, system.n_rows, 2))
     gap, _, _ = contact._gaps(u)
-    assert 3 <= (gap < -contact.smoothing).sum() < gap.size
-    slopes = assert_slopes(contact, u, v)
+    assert 1 <= (gap < -contact.smoothing).sum() < (gap < 0.0).sum() < gap.size
+    assert abs(contact._relative(v)[gap < 0.0]).max() > contact.slip_speed
+    for motion in (v, -v):  # what closes by one opens by the other
+        slopes = assert_slopes(contact, u, motion)
     row = slice(2 * contact.row, 2 * contact.row + 2)
     assert abs(slopes[0][row, row]).max() > 1.0
-    assert (abs(slopes[1]).max() > 0.1) == (friction > 0.0)
+    assert abs(slopes[1]).max() > 1.0
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -107,6 +110,48 @@ def test_contact_force_is_the_slope_of_its_energy_and_balances(shape, rng):
         assert abs(force.flat[k] + slope) < 1e-6 * abs(force).max()
 
 
+def test_pressure_never_pulls_and_its_dashpot_never_drives():
+    """At all depths and speeds, the smoothing and speeds far above k δ/c included."""
+    struck = body("plane", stiffness=50.0, smoothing=0.1, damping=30.0)
+    problem = Problem(
+        mesh=plate("quads", np.random.default_rng(1)), conditions=(), bodies=(struck,)
+    )
+    (contact,) = make_system(problem, 0.08).contacts
+    depth, closing = (
+        each.ravel() for each in np.meshgrid(np.geomspace(1e-6, 10.0, 60), np.linspace(-9, 9, 37))
+    )
+    pressure, _, by_closing = contact._pressure(depth, closing)
+    spring, *_ = contact._pressure(depth, 0.0 * closing)
+    assert pressure.min() >= 0.0
+    assert by_closing.min() > 0.0
+    assert ((pressure - spring) * closing).min() >= 0.0
+    far = depth > 0.1
+    np.testing.assert_allclose(spring[far], 50.0 * (depth[far] - 0.05), rtol=1e-12)
+    closes = far & (closing > 0.0)
+    np.testing.assert_allclose((pressure - spring)[closes], 30.0 * closing[closes], rtol=1e-9)
+
+
+def test_default_contact_is_as_stiff_as_a_slow_compression_needs():
+    """Four elements between two plates, by 5 and 1 %: the force is that of plates that hold."""
+    mesh, law = Mesh.rectangle(20.0, 40.0, (2, 4)), LAW
+    lower = RigidBody(name="lower", shape=Plane(normal=(0.0, 1.0)), on="bottom", position=(0, 0))
+    mirror = Symmetry(on="left")
+    for share, allowed in ((0.05, 0.004), (0.01, 0.01)):
+        down = (None, -40.0 * share)
+        upper = RigidBody(
+            name="upper", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, 40.0),
+            displacement=(0.0, down[1]),
+        )  # fmt: skip
+        held = (Fixed(on="bottom", components="y"), PrescribedMotion(on="top", displacement=down))
+        forces = []
+        for conditions, bodies in (((mirror,), (lower, upper)), ((mirror, *held), ())):
+            rest = find_rest(Problem(mesh=mesh, conditions=conditions, bodies=bodies), law)
+            names = rest.system.force_names
+            name = "upper" if bodies else "prescribed_motion top"
+            forces.append(rest.forces[names.index(name), 1])
+        assert 1.0 - allowed < forces[0] / forces[1] < 1.0
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_friction_brakes_by_coulombs_law_where_sliding_is_fast(shape, rng):
     """At a hundred times the slip speed: µ times the pressure force, against the sliding."""
@@ -123,7 +168,7 @@ def test_friction_brakes_by_coulombs_law_where_sliding_is_fast(shape, rng):
     # Power of friction µ p |w| over the points, w the sliding along the surface.
     gap, normal, _ = contact._gaps(u)
     along = 1e-2 * abs(normal[:, 1])
-    expected = -0.3 * (contact._pressure(gap)[0] * along) @ contact.lengths.ravel()
+    expected = -0.3 * (contact._pressure(-gap, 0.0 * gap)[0] * along) @ contact.lengths.ravel()
     assert power == pytest.approx(expected, rel=1e-3)
 
 
