@@ -157,8 +157,9 @@ def entries_of(stated: Condition | RigidBody) -> dict[str, Any]:
 
 
 def _with_kind(stated: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
-    name = next(name for name, kind in kinds.items() if isinstance(stated, kind))
-    return {"kind": name, **asdict(stated)}
+    """Kind and entries; of a class that recipes do not know, its name alone."""
+    name = next((name for name, kind in kinds.items() if isinstance(stated, kind)), None)
+    return {"kind": type(stated).__name__} if name is None else {"kind": name, **asdict(stated)}
 
 
 def entries_of_part(part: Part) -> dict[str, Any]:

@@ -127,11 +127,9 @@ class StatedProblem:
         given = self.mesh
         if given.file is not None:
             try:
-                stored = read_mesh(folder / given.file, given.length_unit or "µm")
+                mesh = load_mesh(folder / given.file, given.length_unit or "µm")
             except InputError as error:
                 raise InputError(f"mesh.file: {error}") from None
-            parts = stored.nodes, stored.elements, stored.regions, stored.boundaries
-            mesh = Mesh(*parts)
         else:
             assert given.width is not None
             assert given.height is not None
@@ -150,15 +148,32 @@ class StatedProblem:
         mesh = {**asdict(self.mesh), "sha256": self.sha256}
         mesh["boundaries"] = {name: entries_of_part(part) for name, part in self.boundaries.items()}
         mesh["regions"] = {name: entries_of_part(part) for name, part in self.regions.items()}
-        return {
-            "mesh": mesh,
-            "conditions": {
-                label(each): {"kind": each.kind(), **entries_of(each)} for each in self.conditions
-            },
-            "bodies": {body.name: entries_of(body) for body in self.bodies},
-            "watch": dict(self.watched),
-            "time": asdict(self.time),
-        }
+        acts = sections_of(self.conditions, self.bodies, self.watched)
+        return {"mesh": mesh, **acts, "time": asdict(self.time)}
+
+
+def sections_of(
+    conditions: tuple[Condition, ...], bodies: tuple[RigidBody, ...], watched: Mapping[str, Point]
+) -> dict[str, dict[str, Any]]:
+    """What acts on a tissue and what is watched, as a recipe has it."""
+    return {
+        "conditions": {
+            label(each): {"kind": each.kind(), **entries_of(each)} for each in conditions
+        },
+        "bodies": {body.name: entries_of(body) for body in bodies},
+        "watch": dict(watched),
+    }
+
+
+def load_mesh(path: str | Path, length_unit: str = "µm") -> Mesh:
+    """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
+
+    Raises:
+        FileError: it is not there, or meshio cannot read it.
+        InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
+    """
+    stored = read_mesh(Path(path), length_unit)
+    return Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
 
 
 def stated_problem(table: Mapping[str, Any], folder: Path) -> StatedProblem:

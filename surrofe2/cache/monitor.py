@@ -76,8 +76,8 @@ class Monitor:
             self.trust.warn(
                 0,
                 "the surrogate's error was not calibrated, its bound is infinite and RVEs answer "
-                "in its place: calibrate it after training (surrofe2 train does, or "
-                "surrofe2.surrogate.calibration.calibrate), or allow the tolerance inf",
+                "in its place: calibrate it after training (surrofe2 train does, from Python "
+                "surrofe2.calibrate), or allow the tolerance inf",
             )
 
     def note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:

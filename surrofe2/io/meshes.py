@@ -57,6 +57,8 @@ def read_mesh(path: Path, length_unit: str = "µm") -> StoredMesh:
         InputError: it is no mesh of quadrilaterals or triangles in a plane, or a group has no name
             or no place in it.
     """
+    if length_unit not in UNITS:
+        raise InputError(f"length_unit: {length_unit!r}; it must be one of {', '.join(UNITS)}")
     stored = _read(path)
     try:
         return _converted(stored, UNITS[length_unit])

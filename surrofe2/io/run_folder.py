@@ -170,10 +170,11 @@ def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
 
 
 def presets_of(recipe: Mapping[str, Any]) -> str:
-    """The preset of a recorded recipe's cell, or of each cell by name."""
+    """The preset of a recorded recipe's cell, or of each cell by name; "none" without cells."""
     if "cell" in recipe:
         return str(recipe["cell"]["preset"])
-    return ", ".join(f"{name}: {cell['preset']}" for name, cell in recipe["cells"].items())
+    presets = {name: cell.get("preset", "none") for name, cell in recipe.get("cells", {}).items()}
+    return ", ".join(f"{name}: {preset}" for name, preset in presets.items()) or "none"
 
 
 def write_record(folder: Path, record: RunRecord) -> None:

@@ -61,6 +61,7 @@ class MacroRun:
         effort: sums of what the law's answers say they cost, those for dissipation included.
         threads: that numba could use.
         finished: whether the end of the problem was reached.
+        problem, law, settings: as `simulate` was given them.
     """
 
     curve: DisplacementCurve
@@ -76,6 +77,9 @@ class MacroRun:
     effort: dict[str, int]
     threads: int
     finished: bool
+    problem: Problem | LoadCase
+    law: StressLaw
+    settings: MacroSettings
 
 
 def simulate(
@@ -121,7 +125,7 @@ def simulate(
         raise InputError(
             f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
         )
-    problem = as_problem(problem, settings)
+    given, problem = (problem, law, settings), as_problem(problem, settings)
     system = system_of(problem, law)
     if resume is not None:
         _check_same_run(resume, system, settings)
@@ -140,13 +144,13 @@ def simulate(
                     checkpoint(recorder.checkpoint())
                     last_checkpoint = monotonic()
     except SimulationError as error:
-        partial = _make_run(system, recorder.state(), finished=False)
+        partial = _make_run(system, recorder.state(), given, finished=False)
         raise SimulationError(str(error), partial=partial) from error
     except KeyboardInterrupt:
         if checkpoint is not None and not equations.is_committing:
             checkpoint(recorder.checkpoint())
         raise
-    return _make_run(system, recorder.state(), finished=True)
+    return _make_run(system, recorder.state(), given, finished=True)
 
 
 def as_problem(problem: Problem | LoadCase, settings: MacroSettings) -> Problem:
@@ -204,8 +208,14 @@ def _make_stepper(
     return Stepper(equations, method, settings, end, going_on, resume.next_step, resume.memory)
 
 
-def _make_run(system: System, state: MacroState, finished: bool) -> MacroRun:
-    """The results that `state` holds."""
+def _make_run(
+    system: System,
+    state: MacroState,
+    given: tuple[Problem | LoadCase, StressLaw, MacroSettings],
+    finished: bool,
+) -> MacroRun:
+    """The results that `state` holds of what was `given` to `simulate`."""
+    problem, law, settings = given
     found = dict(zip(columns_of(system), state.rows.T, strict=True))
     t, kinetic, internal = found["t"], found["kinetic"], found["work internal"]
     curves = {
@@ -247,6 +257,9 @@ def _make_run(system: System, state: MacroState, finished: bool) -> MacroRun:
         effort=state.effort,
         threads=numba.get_num_threads(),
         finished=finished,
+        problem=problem,
+        law=law,
+        settings=settings,
     )
 
 

@@ -301,7 +301,9 @@ def problem_title(recipe: Mapping[str, Any]) -> str:
         size = f"{load['width']:g} × {load['height']:g} µm tissue"
         return f"{size}, body force {g:g} µm/µs², {_elements(recipe)} elements"
     mesh = recipe["mesh"]
-    of = mesh["file"] or f"{mesh['width']:g} × {mesh['height']:g} µm, {_elements(recipe)} elements"
+    number = mesh["elements"]  # one number where the mesh was made in Python
+    number = number if isinstance(number, int) else _elements(recipe)
+    of = mesh["file"] or f"{mesh['width']:g} × {mesh['height']:g} µm, {number} elements"
     return f"{of}: {', '.join([*recipe['conditions'], *recipe['bodies']])}"
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import logging
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, replace
 
@@ -11,11 +12,15 @@ import numpy as np
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, Problem, simulate
+from surrofe2.macro.settings import SECTION_6_2
 from surrofe2.recipe import Recipe
+from surrofe2.rve import RveLaw
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw
-from surrofe2.surrogate.calibration import Truth, calibrate
+from surrofe2.surrogate.calibration import Truth
+from surrofe2.surrogate.calibration import calibrate as calibrate_by
 from surrofe2.surrogate.deformation_paths import (
     DeformationPaths,
     State,
@@ -26,13 +31,21 @@ from surrofe2.surrogate.deformation_paths import (
     run_paths,
     true_stress,
 )
+from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.run_lifecycle import Report
+from surrofe2.workflow.run_lifecycle import Report, untold
 from surrofe2.workflow.varied_loads import varied_problems
 
 _MOST_ELEMENTS = 4  # of a rectangle in each direction, in runs that make paths
 _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
+
+
+log = logging.getLogger(__name__)
+
+NO_BOUND = "bound: none"
+Runs = Callable[[int, int], Iterator[list[State]]]
+"""What so many runs by a seed meet, one after the other."""
 
 
 def calibrate_surrogate(
@@ -44,9 +57,71 @@ def calibrate_surrogate(
         samples: that it was trained on.
         report: called with the share that is done, up to 1, and a remark.
     """
-    law = laws.true_law(recipe)
+    return _calibrated(
+        surrogate,
+        samples,
+        laws.true_law(recipe),
+        recipe.calibration,
+        lambda count, seed: _runs(recipe, surrogate, count, seed),
+        report,
+    )
+
+
+def calibrate(
+    surrogate: SurrogateLaw,
+    samples: StressSamples,
+    law: StressLaw | None = None,
+    settings: CalibrationSettings | None = None,
+    *,
+    problem: Problem | LoadCase | None = None,
+    macro: MacroSettings = SECTION_6_2,
+    report: Report = untold,
+) -> SurrogateLaw:
+    """The surrogate with the bound of its error, without which a `CachedLaw` never trusts it.
+
+    True answers along paths that it has not seen give the bound; `surrogate.calibration` says
+    what it promises, `workflow.calibrate.bound_summary` what was found.
+
+    Args:
+        samples: that it was trained on; walks and single states are drawn from their range.
+        law: the true one; None: the RVEs of the samples.
+        settings: how many paths of which kind.
+        problem: whose runs under other loads are paths too; None: the paper's bar.
+        macro: settings of these runs. A bar has 4 × 4 elements at most.
+        report: called with the share that is done, up to 1, and a remark.
+
+    Raises:
+        InputError: no path to calibrate on.
+    """
+
+    def runs(count: int, seed: int) -> Iterator[list[State]]:
+        few = _coarse(macro)
+        cases: Iterable[Problem | LoadCase]
+        if isinstance(problem, Problem):
+            cases = varied_problems(problem, count, seed)
+        else:
+            cases = random_loads(problem or LoadCase(), count, seed)
+        return (_states_met(each, surrogate, few) for each in cases)
+
+    law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
+    settings = settings or CalibrationSettings()
+    surrogate = _calibrated(surrogate, samples, law, settings, runs, report)
+    found = bound_summary(surrogate, samples)
+    if found.startswith(NO_BOUND):
+        log.warning("%s", found)
+    return surrogate
+
+
+def _calibrated(
+    surrogate: SurrogateLaw,
+    samples: StressSamples,
+    law: StressLaw,
+    settings: CalibrationSettings,
+    runs: Runs,
+    report: Report,
+) -> SurrogateLaw:
     shaping, testing = (
-        list(_make_paths(recipe, surrogate, seed, share, report))
+        list(_make_paths(samples.range, settings, runs, seed, share, report))
         for seed, share in ((1, _SHAPING), (0, 1.0))
     )
     total = sum(len(paths.states[0]) for paths in (*shaping, *testing))
@@ -59,29 +134,37 @@ def calibrate_surrogate(
         return truth
 
     shapes, tests = ([asked(paths) for paths in part] for part in (shaping, testing))
-    settings = recipe.calibration
-    return calibrate(surrogate, samples, shapes, tests, settings.share, asdict(settings))
+    return calibrate_by(surrogate, samples, shapes, tests, settings.share, asdict(settings))
 
 
 def _make_paths(
-    recipe: Recipe, surrogate: SurrogateLaw, stream: int, share: float, report: Report
+    range: SamplingRange,
+    settings: CalibrationSettings,
+    runs: Runs,
+    stream: int,
+    share: float,
+    report: Report,
 ) -> Iterator[DeformationPaths]:
-    """Paths of every kind that the recipe asks for; one `stream` knows nothing of another."""
-    settings = recipe.calibration
-    walks, states, runs = (
-        int(np.ceil(share * count)) for count in (settings.walks, settings.states, settings.runs)
+    """Paths of every kind that is asked for; one `stream` knows nothing of another."""
+    walks, states, count = (
+        int(np.ceil(share * number)) for number in (settings.walks, settings.states, settings.runs)
     )
     seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(3).tolist()
     if walks:
-        yield random_walks(recipe.sampling_range(), walks, settings.length, seeds[0])
+        yield random_walks(range, walks, settings.length, seeds[0])
     if states:
-        yield random_states(recipe.sampling_range(), states, seeds[1])
-    if runs:
+        yield random_states(range, states, seeds[1])
+    if count:
         met = []
-        for along_a_run in _runs(recipe, surrogate, runs, seeds[2]):
+        for along_a_run in runs(count, seeds[2]):
             met.append(along_a_run)
-            report(0.0, f"run {len(met)} of {runs}")
+            report(0.0, f"run {len(met)} of {count}")
         yield run_paths(met, -(-settings.length // 3))
+
+
+def _coarse(macro: MacroSettings) -> MacroSettings:
+    along, across = (min(n, _MOST_ELEMENTS) for n in macro.elements)
+    return replace(macro, elements=(along, across), frames=2, record_dissipation=False)
 
 
 def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Iterator[list[State]]:
@@ -89,8 +172,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
 
     Points of other cells follow the quadratic law of their RVE at rest.
     """
-    along, across = (min(n, _MOST_ELEMENTS) for n in recipe.macro.elements)
-    macro = replace(recipe.macro, elements=(along, across), frames=2, record_dissipation=False)
+    macro = _coarse(recipe.macro)
     if recipe.stated is None:
         macro = replace(macro, integrator="explicit")
         for load in random_loads(recipe.bar_load(), count, seed):
@@ -152,14 +234,14 @@ def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
     calibration = surrogate.calibration
     if calibration is None or not np.isfinite(calibration.quantile):
         return (
-            "bound: none, because the RVE has no stress on too many paths within the domain; "
+            f"{NO_BOUND}, because the RVE has no stress on too many paths within the domain; "
             "narrow [range] or generate more samples"
         )
     at_rest = surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0]
     everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
     if not np.isfinite(at_rest):
         return (
-            "bound: none, because the samples that failed or left a bifurcation leave no domain "
+            f"{NO_BOUND}, because the samples that failed or left a bifurcation leave no domain "
             "even at rest, and every point of a cached run would go to its RVE; narrow [range]"
         )
     edge = everywhere[np.isfinite(everywhere)].max(initial=at_rest)

@@ -31,15 +31,18 @@ def recipes_of(record: RunRecord) -> dict[str, Recipe]:
         InputError: the run was by a law without plant cells.
     """
     stored = record.recipe
-    cells: Mapping[str, Any] = stored.get("cells") or {"": stored.get("cell")}
-    if not all(cells.values()):
+    cells: Mapping[str, Any] = stored.get("cells") or {"": stored.get("cell", {})}
+    if not all("preset" in cell for cell in cells.values()):
         raise InputError(
             f"law: {record.law}; it has no plant cells to look into, as rve and cached have"
         )
-    names = {"preset", *(item.name for item in fields(CellParameters))}
+    names = {item.name for item in fields(CellParameters)}
     return {
         name: make_recipe(
-            {"cell": {key: cell[key] for key in names & cell.keys()}, "rve": stored["rve"]}
+            {
+                "cell": {key: cell[key] for key in names & cell.keys()},
+                "rve": cell.get("rve") or stored["rve"],
+            }
         )
         for name, cell in cells.items()
     }

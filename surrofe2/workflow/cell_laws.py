@@ -61,7 +61,7 @@ def choose_laws(
     return ChosenLaw(
         RegionalLaw(laws, recipe.points_of_cells(mesh)),
         tuple(part for each in chosen.values() for part in each.parts),
-        _record_of({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
+        surrogate_record({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
         {name: table for each in chosen.values() for name, table in each.tables.items()},
     )
 
@@ -124,9 +124,12 @@ def law_by_region(recipe: Recipe, mesh: Mesh, law_of: Callable[[Recipe], StressL
     return RegionalLaw(laws, recipe.points_of_cells(mesh))
 
 
-def _record_of(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:
+def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:
+    """What to record of the surrogates of several cells, or of the only one, called ""."""
     if not surrogates:
         return None
+    if "" in surrogates:
+        return dict(surrogates[""])
     return {
         "file": ", ".join(each["file"] for each in surrogates.values()),
         "fingerprint": " ".join(each["fingerprint"] for each in surrogates.values()),

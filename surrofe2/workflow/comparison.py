@@ -21,8 +21,11 @@ COMPARISON_FILES = ("comparison.json", "comparison.png")
 SWEEP_FILES = ("sweep.json", "sweep.png")
 
 
-def compare_runs(folders: Sequence[Path], out: Path, *, fresh: bool = False) -> Comparison:
-    """Compare runs and write comparison.json and comparison.png into `out`."""
+def compare_runs(
+    folders: Sequence[str | Path], out: str | Path, *, fresh: bool = False
+) -> Comparison:
+    """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
+    out = Path(out)
     runs = [read_run(folder) for folder in folders]
     result = compare_stored(runs)
     of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+
+import numpy as np
 
 from surrofe2.errors import InputError
 from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import sample
-from surrofe2.stress_law import StressLaw, describe
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.stress_law import StressLaw, StressResponse, describe
+from surrofe2.stress_samples import StressSamples
 from surrofe2.workflow import laws
 from surrofe2.workflow.run_lifecycle import Report, untold
 
@@ -88,6 +91,56 @@ def generate_data_set(
     finish_data_set(path)
     failed = {describe(code): n for code, n in counts.items() if code}
     return Generated(path, settings.count, added, failed, left)
+
+
+def sample_stress(
+    law: RveLaw,
+    range: SamplingRange,
+    count: int,
+    *,
+    seed: int = 1,
+    tangents: bool = True,
+    report: Report = untold,
+) -> StressSamples:
+    """Samples of the stress of an RVE over a range, for `train`; the numbers of `generate`.
+
+    Args:
+        tangents: whether ∂P/∂F and ∂P/∂Ḟ are sampled too, from which training learns more.
+        report: is told the number of samples done.
+
+    Raises:
+        InputError: `count` or `seed` is no such number, or the law has no tangents.
+    """
+    if count < 1:
+        raise InputError(f"count: {count}; it must be at least 1")
+    F, F_dot = sample(range, count, seed)
+    parts: list[StressResponse] = []
+    for start in np.arange(0, count, CHUNK).tolist():
+        rows = slice(start, start + CHUNK)
+        answer = law.respond(F[rows], F_dot[rows], tangents=tangents)
+        parts.append(replace(answer, state=None))  # a warm start takes 20 kB a sample
+        report(min(start + CHUNK, count), "")
+    slopes = [answer.tangents for answer in parts if answer.tangents is not None]
+    left = [
+        np.zeros(len(answer.status), np.bool_)
+        if answer.left_bifurcation is None
+        else answer.left_bifurcation
+        for answer in parts
+    ]
+    return StressSamples(
+        F=F,
+        F_dot=F_dot,
+        stress=np.concatenate([answer.stress for answer in parts]),
+        status=np.concatenate([answer.status for answer in parts]),
+        cell=law.cell,
+        initialisation=law.initialisation,
+        range=range,
+        seed=seed,
+        rest_length=law.rest_length,
+        P_by_F=np.concatenate([each.P_by_F for each in slopes]) if slopes else None,
+        P_by_F_dot=np.concatenate([each.P_by_F_dot for each in slopes]) if slopes else None,
+        left_bifurcation=np.concatenate(left),
+    )
 
 
 def data_summary(made: Generated) -> str:

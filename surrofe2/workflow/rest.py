@@ -20,7 +20,6 @@ from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws
 from surrofe2.workflow.laws import warm_up
-from surrofe2.workflow.run import problem_record
 from surrofe2.workflow.run_lifecycle import (
     Recording,
     Report,
@@ -32,6 +31,7 @@ from surrofe2.workflow.run_lifecycle import (
     time_text,
     untold,
 )
+from surrofe2.workflow.saved_run import problem_record
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""

@@ -12,28 +12,18 @@ from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
-from surrofe2.io.fields import write_fields
 from surrofe2.io.files import check_same
 from surrofe2.io.harvest import HarvestWriter
 from surrofe2.io.provenance import Origin
-from surrofe2.io.run_folder import (
-    RunRecord,
-    caches_of,
-    file_fingerprint,
-    write_curve,
-    write_energies,
-    write_history,
-)
+from surrofe2.io.run_folder import RunRecord, caches_of, file_fingerprint
 from surrofe2.io.tables import check_table, read_table, stored, write_table
-from surrofe2.macro import MacroRun, MacroState, Problem, simulate
+from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.macro.discretisation import n_points_of
-from surrofe2.macro.problem import label
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import out_of_range
 from surrofe2.workflow.cell_laws import (
     NO_FILES,
     cache_report,
-    cell_of_elements,
     choose_laws,
     law_arrays,
     law_state,
@@ -48,6 +38,7 @@ from surrofe2.workflow.run_lifecycle import (
     time_text,
     untold,
 )
+from surrofe2.workflow.saved_run import problem_record, with_results, write_results
 
 
 def run_study(
@@ -79,19 +70,12 @@ def run_study(
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
         outputs.store(chosen.tables)
-        write_curve(folder, run.curve, run.curves)
-        write_history(folder, run.curve.t, run.history)
-        write_energies(folder, run.curve.t, run.energies)
-        cell = cell_of_elements(chosen.law, len(run.elements))
-        write_fields(folder, run.nodes, run.elements, run.frames, cell)
+        write_results(folder, run)
+        record = with_results(record, run)
         return replace(
             record,
-            wall_time={**run.wall_time, "compilation": compilation},
-            counts={**run.counts, **run.effort, **counts_of(chosen.tables)},
-            problem={**record.problem, "penetration": penetrations(run)},
-            cache=cache_report(chosen.law, whole=record.status == "finished"),
-            met=run.met.to_dict(),
-            threads=run.threads,
+            wall_time={**record.wall_time, "compilation": compilation},
+            counts={**record.counts, **counts_of(chosen.tables)},
         )
 
     def compute(current: Recording) -> MacroRun:
@@ -122,33 +106,6 @@ def run_study(
 
     record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
     return record_run(folder, record, compute, store, fresh=fresh)
-
-
-def problem_record(problem: Problem) -> dict[str, Any]:
-    """What a problem consists of: counts of its mesh by name, and what acts on it."""
-    mesh = problem.mesh
-    low, high = mesh.extent
-    return {
-        "nodes": len(mesh.nodes),
-        "elements": len(mesh.elements),
-        "nodes_per_element": mesh.elements.shape[1],
-        "points": n_points_of(mesh),
-        "extent": [low.tolist(), high.tolist()],
-        "boundaries": {name: len(sides) for name, sides in mesh.boundaries.items()},
-        "regions": {name: len(elements) for name, elements in mesh.regions.items()},
-        "conditions": [label(condition) for condition in problem.conditions],
-        "bodies": [body.name for body in problem.bodies],
-        "watched": {name: list(at) for name, at in problem.watched.items()},
-    }
-
-
-def penetrations(run: MacroRun) -> dict[str, float]:
-    """Largest penetration of each rigid body, µm."""
-    return {
-        name.removeprefix("penetration "): float(depth.max(initial=0.0))
-        for name, depth in run.history.items()
-        if name.startswith("penetration ")
-    }
 
 
 def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:

@@ -131,14 +131,21 @@ def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = N
         law=law,
         initialisation=recipe.rve.initialisation,
         solver=recipe.rve.solver,
-        package_version=version("surrofe2"),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
         cell_fingerprint=recipe.fingerprint,
-        threads=numba.get_num_threads(),
         seed=None if recipe.types else recipe.samples.seed,
         surrogate=surrogate,
-        platform=describe_platform(),
+        **describe_origin(),
     )
+
+
+def describe_origin() -> dict[str, Any]:
+    """When and by what a record is made, by the names that it has."""
+    return {
+        "package_version": version("surrofe2"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "threads": numba.get_num_threads(),
+        "platform": describe_platform(),
+    }
 
 
 def describe_platform() -> dict[str, str]:

@@ -1,0 +1,190 @@
+"""What a run leaves in its folder, be it run by a command or from Python."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surrofe2.cache import CachedLaw
+from surrofe2.io.fields import write_fields
+from surrofe2.io.files import plain
+from surrofe2.io.run_folder import (
+    RunRecord,
+    open_run_folder,
+    write_curve,
+    write_energies,
+    write_history,
+    write_record,
+)
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroRun, Problem
+from surrofe2.macro.discretisation import n_points_of
+from surrofe2.macro.problem import label
+from surrofe2.macro.simulation import as_problem
+from surrofe2.plant_cell.parameters import PRESETS, CellParameters
+from surrofe2.problem_sections import sections_of
+from surrofe2.regional_law import RegionalLaw
+from surrofe2.rve import RveLaw
+from surrofe2.stress_law import StressLaw
+from surrofe2.surrogate import SurrogateLaw
+from surrofe2.workflow.cell_laws import cache_report, cell_of_elements, surrogate_record
+from surrofe2.workflow.run_lifecycle import describe_origin
+
+
+def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRecord:
+    """Write the run folder that the command `surrofe2 run` would write; `read_run` reads it back.
+
+    `surrofe2 compare` and `zoom` take it like any other; there is nothing to continue from.
+
+    Args:
+        fresh: write over whatever run the folder holds.
+
+    Raises:
+        FileError: the folder cannot be written, or has files but no run.
+        MismatchError: it has a run of other settings.
+    """
+    folder = Path(folder)
+    record = with_results(_record_of(run), run)
+    open_run_folder(folder, record, fresh=fresh)
+    write_results(folder, run)
+    write_record(folder, record)
+    return record
+
+
+def write_results(folder: Path, run: MacroRun) -> None:
+    """Write curve.csv, history.csv, energies.csv and fields of a run."""
+    write_curve(folder, run.curve, run.curves)
+    write_history(folder, run.curve.t, run.history)
+    write_energies(folder, run.curve.t, run.energies)
+    cell = cell_of_elements(run.law, len(run.elements))
+    write_fields(folder, run.nodes, run.elements, run.frames, cell)
+
+
+def with_results(record: RunRecord, run: MacroRun) -> RunRecord:
+    """The record with what a run, whole or not, met and cost."""
+    return replace(
+        record,
+        wall_time=run.wall_time,
+        counts={**run.counts, **run.effort},
+        problem={**record.problem, "penetration": penetrations(run)},
+        cache=cache_report(run.law, whole=run.finished),
+        met=run.met.to_dict(),
+        threads=run.threads,
+    )
+
+
+def penetrations(run: MacroRun) -> dict[str, float]:
+    """Largest penetration of each rigid body, µm."""
+    return {
+        name.removeprefix("penetration "): float(depth.max(initial=0.0))
+        for name, depth in run.history.items()
+        if name.startswith("penetration ")
+    }
+
+
+def problem_record(problem: Problem) -> dict[str, Any]:
+    """What a problem consists of: counts of its mesh by name, and what acts on it."""
+    mesh = problem.mesh
+    low, high = mesh.extent
+    return {
+        "nodes": len(mesh.nodes),
+        "elements": len(mesh.elements),
+        "nodes_per_element": mesh.elements.shape[1],
+        "points": n_points_of(mesh),
+        "extent": [low.tolist(), high.tolist()],
+        "boundaries": {name: len(sides) for name, sides in mesh.boundaries.items()},
+        "regions": {name: len(elements) for name, elements in mesh.regions.items()},
+        "conditions": [label(condition) for condition in problem.conditions],
+        "bodies": [body.name for body in problem.bodies],
+        "watched": {name: list(at) for name, at in problem.watched.items()},
+    }
+
+
+def _record_of(run: MacroRun) -> RunRecord:
+    """The record of a run that no recipe stated."""
+    laws = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
+    asked = {name: _Asked.of(law) for name, law in laws.items()}
+    cells = {name: {**each.cell, "rve": each.rve} for name, each in asked.items()}
+    told: dict[str, Any] = {"cells": {k: {**cell, "regions": [k]} for k, cell in cells.items()}}
+    if not isinstance(run.law, RegionalLaw):
+        told = {"cell": asked[""].cell, "rve": asked[""].rve} if asked[""].cell else {}
+    told |= next(({"cache": each.cache} for each in asked.values() if each.cache), {})
+    learnt = {name: each.surrogate for name, each in asked.items() if each.surrogate}
+    stated = {"recipe": None, **told, **_stated_problem(run.problem), "macro": asdict(run.settings)}
+
+    def joined(values: Iterable[str]) -> str:
+        return ", ".join(dict.fromkeys(values))
+
+    return RunRecord(
+        status="finished" if run.finished else "failed",
+        recipe=plain(stated),
+        law=joined(each.kind for each in asked.values()),
+        initialisation=joined(each.rve.get("initialisation", "none") for each in asked.values()),
+        solver=joined(each.rve.get("solver", "none") for each in asked.values()),
+        cell_fingerprint=" ".join(each.fingerprint for each in asked.values()),
+        surrogate=surrogate_record(learnt),
+        problem=problem_record(as_problem(run.problem, run.settings)),
+        **describe_origin(),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A law as run.json has it: its kind, and by the sections of a recipe what it is made of."""
+
+    kind: str
+    cell: dict[str, Any] = field(default_factory=dict)
+    rve: dict[str, Any] = field(default_factory=dict)
+    cache: dict[str, Any] = field(default_factory=dict)
+    surrogate: dict[str, Any] = field(default_factory=dict)
+    fingerprint: str = "none"
+
+    @classmethod
+    def of(cls, law: StressLaw) -> _Asked:
+        """Those of ours; another is told by the name of its class."""
+        match law:
+            case RveLaw():
+                rve = asdict(law.settings)
+                return cls("rve", _entries(law.cell), rve, fingerprint=law.cell.fingerprint)
+            case SurrogateLaw():
+                learnt = {
+                    "file": "none",
+                    "fingerprint": law.network.fingerprint(law.range),
+                    "errors": law.errors,
+                }
+                rve = {"initialisation": law.initialisation}
+                prints = law.cell.fingerprint
+                return cls("surrogate", _entries(law.cell), rve, {}, learnt, prints)
+            case CachedLaw():
+                true, cache = cls.of(law.fallback), asdict(law.settings)
+                if not isinstance(law.surrogate, SurrogateLaw):
+                    return replace(true, kind="table", cache=cache)
+                learnt = cls.of(law.surrogate).surrogate
+                return replace(true, kind="cached", cache=cache, surrogate=learnt)
+        return cls(type(law).__name__)
+
+
+def _entries(cell: CellParameters) -> dict[str, Any]:
+    """A cell as a recipe has it."""
+    preset = next((name for name, known in PRESETS.items() if known == cell), "own")
+    return {"preset": preset, **cell.to_dict()}
+
+
+def _stated_problem(problem: Problem | LoadCase) -> dict[str, Any]:
+    """A problem as a recipe has it, its mesh by extent, number of elements and digest."""
+    if isinstance(problem, LoadCase):
+        return {"load": asdict(problem)}
+    low, high = problem.mesh.extent
+    digest = hashlib.sha256()
+    for part in (problem.mesh.nodes, problem.mesh.elements):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    (width, height), elements = (high - low).tolist(), len(problem.mesh.elements)
+    mesh = {"file": None, "width": width, "height": height, "elements": elements}
+    acts = sections_of(problem.conditions, problem.bodies, problem.watched)
+    time = {"duration": problem.duration, "output_interval": problem.output_interval}
+    return {"mesh": {**mesh, "sha256": digest.hexdigest()}, **acts, "time": time}
