@@ -21,8 +21,9 @@ from benchmarks.row import Row
 from benchmarks.setting import Setting, rve
 from benchmarks.timing import threads, time_calls
 from surrofe2 import LoadCase
+from surrofe2.rve import RveLaw
 from surrofe2.tissue import Tissue, TissueSettings, make_tissue
-from surrofe2.tissue.simulation import clamped_and_loaded
+from surrofe2.tissue.simulation import held_and_loaded, make_conditions
 
 TITLE = "Full tissue against other particle codes"
 VARIABLE = "SURROFE2_PEERS"
@@ -49,7 +50,7 @@ def run(setting: Setting) -> list[Row]:
     """Million particle-steps a second and core: ours, then each peer's."""
     law = rve(PRESET)
     tissue = make_tissue(law.cell, law.reference, PLANT_CELLS)
-    ours = _ours(setting, tissue)
+    ours = _ours(setting, law)
     name = "million particle-steps a second and core"
     rows = [
         Row(
@@ -81,10 +82,11 @@ def run(setting: Setting) -> list[Row]:
     return rows
 
 
-def _ours(setting: Setting, tissue: Tissue) -> float:
-    width, height = (count * tissue.cell.cell_side for count in tissue.cells)
+def _ours(setting: Setting, law: RveLaw) -> float:
+    width, height = (count * law.cell.cell_side for count in PLANT_CELLS)
     load = LoadCase(width=width, height=height, watched=(width, 0.5 * height))
-    dynamics = clamped_and_loaded(load, tissue, TissueSettings())
+    conditions = make_conditions(load, law.cell, law.reference)
+    tissue, dynamics = conditions.tissue, held_and_loaded(conditions, TissueSettings())
     steps = setting.pick(500, 50)
     even = np.full(steps, 1e-3)
     with threads(1):

@@ -1,8 +1,9 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
-Reading order: settings, layout (which particles there are), pair_kinds and pair_lists (who
-interacts), kernels, dynamics (particles in motion), relaxation (at rest without load), history,
-simulation (a run under a load case).
+Reading order: settings, problem (what happens), layout (which particles there are), pair_kinds and
+pair_lists (who interacts), mixture (several types of plant cells), acting (prescribed motion, rigid
+bodies), kernels, dynamics (particles in motion), conditions (a problem made particles), relaxation
+(at rest without load), history, simulation (a run).
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from surrofe2.public_names import public_names
 if TYPE_CHECKING:
     from surrofe2.tissue.dynamics import TissueDynamics
     from surrofe2.tissue.history import ParticleFrames, TissueRun, TissueState
-    from surrofe2.tissue.layout import Tissue, make_tissue
+    from surrofe2.tissue.layout import Tissue, make_mixed_tissue, make_tissue
+    from surrofe2.tissue.problem import TissueProblem
     from surrofe2.tissue.relaxation import relax
     from surrofe2.tissue.settings import TissueSettings
     from surrofe2.tissue.simulation import simulate_tissue

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from surrofe2.errors import SimulationError
 from surrofe2.plant_cell.tiles import Constants
 from surrofe2.simd import TILE
+from surrofe2.tissue.acting import NO_DRIVE, NO_PLATES, Drive, Plates, Steps
 from surrofe2.tissue.kernels import Body, Fluid, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
+from surrofe2.tissue.mixture import Mixture, MixtureMaker
 from surrofe2.tissue.pair_lists import PairLister
 
 Array = NDArray[np.float64]
@@ -27,13 +29,17 @@ class TissueDynamics:
     Args:
         tissue: the particles.
         skin: by how much pair lists reach beyond the cut-off, µm; it changes the cost only.
-        held: (particles,) which particles do not move; None: none.
-        load: (particles, 2) force on each at amplitude 1, µN; None: none.
+        held: (particles,) or (particles, 2) which particles do not move by their forces; None:
+            none.
+        load: (particles, 2) or (loads, particles, 2) force on each at amplitude 1, µN; None: none.
+        drive: motion of some that are held.
+        plates: rigid bodies.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
-        free_mass: (particles,) ng, 0 where held.
-        load: (particles, 2) as above.
+        free: (particles, 2) which components move freely.
+        mass: (particles,) ng; free_mass: 0 where both components are held.
+        loads: (loads, particles, 2). drive, plates: as above.
     """
 
     def __init__(
@@ -43,23 +49,30 @@ class TissueDynamics:
         skin: float = 2.0,
         held: NDArray[np.bool_] | None = None,
         load: Array | None = None,
+        drive: Drive = NO_DRIVE,
+        plates: Plates = NO_PLATES,
     ) -> None:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
         self._lister = PairLister(tissue, skin)
-        self.free_mass = tissue.mass.reshape(-1)[tissue.where]
+        self.drive, self.plates = drive, plates
+        self.mass = tissue.mass.reshape(-1)[tissue.where]
+        self.free = np.ones((tissue.particles, 2), dtype=np.bool_)
         if held is not None:
-            self.free_mass[held] = 0.0
-        self.load = np.zeros((tissue.particles, 2)) if load is None else load
-        per_mass = np.zeros(tissue.mass.size)
-        per_mass[tissue.where] = np.divide(
-            1.0, self.free_mass, out=np.zeros(tissue.particles), where=self.free_mass > 0.0
-        )
+            self.free[held] = False
+        self.free_mass = np.where(self.free.any(axis=1), self.mass, 0.0)
+        n = tissue.particles
+        self.loads = np.zeros((1, n, 2)) if load is None else load.reshape(-1, n, 2)
         self._body = Body(
-            per_mass=per_mass.reshape(tissue.mass.shape),
-            load=tissue.to_tiles(self.load),
+            per_mass=np.divide(
+                1.0, tissue.mass, out=np.zeros_like(tissue.mass), where=tissue.exists
+            ),
+            free=tissue.to_tiles(self.free.astype(np.float64)),
+            loads=np.array([tissue.to_tiles(each) for each in self.loads]),
             retained=1.0,
         )
+        self._mixing = MixtureMaker(tissue) if len(tissue.types) > 1 else None
+        self._mixture: Mixture | None = None
         fluid_pairs = tissue.walls + np.stack(np.triu_indices(tissue.own - tissue.walls, 1), axis=1)
         self._fluid = Fluid(fluid_pairs.astype(np.int32), tissue.own, tissue.walls)
         self.place(tissue.to_particles(tissue.start))
@@ -91,50 +104,90 @@ class TissueDynamics:
         if listed is not None:
             self.forces()  # so that how far they have moved since is known
 
+    def start(self, velocity: Array, rates: Array) -> float:
+        """Set particles, at rest until now, into motion; the work of the impulse on driven ones.
+
+        Args:
+            velocity: (particles, 2) of those that move freely, µm/µs.
+            rates: (motions,) of prescribed motion, 1/µs. An impulse acts at the mean velocity.
+        """
+        own, drive, plates = self.tissue.own, self.drive, self.plates
+        self._particles.v[:-1, :, :own] = self.tissue.to_tiles(velocity)
+        driven = rates[drive.motion] * drive.largest
+        self._particles.v[tuple(drive.at.T)] = driven
+        moved = plates.motion >= 0
+        plates.v[moved] = rates[plates.motion[moved], None] * plates.largest[moved]
+        return 0.5 * float(drive.mass @ driven**2)
+
     def leap(
         self,
         kicks: Array,
         drifts: Array,
         amplitudes: Array,
+        speeds: Array | None = None,
         *,
         constants: Constants | None = None,
         retained: float = 1.0,
+        pressed: bool = True,
     ) -> None:
         """Steps v += kicks[k] a(x, v), x += drifts[k] v; each leaves the part `retained` of v.
+
+        Args:
+            amplitudes: (steps,) or (steps, loads). speeds: (steps, motions); None: all zero.
+            pressed: whether rigid bodies act.
 
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
         c = self.tissue.constants if constants is None else constants
         body = self._body._replace(retained=retained)
-        steps, renewed = np.stack([kicks, drifts, amplitudes], axis=1), False
+        plates = self.plates if pressed else NO_PLATES
+        count = len(kicks)
+        if speeds is None:
+            speeds = np.zeros((count, self._motions))
+        steps = Steps(
+            np.stack([kicks, drifts], axis=1),
+            np.ascontiguousarray(np.broadcast_to(amplitudes.T, (len(self.loads), count)).T),
+            speeds,
+        )
+        renewed = False
         allowed = numba.get_num_threads()
         numba.set_num_threads(max(1, min(allowed, self.tissue.tiles // TILES_PER_THREAD)))
         try:
-            while len(steps):
+            while len(steps.length):
                 if renewed:
                     self._renew()
                 taken = leap(
-                    self._particles, self._lists, self._lister.grid, self._fluid, c, body,
-                    self._watch, steps,
+                    self._particles, self._lists, self._lister.grid, self._fluid, c,
+                    self._mixture, body, self.drive, plates, self._watch, steps,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
                     raise SimulationError("tissue: particles fly apart within a step")
-                steps, renewed = steps[taken:], True
+                steps, renewed = Steps(*(each[taken:] for each in steps)), True
         finally:
             numba.set_num_threads(allowed)
 
-    def forces(self, constants: Constants | None = None) -> Array:
+    @property
+    def _motions(self) -> int:
+        """How many amplitudes move particles or bodies, one more than the last number."""
+        return 1 + max([*self.drive.motion, *self.plates.motion], default=-1)
+
+    @property
+    def f(self) -> Array:
+        """(particles, 2) forces of the last step, without the load, µN."""
+        return self.tissue.to_particles(self._particles.f[:-1, :, : self.tissue.own])
+
+    def forces(self, constants: Constants | None = None, *, pressed: bool = True) -> Array:
         """(particles, 2) forces without the load, µN."""
         nothing = np.zeros(1)
-        self.leap(nothing, nothing, nothing, constants=constants)
-        return self.tissue.to_particles(self._particles.f[:-1, :, : self.tissue.own])
+        self.leap(nothing, nothing, nothing, constants=constants, pressed=pressed)
+        return self.f
 
     def free_forces(self, constants: Constants | None = None) -> Array:
         """`forces`, with none on particles that are held."""
         f = self.forces(constants)
-        f[self.free_mass == 0.0] = 0.0
+        f[~self.free] = 0.0
         return f
 
     def dissipation_rate(self) -> float:
@@ -142,7 +195,7 @@ class TissueDynamics:
         only_damping = self.tissue.constants._replace(
             wall_stiffness=0.0, repulsion=0.0, sound_speed_squared=0.0
         )
-        return -float(np.sum(self.v * self.forces(only_damping)))
+        return -float(np.sum(self.v * self.forces(only_damping, pressed=False)))
 
     def elastic_energy(self) -> float:
         """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm²."""
@@ -150,7 +203,7 @@ class TissueDynamics:
         energy = np.empty((self.tissue.tiles, TILE))
         elastic_energy(
             self._particles.x, self._lists, self._lister.grid, self._fluid, self.tissue.constants,
-            energy,
+            self._mixture, energy,
         )  # fmt: skip
         return float(energy.sum())
 
@@ -170,6 +223,8 @@ class TissueDynamics:
         self._lists = self._lister.make(listed)
         self._listed = listed
         self.counts["list_builds"] += 1
+        if self._mixing is not None:
+            self._mixture = self._mixing.make(self._lists)
         tiles, own = self.tissue.tiles, self.tissue.own
         shape = (tiles + 1, 2, self._lists.local, TILE)
         particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))

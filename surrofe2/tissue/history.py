@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError
-from surrofe2.load_case import LoadCase
+from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.pair_lists import bonded_particles
+from surrofe2.tissue.problem import TissueProblem
 from surrofe2.tissue.settings import TissueSettings
 
 Array = NDArray[np.float64]
@@ -29,8 +30,9 @@ class TissueState:
         relaxed, x, v: (particles, 2) the unloaded equilibrium,
             positions and velocities, µm and µm/µs. listed: (particles, 2) positions at which the
             pair lists in use were made.
-        elastic: stored energy of the unloaded tissue, pJ.
-        watched: (rows, 2) displacement; energies: (4, rows) kinetic, elastic, load, dissipated.
+        elastic: stored energy of the unloaded tissue, pJ; resting: (k, 2) forces there, µN.
+        bodies: (2, b, 2) position and velocity of rigid bodies.
+        history: (rows, c) the columns of `columns_of` at the output times passed.
         frame_t: (k,); frame_displacement, frame_velocity: (k, particles, 2).
         identity: numbers that a run to be resumed must share.
         steps, force_evaluations, list_builds: counts. relaxation_time, run_time: s.
@@ -41,8 +43,9 @@ class TissueState:
     v: Array
     listed: Array
     elastic: float
-    watched: Array
-    energies: Array
+    resting: Array
+    bodies: Array
+    history: Array
     frame_t: Array
     frame_displacement: Array
     frame_velocity: Array
@@ -56,7 +59,7 @@ class TissueState:
     @property
     def rows(self) -> int:
         """Output times passed."""
-        return len(self.watched)
+        return len(self.history)
 
     def to_arrays(self) -> dict[str, NDArray]:
         """One array for each field."""
@@ -92,10 +95,16 @@ class TissueRun:
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:
-        curve: displacement of the watched particle from the unloaded equilibrium.
+        curve: displacement of the first watched particle from the unloaded equilibrium; `curves`
+            by name that of all.
         energies: by name, (m,) pJ at the output times: `kinetic`; `elastic`, since the unloaded
-            equilibrium; `load` work; `dissipated` by dashpots and viscosity; `balance`, load −
-            kinetic − elastic − dissipated, zero but for the error of the time integration.
+            equilibrium; the work of each load, and `motion`, that of what moves supports and
+            bodies; `contact`, stored; `dissipated` by dashpots and viscosity; `balance`, what all
+            work and the kinetic energy at the start exceed the others by, zero but for the error
+            of the time integration.
+        history: by name, (m,), as of a finite-element run: forces on the tissue in µN since the
+            unloaded equilibrium, mean displacement of boundaries, position and penetration of
+            bodies in µm.
         position: (particles, 2) the unloaded equilibrium, µm; walls first.
         bonds: (b, 2) bonded wall particles. is_wall: (particles,).
         frames: particle fields at a few times.
@@ -104,7 +113,9 @@ class TissueRun:
     """
 
     curve: DisplacementCurve
+    curves: dict[str, DisplacementCurve]
     energies: dict[str, Array]
+    history: dict[str, Array]
     position: Array
     bonds: NDArray[np.int64]
     is_wall: NDArray[np.bool_]
@@ -115,44 +126,70 @@ class TissueRun:
     finished: bool
 
 
+def columns_of(problem: TissueProblem) -> list[str]:
+    """What a row of the history holds: vectors by component, then numbers."""
+    vectors = [f"displacement {name}" for name in problem.watched]
+    vectors += [f"mean displacement {name}" for name in problem.places()]
+    vectors += [f"force {name}" for name in problem.acting]
+    vectors += [f"position {body.name}" for body in problem.bodies]
+    both = [f"{name} {axis}" for name in vectors for axis in "xy"]
+    depths = [f"penetration {body.name}" for body in problem.bodies]
+    works = [each.name for each in problem.loads] + ["bodies", "motion"]
+    energies = ["kinetic", "elastic", *works, "contact", "dissipated"]
+    return [*both, *depths, *(f"energy {name}" for name in energies)]
+
+
 class Recorder:
     """Takes down what a run finds; its state is replaced as a whole, so no interrupt tears it."""
 
     def __init__(
         self,
-        load_case: LoadCase,
+        conditions: Conditions,
         settings: TissueSettings,
         dynamics: TissueDynamics,
         identity: Array,
     ) -> None:
         self._dynamics = dynamics
+        self._conditions, problem = conditions, conditions.problem
         self._identity = identity
-        self._t = load_case.output_times()
-        self._frame_times = np.linspace(0.0, load_case.duration, settings.frames)
-        start = dynamics.tissue.to_particles(dynamics.tissue.start)
-        self._watched = int(np.hypot(*(start - np.array(load_case.watched)).T).argmin())
+        self._t = problem.output_times()
+        self._frame_times = np.linspace(0.0, problem.duration, settings.frames)
+        tissue = dynamics.tissue
+        start = tissue.to_particles(tissue.start)
+        self._watched = [
+            int(np.hypot(*(start - np.array(at)).T).argmin()) for at in problem.watched.values()
+        ]
+        self._means = [
+            (conditions.boundary(name), conditions.lengths(name)) for name in problem.places()
+        ]
+        self._supports = conditions.components()
         self._created = perf_counter()
         self.state: TissueState
 
-    def begin(self) -> None:
-        """Record the unloaded equilibrium at t = 0, in which the tissue rests."""
+    def begin(self, velocity: Array, rates: Array) -> None:
+        """Record the tissue at rest and, with the velocities of `TissueDynamics.start`, t = 0."""
         dynamics = self._dynamics
-        relaxed, v = dynamics.x, dynamics.v
+        relaxed = dynamics.x
         relaxation_time = perf_counter() - self._created
         self._started = perf_counter()
         dynamics.counts.clear()
-        still = np.zeros((1, *relaxed.shape))
-        self.state = TissueState(
+        elastic = dynamics.elastic_energy()
+        resting = self._forces(0.0, loaded=False)
+        works = np.zeros(len(self._conditions.problem.loads) + 3)
+        works[-2] = dynamics.start(velocity, rates)
+        v = dynamics.v
+        state = TissueState(
             relaxed=relaxed,
             x=relaxed,
             v=v,
             listed=dynamics.listed,
-            elastic=dynamics.elastic_energy(),
-            watched=np.zeros((1, 2)),
-            energies=np.zeros((4, 1)),
+            elastic=elastic,
+            resting=resting,
+            bodies=np.stack([dynamics.plates.x, dynamics.plates.v]),
+            history=np.zeros((0, 1)),
             frame_t=np.zeros(1),
-            frame_displacement=still,
-            frame_velocity=still,
+            frame_displacement=0.0 * relaxed[None],
+            frame_velocity=v[None],
             identity=self._identity,
             steps=0,
             force_evaluations=0,
@@ -160,10 +197,13 @@ class Recorder:
             relaxation_time=relaxation_time,
             run_time=0.0,
         )
+        row = self._row(0.0, state, works)
+        self.state = replace(state, history=row[None], **self._counted())
 
     def restore(self, state: TissueState) -> None:
         """Go on from where `state` was taken."""
         dynamics = self._dynamics
+        dynamics.plates.x[:], dynamics.plates.v[:] = state.bodies
         dynamics.place(state.x, state.v, state.listed)
         dynamics.counts.clear()
         dynamics.counts.update(
@@ -172,50 +212,117 @@ class Recorder:
         self.state = state
         self._started = perf_counter() - state.run_time
 
-    def record(self, steps: int, work: float, lost: float) -> None:
-        """Record the next output time, `steps` after the last; work and lost energy since, pJ."""
+    def record(self, steps: int, works: Array) -> None:
+        """Record the next output time, `steps` after the last.
+
+        Args:
+            works: (loads + 3,) since then, of the loads, of `acceleration` on bodies, of what moves
+                supports and bodies, and lost, pJ.
+        """
         dynamics, before = self._dynamics, self.state
-        row = before.rows
-        x, v = dynamics.x, dynamics.v
-        u = x - before.relaxed
-        energies = np.array(
-            [
-                dynamics.kinetic_energy(),
-                dynamics.elastic_energy() - before.elastic,
-                before.energies[2, -1] + work,
-                before.energies[3, -1] + lost,
-            ]
-        )
+        row, t = before.rows, self._t[before.rows]
+        x, v, listed = dynamics.x, dynamics.v, dynamics.listed
+        found = self._row(t, before, works)
         state = replace(
             before,
             x=x,
             v=v,
-            listed=dynamics.listed,
-            watched=np.vstack([before.watched, u[self._watched]]),
-            energies=np.column_stack([before.energies, energies]),
+            listed=listed,
+            bodies=np.stack([dynamics.plates.x, dynamics.plates.v]),
+            history=np.vstack([before.history, found]),
             steps=before.steps + steps,
-            force_evaluations=dynamics.counts["force_evaluations"],
-            list_builds=dynamics.counts["list_builds"],
-            run_time=perf_counter() - self._started,
+            **self._counted(),
         )
-        if self._frames_due(self._t[row]) > self._frames_due(self._t[row - 1]):
+        if self._frames_due(t) > self._frames_due(self._t[row - 1]):
+            u = x - before.relaxed
             state = replace(
                 state,
-                frame_t=np.append(state.frame_t, self._t[row]),
+                frame_t=np.append(state.frame_t, t),
                 frame_displacement=np.concatenate([state.frame_displacement, u[None]]),
                 frame_velocity=np.concatenate([state.frame_velocity, v[None]]),
             )
         self.state = state
 
+    def _counted(self) -> dict[str, Any]:
+        counts = self._dynamics.counts
+        return {
+            "force_evaluations": counts["force_evaluations"],
+            "list_builds": counts["list_builds"],
+            "run_time": perf_counter() - self._started,
+        }
+
+    def _row(self, t: float, before: TissueState, works: Array) -> Array:
+        """What `columns_of` lists; `works` as of `record`."""
+        dynamics, plates = self._dynamics, self._dynamics.plates
+        u = dynamics.x - before.relaxed
+        kinetic, elastic = dynamics.kinetic_energy(), dynamics.elastic_energy() - before.elastic
+        free = plates.per_mass > 0.0
+        kinetic += 0.5 * float(((plates.v[free] ** 2).sum(axis=1) / plates.per_mass[free]).sum())
+        start = np.array([body.position for body in self._conditions.problem.bodies])
+        vectors = [
+            u[self._watched],
+            np.array([length @ u[i] / length.sum() for i, length in self._means]),
+            self._forces(t) - before.resting,
+            plates.x - start.reshape(-1, 2),
+        ]
+        at_start = before.history[-1, -len(works) - 1 : -2] if before.rows else 0.0 * works[:-1]
+        lost = before.history[-1, -1] if before.rows else 0.0
+        contact = plates.stored.sum()
+        energies = [kinetic, elastic, *(at_start + works[:-1]), contact, lost + works[-1]]
+        return np.concatenate([*(part.ravel() for part in vectors), plates.depth, energies])
+
+    def _forces(self, t: float, *, loaded: bool = True) -> Array:
+        """(k, 2) resultants on the tissue of supports, loads and bodies at the last forces, µN.
+
+        Supports give what their particles need: M a − forces − loads.
+        """
+        dynamics, problem = self._dynamics, self._conditions.problem
+        factors = [each.amplitude.at(t, t)[0] if loaded else 0.0 for each in problem.loads]
+        loads = dynamics.loads[: len(factors)]
+        pull = np.array([factor * load for factor, load in zip(factors, loads, strict=True)])
+        needed = -dynamics.f - (pull.sum(axis=0) if factors else 0.0)
+        found = []
+        for support, (i, axis) in zip(problem.supports, self._supports, strict=True):
+            second = support.amplitude.at(t, t)[2] * np.array(support.displacement)
+            force = needed[i, axis] + dynamics.mass[i] * second[axis]
+            found.append(np.bincount(axis, force, 2))
+        return np.array([*found, *(each.sum(axis=0) for each in pull), *dynamics.plates.force])
+
     def run(self, *, finished: bool) -> TissueRun:
         """The results so far."""
         state, tissue = self.state, self._dynamics.tissue
-        names = ("kinetic", "elastic", "load", "dissipated")
-        energies = dict(zip(names, state.energies, strict=True))
-        kinetic, elastic, load, dissipated = state.energies
+        problem = self._conditions.problem
+        t = self._t[: state.rows]
+        columns = dict(zip(columns_of(problem), state.history.T, strict=True))
+        curves = {
+            name: DisplacementCurve(
+                t, np.stack([columns[f"displacement {name} {axis}"] for axis in "xy"], axis=1)
+            )
+            for name in problem.watched
+        }
+        energies = {
+            name.removeprefix("energy "): column
+            for name, column in columns.items()
+            if name.startswith("energy ")
+        }
+        stored = ("kinetic", "elastic", "contact", "dissipated")
+        works = [column for name, column in energies.items() if name not in stored]
+        balance = sum(works[1:], works[0]) - energies["kinetic"] - energies["elastic"]
+        balance -= energies["contact"] - energies["contact"][0]
+        balance -= energies["dissipated"]
+        energies["balance"] = balance - balance[0]
+        if not any(body.mass is not None for body in problem.bodies):
+            del energies["bodies"]
+        if not problem.motions:
+            del energies["motion"]
+        if not problem.bodies:
+            del energies["contact"]
+        kept = ("mean displacement", "force", "position", "penetration")
         return TissueRun(
-            curve=DisplacementCurve(self._t[: state.rows], state.watched),
-            energies=energies | {"balance": load - kinetic - elastic - dissipated},
+            curve=next(iter(curves.values())),
+            curves=curves,
+            energies=energies,
+            history={name: column for name, column in columns.items() if name.startswith(kept)},
             position=state.relaxed,
             bonds=bonded_particles(tissue),
             is_wall=np.arange(tissue.particles) < tissue.wall_particles,

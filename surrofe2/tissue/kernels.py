@@ -1,6 +1,7 @@
 """Kernels of all particles of a tissue: its time step and its elastic energy.
 
-A step gathers images, sums forces, folds them back, kicks and drifts.
+A step gathers images, sums forces, folds them back, kicks and drifts; in between rigid bodies press
+and driven particles get their velocity.
 
 Arrays hold a tile after the other, and one more that stays as it is: there lie the images of
 cells that do not exist, at rest and far away, and there is the force that is always zero::
@@ -27,6 +28,13 @@ from surrofe2.plant_cell.forces import (
     add_fluid_forces,
 )
 from surrofe2.simd import TILE, load, spread, store, where_less
+from surrofe2.tissue.acting import add_work, drive_particles, move_bodies, press
+from surrofe2.tissue.mixture import (
+    add_mixed_energy,
+    add_mixed_fluid,
+    add_mixed_fluid_energy,
+    add_mixed_pairs,
+)
 
 Array = NDArray[np.float64]
 
@@ -43,13 +51,15 @@ class Body(NamedTuple):
     """What moves, and by what.
 
     Attributes:
-        per_mass: (tiles, own, TILE) 1/ng, 0 where held or missing.
-        load: (tiles, 2, own, TILE) µN at amplitude 1.
+        per_mass: (tiles, own, TILE) 1/ng, 0 where missing.
+        free: (tiles, 2, own, TILE) 1, or 0 where v does not follow forces.
+        loads: (loads, tiles, 2, own, TILE) µN at amplitude 1.
         retained: part of the velocity that a step leaves; 1, or less with drag.
     """
 
     per_mass: Array
-    load: Array
+    free: Array
+    loads: Array
     retained: float
 
 
@@ -78,27 +88,37 @@ class Watch(NamedTuple):
 
 
 @parallel_kernel
-def leap(particles, lists, grid, fluid, c, body, watch, steps):
+def leap(particles, lists, grid, fluid, c, mixture, body, drive, plates, watch, steps):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
-    steps: (n, 3) kick, drift and amplitude of the load of each. A step takes forces at x with the
-    velocities at hand, then v += kick a, x += drift v.
-    c: `Constants`.
+    A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
+    without a kick leaves all velocities as they are.
+    c: `Constants`; steps: `Steps`; mixture: None of one type of plant cell.
     """
     tiles = particles.x.shape[0] - 1
-    for n in range(len(steps)):
+    for n in range(len(steps.length)):
         for k in numba.prange(tiles):
-            _sum_forces(lists.order[k], particles, lists, fluid, c)
+            _sum_forces(lists.order[k], particles, lists, fluid, c, mixture)
             _measure_apart(lists.order[k], grid, watch)
         if not _largest_motion(watch) <= lists.skin:
             return n
+        kicked = steps.length[n, 0] != 0.0
+        press(particles, plates)
+        if kicked:
+            move_bodies(plates, steps.length[n], steps.speed[n])
+            drive_particles(particles.v, drive, steps.speed[n])
         for k in numba.prange(tiles):
-            _kick_and_drift(lists.order[k], particles, lists, grid, body, watch, steps[n])
-    return len(steps)
+            _kick_and_drift(
+                lists.order[k], particles, lists, grid, body, watch,
+                steps.length[n], steps.amplitude[n],
+            )  # fmt: skip
+        if kicked:
+            add_work(particles, body.loads, drive, steps.length[n, 0], steps.amplitude[n])
+    return len(steps.length)
 
 
 @kernel
-def _sum_forces(t, particles, lists, fluid, c):
+def _sum_forces(t, particles, lists, fluid, c, mixture):
     """Images of tile t and the forces on its local particles, not folded."""
     own = fluid.particles
     here, end = lists.starts[t], lists.starts[t + 1]
@@ -108,15 +128,20 @@ def _sum_forces(t, particles, lists, fluid, c):
     for i in range(own + end[0] - here[0]):
         store(0.0, f, 0, i)
         store(0.0, f, 1, i)
-    rows = slice(here[1], end[1])
-    add_central_forces(x, v, f, lists.bonds[rows], lists.bond_share[rows], True, c)
-    rows = slice(here[2], end[2])
-    add_central_forces(x, v, f, lists.lines[rows], lists.line_share[rows], False, c)
-    add_central_forces(x, v, f, lists.contacts[here[3] : end[3]], None, False, c)
-    if t < lists.fluid_tiles:
-        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-        volume = np.empty((own - fluid.walls, TILE))
-        add_fluid_forces(x, v, f, fluid, c, slope, volume)
+    if mixture is None:
+        rows = slice(here[1], end[1])
+        add_central_forces(x, v, f, lists.bonds[rows], lists.bond_share[rows], True, c)
+        rows = slice(here[2], end[2])
+        add_central_forces(x, v, f, lists.lines[rows], lists.line_share[rows], False, c)
+        add_central_forces(x, v, f, lists.contacts[here[3] : end[3]], None, False, c)
+        if t < lists.fluid_tiles:
+            slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
+            volume = np.empty((own - fluid.walls, TILE))
+            add_fluid_forces(x, v, f, fluid, c, slope, volume)
+    else:
+        add_mixed_pairs(t, x, v, f, lists, mixture, c)
+        if t < lists.fluid_tiles:
+            add_mixed_fluid(t, x, v, f, fluid, mixture, c)
 
 
 @kernel
@@ -133,10 +158,10 @@ def _gather_images(x, t, own, start, end, source):
 
 
 @kernel
-def _kick_and_drift(t, particles, lists, grid, body, watch, step):
+def _kick_and_drift(t, particles, lists, grid, body, watch, length, amplitude):
     """Fold image forces back to tile t's own particles, then v += kick a, x += drift v."""
     x, v, f = particles.x, particles.v, particles.f
-    kick, drift, amplitude = step[0], step[1], step[2]
+    kick, drift = length[0], length[1]
     flat = f.reshape(-1)
     y = f.shape[2] * TILE
     for k in range(lists.starts[t, 4], lists.starts[t + 1, 4]):
@@ -147,11 +172,17 @@ def _kick_and_drift(t, particles, lists, grid, body, watch, step):
             f[t, 1, i, lane] += flat[s + y]
     mean_x, mean_y = spread(0.0), spread(0.0)
     for i in range(body.per_mass.shape[1]):
+        pull_x = load(f, t, 0, i) + amplitude[0] * load(body.loads, 0, t, 0, i)
+        pull_y = load(f, t, 1, i) + amplitude[0] * load(body.loads, 0, t, 1, i)
+        for n in range(1, body.loads.shape[0]):
+            pull_x += amplitude[n] * load(body.loads, n, t, 0, i)
+            pull_y += amplitude[n] * load(body.loads, n, t, 1, i)
         push = kick * load(body.per_mass, t, i)
-        pull_x = load(f, t, 0, i) + amplitude * load(body.load, t, 0, i)
-        pull_y = load(f, t, 1, i) + amplitude * load(body.load, t, 1, i)
-        speed_x = body.retained * load(v, t, 0, i) + push * pull_x
-        speed_y = body.retained * load(v, t, 1, i) + push * pull_y
+        old_x, old_y = load(v, t, 0, i), load(v, t, 1, i)
+        speed_x = body.retained * old_x + push * pull_x
+        speed_y = body.retained * old_y + push * pull_y
+        speed_x = where_less(0.0, load(body.free, t, 0, i), speed_x, old_x)
+        speed_y = where_less(0.0, load(body.free, t, 1, i), speed_y, old_y)
         store(speed_x, v, t, 0, i)
         store(speed_y, v, t, 1, i)
         new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
@@ -207,25 +238,30 @@ def _largest_motion(watch):
 
 
 @parallel_kernel
-def elastic_energy(x, lists, grid, fluid, c, energy):
+def elastic_energy(x, lists, grid, fluid, c, mixture, energy):
     """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
 
     Springs ½ k (|r| − l₀)², contacts, fluid Σ m c_s² ln ρ.
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
-        _stored_in_tile(t, x, lists, grid, fluid, c, energy)
+        _stored_in_tile(t, x, lists, grid, fluid, c, mixture, energy)
 
 
 @kernel
-def _stored_in_tile(t, x, lists, grid, fluid, c, energy):
+def _stored_in_tile(t, x, lists, grid, fluid, c, mixture, energy):
     here, end = lists.starts[t], lists.starts[t + 1]
     mine = energy[t : t + 1]
     store(0.0, mine, 0)
-    rows = slice(here[1], end[1])
-    add_central_energy(x[t], lists.bonds[rows], lists.bond_share[rows], True, c, mine)
-    rows = slice(here[2], end[2])
-    add_central_energy(x[t], lists.lines[rows], lists.line_share[rows], False, c, mine)
-    add_central_energy(x[t], lists.contacts[here[3] : end[3]], None, False, c, mine)
-    if t < lists.fluid_tiles:
-        add_fluid_energy(x[t], fluid, grid.exists[t], c, mine)
+    if mixture is None:
+        rows = slice(here[1], end[1])
+        add_central_energy(x[t], lists.bonds[rows], lists.bond_share[rows], True, c, mine)
+        rows = slice(here[2], end[2])
+        add_central_energy(x[t], lists.lines[rows], lists.line_share[rows], False, c, mine)
+        add_central_energy(x[t], lists.contacts[here[3] : end[3]], None, False, c, mine)
+        if t < lists.fluid_tiles:
+            add_fluid_energy(x[t], fluid, grid.exists[t], c, mine)
+    else:
+        add_mixed_energy(t, x[t], lists, mixture, c, mine)
+        if t < lists.fluid_tiles:
+            add_mixed_fluid_energy(t, x[t], fluid, grid.exists[t], mixture, c, mine)

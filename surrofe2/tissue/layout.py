@@ -14,11 +14,12 @@ whole tiles with empty places. A particle that does not exist lies far away, whe
 
 What two cells share is halved where one of them is missing (docs/theory.md, walls at a free
 boundary): the mass of a wall particle is its share, (cells present)/(cells that share it), so a
-quarter at the tissue's corners.
+quarter at the tissue's corners. Between plant cells of two types it is the sum of both shares.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,9 @@ from surrofe2.simd import TILE
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_ALIKE = ("cell_side", "wall_springs_per_side", "fluid_particles_per_side", "repulsion_cutoff")
+"""What all types of plant cells of a tissue must share, so that their walls meet."""
+
 NOWHERE = 1e6
 """Where particles lie that do not exist, µm; far beyond every cut-off."""
 
@@ -42,6 +46,10 @@ class Tissue:
     """n × m square plant cells with single walls at the boundary.
 
     Attributes:
+        cell: the first type of plant cell; types: the constants of each; wall_masses: of a wall
+            particle of each, ng.
+        constants: of the only type; of several, factors on those of each, all 1 but the cut-off.
+        kind: (n, m) type of each plant cell.
         cells: (n, m) plant cells in x and y.
         column, row: (places,) of the plant cell in each lane, −1 for an empty place.
         fluid_tiles: how many tiles, the first ones, hold plant cells with fluid.
@@ -53,7 +61,10 @@ class Tissue:
     """
 
     cell: CellParameters
+    types: tuple[Constants, ...]
+    wall_masses: tuple[float, ...]
     constants: Constants
+    kind: Ints
     cells: tuple[int, int]
     column: Ints
     row: Ints
@@ -89,6 +100,20 @@ class Tissue:
         """(tiles, own, TILE) whether there is a particle."""
         return self.mass > 0.0
 
+    @property
+    def outline(self) -> Array:
+        """(particles, 2) places of wall particles on the grid of walls; infinite for fluid, µm."""
+        row, lane = np.divmod(self.where, TILE)
+        tile, own = np.divmod(row, self.own)
+        per_side = self.cell.wall_springs_per_side
+        place = tile * TILE + lane
+        corner = per_side * np.stack([self.column[place], self.row[place]], axis=1)
+        along = np.stack([np.where(own < per_side, own, 0), np.where(own < per_side, 0, own)], 1)
+        along[own >= per_side, 1] -= per_side - 1
+        grid = self.cell.cell_side * (corner + along) / per_side
+        grid[own >= self.walls] = np.inf
+        return grid
+
     def to_particles(self, tiled: Array) -> Array:
         """(tiles, 2, own, TILE) → (particles, 2)."""
         by_axis = np.moveaxis(tiled, 1, 0).reshape(2, -1)
@@ -116,35 +141,70 @@ def make_tissue(cell: CellParameters, reference: ReferenceState, cells: tuple[in
     """
     if len(cells) != 2 or any(not isinstance(n, int) or n < 1 for n in cells):
         raise InputError(f"tissue.cells: {cells}; they must be two integers of at least 1")
-    if not cell.is_one_square:
-        raise InputError(
-            f"cell.arrangement: {cell.cells} of {cell.arrangement}; a tissue must be made of "
-            "copies of one square plant cell"
-        )
-    reference.check_belongs_to(cell)
-    walls, own = 2 * cell.wall_springs_per_side - 1, len(reference.position)
-    column, row = _places(cells)
-    share = _shares(cell, cells, column, row)
-    exists = share > 0.0
-    tiles = len(column) // TILE
-    mass = share * np.where(np.arange(own) < walls, cell.wall_particle_mass, cell.fluid_mass)
+    return make_mixed_tissue([cell], [reference], np.zeros(cells, dtype=np.int64))
+
+
+def make_mixed_tissue(
+    types: Sequence[CellParameters], references: Sequence[ReferenceState], kind: Ints
+) -> Tissue:
+    """A tissue whose plant cell (a, b) is of the type kind[a, b].
+
+    Args:
+        references: of each type.
+
+    Raises:
+        InputError: a type is not one square, or not as large or as finely divided as the first.
+        MismatchError: a reference is of another cell.
+    """
+    cell, n, m = types[0], *kind.shape
+    for each, reference in zip(types, references, strict=True):
+        if not each.is_one_square:
+            raise InputError(
+                f"cell.arrangement: {each.cells} of {each.arrangement}; a tissue must be made of "
+                "copies of one square plant cell"
+            )
+        for name in _ALIKE:
+            here, there = each.to_dict()[name], cell.to_dict()[name]
+            if here != there:
+                raise InputError(
+                    f"cell.{name}: {here:g} and {there:g}; plant cells of one tissue must share it"
+                )
+        reference.check_belongs_to(each)
+    walls, own = 2 * cell.wall_springs_per_side - 1, len(references[0].position)
+    column, row = _places((n, m))
+    is_wall = np.arange(own) < walls
+    mass = np.zeros((len(column), own))
+    for k, each in enumerate(types):
+        share = shares(cell, kind == k, column, row)
+        mass += share * np.where(is_wall, each.wall_particle_mass, each.fluid_mass)
+    exists = mass > 0.0
     place = np.full((column.max() + 1, row.max() + 1), -1)
     there = column >= 0
     place[column[there], row[there]] = np.flatnonzero(there)
-    start = reference.position + cell.cell_side * np.stack([column, row], axis=1)[:, None]
+    of_place = kind[np.clip(column, 0, n - 1), np.clip(row, 0, m - 1)]
+    at_rest = np.stack([reference.position for reference in references])
+    start = at_rest[of_place] + cell.cell_side * np.stack([column, row], axis=1)[:, None]
     missing = np.arange(int((~exists).sum()))  # far from one another, too
     start[~exists] = np.stack([-NOWHERE - 100.0 * missing, np.full(len(missing), -NOWHERE)], axis=1)
-    start = np.moveaxis(start.reshape(tiles, TILE, own, 2), (1, 3), (3, 1))
+    start = np.moveaxis(start.reshape(-1, TILE, own, 2), (1, 3), (3, 1))
+    constants = tuple(
+        make_constants(each, reference.rest_length)
+        for each, reference in zip(types, references, strict=True)
+    )
+    factors = Constants(*np.ones(len(constants[0])))._replace(cutoff=cell.repulsion_cutoff)
     return Tissue(
         cell=cell,
-        constants=make_constants(cell, reference.rest_length),
-        cells=cells,
+        types=constants,
+        wall_masses=tuple(each.wall_particle_mass for each in types),
+        constants=constants[0] if len(types) == 1 else factors,
+        kind=kind,
+        cells=(n, m),
         column=column,
         row=row,
-        fluid_tiles=tiles_for(cells[0] * cells[1]),
+        fluid_tiles=tiles_for(n * m),
         place=place,
         start=np.ascontiguousarray(start),
-        mass=np.ascontiguousarray(np.moveaxis(mass.reshape(tiles, TILE, own), 1, 2)),
+        mass=np.ascontiguousarray(np.moveaxis(mass.reshape(-1, TILE, own), 1, 2)),
         walls=walls,
         where=_order(exists, walls),
     )
@@ -160,18 +220,18 @@ def _places(cells: tuple[int, int]) -> tuple[Ints, Ints]:
     return column, row
 
 
-def _shares(cell: CellParameters, cells: tuple[int, int], column: Ints, row: Ints) -> Array:
-    """(places, own) part that a particle has of its mass; 0 where it does not exist."""
+def shares(cell: CellParameters, filled: NDArray[np.bool_], column: Ints, row: Ints) -> Array:
+    """(places, own) part of a particle that plant cells `filled` (n, m) have; 0 where none has."""
     per_side = cell.wall_springs_per_side
     walls = 2 * per_side - 1
-    present = np.pad(np.ones(cells), 1)
+    present = np.pad(filled.astype(np.float64), 1)
     here, left = present[column + 1, row + 1], present[column, row + 1]
     below, diagonal = present[column + 1, row], present[column, row]
     share = np.zeros((len(column), walls + cell.fluid_particles))
     share[:, 0] = (here + left + below + diagonal) / 4
     share[:, 1:per_side] = ((here + below) / 2)[:, None]
     share[:, per_side:walls] = ((here + left) / 2)[:, None]
-    share[: cells[0] * cells[1], walls:] = 1.0
+    share[:, walls:] = here[:, None]
     share[column < 0] = 0.0
     return share
 

@@ -42,8 +42,11 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
     Raises:
         SimulationError: no equilibrium within `LIMIT` steps, or the tissue collapses.
     """
-    cell, start = dynamics.tissue.cell, dynamics.x
-    frequency = np.sqrt(cell.wall_stiffness / cell.wall_particle_mass)
+    tissue, start = dynamics.tissue, dynamics.x
+    stiffest = max(each.wall_stiffness for each in tissue.types)
+    # Of wall particles, which are whole inside; a boundary halves springs and masses alike.
+    lightest = min(tissue.wall_masses)
+    frequency = np.sqrt(stiffest / lightest)
     for halvings in range(HALVINGS + 1):
         try:
             return _settle(dynamics, residual, _STEP / frequency / 2**halvings, frequency)

@@ -10,11 +10,16 @@ is first order in Δt; without damping it is second order. Stable to about 2.4e-
 damping (docs/theory.md), which limits the step before accuracy does: `stable_step`. On the paper's
 bar the default of 2e-3 µs moves the watched point by less than 1e-4 µm in the first 30 µs, 3e-6 of
 its way, by comparison with steps of 1e-3 and 5e-4.
+
+Supports are held and bodies are away while the tissue relaxes. Displacements, forces and energies
+count from there. Bodies meet the outline that the problem states: a particle touches one where its
+place on the grid of walls, moved by its displacement, does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import monotonic
 
@@ -25,38 +30,42 @@ from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.history import Recorder, TissueRun, TissueState
-from surrofe2.tissue.layout import Tissue, make_tissue
+from surrofe2.tissue.layout import Tissue, make_mixed_tissue
+from surrofe2.tissue.problem import TissueProblem, as_problem
 from surrofe2.tissue.relaxation import relax
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.tissue.stable_step import LONGEST, default_micro_step, stable_step
+from surrofe2.tissue.stable_step import LONGEST, rounded_step, stable_step
 
 Array = NDArray[np.float64]
+Cells = CellParameters | Sequence[CellParameters]
+References = ReferenceState | Sequence[ReferenceState]
 
 DEFAULTS = TissueSettings()
 
 
 def simulate_tissue(
-    load_case: LoadCase,
-    cell: CellParameters,
+    problem: TissueProblem | LoadCase,
+    cell: Cells,
     settings: TissueSettings = DEFAULTS,
     *,
-    reference: ReferenceState,
+    reference: References,
     progress: Callable[[float, float], None] | None = None,
     checkpoint: Callable[[TissueState], None] | None = None,
     checkpoint_interval: float = 30.0,
     resume: TissueState | None = None,
 ) -> TissueRun:
-    """Motion of all particles of a tissue clamped at x = 0 under a body force.
+    """Motion of all particles of a tissue, such as the bar of a load case.
 
     The tissue is first relaxed without load; displacements count from there.
 
     Args:
-        load_case: the tissue's extent, a whole number of plant cells, its load, the duration and
-            what is watched: the particle nearest to the watched point.
-        cell: the plant cell that the tissue is made of.
-        reference: its reference state, as the RVE law of the same cell has it.
+        problem: the tissue's extent, a whole number of plant cells, what happens to it, the
+            duration and what is watched: the particles nearest to the watched points.
+        cell: the plant cell that the tissue is made of, or those of `TissueProblem.kind`.
+        reference: its reference state, as the RVE law of the same cell has it, or theirs.
         progress: called with (t, duration) in µs at every output time.
         checkpoint: called at output times with the state of the run when `checkpoint_interval`
             seconds have passed since it last was, and upon an interrupt, which then goes its way.
@@ -64,7 +73,7 @@ def simulate_tissue(
             the results are those of the uninterrupted run, bit by bit.
 
     Raises:
-        InputError: the cells do not fill the load case's extent.
+        InputError: the cells do not fill the extent, or the problem contradicts itself.
         SimulationError: the step is too long or the tissue collapses; `partial` is the
             `TissueRun` up to there (None before the loaded run begins).
         MismatchError: `resume` is of another run, `reference` of another cell.
@@ -73,38 +82,41 @@ def simulate_tissue(
         raise InputError(
             f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
         )
-    tissue = make_tissue(cell, reference, cells_that_fill(load_case, cell))
-    settings = with_step(settings, cell, reference)
-    dynamics = clamped_and_loaded(load_case, tissue, settings)
-    numbers = identity(load_case, tissue, settings)
-    recorder = Recorder(load_case, settings, dynamics, numbers)
+    conditions = make_conditions(problem, cell, reference)
+    problem, tissue = conditions.problem, conditions.tissue
+    bears = step_at_rest(conditions, cell, reference)
+    settings = with_step(settings, bears)
+    check_motions(problem)
+    dynamics = held_and_loaded(conditions, settings)
+    numbers = identity(problem, tissue, settings)
+    recorder = Recorder(conditions, settings, dynamics, numbers)
     if resume is None:
         if progress is not None:
-            progress(0.0, load_case.duration)
+            progress(0.0, problem.duration)
         relax(dynamics, settings.residual)
-        recorder.begin()
+    elif not np.array_equal(resume.identity, numbers):
+        raise MismatchError(
+            "resume: cells, load, step or output times are not those of the checkpoint; run anew"
+        )
+    meet_bodies(dynamics, conditions, dynamics.x if resume is None else resume.relaxed)
+    if resume is None:
+        rates = [each.at(0.0, 0.0)[1] for each in problem.motions]
+        recorder.begin(conditions.velocity(), np.array(rates))
     else:
-        if not np.array_equal(resume.identity, numbers):
-            raise MismatchError(
-                "resume: cells, load, step or output times are not those of the checkpoint; "
-                "run anew"
-            )
         recorder.restore(resume)
-    times = load_case.output_times()
+    times = problem.output_times()
     last_checkpoint = monotonic()
     try:
         for row in range(recorder.state.rows, len(times)):
-            steps, work, lost = advance(
-                dynamics, load_case, settings, float(times[row - 1]), float(times[row])
-            )
-            recorder.record(steps, work, lost)
+            start, end = float(times[row - 1]), float(times[row])
+            recorder.record(*advance(dynamics, problem, settings, start, end))
             if progress is not None:
-                progress(float(times[row]), load_case.duration)
+                progress(end, problem.duration)
             if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
                 checkpoint(recorder.state)
                 last_checkpoint = monotonic()
     except SimulationError as error:
-        said = f"{error}; {_about_step(settings, cell, reference)}"
+        said = f"{error}; {_about_step(settings, bears)}"
         raise SimulationError(said, partial=recorder.run(finished=False)) from error
     except KeyboardInterrupt:
         if checkpoint is not None:
@@ -113,66 +125,114 @@ def simulate_tissue(
     return recorder.run(finished=True)
 
 
-def with_step(
-    settings: TissueSettings, cell: CellParameters, reference: ReferenceState
-) -> TissueSettings:
-    """The settings with the cell's own step where they state none."""
-    if settings.micro_step is not None:
-        return settings
-    return replace(settings, micro_step=default_micro_step(cell, reference))
+def make_conditions(
+    given: TissueProblem | LoadCase, cell: Cells, reference: References
+) -> Conditions:
+    """A problem on the particles of its tissue; arguments as of `simulate_tissue`."""
+    problem = as_problem(given)
+    types = [cell] if isinstance(cell, CellParameters) else cell
+    references = [reference] if isinstance(reference, ReferenceState) else reference
+    cells = cells_that_fill(problem, types[0])
+    kind = np.zeros(cells, dtype=np.int64) if problem.kind is None else problem.kind
+    if kind.shape != cells or not 0 <= kind.min() <= kind.max() < len(types):
+        raise InputError(
+            f"tissue: kinds {kind.shape} up to {kind.max()}; it has {cells[0]} × {cells[1]} plant "
+            f"cells of {len(types)} types"
+        )
+    return Conditions(problem, make_mixed_tissue(types, references, kind))
 
 
-def _about_step(settings: TissueSettings, cell: CellParameters, reference: ReferenceState) -> str:
-    """The step against the longest that the cell bears at rest, and what to change."""
-    step, limit = settings.micro_step or 0.0, stable_step(cell, reference)
-    default = default_micro_step(cell, reference)
+def step_at_rest(conditions: Conditions, cell: Cells, reference: References) -> float:
+    """The longest step, µs, that each type of plant cell bears with the bodies at rest."""
+    types = [cell] if isinstance(cell, CellParameters) else cell
+    references = [reference] if isinstance(reference, ReferenceState) else reference
+    contact = conditions.largest_contact_frequency()
+    return min(stable_step(*each, contact) for each in zip(types, references, strict=True))
+
+
+def with_step(settings: TissueSettings, bears: float) -> TissueSettings:
+    """The settings with a step that the tissue bears where they state none."""
+    return settings if settings.micro_step else replace(settings, micro_step=rounded_step(bears))
+
+
+def _about_step(settings: TissueSettings, limit: float) -> str:
+    """The step against the longest that the tissue bears at rest, and what to change."""
+    step, default = settings.micro_step or 0.0, rounded_step(limit)
     beside = f"tissue.micro_step is {step:.3g} µs, at rest this cell bears {limit:.3g} µs"
     if step > default:
         return f"{beside}: the step is too long; leave it out or take {default:g}"
     return f"{beside}: lower the load, or the step"
 
 
-def cells_that_fill(load_case: LoadCase, cell: CellParameters) -> tuple[int, int]:
+def cells_that_fill(
+    problem: TissueProblem | LoadCase, cell: CellParameters, section: str = "load"
+) -> tuple[int, int]:
     """Plant cells in x and y.
 
+    Args:
+        section: of the recipe that states the extent.
+
     Raises:
-        InputError: no whole number of them fills the load case's rectangle.
+        InputError: no whole number of them fills the rectangle.
     """
     counts = []
-    for name, extent in (("width", load_case.width), ("height", load_case.height)):
+    for name, extent in (("width", problem.width), ("height", problem.height)):
         count = round(extent / cell.cell_side)
         if count < 1 or abs(count * cell.cell_side - extent) > 1e-9 * extent:
+            hint = ": change it or give --cells N M" if section == "load" else ""
             raise InputError(
-                f"load.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
-                f"{cell.cell_side:g} µm: change it or give --cells N M"
+                f"{section}.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
+                f"{cell.cell_side:g} µm{hint}"
             )
         counts.append(count)
     return counts[0], counts[1]
 
 
-def clamped_and_loaded(
-    load_case: LoadCase, tissue: Tissue, settings: TissueSettings
-) -> TissueDynamics:
-    """The tissue at rest in its repeated reference, held at x = 0."""
-    x = tissue.to_particles(tissue.start)
-    mass = tissue.mass.reshape(-1)[tissue.where]
-    # The relaxed reference puts the left wall at x = 0 but for rounding.
-    at_left = abs(x[:, 0]) < 1e-6 * tissue.cell.cell_side
-    held = at_left & (np.arange(len(x)) < tissue.wall_particles)
-    load = mass[:, None] * np.array(load_case.body_force)
-    return TissueDynamics(tissue, skin=settings.skin, held=held, load=load)
+def check_motions(problem: TissueProblem) -> None:
+    """Refuse prescribed motion that does not begin at rest where the tissue is.
+
+    Raises:
+        InputError: naming the support or body.
+    """
+    named = [each.name for each in problem.supports if each.moves]
+    named += [each.name for each in problem.moved_bodies]
+    for name, amplitude in zip(named, problem.motions, strict=True):
+        for t in (0.0, *amplitude.corners()):
+            before, after = (amplitude.at(t, t + side)[0] for side in (-1e-9, 1e-9))
+            jump = after if t <= 0.0 else after - before
+            if abs(jump) > 1e-9 and t < problem.duration:
+                raise InputError(
+                    f"{name}.amplitude: jumps by {jump:g} at t = {max(t, 0.0):g} µs; a prescribed "
+                    "motion must begin at 0 and not jump"
+                )
+
+
+def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueDynamics:
+    """The tissue at rest in its repeated reference, with its supports and loads, without bodies."""
+    return TissueDynamics(
+        conditions.tissue,
+        skin=settings.skin,
+        held=conditions.held,
+        load=conditions.loads(),
+        drive=conditions.drive(),
+    )
+
+
+def meet_bodies(dynamics: TissueDynamics, conditions: Conditions, relaxed: Array) -> None:
+    """Let bodies act from now on; `relaxed` (particles, 2): where the outline is unloaded, µm."""
+    dynamics.plates = conditions.plates(conditions.tissue.outline - relaxed)
 
 
 def advance(
     dynamics: TissueDynamics,
-    load_case: LoadCase,
+    problem: TissueProblem,
     settings: TissueSettings,
     start: float,
     end: float,
-) -> tuple[int, float, float]:
-    """Move from t = start to end, µs; steps taken, work of the load and dissipated energy, pJ.
+) -> tuple[int, Array]:
+    """Move from t = start to end, µs; steps taken, and works as of `Recorder.record`.
 
-    The work of a body force of amplitude a between two samples is ā load·Δx, exact where a is
+    The work of a load of amplitude a between two samples is ā load·Δx, exact where a is
     constant; the dissipated power is integrated by the trapezoidal rule, second order in the step.
     """
     longest = settings.micro_step or LONGEST
@@ -184,26 +244,34 @@ def advance(
     kicks, drifts = np.full(count + 1, step), np.full(count + 1, step)
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
-    work, lost = 0.0, 0.0
+    loads, motions = [each.amplitude for each in problem.loads], problem.motions
+    works = np.zeros(len(loads) + 3)
+    dynamics.drive.work[:], dynamics.plates.work[:] = 0.0, 0.0
     x, rate = dynamics.x, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
-        amplitudes = np.array([load_case.amplitude_at(each) for each in t])
-        dynamics.leap(kicks, drifts, amplitudes)
+        amplitudes = np.array([[each.at(at, at)[0] for each in loads] for at in t])
+        values = np.array([[each.at(at, at)[0] for each in motions] for at in t])
+        # Each drift ends where the motion leads; the last kick, without a drift, at its rate.
+        last = [each.at(t[-1], t[-1])[1] for each in motions]
+        speeds = np.concatenate([np.diff(values, axis=0) / step, [last]])
+        if not loads:
+            amplitudes = np.zeros((len(t), 1))
+        dynamics.leap(kicks, drifts, amplitudes, speeds)
         x_before, rate_before, x, rate = x, rate, dynamics.x, dynamics.dissipation_rate()
-        mean = 0.5 * (amplitudes[0] + amplitudes[-1])
-        work += mean * float(np.sum(dynamics.load * (x - x_before)))
-        lost += 0.5 * length * (rate_before + rate)
-    if not (np.isfinite(work) and np.isfinite(lost)):
+        for n in range(len(loads)):
+            mean = 0.5 * (amplitudes[0, n] + amplitudes[-1, n])
+            works[n] += mean * float(np.sum(dynamics.loads[n] * (x - x_before)))
+        works[-1] += 0.5 * length * (rate_before + rate)
+    works[-2] = dynamics.drive.work[0] + dynamics.plates.work[0]
+    works[-3] = dynamics.plates.work[1]
+    if not np.isfinite(works).all():
         raise SimulationError("tissue: the motion is not finite")
-    return samples * count, work, lost
+    return samples * count, works
 
 
-def identity(load_case: LoadCase, tissue: Tissue, settings: TissueSettings) -> Array:
+def identity(problem: TissueProblem, tissue: Tissue, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may go on where the other stopped."""
-    amplitude = np.array(load_case.amplitude, dtype=np.float64).ravel()
-    return np.array(
-        [*tissue.cells, *tissue.constants, tissue.cell.wall_particle_mass, *load_case.body_force,
-         *load_case.watched, load_case.output_interval, settings.micro_step or LONGEST,
-         settings.skin, settings.energy_steps, *amplitude]
-    )  # fmt: skip
+    told = repr((replace(problem, kind=None), tissue.types, settings))
+    told += repr([tissue.mass.tobytes(), tissue.kind.tobytes()])
+    return np.array(list(hashlib.sha256(told.encode()).digest()), dtype=np.float64)

@@ -29,16 +29,25 @@ _SHIFT = 1e-6  # µm, of differences
 
 
 def default_micro_step(cell: CellParameters, reference: ReferenceState) -> float:
-    """`LONGEST`, or what the cell bears if that is less, rounded down to two digits, µs."""
-    wanted = _SHARE * stable_step(cell, reference)
+    """`rounded_step` of a tissue of one type of plant cell that touches nothing, µs."""
+    return rounded_step(stable_step(cell, reference))
+
+
+def rounded_step(limit: float) -> float:
+    """`LONGEST`, or what is borne for sure if that is less, rounded down to two digits, µs."""
+    wanted = _SHARE * limit
     if wanted >= LONGEST:
         return LONGEST
     unit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
     return float(f"{np.floor(wanted / unit) * unit:.2g}")
 
 
-def stable_step(cell: CellParameters, reference: ReferenceState) -> float:
-    """The longest stable step of two by two plant cells at rest, µs."""
+def stable_step(cell: CellParameters, reference: ReferenceState, contact: float = 0.0) -> float:
+    """The longest stable step of two by two plant cells at rest, µs.
+
+    Args:
+        contact: the largest stiffness by mass that rigid bodies add, 1/µs².
+    """
     dynamics = TissueDynamics(make_tissue(cell, reference, (2, 2)))
     at_rest = dynamics.x
     elastic = dynamics.tissue.constants._replace(
@@ -59,6 +68,7 @@ def stable_step(cell: CellParameters, reference: ReferenceState) -> float:
 
     mass = dynamics.free_mass[:, None]
     kappa, c = (_largest(product, mass) for product in (stiffness, damping))
+    kappa += contact
     return (sqrt(c * c + 4.0 * kappa) - c) / kappa
 
 

@@ -1,4 +1,4 @@
-"""The full microscopic tissue under a recipe's load case, into a run folder."""
+"""The full microscopic tissue of a recipe, into a run folder."""
 
 from __future__ import annotations
 
@@ -8,16 +8,11 @@ from pathlib import Path
 
 from surrofe2.errors import InputError
 from surrofe2.io.fields import write_particle_fields
-from surrofe2.io.run_folder import RunRecord, write_curve, write_energies
+from surrofe2.io.run_folder import RunRecord, write_curve, write_energies, write_history
 from surrofe2.recipe import Recipe
-from surrofe2.tissue import (
-    TissueDynamics,
-    TissueRun,
-    TissueState,
-    make_tissue,
-    simulate_tissue,
-)
-from surrofe2.tissue.simulation import cells_that_fill, with_step
+from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
+from surrofe2.tissue.simulation import held_and_loaded, make_conditions, step_at_rest, with_step
+from surrofe2.tissue_problem import cells_of, problem_of_tissue
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
@@ -37,7 +32,7 @@ def run_tissue(
     fresh: bool = False,
     report: Report = untold,
 ) -> RunRecord:
-    """Run the recipe's load case on a tissue of plant cells and write the run folder.
+    """Run the recipe's problem on a tissue of plant cells and write the run folder.
 
     Args:
         report: is told the time reached in µs.
@@ -45,13 +40,16 @@ def run_tissue(
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    cells = cells_that_fill(recipe.bar_load(), recipe.cell)
-    reference = kept_reference(recipe)
-    recipe = replace(recipe, tissue=with_step(recipe.tissue, recipe.cell, reference))
+    problem, cells = problem_of_tissue(recipe), cells_of(recipe)
+    references = [kept_reference(part) for part in recipe.parts().values()]
+    conditions = make_conditions(problem, cells, references)
+    bears = step_at_rest(conditions, cells, references)
+    recipe = replace(recipe, tissue=with_step(recipe.tissue, bears))
     compilation = 0.0
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
-        write_curve(folder, run.curve)
+        write_curve(folder, run.curve, run.curves)
+        write_history(folder, run.curve.t, run.history)
         write_energies(folder, run.curve.t, run.energies)
         write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
         return replace(
@@ -65,13 +63,13 @@ def run_tissue(
         nonlocal compilation
         arrays = current.last_state()
         begin = time.perf_counter()  # forces and energy are compiled outside the clock of the run
-        TissueDynamics(make_tissue(recipe.cell, reference, cells)).elastic_energy()
+        held_and_loaded(conditions, recipe.tissue).elastic_energy()
         compilation = time.perf_counter() - begin
         return simulate_tissue(
-            recipe.bar_load(),
-            recipe.cell,
+            problem,
+            cells,
             recipe.tissue,
-            reference=reference,
+            reference=references,
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
             checkpoint=lambda state: current.checkpoint(state.to_arrays()),
             checkpoint_interval=CHECKPOINT_INTERVAL,
@@ -88,8 +86,13 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
     """The recipe on a rectangle of so many plant cells, its watched point moved along.
 
     Raises:
-        InputError: less than one in a direction.
+        InputError: less than one in a direction, or the recipe states a problem other than the bar.
     """
+    if recipe.stated is not None:
+        raise InputError(
+            f"--cells: {cells[0]} {cells[1]}; {recipe.path.name} has its extent in [mesh]: change "
+            "that"
+        )
     if min(cells) < 1:
         raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
     load, side = recipe.bar_load(), recipe.cell.cell_side

@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.io.run_folder import read_curve, read_record
+from surrofe2.io.run_folder import read_curve, read_history, read_record
 from surrofe2.recipe import load_recipe
-from tests.cli.finished_run import FILES
+from tests.cli.finished_run import RUN_FILES
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def invoke(*arguments):
 def test_run_folder(short, folder):
     done = invoke(short, "--out", folder)
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert sorted(path.name for path in folder.iterdir()) == RUN_FILES
     stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert (stored["status"], stored["law"], stored["solver"]) == ("finished", "tissue", "leapfrog")
     assert stored["recipe"]["tissue"]["micro_step"] == 2e-3
@@ -121,3 +121,130 @@ def test_compared_with_a_run_by_a_law(short, folder, tmp_path, monkeypatch):
     found = json.loads((comparison / "comparison.json").read_text(encoding="utf-8"))
     assert found["reference"] == folder.name
     assert found["runs"][0]["law"] == "rve"
+
+
+STATED = """
+[cells.skin]
+preset = "water"
+wall_stiffness = 5000.0
+regions = ["upper"]
+
+[cells.parenchyma]
+preset = "water"
+regions = ["rest"]
+
+[mesh]
+width = 50.0
+height = 50.0
+elements = [2, 2]
+
+[mesh.regions]
+upper = { box = [0, 25, 50, 50] }
+
+[conditions.base]
+kind = "symmetry"
+on = "bottom"
+
+[conditions.grip]
+kind = "prescribed_motion"
+on = "left"
+displacement = [0.2, "free"]
+amplitude = { kind = "ramp", end = 0.5, smooth = true }
+
+[bodies.plate]
+plane = { normal = [0, -1] }
+on = "top"
+position = [0, 50]
+displacement = [0, -0.5]
+amplitude = { kind = "ramp", end = 1.0, smooth = true }
+
+[watch]
+top = [25.0, 50.0]
+right = [50.0, 25.0]
+
+[time]
+duration = 1.0
+output_interval = 0.1
+"""
+
+
+@pytest.fixture
+def stated(tmp_path):
+    """stated(old, new, …): a recipe of its own problem, with parts of it replaced."""
+
+    def write(*changes):
+        text = STATED
+        for old, new in zip(changes[::2], changes[1::2], strict=True):
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "stated.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, monkeypatch):
+    """Two cell types, sliding base, driven side and plate: the names are those of FE²."""
+    from tests.laws import SoftLaw
+
+    recipe = stated()
+    assert invoke(recipe, "--out", folder).exit_code == 0
+    history = read_history(folder)
+    assert history["position plate y"][-1] == pytest.approx(-0.5)
+    assert history["mean displacement left x"][-1] == pytest.approx(0.2)
+    assert history["force plate y"][-1] < -10.0
+    assert history["force base x"].tolist() == [0.0] * 11
+    header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "t_us,kinetic_pJ,elastic_pJ,motion_pJ,contact_pJ,dissipated_pJ,balance_pJ"
+    monkeypatch.setattr("surrofe2.rve.RveLaw", SoftLaw().of)
+    rve, comparison = tmp_path / "rve", tmp_path / "comparison"
+    runner = CliRunner()
+    ran = runner.invoke(app, ["run", str(recipe), "--law", "rve", "--out", str(rve)])
+    assert ran.exit_code == 0, ran.output
+    assert set(history) <= set(read_history(rve))
+    done = runner.invoke(app, ["compare", str(folder), str(rve), "--out", str(comparison)])
+    assert done.exit_code == 0, done.output
+    found = json.loads((comparison / "comparison.json").read_text(encoding="utf-8"))
+    assert found["reference"] == folder.name
+    assert set(found["runs"][0]["forces"]) == {"base", "grip", "plate"}
+    again = invoke(recipe, "--out", folder)
+    assert again.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("height = 50.0", "height = 60.0"),
+         "mesh.height: 60; a tissue needs a whole number of plant cells of 25 µm"),
+        (('"symmetry"', '"pressure"\npressure = 1.0'),
+         "conditions.base.kind: pressure; a full tissue takes fixed, symmetry, "),
+        (('on = "left"', 'on = "upper"'),
+         "conditions.grip.on: upper; a full tissue is held at boundaries only"),
+        (("displacement = [0, -0.5]", "displacement = [0, -0.5]\nfriction = 0.2"),
+         "bodies.plate.friction: 0.2; a full tissue touches without: it must be 0"),
+        (("plane = { normal = [0, -1] }", "corner = { axis = [0, 1], angle = 60, radius = 5 }"),
+         "bodies.plate: a corner; a full tissue touches planes and circles"),
+        (("wall_stiffness = 5000.0", "repulsion_cutoff = 9.0"),
+         "cell.repulsion_cutoff: 10 and 9; plant cells of one tissue must share it"),
+        (("[0, 25, 50, 50]", "[0, 25, 40, 50]", "elements = [2, 2]", "elements = [5, 2]",
+          '["rest"]', '["lower", "side"]', "[mesh.regions]", """[mesh.regions]
+lower = { box = [0, 0, 50, 25] }
+side = { box = [37, 25, 50, 50] }"""),
+         "cells.parenchyma.regions: side; the plant cell at"),
+    ],
+)  # fmt: skip
+def test_what_a_tissue_does_not_take_is_one_line(stated, folder, changes, said):
+    refused = invoke(stated(*changes), "--out", folder)
+    assert refused.exit_code == 1
+    assert said in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    assert not folder.exists()
+
+
+def test_cells_of_a_stated_rectangle_stand_in_it(stated, folder):
+    refused = invoke(stated(), "--out", folder, "--cells", 2, 2)
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        "error: --cells: 2 2; stated.toml has its extent in [mesh]: change that\n"
+    )

@@ -11,7 +11,7 @@ import pytest
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, relax, simulate_tissue
-from surrofe2.tissue.simulation import clamped_and_loaded
+from surrofe2.tissue.simulation import held_and_loaded, make_conditions
 from tests.tissue.twin import TissueTwin
 
 LOAD_CASE = LoadCase(
@@ -136,11 +136,12 @@ def test_held_wall_stays(reference):
     assert abs(done.frames.displacement[-1, ~held]).max() > 0.1
 
 
-def test_relaxed_tissue_shrinks_where_its_boundary_is_free(tissue_of):
+def test_relaxed_tissue_shrinks_where_its_boundary_is_free(reference):
     """Outer walls bulge; outer rows shrink by about 5 %, the inside by 0.2 to 0.7 %."""
-    tissue = tissue_of((6, 6))
     load_case = LoadCase(width=150.0, height=150.0, watched=(150.0, 75.0))
-    dynamics = clamped_and_loaded(load_case, tissue, TissueSettings())
+    conditions = make_conditions(load_case, *reference("printed"))
+    tissue = conditions.tissue
+    dynamics = held_and_loaded(conditions, TissueSettings())
     x = relax(dynamics, 1e-6)
     assert abs(dynamics.free_forces()).max() <= 1e-6
     start = tissue.to_particles(tissue.start)

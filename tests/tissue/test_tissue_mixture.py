@@ -1,0 +1,117 @@
+"""Plant cells of several types: equal ones change nothing, unlike ones share walls by halves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.tissue import TissueDynamics, make_mixed_tissue
+from tests.tissue.test_tissue_forces import shaken
+
+
+@pytest.fixture(scope="module")
+def types():
+    """Two cells that differ in all that may differ, and their reference states."""
+    soft = CellParameters.preset("water")
+    stiff = replace(
+        soft, wall_stiffness=5000.0, wall_particle_mass=0.7, wall_damping_ratio=0.8,
+        repulsion_strength=4e5, contact_damping_ratio=0.9, smoothing_length=5.2,
+        fluid_particle_mass=0.4, sound_speed=45.0, viscosity=0.2,
+    )  # fmt: skip
+    return [soft, stiff], [RveLaw(cell).reference for cell in (soft, stiff)]
+
+
+def tissue_of(types, kind):
+    return make_mixed_tissue(*types, np.array(kind))
+
+
+def test_equal_types_are_one_type(types):
+    (cell, _), (at_rest, _) = types
+    kind = np.array([[0, 1, 0], [1, 1, 0]])
+    one = TissueDynamics(make_mixed_tissue([cell], [at_rest], 0 * kind))
+    two = TissueDynamics(make_mixed_tissue([cell, cell], [at_rest] * 2, kind))
+    x, v = shaken(one.tissue)
+    found = []
+    for dynamics in (one, two):
+        dynamics.place(x, v)
+        steps = np.full(40, 1e-3)
+        dynamics.leap(steps, steps, np.zeros(40))
+        found.append((dynamics.x, dynamics.v, dynamics.f))
+    for here, there in zip(*found, strict=True):
+        np.testing.assert_allclose(there, here, rtol=0, atol=1e-12 * abs(here).max())
+    assert two.elastic_energy() == pytest.approx(one.elastic_energy(), rel=1e-12)
+    assert two.dissipation_rate() == pytest.approx(one.dissipation_rate(), rel=1e-10)
+
+
+def test_forces_are_minus_the_gradient_of_the_energy_and_sum_to_zero(types):
+    tissue = tissue_of(types, [[0, 1], [1, 1], [0, 0]])
+    dynamics = TissueDynamics(tissue)
+    x, v = shaken(tissue)
+    dynamics.place(x, v)
+    f = dynamics.forces()
+    assert abs(f.sum(axis=0)).max() < 1e-12 * abs(f).max() * len(f)
+    dynamics.place(x)
+    f = dynamics.forces()
+    for seed in range(3):
+        direction = np.random.default_rng(seed).normal(size=x.shape)
+        energy = []
+        for sign in (1e-4, -1e-4):
+            dynamics.place(x + sign * direction)
+            energy.append(dynamics.elastic_energy())
+        slope = (energy[0] - energy[1]) / 2e-4
+        size = np.linalg.norm(f) * np.linalg.norm(direction)
+        assert slope == pytest.approx(-np.sum(f * direction), abs=1e-7 * size)
+
+
+def test_a_wall_between_two_types_is_half_of_each(types):
+    """Forces and masses of A|B and B|A add up to those of A|A and B|B at the same particles."""
+    tissues = [tissue_of(types, kind) for kind in ([[0], [1]], [[1], [0]], [[0], [0]], [[1], [1]])]
+    x, v = shaken(tissues[0], amount=0.3)
+    found, masses, lost = [], [], []
+    for tissue in tissues:
+        dynamics = TissueDynamics(tissue)
+        dynamics.place(x, v)
+        found.append(dynamics.forces())
+        masses.append(dynamics.mass)
+        lost.append(dynamics.dissipation_rate())
+    for ab, ba, aa, bb in (found, masses):
+        np.testing.assert_allclose(ab + ba, aa + bb, rtol=0, atol=1e-11 * abs(ab).max())
+        assert abs(ab - ba).max() > 1e-3 * abs(ab).max()
+    assert lost[0] + lost[1] == pytest.approx(lost[2] + lost[3], rel=1e-11)
+
+
+def test_mirrored_types_have_mirrored_forces(types):
+    """So neither side owns the wall between them."""
+    ab, ba = (tissue_of(types, kind) for kind in ([[0], [1]], [[1], [0]]))
+    x, v = shaken(ab)
+    mirror = np.array([-1.0, 1.0])
+    across = np.array([50.0, 0.0]) + mirror * ab.to_particles(ab.start)
+    there = ba.to_particles(ba.start)
+    order = np.linalg.norm(across[:, None] - there, axis=2).argmin(axis=1)
+    assert len(set(order)) == ab.particles
+    one, two = TissueDynamics(ab), TissueDynamics(ba)
+    one.place(x, v)
+    mirrored = np.empty_like(x), np.empty_like(v)
+    mirrored[0][order], mirrored[1][order] = np.array([50.0, 0.0]) + mirror * x, mirror * v
+    two.place(*mirrored)
+    f = one.forces()
+    np.testing.assert_allclose(two.forces()[order], mirror * f, rtol=0, atol=1e-9 * abs(f).max())
+
+
+def test_mass_is_that_of_the_macro_scale(types):
+    kind = np.array([[0, 1], [1, 1], [0, 0]])
+    tissue = tissue_of(types, kind)
+    mass = sum(types[0][k].density for k in kind.ravel()) * 25.0**2
+    assert tissue.mass.sum() == pytest.approx(mass, rel=1e-13)
+
+
+@pytest.mark.parametrize("change", [{"cell_side": 30.0}, {"repulsion_cutoff": 9.0}])
+def test_cells_that_cannot_meet_are_refused(types, change):
+    cell, at_rest = types[0][0], types[1][0]
+    with pytest.raises(InputError, match=rf"^cell\.{next(iter(change))}: .* must share it"):
+        make_mixed_tissue([cell, replace(cell, **change)], [at_rest] * 2, np.array([[0, 1]]))

@@ -1,0 +1,275 @@
+"""Rigid bodies, prescribed motion and loads on a tissue, by identities."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.amplitude import Ramp, Sine, Table
+from surrofe2.errors import InputError
+from surrofe2.load_case import LoadCase
+from surrofe2.recipe import make_recipe
+from surrofe2.tissue import TissueSettings, TissueState, relax, simulate_tissue
+from surrofe2.tissue.problem import Body, Line, Load, Support, TissueProblem, outline
+from surrofe2.tissue.simulation import (
+    advance,
+    held_and_loaded,
+    make_conditions,
+    meet_bodies,
+    step_at_rest,
+)
+from surrofe2.tissue_problem import problem_of_tissue
+
+SMOOTH = Ramp(end=2.0, smooth=True)
+UPPER = Body(
+    name="upper", on="top", position=(0.0, 50.0), normal=(0.0, -1.0), displacement=(0.0, -1.5),
+    amplitude=SMOOTH,
+)  # fmt: skip
+LOWER = Body(name="lower", on="bottom", position=(0.0, 0.0), normal=(0.0, 1.0))
+PRESSED = TissueProblem(
+    width=50.0, height=50.0, boundaries=outline(50.0, 50.0), bodies=(LOWER, UPPER), duration=3.0,
+    output_interval=0.5, watched={"top": (25.0, 50.0)},
+)  # fmt: skip
+
+
+def run(reference, problem, preset="water", **settings):
+    cell, at_rest = reference(preset)
+    return simulate_tissue(problem, cell, TissueSettings(frames=2, **settings), reference=at_rest)
+
+
+def ready(reference, problem, preset="water"):
+    """Conditions and dynamics of a problem, relaxed, with its bodies."""
+    conditions = make_conditions(problem, *reference(preset))
+    dynamics = held_and_loaded(conditions, TissueSettings())
+    relax(dynamics, 1e-6)
+    meet_bodies(dynamics, conditions, dynamics.x)
+    return conditions, dynamics
+
+
+@pytest.mark.parametrize(
+    "body",
+    [replace(LOWER, on="top", position=(10.0, 49.0), normal=(0.6, -0.8)),
+     replace(LOWER, on="top", normal=(0.0, 0.0), radius=20.0, position=(25.0, 69.0))],
+    ids=["oblique plane", "circle"],
+)  # fmt: skip
+def test_contact_force_is_the_gradient_of_its_energy(reference, body):
+    """On each particle, and in sum against the force on the body."""
+    conditions = make_conditions(replace(PRESSED, bodies=(body,)), *reference("water"))
+    dynamics = held_and_loaded(conditions, TissueSettings())
+    free, x = dynamics.forces(), dynamics.x
+    meet_bodies(dynamics, conditions, x)
+    pressed = dynamics.forces() - free
+    assert (abs(pressed).sum(axis=1) > 1.0).sum() > 3
+    total = dynamics.plates.force[0].copy()
+    np.testing.assert_allclose(pressed.sum(axis=0), total, rtol=0, atol=1e-10 * abs(total).max())
+
+    def stored():
+        dynamics.forces()
+        return dynamics.plates.stored[0]
+
+    numbers = np.random.default_rng(3)
+    step, direction = 1e-5, numbers.normal(size=x.shape)
+    slopes = []
+    for sign in (1.0, -1.0):
+        dynamics.place(x + sign * step * direction)
+        slopes.append(stored())
+    slope = (slopes[0] - slopes[1]) / (2.0 * step)
+    assert slope == pytest.approx(-np.sum(pressed * direction), rel=1e-6)
+    dynamics.place(x)
+    for axis in (0, 1):
+        slopes = []
+        for sign in (1.0, -1.0):
+            dynamics.plates.x[0, axis] += sign * step
+            slopes.append(stored())
+            dynamics.plates.x[0, axis] -= sign * step
+        slope = (slopes[0] - slopes[1]) / (2.0 * step)
+        assert slope == pytest.approx(total[axis], abs=1e-6 * abs(total).max())
+
+
+def test_free_body_and_tissue_keep_their_momentum_and_energy(reference):
+    """A heavy plate is thrown on a tissue that nothing holds."""
+    thrown = replace(
+        UPPER, displacement=(0.0, 0.0), mass=30.0, velocity=(0.0, -1.0), position=(0.0, 50.3)
+    )
+    conditions, dynamics = ready(reference, replace(PRESSED, bodies=(thrown,)))
+    dynamics.start(conditions.velocity(), np.zeros(0))
+    begin = -30.0
+
+    def momentum():
+        return float(dynamics.mass @ dynamics.v[:, 1]) + 30.0 * dynamics.plates.v[0, 1]
+
+    assert momentum() == begin
+    forces = []
+    for k in range(8):
+        advance(dynamics, conditions.problem, TissueSettings(), 0.25 * k, 0.25 * (k + 1))
+        forces.append(dynamics.plates.force[0, 1])
+        assert momentum() == pytest.approx(begin, rel=1e-11)
+    assert min(forces) < -10.0
+    assert abs(dynamics.mass @ dynamics.v[:, 1]) > 0.1 * abs(begin)
+    done = run(reference, replace(PRESSED, bodies=(thrown,)), micro_step=5e-4, energy_steps=2)
+    energies = done.energies
+    assert energies["kinetic"][0] == pytest.approx(15.0)
+    assert abs(energies["balance"]).max() < 1e-3 * 15.0
+    assert done.history["position upper y"][0] == pytest.approx(0.0, abs=1e-12)
+    assert energies["contact"].max() > 0.0
+
+
+def test_energy_balance_falls_with_the_step(reference):
+    """Motion of a boundary, of a plate and a load at once: first order, for the dashpots."""
+    grip = Support(
+        name="grip", on="right", components=(True, False), displacement=(1.0, 0.0), amplitude=SMOOTH
+    )
+    load = Load(name="pull", traction=(2.0, 1.0), on="top", amplitude=Sine(frequency=0.3))
+    problem = replace(
+        PRESSED, supports=(Support(name="clamp", on="left"), grip), loads=(load,),
+        bodies=(replace(UPPER, displacement=(0.0, -0.5)),),
+    )  # fmt: skip
+    balances = []
+    for step in (1e-3, 5e-4):
+        energies = run(reference, problem, micro_step=step, energy_steps=2).energies
+        balances.append(abs(energies["balance"]).max())
+    assert {"pull", "motion", "contact"} < set(energies)
+    assert np.log2(balances[0] / balances[1]) == pytest.approx(1.0, abs=0.4)
+    assert balances[0] < 1e-3 * energies["motion"].max()
+
+
+def test_forces_of_all_that_acts_are_the_rate_of_momentum(reference):
+    """Reactions, loads and contact together move the tissue's centre of mass."""
+    grip = Support(name="grip", on="right", displacement=(1.0, 0.5), amplitude=SMOOTH)
+    load = Load(name="weight", acceleration=(0.1, -0.4))
+    problem = replace(
+        PRESSED, supports=(Support(name="clamp", on="left"), grip), loads=(load,), duration=1.0,
+        output_interval=0.01,
+    )  # fmt: skip
+    done = run(reference, problem, micro_step=5e-4)
+    names = ("clamp", "grip", "weight", "lower", "upper")
+    total = np.stack(
+        [sum(done.history[f"force {name} {axis}"] for name in names) for axis in "xy"], axis=1
+    )
+    conditions = make_conditions(problem, *reference("water"))
+    mass = conditions.tissue.mass.reshape(-1)[conditions.tissue.where]
+    impulse = 0.01 * (total.sum(axis=0) - 0.5 * (total[0] + total[-1]))
+    end = mass @ done.frames.velocity[-1]
+    np.testing.assert_allclose(impulse, end, rtol=0, atol=2e-3 * abs(end).max())
+
+
+def test_stiff_plate_is_prescribed_motion(reference):
+    """From the same rest, work and force of a plate tend to those of a driven side as 1/k."""
+    found = []
+    for stiffness in (1600.0, 6400.0, 25600.0):
+        plate = replace(UPPER, stiffness=stiffness, smoothing=1e-7)
+        held = Support(name="base", on="bottom", components=(False, True))
+        problem = replace(PRESSED, bodies=(plate,), supports=(held,), duration=2.0)
+        conditions, dynamics = ready(reference, problem)
+        settings = TissueSettings(micro_step=2.5e-4)
+        dynamics.start(conditions.velocity(), np.zeros(1))
+        rest = dynamics.x
+        _, works = advance(dynamics, problem, settings, 0.0, 2.0)
+        found.append((works[-2], dynamics.plates.force[0, 1]))
+    side = Support(
+        name="side", on="top", components=(False, True), displacement=(0.0, -1.5), amplitude=SMOOTH
+    )
+    driven = replace(problem, bodies=(), supports=(held, side))
+    conditions = make_conditions(driven, *reference("water"))
+    dynamics = held_and_loaded(conditions, settings)
+    dynamics.place(rest)
+    at_rest = dynamics.forces()
+    top = conditions.boundary("top")
+    _, works = advance(dynamics, driven, settings, 0.0, 2.0)
+    force = -dynamics.forces()[top, 1].sum()
+    assert abs(at_rest[top, 1].sum()) < 1e-3
+    off = [abs(np.array(one) / (works[-2], force) - 1.0) for one in found]
+    assert (off[0] > 3.0 * off[1]).all()
+    assert (off[1] > 3.0 * off[2]).all()
+    assert off[2].max() < 3e-3
+
+
+def test_driven_side_arrives_where_it_is_led(reference):
+    grip = Support(
+        name="grip", on="right", displacement=(0.8, -0.3), amplitude=Table(points=((0, 0), (1, 1)))
+    )
+    problem = replace(
+        PRESSED, bodies=(), supports=(Support(name="clamp", on="left"), grip), duration=1.5,
+        watched={"corner": (50.0, 50.0)},
+    )  # fmt: skip
+    done = run(reference, problem)
+    np.testing.assert_allclose(done.curve.displacement[-1], [0.8, -0.3], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(done.curve.displacement[1], [0.4, -0.15], rtol=0, atol=1e-10)
+    assert done.history["mean displacement right x"][-1] == pytest.approx(0.8, abs=1e-10)
+    assert done.energies["motion"][0] > 0.0  # the impulse of a start at once
+
+
+def test_bar_stated_as_a_problem_is_the_bar_to_the_bit(reference):
+    load = LoadCase(
+        width=50.0, height=25.0, watched=(50.0, 12.5), duration=0.5, output_interval=0.1
+    )
+    stated = make_recipe(
+        {
+            "mesh": {"width": 50.0, "height": 25.0, "elements": [2, 1]},
+            "conditions": {
+                "clamp": {"kind": "fixed", "on": "left"},
+                "load": {"kind": "body_force", "acceleration": [0.0, -0.2]},
+            },
+            "watch": {"point": [50.0, 12.5]},
+            "time": {"duration": 0.5, "output_interval": 0.1},
+        }
+    )
+    one, two = (run(reference, each, "printed") for each in (load, problem_of_tissue(stated)))
+    np.testing.assert_array_equal(one.curve.displacement, two.curve.displacement)
+    for name, values in one.energies.items():
+        np.testing.assert_array_equal(values, two.energies[name])
+
+
+def test_run_with_bodies_resumes_bit_by_bit(reference):
+    thrown = replace(UPPER, name="thrown", displacement=(0.0, 0.0), mass=30.0, velocity=(0.1, -1.0))
+    problem = replace(PRESSED, bodies=(LOWER, thrown), duration=1.5)
+    cell, at_rest = reference("water")
+    states = []
+    settings = TissueSettings(frames=2)
+    whole = simulate_tissue(
+        problem,
+        cell,
+        settings,
+        reference=at_rest,
+        checkpoint=states.append,
+        checkpoint_interval=0.0,
+    )
+    state = TissueState.from_arrays(states[0].to_arrays())
+    again = simulate_tissue(problem, cell, settings, reference=at_rest, resume=state)
+    for name, values in (whole.history | whole.energies).items():
+        np.testing.assert_array_equal((again.history | again.energies)[name], values, err_msg=name)
+
+
+def test_stiff_plate_shortens_the_step(reference):
+    cell, at_rest = reference("water")
+    steps = []
+    for bodies in ((), (LOWER,), (replace(LOWER, stiffness=1e5),)):
+        conditions = make_conditions(replace(PRESSED, bodies=bodies), cell, at_rest)
+        steps.append(step_at_rest(conditions, cell, at_rest))
+    assert steps[0] > steps[1] > 0.9 * steps[0]
+    assert steps[2] < 0.6 * steps[0]
+    done = run(reference, replace(PRESSED, bodies=(replace(LOWER, stiffness=1e5), UPPER)))
+    assert abs(done.energies["balance"]).max() < 1e-3 * done.energies["motion"].max()
+
+
+def test_supports_that_contradict_are_named(reference):
+    other = Support(name="other", on="top", displacement=(0.0, 1.0), amplitude=SMOOTH)
+    problem = replace(PRESSED, bodies=(), supports=(Support(name="clamp", on="left"), other))
+    with pytest.raises(
+        InputError, match=r"^other: component y of the particle at \(0, 50\) µm; cl"
+    ):
+        run(reference, problem)
+
+
+def test_motion_that_jumps_is_named(reference):
+    wrong = replace(UPPER, amplitude=Table(points=((0.0, 0.5), (1.0, 1.0))))
+    with pytest.raises(InputError, match=r"^upper\.amplitude: jumps by 0\.5 at t = 0 µs"):
+        run(reference, replace(PRESSED, bodies=(wrong,)))
+
+
+def test_boundary_without_particles_is_named(reference):
+    problem = replace(PRESSED, boundaries={**PRESSED.boundaries, "top": Line(1, 30.5)})
+    with pytest.raises(InputError, match=r"^boundary top: it holds no wall particle"):
+        run(reference, replace(problem, bodies=(UPPER,)))
