@@ -132,10 +132,11 @@ def _load(condition: BodyForce | Traction) -> Load:
 
 def _body(body: RigidBody) -> Body:
     where = f"bodies.{body.name}"
-    if body.friction:
-        raise InputError(
-            f"{where}.friction: {body.friction:g}; a full tissue touches without: it must be 0"
-        )
+    for name, value in (("friction", body.friction), ("damping", body.damping)):
+        if value:
+            raise InputError(
+                f"{where}.{name}: {value:g}; a full tissue touches without: leave it out"
+            )
     match body.shape:
         case Plane():
             normal, radius = body.shape.normal, 0.0

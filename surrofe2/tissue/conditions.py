@@ -20,8 +20,9 @@ from surrofe2.tissue.problem import Body, Load, Part, TissueProblem, middles_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-SMOOTHING = 0.01
-"""Of a spring's length, over which contact sets in."""
+STIFFNESS, SMOOTHING = 4.0, 0.002
+"""Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
+boundary holds its particles by; and of a spring's length, over which contact sets in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ class Conditions:
     def penalty(self, body: Body) -> tuple[float, float]:
         """Stiffness in µN/µm² and smoothing in µm of a body's contact."""
         cell, wall = self.tissue.cell, max(each.wall_stiffness for each in self.tissue.types)
-        usual = 0.5 * wall / cell.spring_length
+        usual = STIFFNESS * wall / cell.spring_length
         return (
             usual if body.stiffness is None else body.stiffness,
             SMOOTHING * cell.spring_length if body.smoothing is None else body.smoothing,

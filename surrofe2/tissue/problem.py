@@ -80,8 +80,7 @@ class Body:
 
     Attributes:
         normal: of a plane, out of the body. radius: of a circle, µm; 0 for a plane.
-        stiffness: µN/µm²; by default half the wall stiffness over a spring's length.
-        smoothing: µm; by default a hundredth of a spring's length.
+        stiffness: µN/µm²; smoothing: µm; by default `conditions.STIFFNESS` and `SMOOTHING`.
     """
 
     name: str
