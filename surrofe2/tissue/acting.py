@@ -7,8 +7,8 @@ A body acts on particles i that may touch it, with the gap g to its outline, by 
 L being the unloaded length of a particle's part of the boundary: the springs of FE², point by
 point, without dashpot and friction. A body with a mass moves by leapfrog as particles do; others,
 and particles that are driven, have in each step the mean velocity of their motion, so that they
-arrive where it leads. The work of what drives them is that of the force it takes, at the mean of the
-velocities before and after; at rest it is exact, else second order.
+arrive where it leads. The work of what drives them is that of the force it takes, at the mean of
+the velocities before and after; at rest it is exact, else second order.
 """
 
 from __future__ import annotations
