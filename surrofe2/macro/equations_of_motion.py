@@ -39,7 +39,8 @@ class Evaluation:
         internal: (n, 2) internal force, µN.
         forces: (k, n, 2) the other forces of the system, µN.
         residual: (m,) forces − internal − what prescribed accelerations take, µN.
-        powers: (k + 2,) of the internal force, the other forces and the supports, pJ/µs.
+        powers: (k + 3,) of the internal force, the other forces and the supports, pJ/µs, and 0 in
+            the place of what a method itself dissipates in a step.
         rate: (2 m,) rate of y.
     """
 
@@ -235,15 +236,17 @@ class EquationsOfMotion:
 
     def reaction(self, now: Evaluation) -> Array:
         """(n, 2) force by which supports act on what they hold: M a − forces, µN."""
-        system = self.system
-        a = np.zeros(2 * system.n_rows)
-        a[system.free] = now.acceleration
-        reaction = now.internal - now.forces.sum(axis=0) + system.mass @ a.reshape(-1, 2)
-        pushed = system.prescribed_acceleration(now.t, now.within)
-        if pushed is not None:
-            reaction += system.mass @ pushed
-        reaction.ravel()[system.free] = 0.0
+        reaction = now.internal - now.forces.sum(axis=0)
+        reaction += self.system.mass @ self.acceleration(now)
+        reaction.ravel()[self.system.free] = 0.0
         return reaction
+
+    def acceleration(self, now: Evaluation) -> Array:
+        """(n, 2) of all rows, those of supports that move included, µm/µs²."""
+        pushed = self.system.prescribed_acceleration(now.t, now.within)
+        a = np.zeros((self.system.n_rows, 2)) if pushed is None else pushed
+        a.ravel()[self.system.free] = now.acceleration
+        return a
 
     def no_stress(self, t: float, point: int, F: Array, reason: str) -> NoStress:
         """The failure that names the point."""
@@ -301,14 +304,14 @@ class EquationsOfMotion:
             unbalanced -= system.mass @ pushed
         residual = system.pick(unbalanced)
         rate = np.concatenate([y[y.size // 2 :], system.solve_mass(residual)])
-        powers = np.zeros(len(forces) + 2)
+        powers = np.zeros(len(forces) + 3)
         powers[0] = np.vdot(internal, v)
-        powers[1:-1] = np.einsum("kni,ni->k", forces, v)
+        powers[1:-2] = np.einsum("kni,ni->k", forces, v)
         now = Evaluation(
             t, self.within, y, u, v, F, F_dot, response, internal, forces, residual, powers, rate
         )
         if system.moving:
-            powers[-1] = np.vdot(self.reaction(now), v)
+            powers[-2] = np.vdot(self.reaction(now), v)
         return now
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:

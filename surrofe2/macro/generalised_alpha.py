@@ -63,6 +63,7 @@ class Solved:
     Attributes:
         now: the evaluation at the end of the step.
         a: (m,) algorithmic acceleration there.
+        residual: (m,) that Newton left, µN.
         residuals: residual relative to the largest of the forces, before each correction and
             at the end.
         solve: the factorised Newton matrix S of the last correction, S⁻¹ applied to (m,).
@@ -70,6 +71,7 @@ class Solved:
 
     now: Evaluation
     a: Array
+    residual: Array
     residuals: tuple[float, ...]
     solve: Callable[[Array], Array]
 
@@ -126,7 +128,7 @@ class GeneralisedAlpha:
     def step(
         self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
     ) -> StepResult | NoStress | Switched:
-        """The step from `start` to time t; its work is second order, by powers linear in time."""
+        """The step from `start` to time t; its works are those of `_works`."""
         h, past = t - start.t, _Past.of(start, memory)
         # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
         # end of the step it is carried on straight, or as where the step was restarted.
@@ -148,7 +150,7 @@ class GeneralisedAlpha:
             start=start,
             end=end,
             error=self._error(start, past, solved, h),
-            mean_power=0.5 * (start.powers + end.powers),
+            mean_power=self._works(start, solved) / h,
             bulge=0.0,
             power_bulge=0.0,
             memory=np.concatenate([[h], solved.a, start.rate, end.rate]),
@@ -190,8 +192,27 @@ class GeneralisedAlpha:
                 reason = "Newton near this point: the matrix is singular"
                 return equations.out_of_balance(now, residual, reason)
             if converged:
-                return Solved(now, a_end, tuple(residuals), solve)
+                return Solved(now, a_end, residual, tuple(residuals), solve)
             a_end = a_end - solve(residual)
+
+    def _works(self, start: Evaluation, solved: Solved) -> Array:
+        """(k,) works as `Evaluation.powers` lists them, pJ: mean force times displacement.
+
+        What the method dissipates is the work of inertia, less the gain of kinetic energy; it is
+        zero at spectral radius 1. Inertia is that of the method, which leaves Newton's residual.
+        """
+        end, equations = solved.now, self._equations
+        system, moved = equations.system, 0.5 * (end.u - start.u)
+        works = np.zeros(start.powers.size)
+        works[0] = np.vdot(start.internal + end.internal, moved)
+        works[1:-2] = np.einsum("kni,ni->k", start.forces + end.forces, moved)
+        if system.moving:
+            works[-2] = np.vdot(equations.reaction(start) + equations.reaction(end), moved)
+        inertia = system.mass @ (equations.acceleration(start) + equations.acceleration(end))
+        gained = 0.5 * np.vdot(end.v + start.v, system.mass @ (end.v - start.v))
+        left = 2.0 * system.pick(moved) @ solved.residual
+        works[-1] = np.vdot(inertia, moved) + left - gained
+        return works
 
     def _factorised(
         self, now: Evaluation, h: float

@@ -19,7 +19,8 @@ from surrofe2.macro.rigid_bodies import RigidBody
 Array = NDArray[np.float64]
 
 TAKEN = (
-    "kinetic", "internal", "dissipated", "balance", "motion", "contact", "contact dissipated",
+    "kinetic", "internal", "dissipated", "balance", "motion", "numerical", "contact",
+    "contact dissipated",
 )  # fmt: skip
 """Names of energies, which no condition may have."""
 

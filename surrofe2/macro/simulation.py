@@ -42,10 +42,12 @@ class MacroRun:
             since t = 0, integrated along with the equations of motion by the same method;
             `motion`, that of prescribed motion; `contact`, what is stored in contact, and
             `contact dissipated`, what its dashpots and friction took, together minus the work of
-            bodies; `balance`, all other works − gain of kinetic energy − internal,
-            zero but for the error of the time integration; `dissipated`, the work of the stress
-            in excess of σ(F, 0), from samples at the ends of steps joined by a monotone cubic
-            (second order or better), NaN where not recorded, and by region ``dissipated NAME``.
+            bodies; `numerical`, of an implicit run, what the method itself dissipated; `balance`,
+            all other works − gain of kinetic energy − internal − numerical, zero but for the error
+            of explicit steps and of interpolation within implicit ones; `dissipated`, the work of
+            the stress in excess of σ(F, 0), from samples at the ends of steps joined by a monotone
+            cubic (second order or better), NaN where not recorded, and by region
+            ``dissipated NAME``.
         curves: displacement of every watched point by name.
         history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
             forces of supports, surface loads and bodies on the tissue (µN), positions and
@@ -230,6 +232,7 @@ def _make_run(
         if name.startswith("work ") and (name != "work motion" or system.moving)
     }
     works.pop("internal")
+    numerical = works.pop("numerical")
     dissipated = {
         f"dissipated {name}".strip(): _dissipated(t, state.samples[:, [0, 1 + k]])
         for k, name in enumerate(system.regions)
@@ -244,7 +247,8 @@ def _make_run(
             **works,
             **_of_contact(system, found),
             **dissipated,
-            "balance": started + sum(works.values()) - kinetic - internal,
+            **({"numerical": numerical} if settings.integrator == "implicit" else {}),
+            "balance": started + sum(works.values()) - kinetic - internal - numerical,
         },
         curves=curves,
         history={name: column for name, column in found.items() if name.startswith(kept)},

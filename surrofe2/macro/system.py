@@ -98,7 +98,7 @@ class System:
         return a.reshape(-1, 2) if accelerates else None
 
     def start(self, within: float) -> tuple[Array, Array]:
-        """y at t = 0, and the work (1 + forces + 1,) of what sets supports into motion.
+        """y at t = 0, and the work (1 + forces + 2,) of what sets supports into motion.
 
         Raises:
             InputError: a prescribed displacement is not zero at t = 0.
@@ -136,7 +136,7 @@ class System:
 
     def _driven(self, y: Array, v: Array, t: float, after: float) -> tuple[Array, Array]:
         """y with the velocities behind a jump of the supports' from those of v (n, 2), and work."""
-        work = np.zeros(2 + len(self.forces))
+        work = np.zeros(3 + len(self.forces))
         jump = self.spread(y, t, after)[1] - v
         jump.ravel()[self.free] = 0.0
         if not jump.any():
@@ -146,7 +146,7 @@ class System:
         y[m:] -= self.solve_mass(self.pick(self.mass @ jump))
         new = self.spread(y, t, after)[1]
         # The impulse acts on the supports alone, at the mean of both velocities.
-        work[-1] = 0.5 * np.vdot(new + v, self.mass @ (new - v))
+        work[-2] = 0.5 * np.vdot(new + v, self.mass @ (new - v))
         return y, work
 
     @property

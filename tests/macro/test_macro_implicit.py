@@ -44,12 +44,23 @@ def test_second_order_in_the_step(spectral_radius):
     assert errors[-1] < 1e-3
 
 
-def test_energy_balance_is_second_order_in_the_step():
-    """Work by powers linear over a step: second order, as the motion."""
-    runs = [at_fixed_step(h, KelvinVoigt()) for h in (0.2, 0.1, 0.05)]
-    balance = [abs(run.energies["balance"]).max() for run in runs]
-    assert np.log2(np.divide(balance[:-1], balance[1:])) == pytest.approx(2.0, abs=0.2)
-    assert balance[-1] < 1e-4 * runs[-1].energies["load"].max()
+def test_energy_balances_with_what_the_method_dissipates():
+    """The latter is second order in the step; the rest is interpolation, of fourth."""
+    runs = [at_fixed_step(h, KelvinVoigt(), spectral_radius=0.5) for h in (0.2, 0.1, 0.05)]
+    for name, order in (("numerical", 2.0), ("balance", 4.0)):
+        found = np.array([abs(run.energies[name]).max() for run in runs])
+        assert np.log2(found[1] / found[2]) > order - 0.5, name
+        assert (
+            found[-1] < {"numerical": 1e-4, "balance": 1e-8}[name] * runs[-1].energies["load"].max()
+        )
+    kept = at_fixed_step(0.2, KelvinVoigt(), spectral_radius=1.0).energies
+    assert abs(kept["numerical"]).max() < 1e-9 * kept["load"].max()
+
+
+def test_energy_balances_to_1e_6_at_the_default_tolerance():
+    energies = simulate(LOAD_CASE, KelvinVoigt(), IMPLICIT).energies
+    assert abs(energies["balance"]).max() < 1e-6 * energies["load"].max()
+    assert abs(energies["numerical"]).max() < 1e-5 * energies["load"].max()
 
 
 def test_error_follows_the_tolerance():
@@ -122,7 +133,9 @@ def oscillation_left(h, spectral_radius):
     static = load / stiffness
     u = run.curve.displacement[-1, 0]
     left = run.energies["kinetic"][-1] + 0.5 * stiffness * (u - static) ** 2
-    return left / (0.5 * stiffness * static**2)
+    start = 0.5 * stiffness * static**2
+    assert start - left == pytest.approx(run.energies["numerical"][-1], abs=1e-8 * start)
+    return left / start
 
 
 def test_oscillation_loses_energy_to_third_order_in_the_step_or_not_at_all():

@@ -60,8 +60,9 @@ def test_a_jump_of_velocity_keeps_the_momentum_of_what_is_free(kind, rng):
     gain = 0.5 * (
         np.vdot(v_after, system.mass @ v_after) - np.vdot(v_before, system.mass @ v_before)
     )
-    assert work[-1] == pytest.approx(gain, rel=1e-12)
-    assert not work[:-1].any()
+    assert work[-2] == pytest.approx(gain, rel=1e-12)
+    assert not work[:-2].any()
+    assert not work[-1]
 
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
@@ -103,7 +104,7 @@ def test_equations_count_the_acceleration_of_what_is_prescribed(rng):
     assert abs(system.pick(unbalanced)).max() < 1e-12 * abs(unbalanced).max()
     reaction = equations.reaction(now)
     np.testing.assert_allclose(reaction, unbalanced, atol=1e-12 * abs(unbalanced).max())
-    assert now.powers[-1] == pytest.approx(np.vdot(unbalanced, now.v), rel=1e-10)
+    assert now.powers[-2] == pytest.approx(np.vdot(unbalanced, now.v), rel=1e-10)
     assert abs(mass_matrix(system) @ now.acceleration).max() > 0.0
 
 
@@ -168,11 +169,9 @@ def test_run_resumes_to_the_bit_across_corners(integrator, rng):
         assert resumed.counts == whole.counts
 
 
-@pytest.mark.parametrize(
-    ("integrator", "tolerance", "allowed"), [("explicit", 1e-6, 1e-6), ("implicit", 1e-4, 2e-4)]
-)
-def test_balance_closes_with_everything_that_acts(integrator, tolerance, allowed, rng):
-    """Works of all loads, bodies, springs and supports; second order with the implicit method."""
+@pytest.mark.parametrize(("integrator", "tolerance"), [("explicit", 1e-5), ("implicit", 1e-3)])
+def test_balance_closes_with_everything_that_acts(integrator, tolerance, rng):
+    """Works of all loads, bodies, springs and supports, to 1e-6 of the largest term."""
     problem = everything(rng)
     settings = MacroSettings(
         integrator=integrator, absolute_tolerance=1e-2 * tolerance, relative_tolerance=tolerance,
@@ -184,9 +183,9 @@ def test_balance_closes_with_everything_that_acts(integrator, tolerance, allowed
     worked = {name for name, values in energies.items() if abs(np.nan_to_num(values)).max() > 1e-4}
     assert {"motion", "body_force", "traction top", "pressure bottom", "foundation bottom",
             "ball", "contact", "internal", "kinetic"} <= worked  # fmt: skip
-    assert (
-        abs(energies["balance"]).max() < {"explicit": 1e-6, "implicit": 1e-4}[integrator] * largest
-    )
+    assert abs(energies["balance"]).max() < 1e-6 * largest
+    assert ("numerical" in energies) == (integrator == "implicit")
+    assert abs(energies.get("numerical", 0.0 * energies["balance"])).max() < 1e-5 * largest
     assert energies["balance"].size == problem.output_times().size
 
 
