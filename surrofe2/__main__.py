@@ -1,5 +1,15 @@
-"""`python -m surrofe2` is the command line."""
+"""The start of the command line, by `surrofe2` or `python -m surrofe2`."""
 
-from surrofe2.cli import main
+from importlib import import_module
 
-main()
+from surrofe2.interruption import watch
+
+
+def main() -> None:
+    """Run the command line; it can be interrupted from the first moment."""
+    watch()
+    import_module("surrofe2.cli").main()
+
+
+if __name__ == "__main__":
+    main()

@@ -19,8 +19,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from surrofe2.cli.console import INTERRUPTED, InterruptedWork, PrintHandler, print_error
+from surrofe2.cli.console import InterruptedWork, PrintHandler, print_error
 from surrofe2.errors import Surrofe2Error
+from surrofe2.interruption import begin_work, end_work, exit_code
 
 COMMANDS = {
     "range": "Propose the range of (F, Ḟ) that the recipe's problem needs, by a dry run.",
@@ -101,6 +102,7 @@ class Commands(TyperGroup):
             single.command(name, help=_flowing(found.__doc__))(found)
             command = typer.main.get_command(single)
         command.name = name
+        begin_work()
         return name, command, rest
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -121,10 +123,10 @@ class Commands(TyperGroup):
             raise typer.Exit(1) from None
         except InterruptedWork as work:
             print_error(f"interrupted: {work}; go on with: {_again(ctx)}")
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(exit_code()) from None
         except KeyboardInterrupt:
             print_error("interrupted: nothing was changed")
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(exit_code()) from None
 
 
 def _again(ctx: Any) -> str:
@@ -194,6 +196,8 @@ def main() -> None:
     except SystemExit as end:
         code[0] = end.code
         raise
+    finally:
+        end_work()
 
 
 def _leave(code: int) -> None:

@@ -18,8 +18,6 @@ from rich.text import Text
 
 from surrofe2.errors import InputError
 
-INTERRUPTED = 130
-
 
 class PrintHandler(logging.Handler):
     """Prints what the package logs: remarks on stdout, warnings on stderr."""

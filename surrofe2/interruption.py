@@ -1,0 +1,78 @@
+"""SIGINT (Ctrl-C) and SIGTERM end a command soon, once, and wherever it is.
+
+While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
+KeyboardInterrupt, so that work stores what it has. Where a library swallows that, as callbacks of
+compilers do, it is raised anew, unless it is being dealt with.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
+
+_AGAIN = 0.25
+"""s until an interruption that was swallowed is raised anew."""
+
+
+@dataclass(slots=True)
+class _State:
+    is_working: bool = False
+    number: int = 0
+
+
+_state = _State()
+
+
+def watch() -> None:
+    """Take both signals from now on; the command starts."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _take)
+
+
+def begin_work() -> None:
+    """From now on there may be work to keep."""
+    _state.is_working = True
+
+
+def end_work() -> None:
+    """The command is over, and nothing can interrupt it any more."""
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is _take:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def exit_code() -> int:
+    """128 and the number of the signal, as shells have it."""
+    return 128 + (_state.number or signal.SIGINT)
+
+
+def _take(number: int, frame: FrameType | None) -> None:
+    if not _state.is_working:
+        os.write(2, b"interrupted: nothing was changed\n")
+        os._exit(128 + number)
+    if not _state.number:
+        _state.number = number
+        sys.unraisablehook = _untold
+        signal.signal(signal.SIGALRM, _raise_anew)
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+        raise KeyboardInterrupt
+
+
+def _raise_anew(number: int, frame: FrameType | None) -> None:
+    error = sys.exc_info()[1]
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return
+        error = error.__context__
+    raise KeyboardInterrupt
+
+
+def _untold(unraisable: Any) -> None:
+    """Say nothing of an interruption that a library could not pass on."""
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
