@@ -1,21 +1,26 @@
-"""Data sets of (F, Ḟ) → σ in HDF5, continued after a kill at any moment; schema: data/README.md."""
+"""Data sets of (F, Ḟ) → σ in HDF5, continued after a kill at any moment; schema: data/README.md.
+
+While samples are computed, the file is written anew every few seconds, whole, with all rows that
+there are.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError, InputError
-from surrofe2.io.arrays import Column, append_rows, completed, create_arrays
-from surrofe2.io.files import check_same, flat, opened_hdf5, replacing
+from surrofe2.errors import InputError
+from surrofe2.io.files import check_same, flat
+from surrofe2.io.hdf5 import Column, store_columns, writing_hdf5
 from surrofe2.io.kept import attached
 from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range
 from surrofe2.plant_cell.reference_state import ReferenceState
@@ -25,7 +30,10 @@ from surrofe2.stress_samples import TANGENTS, StressSamples
 from surrofe2.units import RATE, STRESS, VISCOSITY
 
 SCHEMA = "surrofe2-data-set"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+INTERVAL = 5.0
+SHARE = 0.05
+"""A data set is written every so many seconds, and in no more than this share of the time."""
 LEFT = "left_bifurcation"
 _COLUMNS = {
     "F": Column((2, 2)),
@@ -73,63 +81,127 @@ class DataSetHeader(Origin):
 
 
 class DataSetWriter:
-    """An open data set. Rows are appended in order; `finish_data_set` seals the file."""
+    """A data set in the making: rows are appended in order, then it is finished."""
 
-    def __init__(self, path: Path, file: h5py.File) -> None:
-        self._path = path
-        self._file = file
+    def __init__(
+        self, path: Path, header: DataSetHeader, rows: Mapping[str, np.ndarray], is_finished: bool
+    ) -> None:
+        self.path, self.header, self._is_finished = path, header, is_finished
+        self._parts = {name: [values] for name, values in rows.items()}
+        self._written = monotonic()
+        self._wait = INTERVAL
+        self._is_stored = bool(rows)
 
     @property
     def completed(self) -> int:
-        """How many rows are safely in the file."""
-        return completed(self._file)
+        """How many rows there are."""
+        return sum(map(len, self._parts.get("F", ())))
 
     def append(
         self, F: NDArray[np.float64], F_dot: NDArray[np.float64], answer: StressResponse
     ) -> None:
-        """Write the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
+        """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
+        left = answer.left_bifurcation
         rows: dict[str, np.ndarray] = {"F": F, "F_dot": F_dot}
         rows |= {"stress": answer.stress, "status": answer.status}
-        if answer.tangents is not None and TANGENTS[0] in self._file:
+        rows[LEFT] = np.zeros(len(F), np.int8) if left is None else left.astype(np.int8)
+        if answer.tangents is not None and self.header.tangents:
             rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
-        if answer.left_bifurcation is not None and LEFT in self._file:
-            rows[LEFT] = answer.left_bifurcation
-        append_rows(self._path, self._file, rows)
+        for name, values in rows.items():
+            self._parts.setdefault(name, []).append(np.array(values))
+        self._is_stored = False
+        if monotonic() - self._written >= self._wait:
+            self.store()
 
     def left_count(self) -> int:
         """How many rows so far are of RVEs that left a bifurcation."""
-        return int(self._file[LEFT][: self.completed].sum()) if LEFT in self._file else 0
+        return int(self._rows()[LEFT].sum()) if self.completed else 0
 
     def status_counts(self) -> dict[int, int]:
         """How many rows so far have each status code."""
-        codes, counts = np.unique(self._file["status"][: self.completed], return_counts=True)
+        if not self.completed:
+            return {}
+        codes, counts = np.unique(self._rows()["status"], return_counts=True)
         return {int(code): int(n) for code, n in zip(codes, counts, strict=True)}
+
+    def store(self) -> None:
+        """Write the rows that there are, to go on from."""
+        if not self._is_stored:
+            self._write("writing", {})
+
+    def finish(self) -> StressSamples:
+        """Write all rows, the list of those that failed and the fingerprint; as read back.
+
+        Raises:
+            InputError: rows are missing.
+        """
+        missing = self.header.count - self.completed
+        if missing:
+            raise InputError(f"{self.path}: {missing} samples are missing; it cannot be finished")
+        if not self._is_finished:
+            status = self._rows()["status"]
+            index = np.flatnonzero(status)
+            reasons = [describe(code) for code in status[index]]
+            self._write("finished", {"index": index, "reason": reasons})
+            self._is_finished = True
+        return read_data_set(self.path)
+
+    def _rows(self) -> dict[str, np.ndarray]:
+        """One array for each column."""
+        for parts in self._parts.values():
+            parts[:] = [np.concatenate(parts)]
+        return {name: parts[0] for name, parts in self._parts.items()}
+
+    def _write(self, status: str, failed: Mapping[str, Any]) -> None:
+        began = monotonic()
+        with writing_hdf5(self.path) as file:
+            store_columns(file, _COLUMNS | _TANGENT_COLUMNS, self._rows())
+            if self.header.reference is not None:
+                for name, values in attached(self.header.reference).items():
+                    file[name] = values
+            file.attrs.update(_attributes(self.header), status=status, completed=self.completed)
+            if failed:
+                text = h5py.string_dtype()
+                file["failed/index"] = failed["index"]
+                file.create_dataset("failed/reason", data=failed["reason"], dtype=text)
+                file.attrs["fingerprint"] = _samples_of(file).fingerprint
+        self._written, self._is_stored = monotonic(), True
+        self._wait = max(INTERVAL, (self._written - began) / SHARE)
 
 
 @contextmanager
 def writing_data_set(
     path: Path, header: DataSetHeader, *, fresh: bool = False
 ) -> Iterator[DataSetWriter]:
-    """Create a data set, or open the one that is there to continue it.
+    """A data set to fill, or to go on with where it is there; the file has what the block took.
 
     Raises:
         FileError: the file is not a data set.
         MismatchError: it was begun with other settings, and not `fresh`.
     """
-    if not path.exists() or fresh:
-        columns = _COLUMNS | (_TANGENT_COLUMNS if header.tangents else {})
-        fixed = {} if header.reference is None else attached(header.reference)
-        create_arrays(path, columns, header.count, _attributes(header), fixed)
-    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
-        there = {"samples.tangents": False} | json.loads(file.attrs["compared"])
-        check_same(path, header.compared(), there)
-    with opened_hdf5(path, "r+") as file:
-        yield DataSetWriter(path, file)
+    rows: dict[str, np.ndarray] = {}
+    is_finished = False
+    if path.exists() and not fresh:
+        with reading(path, SCHEMA, SCHEMA_VERSION) as file:
+            check_same(path, header.compared(), json.loads(file.attrs["compared"]))
+            is_finished = file.attrs["status"] == "finished"
+            if file.attrs["completed"]:
+                rows = {name: file[name][()] for name in _columns_in(file)}
+    writer = DataSetWriter(path, header, rows, is_finished)
+    if not rows:
+        writer.store()
+    try:
+        yield writer
+    finally:
+        writer.store()
+
+
+def _columns_in(file: h5py.File) -> list[str]:
+    return [name for name in (*_COLUMNS, *_TANGENT_COLUMNS) if name in file]
 
 
 def _attributes(header: DataSetHeader) -> dict[str, Any]:
     given = {
-        "status": "writing",
         "compared": json.dumps(flat(header.compared())),
         "range": json.dumps(asdict(header.range)),
         "count": header.count,
@@ -140,52 +212,26 @@ def _attributes(header: DataSetHeader) -> dict[str, Any]:
     return header.attributes(SCHEMA, SCHEMA_VERSION) | given
 
 
-def finish_data_set(path: Path) -> None:
-    """Seal a data set whose rows are all there: list the failed samples, set its fingerprint.
-
-    Raises:
-        InputError: rows are missing.
-    """
-    with replacing(path) as partial:
-        partial.write_bytes(path.read_bytes())
-        with h5py.File(partial, "r+") as file:
-            if file.attrs["status"] == "finished":
-                return
-            missing = file["F"].shape[0] - completed(file)
-            if missing:
-                raise InputError(f"{path}: {missing} samples are missing; it cannot be finished")
-            status = file["status"][:]
-            index = np.flatnonzero(status)
-            file["failed/index"] = index
-            reasons = [describe(code) for code in status[index]]
-            file.create_dataset("failed/reason", data=reasons, dtype=h5py.string_dtype())
-            file.attrs["fingerprint"] = _samples_of(file).fingerprint
-            file.attrs["status"] = "finished"
-
-
 def read_data_set(path: str | Path) -> StressSamples:
     """The samples of a finished data set, failed ones (status not 0, stress NaN) included.
 
     Raises:
-        FileError: not a data set of this schema, truncated, or changed since it was written.
+        FileError: not a data set of this schema, or damaged.
         InputError: it is not finished.
     """
     path = Path(path)
     with reading(path, SCHEMA, SCHEMA_VERSION) as file:
         if file.attrs["status"] != "finished":
             raise InputError(
-                f"{path}: unfinished, {completed(file)} of {file['F'].shape[0]} "
+                f"{path}: unfinished, {file.attrs['completed']} of {file.attrs['count']} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        samples = _samples_of(file)
-        if samples.fingerprint != file.attrs["fingerprint"]:
-            raise FileError(f"{path}: its numbers changed since it was written; generate it anew")
-    return samples
+        return _samples_of(file)
 
 
 def _samples_of(file: h5py.File) -> StressSamples:
-    given = [name for name in TANGENTS if name in file]
-    arrays = {name: file[name][:] for name in ("F", "F_dot", "stress", "status", *given)}
+    arrays = {name: file[name][()] for name in _columns_in(file)}
+    left = arrays.pop(LEFT).astype(np.bool_)
     cell, initialisation = stored_cell(file)
     length = file.attrs.get("rest_length")
     return StressSamples(
@@ -195,5 +241,5 @@ def _samples_of(file: h5py.File) -> StressSamples:
         range=stored_range(file),
         seed=int(file.attrs["seed"]),
         rest_length=None if length is None else float(length),
-        left_bifurcation=file[LEFT][:].astype(np.bool_) if LEFT in file else None,
+        left_bifurcation=left,
     )

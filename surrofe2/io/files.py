@@ -1,20 +1,20 @@
-"""Files that are whole or absent: written beside their place, then moved into it."""
+"""Files that are whole or absent, and JSON files that prove themselves."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from surrofe2.errors import FileError, MismatchError
+from surrofe2.io import disk
+from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
 
 START_OVER = "change it back, write elsewhere or start over with --fresh"
 """The end of sentences that refuse output of other settings."""
@@ -31,17 +31,30 @@ def reported(path: Path, action: str) -> Iterator[None]:
         raise FileError(f"{path}: cannot be {action}: {error.strerror or error}") from None
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path in the same folder that becomes `path` when the block ends well."""
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a file whole, or leave what was there."""
     partial = path.with_name(f".{path.name}.partial")
     with reported(path, "written"):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        disk.make_folder(path.parent)
         try:
-            yield partial
-            os.replace(partial, path)
+            disk.write(partial, content)
+            disk.sync(partial)
+            disk.move(partial, path)
+            disk.sync(path.parent)
         finally:
-            partial.unlink(missing_ok=True)
+            disk.remove(partial)
+
+
+def remove(path: Path) -> None:
+    """Remove a file where it is there."""
+    with reported(path, "removed"):
+        disk.remove(path)
+
+
+def read_bytes(path: Path) -> bytes:
+    """What is in a file, or a FileError."""
+    with reported(path, "read"):
+        return path.read_bytes()
 
 
 def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -> None:
@@ -86,8 +99,7 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole."""
-    with replacing(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode())
 
 
 def plain(value: Any) -> Any:
@@ -105,44 +117,22 @@ def plain(value: Any) -> Any:
     return value
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON that people read too."""
-    write_text(path, json.dumps(plain(value), indent=2, ensure_ascii=False) + "\n")
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write a sealed JSON object that people read too."""
+    entries = {SEAL: NO_DIGEST, **plain(value)}
+    text = json.dumps(entries, indent=2, ensure_ascii=False) + "\n"
+    write_bytes(path, sealed(text.encode()))
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file, or a FileError."""
+    """What `write_json` wrote, or a FileError."""
+    content = read_bytes(path)
     try:
-        with reported(path, "read"):
-            value = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
+        value = json.loads(content)
+    except (ValueError, RecursionError):
         raise FileError(f"{path}: not a JSON file; it is damaged or foreign") from None
     if not isinstance(value, dict):
         raise FileError(f"{path}: not a JSON object; it is damaged or foreign")
+    check_seal(path, content)
+    del value[SEAL]
     return value
-
-
-@contextmanager
-def opened_hdf5(path: Path, mode: str) -> Iterator[h5py.File]:
-    """An open HDF5 file; one sentence where it is missing, truncated, foreign or locked."""
-    with reported(path, "read"):
-        path.open("rb").close()
-    try:
-        file = h5py.File(path, mode)
-    except OSError as error:
-        raise FileError(f"{path}: {_why_not(error)}") from None
-    try:
-        yield file
-    finally:
-        file.close()
-
-
-def _why_not(error: OSError) -> str:
-    text = str(error)
-    if "truncated" in text:
-        return "truncated HDF5 file; write it anew"
-    if "signature" in text:
-        return "not an HDF5 file"
-    if "lock" in text:
-        return "in use by another process"
-    return "cannot be opened as HDF5; it is damaged or not writable"

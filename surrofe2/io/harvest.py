@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.arrays import Column, append_rows, completed, create_arrays, grow
-from surrofe2.io.files import opened_hdf5
+from surrofe2.io.hdf5 import Column, store_columns, writing_hdf5
 from surrofe2.io.provenance import Origin, check_same_rve, reading, stored_cell
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.units import RATE, STRESS
@@ -18,14 +18,13 @@ from surrofe2.units import RATE, STRESS
 Array = NDArray[np.float64]
 
 SCHEMA = "surrofe2-harvest"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 WHY = {
     0: "asked of the RVE because the cache might not answer",
     1: "audit of the cache's answer",
     2: "neighbour of such a state",
     3: "sample of the range widened to hold such states",
 }
-CHUNK = 4096
 _COLUMNS = {
     "F": Column((2, 2)),
     "F_dot": Column((2, 2), unit=RATE),
@@ -51,8 +50,7 @@ class Harvest:
 class HarvestWriter:
     """Takes answers as `CachedLaw(on_true_answer=…)` gives them; in the file after `flush`.
 
-    Rows are written in chunks of `CHUNK`, and by `flush`, which a run calls with its checkpoints.
-    The file is created with the first of them, or continued where it is of the same RVE.
+    Where the file is of the same RVE, it is continued.
 
     Raises:
         MismatchError: the file to be continued is of other parameters.
@@ -60,37 +58,40 @@ class HarvestWriter:
 
     def __init__(self, path: Path, origin: Origin) -> None:
         self.path, self.origin = path, origin
-        self._waiting: list[tuple[NDArray[Any], ...]] = []
-        self._count = 0
+        self._parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+        self._is_stored = True
         if path.exists():
-            there = read_harvest(path)
-            check_harvest(path, there, origin.cell, origin.rve["initialisation"])
+            arrays, there = _read(path)
+            _check(path, there, (origin.cell, origin.rve["initialisation"]))
+            self.restore(arrays)
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
     ) -> None:
         """Take answers, (n, 2, 2) and (n,)."""
-        self._waiting.append(tuple(np.array(part) for part in (F, F_dot, stress, status, why)))
-        self._count += len(F)
-        if self._count >= CHUNK:
-            self.flush()
+        for parts, part in zip(self._parts.values(), (F, F_dot, stress, status, why), strict=True):
+            parts.append(np.array(part))
+        self._is_stored = self._is_stored and not len(F)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """All answers so far, for `restore`."""
+        for parts, column in zip(self._parts.values(), _COLUMNS.values(), strict=True):
+            none: NDArray[Any] = np.empty((0, *column.shape), column.kind)
+            parts[:] = [np.concatenate(parts) if parts else none]
+        return {name: parts[0] for name, parts in self._parts.items()}
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Hold these answers and no others."""
+        self._parts = {name: [arrays[name]] for name in _COLUMNS}
 
     def flush(self) -> None:
-        """Write what is waiting."""
-        if not self._count:
+        """Write all answers so far."""
+        if self._is_stored:
             return
-        parts = map(np.concatenate, zip(*self._waiting, strict=True))
-        rows = dict(zip(_COLUMNS, parts, strict=True))
-        if not self.path.exists():
-            attributes = self.origin.attributes(SCHEMA, SCHEMA_VERSION)
-            create_arrays(self.path, _COLUMNS, max(CHUNK, 2 * self._count), attributes)
-        with opened_hdf5(self.path, "r") as file:
-            needed, room = completed(file) + self._count, len(file["F"])
-        if needed > room:
-            grow(self.path, _COLUMNS, 2 * needed)
-        with opened_hdf5(self.path, "r+") as file:
-            append_rows(self.path, file, rows)
-        self._waiting, self._count = [], 0
+        with writing_hdf5(self.path) as file:
+            store_columns(file, _COLUMNS, self.to_arrays())
+            file.attrs.update(self.origin.attributes(SCHEMA, SCHEMA_VERSION))
+        self._is_stored = True
 
 
 def read_harvest(path: str | Path) -> Harvest:
@@ -99,12 +100,8 @@ def read_harvest(path: str | Path) -> Harvest:
     Raises:
         FileError: not a harvest of this schema, or damaged.
     """
-    path = Path(path)
-    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
-        count = completed(file)
-        arrays = {name: file[name][:count] for name in _COLUMNS}
-        cell, initialisation = stored_cell(file)
-    states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(count, 8)
+    arrays, (cell, initialisation) = _read(Path(path))
+    states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
     once = {name: values[first] for name, values in arrays.items()}
@@ -117,5 +114,14 @@ def check_harvest(path: Path, harvest: Harvest, cell: CellParameters, initialisa
     Raises:
         MismatchError: naming the first parameter that differs.
     """
-    there = harvest.cell, harvest.initialisation
-    check_same_rve(f"{path}: harvested", there, (cell, initialisation), "leave it out")
+    _check(path, (harvest.cell, harvest.initialisation), (cell, initialisation))
+
+
+def _read(path: Path) -> tuple[dict[str, NDArray[Any]], tuple[CellParameters, str]]:
+    """All rows, and the plant cells and initialisation that they are of."""
+    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
+        return {name: file[name][()] for name in _COLUMNS}, stored_cell(file)
+
+
+def _check(path: Path, there: tuple[CellParameters, str], here: tuple[CellParameters, str]) -> None:
+    check_same_rve(f"{path}: harvested", there, here, "leave it out")

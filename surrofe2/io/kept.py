@@ -19,7 +19,8 @@ import numpy as np
 from surrofe2.compilation import cache_folder
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.files import opened_hdf5, plain, read_json, write_json
+from surrofe2.io.files import plain, read_json, write_json
+from surrofe2.io.hdf5 import reading_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 
@@ -78,7 +79,7 @@ def attached(reference: ReferenceState) -> dict[str, np.ndarray]:
 def read_attached(path: Path, cell: CellParameters) -> ReferenceState | None:
     """The reference state of a cell that a data set carries; None where it does not."""
     try:
-        with opened_hdf5(path, "r") as file:
+        with reading_hdf5(path) as file:
             arrays = {name: file[_GROUP][name][()] for name in file.get(_GROUP, ())}
     except FileError:
         return None

@@ -14,7 +14,8 @@ from typing import Any
 import h5py
 
 from surrofe2.errors import FileError, MismatchError, Surrofe2Error
-from surrofe2.io.files import opened_hdf5, plain
+from surrofe2.io.files import plain
+from surrofe2.io.hdf5 import reading_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 
@@ -73,7 +74,7 @@ def reading(path: Path, schema: str, schema_version: int) -> Iterator[h5py.File]
         FileError: missing, foreign, of another schema or version, or an entry is missing or wrong.
     """
     kind = schema.removeprefix("surrofe2-").replace("-", " ")
-    with opened_hdf5(path, "r") as file:
+    with reading_hdf5(path) as file:
         if file.attrs.get("schema") != schema:
             raise FileError(f"{path}: an HDF5 file, but not a surrofe2 {kind}")
         found = int(file.attrs["schema_version"])

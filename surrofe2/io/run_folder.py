@@ -6,7 +6,7 @@ import csv
 import hashlib
 import io
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,19 @@ import numpy as np
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.files import check_same, read_json, reported, write_json, write_text
+from surrofe2.io.files import (
+    check_same,
+    read_bytes,
+    read_json,
+    remove,
+    reported,
+    write_json,
+    write_text,
+)
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 
 SCHEMA = "surrofe2-run"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
     "checkpoint.h5", "table.h5", "harvest.h5",
@@ -54,6 +62,7 @@ class RunRecord:
             came to.
         problem: counts of the mesh, its names, conditions, bodies and watched points; of a
             run also the largest `penetration` of each body, µm.
+        files: SHA-256 of each CSV file in the folder, as it was when this was written.
     """
 
     status: str
@@ -74,6 +83,7 @@ class RunRecord:
     met: Mapping[str, Any] = field(default_factory=dict)
     problem: Mapping[str, Any] = field(default_factory=dict)
     platform: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(
         default_factory=lambda: {
             "time": TIME,
@@ -156,7 +166,7 @@ def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> 
             *folder.glob("harvest-*.h5"),
             *folder.glob("table-*.h5"),
         ]:
-            path.unlink(missing_ok=True)
+            remove(path)
     write_record(folder, record)
     return None
 
@@ -178,7 +188,9 @@ def presets_of(recipe: Mapping[str, Any]) -> str:
 
 
 def write_record(folder: Path, record: RunRecord) -> None:
-    """Write run.json."""
+    """Write run.json, with the digests of the tables beside it."""
+    tables = [folder / name for name in FILES if name.endswith(".csv")]
+    record = replace(record, files={path.name: digest(path) for path in tables if path.exists()})
     header = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
     write_json(folder / "run.json", header | asdict(record))
 
@@ -306,11 +318,18 @@ def read_run(folder: str | Path) -> StoredRun:
     record = read_record(folder)
     if record.status != "finished":
         raise InputError(f"{folder}: the run is {record.status}; its command goes on with it")
+    for name, wanted in record.files.items():
+        if digest(folder / name) != wanted:
+            raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
     history = read_history(folder) if (folder / "history.csv").exists() else {}
     return StoredRun(folder, record, read_curve(folder), history)
 
 
+def digest(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
 def file_fingerprint(path: Path) -> str:
     """16 hexadecimal digits of a file's content."""
-    with reported(path, "read"):
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return digest(path)[:16]

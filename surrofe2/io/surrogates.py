@@ -6,9 +6,7 @@ bit anywhere is seen when the file is read. Nothing in a file is ever executed.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +20,8 @@ from safetensors.numpy import load, save
 from surrofe2 import units
 from surrofe2.cache.branches import part_of, within
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.files import plain, replacing, reported
+from surrofe2.io.files import plain, read_bytes, write_bytes
+from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
@@ -35,8 +34,6 @@ from surrofe2.surrogate.surrogate_law import SurrogateLaw
 SCHEMA, TRAINING_SCHEMA = "surrofe2-surrogate", "surrofe2-unfinished-training"
 SCHEMA_VERSION = 3  # 1 and 2 were stored by torch
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
-_NO_DIGEST = b"0" * 64
-_DIGEST = re.compile(rb'\\"sha256\\": \\"([0-9a-f]{64})\\"')
 _ANEW = "train it anew with: surrofe2 train RECIPE --fresh"
 _ZIP = b"PK\x03\x04"  # how files of torch begin
 
@@ -132,26 +129,23 @@ def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
 
 
 def _write(path: Path, schema: str, content: Mapping[str, Any], tensors: Tensors) -> None:
-    head = {"sha256": _NO_DIGEST.decode(), "schema": schema, "schema_version": SCHEMA_VERSION}
-    text = json.dumps(head | plain(content), ensure_ascii=False)
+    head = {SEAL: NO_DIGEST, "schema": schema, "schema_version": SCHEMA_VERSION}
+    text = json.dumps(plain(content) | head, ensure_ascii=False)
     arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
     stored = save(arrays, metadata={"surrofe2": text})
-    digest = hashlib.sha256(stored).hexdigest().encode()
-    with replacing(path) as partial:
-        partial.write_bytes(stored.replace(_NO_DIGEST, digest, 1))
+    write_bytes(path, sealed(stored))
 
 
 def _read(path: Path, schema: str, name: str) -> tuple[dict[str, Any], Tensors]:
-    with reported(path, "read"):
-        stored = path.read_bytes()
+    stored = read_bytes(path)
     if stored.startswith(_ZIP):
         raise FileError(f"{path}: a surrogate of an older surrofe2, stored by torch; {_ANEW}")
-    found = _DIGEST.search(stored)
-    if found is None:
+    if SEAL.encode() not in stored:
         raise FileError(f"{path}: not a surrofe2 {name}, or truncated; {_ANEW}")
-    begin, end = found.span(1)
-    if hashlib.sha256(stored[:begin] + _NO_DIGEST + stored[end:]).hexdigest() != found[1].decode():
-        raise FileError(f"{path}: a damaged or truncated {name}, see its SHA-256; {_ANEW}")
+    try:
+        check_seal(path, stored)
+    except FileError as error:
+        raise FileError(f"{error}; {_ANEW}") from None
     try:
         length = int.from_bytes(stored[:8], "little")
         content = json.loads(json.loads(stored[8 : 8 + length])["__metadata__"]["surrofe2"])

@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
-from surrofe2.io.files import replacing
+from surrofe2.io.hdf5 import writing_hdf5
 from surrofe2.io.provenance import check_same_rve, reading, stamp, stored_cell, stored_range
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
@@ -21,7 +20,7 @@ from surrofe2.tensors import INPUTS
 from surrofe2.units import STRESS
 
 SCHEMA = "surrofe2-table"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _UNITS = {
     "centre": "1 (3), 1/µs (4)",
     "stress": STRESS,
@@ -73,7 +72,7 @@ def stored(table: StressTable, recipe: Mapping[str, Any]) -> StoredTable:
 
 def write_table(path: Path, table: StoredTable) -> None:
     """Write a table, whole or not at all."""
-    with replacing(path) as partial, h5py.File(partial, "w") as file:
+    with writing_hdf5(path) as file:
         for name, values in table.records._asdict().items():
             file[name] = values
             file[name].attrs["unit"] = _UNITS[name]

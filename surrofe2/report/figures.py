@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import replacing
+from surrofe2.io.files import write_bytes
 from surrofe2.report.tables import Table
 
 Array = NDArray[np.float64]
@@ -134,8 +135,14 @@ def write_figure(
         _draw_table(axes[-1, 0], table)
     figure.suptitle(title, fontsize=11)
     _draw_legend(figure, axes.flat)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=150)
+    write_png(path, figure)
+
+
+def write_png(path: Path, figure: Figure) -> None:
+    """Write a figure as PNG."""
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=150)
+    write_bytes(path, drawn.getvalue())
 
 
 def _draw_table(axes: Axes, table: Table[Any]) -> None:

@@ -14,7 +14,8 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surrofe2.io.files import replacing
+from surrofe2.io.files import write_bytes
+from surrofe2.report.figures import write_png
 from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
@@ -43,8 +44,7 @@ def write_particle_picture(
         place.axis("off")
     _add_scales(figure, places.ravel().tolist(), drawn)
     figure.suptitle(title, fontsize=11)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=150)
+    write_png(path, figure)
 
 
 def write_particle_animation(
@@ -66,11 +66,11 @@ def write_particle_animation(
         place.set_title(clock.format(t[k]), fontsize=9)
 
     animation = FuncAnimation(figure, frame, frames=len(shown), repeat=False)
-    with replacing(path) as partial, TemporaryDirectory(dir=path.parent) as folder:
+    with TemporaryDirectory() as folder:
         # Pillow takes the format from the name's ending.
         drawn_file = Path(folder) / "animation.gif"
         animation.save(drawn_file, writer=PillowWriter(fps=_FRAMES_PER_SECOND), dpi=80)
-        drawn_file.replace(partial)
+        write_bytes(path, drawn_file.read_bytes())
 
 
 def _new_figure(width: float, height: float) -> Figure:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from surrofe2.errors import InputError
-from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
+from surrofe2.io.data_sets import DataSetHeader, writing_data_set
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange, sample
@@ -88,7 +88,7 @@ def generate_data_set(
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
         counts, left = data.status_counts(), data.left_count()
-    finish_data_set(path)
+        data.finish()
     failed = {describe(code): n for code, n in counts.items() if code}
     return Generated(path, settings.count, added, failed, left)
 

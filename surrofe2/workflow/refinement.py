@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.errors import SimulationError
 from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.files import check_same, read_json, replacing, reported, write_json
+from surrofe2.io.files import check_same, read_json, remove, reported, write_json
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
@@ -165,7 +165,7 @@ def _open(recipe: Recipe, parts: Iterable[str], out: Path, fresh: bool) -> list[
         for folder in out.glob("round-*"):
             rmtree(folder)
         for path in out.glob("surrogate*.safetensors"):
-            path.unlink()
+            remove(path)
     _write_rounds(recipe, parts, out, [])
     return []
 
@@ -333,17 +333,16 @@ def _write_samples(
     """
     law = laws.true_law(recipe)
     done, total = 0, sum(len(F) for F, _, _ in asked)
-    with replacing(path) as partial:
-        partial.unlink(missing_ok=True)
-        writer = HarvestWriter(partial, origin_of(recipe))
-        writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
-        for F, F_dot, why in asked:
-            for first in range(0, len(F), CHUNK):
-                rows = slice(first, first + CHUNK)
-                answer = law.respond(F[rows], F_dot[rows])
-                reasons = np.full(len(answer.status), why, dtype=np.int8)
-                writer(F[rows], F_dot[rows], answer.stress, answer.status, reasons)
-                done += len(answer.status)
-                report(done / total, f"{done} of {total} new samples")
-        writer.flush()
+    remove(path)
+    writer = HarvestWriter(path, origin_of(recipe))
+    writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
+    for F, F_dot, why in asked:
+        for first in range(0, len(F), CHUNK):
+            rows = slice(first, first + CHUNK)
+            answer = law.respond(F[rows], F_dot[rows])
+            reasons = np.full(len(answer.status), why, dtype=np.int8)
+            writer(F[rows], F_dot[rows], answer.stress, answer.status, reasons)
+            done += len(answer.status)
+            report(done / total, f"{done} of {total} new samples")
+    writer.flush()
     return len(harvest.F) + done

@@ -17,7 +17,8 @@ import numba
 import numpy as np
 
 from surrofe2.errors import SimulationError
-from surrofe2.io.arrays import read_checkpoint, write_checkpoint
+from surrofe2.io.files import remove
+from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.io.run_folder import RunRecord, open_run_folder, write_record
 from surrofe2.recipe import Recipe
 
@@ -75,7 +76,7 @@ class Recording:
     def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
         self.end("finished", result)
-        self._checkpoint_path().unlink(missing_ok=True)
+        remove(self._checkpoint_path())
 
     def end(self, status: str, result: Any = None, error: str | None = None) -> None:
         """Store what there is and say how the run ended."""

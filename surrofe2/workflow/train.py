@@ -12,7 +12,7 @@ import numpy as np
 
 from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.files import START_OVER, check_same, reported
+from surrofe2.io.files import START_OVER, check_same, remove, reported
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.io.kept import read_attached
 from surrofe2.io.surrogates import (
@@ -84,7 +84,7 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
     path = recipe.training_path()
     unfinished = path.with_suffix(".unfinished.safetensors")
     if fresh:
-        unfinished.unlink(missing_ok=True)
+        remove(unfinished)
     state = TrainingState(*read_training(unfinished)) if unfinished.exists() else None
     with stage("train", recipe.training.iterations, "iterations") as report:
         try:
@@ -101,7 +101,7 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
             raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None
     surrogate = replace(surrogate, reference=read_attached(recipe.data_path(), recipe.cell))
     write_surrogate(surrogate, path)
-    unfinished.unlink(missing_ok=True)
+    remove(unfinished)
     return surrogate
 
 

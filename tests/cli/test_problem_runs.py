@@ -185,9 +185,7 @@ def test_runs_of_other_problems_are_not_compared(invoke, written, tmp_path):
     assert "conditions.load.acceleration is [0.0, -0.2], in " in refused.stderr
 
 
-def test_the_tissue_of_particles_wants_the_bar(invoke, written, tmp_path):
-    refused = invoke("tissue", written("bar.toml", BAR), "--out", tmp_path / "tissue")
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        "error: bar.toml: load: missing; this command needs the bar of a section [load]\n"
-    )
+def test_the_tissue_of_particles_takes_a_problem(invoke, written, tmp_path):
+    done = invoke("tissue", written("bar.toml", BAR), "--out", tmp_path / "tissue")
+    assert done.exit_code == 0, done.output
+    assert read_record(tmp_path / "tissue").law == "tissue"

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
+from surrofe2.io.files import read_json, write_json
 
 
 def invoke(*arguments):
@@ -17,7 +18,7 @@ def test_reproduce_writes_figure_table_and_numbers(tmp_path):
     assert done.exit_code == 0, done.output
     assert (tmp_path / "fig5-water.png").stat().st_size > 10_000
     assert (tmp_path / "fig5-water.csv").read_text(encoding="utf-8").startswith("F_xy (1),")
-    record = json.loads((tmp_path / "fig5-water.json").read_text(encoding="utf-8"))
+    record = read_json(tmp_path / "fig5-water.json")
     assert record["preset"] == "water"
     assert record["cell"]["fluid_particle_mass"] == 0.27
     assert record["units"]["largest_difference"] == "µN/µm"
@@ -25,7 +26,7 @@ def test_reproduce_writes_figure_table_and_numbers(tmp_path):
     assert kept.exit_code == 0
     assert f"{tmp_path / 'fig5-water.png'}: there already" in kept.stdout
     changed = {**record, "cell": {**record["cell"], "viscosity": 9.0}}
-    (tmp_path / "fig5-water.json").write_text(json.dumps(changed), encoding="utf-8")
+    write_json(tmp_path / "fig5-water.json", changed)
     refused = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
     assert refused.exit_code == 1
     assert "cell.viscosity: this call has 0.1, what is there 9.0" in refused.stderr

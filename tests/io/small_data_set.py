@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.io.data_sets import DataSetHeader, finish_data_set, writing_data_set
+from surrofe2.io.data_sets import DataSetHeader, writing_data_set
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange, sample
@@ -36,4 +36,4 @@ def write_all(path, fails_above=1.03):
     with writing_data_set(path, HEADER) as data:
         while data.completed < HEADER.count:
             append_chunk(data, law)
-    finish_data_set(path)
+        data.finish()

@@ -1,11 +1,10 @@
 from __future__ import annotations
 
-import h5py
 import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.arrays import read_checkpoint, write_checkpoint
+from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint, writing_hdf5
 
 
 def test_arrays_come_back_as_they_were(tmp_path):
@@ -34,7 +33,8 @@ def test_checkpoint_of_something_else(tmp_path):
 
 def test_foreign_hdf5(tmp_path):
     path = tmp_path / "checkpoint.h5"
-    h5py.File(path, "w").close()
+    with writing_hdf5(path):
+        pass
     with pytest.raises(FileError) as caught:
         read_checkpoint(path, "an rve run")
     assert str(caught.value) == f"{path}: an HDF5 file, but not a surrofe2 checkpoint"
@@ -44,5 +44,5 @@ def test_truncated(tmp_path):
     path = tmp_path / "checkpoint.h5"
     write_checkpoint(path, {"y": np.zeros(1000)}, "an rve run")
     path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(FileError, match="truncated HDF5 file"):
+    with pytest.raises(FileError, match="damaged"):
         read_checkpoint(path, "an rve run")

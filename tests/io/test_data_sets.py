@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.data_sets import (
-    finish_data_set,
-    read_data_set,
-    writing_data_set,
-)
+from surrofe2.io import data_sets
+from surrofe2.io.data_sets import read_data_set, writing_data_set
+from surrofe2.io.hdf5 import write_checkpoint
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status, describe
@@ -51,7 +49,7 @@ def test_schema(tmp_path):
         assert set(file["failed/reason"].asstr()[:]) == {describe(Status.NOT_CONVERGED)}
         assert np.isnan(file["stress"][:][status != 0]).all()
         attributes = dict(file.attrs)
-    assert (attributes["schema"], attributes["schema_version"]) == ("surrofe2-data-set", 1)
+    assert (attributes["schema"], attributes["schema_version"]) == ("surrofe2-data-set", 2)
     assert attributes["status"] == "finished"
     assert attributes["package_version"] == "0.1.0"
     assert attributes["cell_fingerprint"] == HEADER.cell.fingerprint
@@ -59,30 +57,23 @@ def test_schema(tmp_path):
     assert json.loads(attributes["rve"])["tolerance"] == 1e-8
 
 
-def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path, monkeypatch):
-    """The file as the disk has it after each flush is copied, continued and compared."""
+def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path):
+    """The file as the disk has it after each writing is copied, continued and compared."""
     path, whole = tmp_path / "cells.h5", tmp_path / "whole.h5"
     write_all(whole)
     copies = []
-    flush = h5py.File.flush
-
-    def flush_and_copy(file):
-        flush(file)
-        copies.append(tmp_path / f"copy{len(copies)}.h5")
-        copies[-1].write_bytes(path.read_bytes())
-
-    monkeypatch.setattr(h5py.File, "flush", flush_and_copy)
     with writing_data_set(path, HEADER) as data:
-        append_chunk(data, SoftLaw(fails_above=1.03))
-        append_chunk(data, SoftLaw(fails_above=1.03))
-    monkeypatch.undo()
-    assert len(copies) == 4
-    for copy in copies:
+        for k in range(3):
+            copies.append(tmp_path / f"copy{k}.h5")
+            copies[-1].write_bytes(path.read_bytes())
+            append_chunk(data, SoftLaw(fails_above=1.03))
+            data.store()
+    for k, copy in enumerate(copies):
         with writing_data_set(copy, HEADER) as data:
-            assert data.completed in (0, 8, 16)
+            assert data.completed == 8 * k
             while data.completed < HEADER.count:
                 append_chunk(data, SoftLaw(fails_above=1.03))
-        finish_data_set(copy)
+            data.finish()
         assert read_data_set(copy).fingerprint == read_data_set(whole).fingerprint
 
 
@@ -99,10 +90,10 @@ def test_unfinished_is_not_read(tmp_path):
 
 def test_unfinished_is_not_sealed(tmp_path):
     path = tmp_path / "cells.h5"
-    with writing_data_set(path, HEADER):
-        pass
-    with pytest.raises(InputError, match="20 samples are missing; it cannot be finished"):
-        finish_data_set(path)
+    with writing_data_set(path, HEADER) as data:
+        append_chunk(data, SoftLaw())
+        with pytest.raises(InputError, match="12 samples are missing; it cannot be finished"):
+            data.finish()
 
 
 def test_a_finished_file_is_kept_unless_fresh(tmp_path):
@@ -111,6 +102,7 @@ def test_a_finished_file_is_kept_unless_fresh(tmp_path):
     before = path.read_bytes()
     with writing_data_set(path, HEADER) as data:
         assert data.completed == HEADER.count
+        data.finish()
     assert path.read_bytes() == before
     with writing_data_set(path, HEADER, fresh=True) as data:
         assert data.completed == 0
@@ -151,7 +143,7 @@ def test_truncated(tmp_path):
     path.write_bytes(path.read_bytes()[:-500])
     with pytest.raises(FileError) as caught:
         read_data_set(path)
-    assert str(caught.value) == f"{path}: truncated HDF5 file; write it anew"
+    assert str(caught.value).startswith(f"{path}: damaged, or changed since it was written")
 
 
 def test_foreign_hdf5(tmp_path):
@@ -160,7 +152,7 @@ def test_foreign_hdf5(tmp_path):
         file["F"] = np.zeros(3)
     with pytest.raises(FileError) as caught:
         read_data_set(path)
-    assert str(caught.value) == f"{path}: an HDF5 file, but not a surrofe2 data set"
+    assert str(caught.value) == f"{path}: no SHA-256 in it; it is damaged, foreign or older"
 
 
 def test_not_hdf5(tmp_path):
@@ -178,21 +170,42 @@ def test_missing(tmp_path):
     assert str(caught.value) == f"{path}: cannot be read: No such file or directory"
 
 
+def test_another_file_of_ours(tmp_path):
+    path = tmp_path / "cells.h5"
+    write_checkpoint(path, {}, "a run")
+    with pytest.raises(FileError) as caught:
+        read_data_set(path)
+    assert str(caught.value) == f"{path}: an HDF5 file, but not a surrofe2 data set"
+
+
 def test_changed_numbers(tmp_path):
     path = tmp_path / "cells.h5"
     write_all(path)
     with h5py.File(path, "r+") as file:
         file["stress"][0, 0, 0] += 1e-12
-    with pytest.raises(FileError, match="its numbers changed since it was written"):
+    with pytest.raises(FileError, match="changed since it was written: see its SHA-256"):
         read_data_set(path)
 
 
-def test_later_schema(tmp_path):
+def test_every_changed_byte_is_seen(tmp_path):
     path = tmp_path / "cells.h5"
     write_all(path)
-    with h5py.File(path, "r+") as file:
-        file.attrs["schema_version"] = 2
-    with pytest.raises(FileError, match="data set schema 2; this surrofe2 reads 1"):
+    content = path.read_bytes()
+    for place in np.random.default_rng(0).integers(len(content), size=200):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        with pytest.raises(FileError) as caught:
+            read_data_set(path)
+        assert str(path) in str(caught.value)
+
+
+def test_later_schema(tmp_path, monkeypatch):
+    path = tmp_path / "cells.h5"
+    with monkeypatch.context() as later:
+        later.setattr(data_sets, "SCHEMA_VERSION", 3)
+        write_all(path)
+    with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
         read_data_set(path)
 
 

@@ -1,25 +1,31 @@
 from __future__ import annotations
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.files import plain, read_json, replacing, write_json, write_text
+from surrofe2.io import disk
+from surrofe2.io.files import plain, read_json, write_json, write_text
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+@pytest.mark.parametrize("operation", ["write", "sync", "move"])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, operation):
     path = tmp_path / "a.txt"
     write_text(path, "old")
 
-    def write_half():
-        with replacing(path) as partial:
-            partial.write_text("half")
-            raise InterruptedError
+    def full(*arguments):
+        if operation == "write":
+            arguments[0].write_bytes(b"half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    with pytest.raises(FileError):
-        write_half()
+    monkeypatch.setattr(disk, operation, full)
+    with pytest.raises(FileError) as caught:
+        write_text(path, "new")
+    assert str(caught.value) == f"{path}: cannot be written: No space left on device"
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -48,3 +54,20 @@ def test_damaged_json(tmp_path, text, what):
     with pytest.raises(FileError) as caught:
         read_json(path)
     assert str(caught.value) == f"{path}: {what}; it is damaged or foreign"
+
+
+def test_json_comes_back_and_a_changed_one_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"b": 1.5, "names": ["µ"]})
+    assert read_json(path) == {"b": 1.5, "names": ["µ"]}
+    path.write_text(path.read_text().replace("1.5", "1.6"))
+    with pytest.raises(FileError, match="changed since it was written"):
+        read_json(path)
+
+
+def test_json_without_a_seal_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("{}")
+    with pytest.raises(FileError) as caught:
+        read_json(path)
+    assert str(caught.value) == f"{path}: no SHA-256 in it; it is damaged, foreign or older"

@@ -1,13 +1,12 @@
 """Curves kept between calls: the same to the bit, and only for their own configuration."""
 
-import json
-
 import numpy as np
 import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError
 from surrofe2.io import kept as kept_files
+from surrofe2.io.files import read_json, write_json
 from surrofe2.io.kept import KeptCurve, KeptCurves
 
 T = np.linspace(0.0, 7.0, 30)
@@ -33,8 +32,8 @@ def test_another_configuration_or_other_sources_are_not_taken(tmp_path, monkeypa
     monkeypatch.setattr(kept_files, "cache_folder", lambda: tmp_path / "other")
     assert kept.read("bar", CONFIGURATION) is None
     monkeypatch.undo()
-    record = json.loads(path.read_text(encoding="utf-8"))
+    record = read_json(path)
     del record["t"]
-    path.write_text(json.dumps(record), encoding="utf-8")
+    write_json(path, record)
     with pytest.raises(FileError, match="not a whole curve; delete it"):
         kept.read("bar", CONFIGURATION)

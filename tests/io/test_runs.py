@@ -9,6 +9,7 @@ import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.io.files import write_json
 from surrofe2.io.run_folder import (
     open_run_folder,
     read_curve,
@@ -109,7 +110,7 @@ def test_not_a_run_folder(tmp_path):
 
 
 def test_foreign_record(tmp_path):
-    (tmp_path / "run.json").write_text("{}")
+    write_json(tmp_path / "run.json", {})
     with pytest.raises(FileError) as caught:
         read_record(tmp_path)
     assert str(caught.value) == f"{tmp_path / 'run.json'}: not the record of a surrofe2 run"

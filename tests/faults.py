@@ -1,0 +1,81 @@
+"""Faults of the disk: every operation of `surrofe2.io.disk` in turn fails, or is the last one."""
+
+from __future__ import annotations
+
+import errno
+import os
+from contextlib import contextmanager
+from itertools import count
+
+from surrofe2.errors import FileError
+from surrofe2.io import disk
+
+OPERATIONS = ("write", "sync", "move", "remove", "make_folder")
+KINDS = {"no space": errno.ENOSPC, "input/output error": errno.EIO, "killed": None}
+
+
+class Killed(BaseException):
+    """The process ended here: nothing that it still tries reaches the disk."""
+
+
+class Fault:
+    """Lets the operation number `at` fail, and all that follow it where the process is killed."""
+
+    def __init__(self, kind, at):
+        self.code, self.at = KINDS[kind], at
+        self.done = 0
+
+    @property
+    def happened(self):
+        return self.done >= self.at
+
+    def wrap(self, name, operation):
+        def faulty(*arguments):
+            self.done += 1
+            if self.done < self.at or (self.done > self.at and self.code is not None):
+                return operation(*arguments)
+            if name == "write" and self.done == self.at:
+                path, content = arguments
+                operation(path, bytes(content)[: len(content) // 2])
+            if self.code is None:
+                raise Killed
+            raise OSError(self.code, os.strerror(self.code))
+
+        return faulty
+
+
+@contextmanager
+def fault_at(kind, at):
+    """The operations with a fault in them."""
+    fault = Fault(kind, at)
+    whole = {name: getattr(disk, name) for name in OPERATIONS}
+    for name, operation in whole.items():
+        setattr(disk, name, fault.wrap(name, operation))
+    try:
+        yield fault
+    finally:
+        for name, operation in whole.items():
+            setattr(disk, name, operation)
+
+
+def each_fault(kind, folders, work):
+    """The folders in which `work(folder)` met a fault, at its first operation, its second, …
+
+    It must fail by a FileError, which names a file in the folder, or go on without harm.
+    """
+    for at in count(1):
+        folder = folders / f"{kind}-{at}".replace(" ", "-").replace("/", "-")
+        told = f"{folder}"
+        with fault_at(kind, at) as fault:
+            try:
+                work(folder)
+            except Killed:
+                pass
+            except FileError as error:
+                told = str(error)
+        assert str(folder) in told
+        assert len(told) < 300
+        if not fault.happened:
+            assert at > 1
+            return
+        yield folder
