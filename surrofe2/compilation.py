@@ -3,17 +3,20 @@
 numba's own cache looks at the file of the outermost function alone and would go on using machine
 code whose inner functions, or constants from other files, have changed. Here the cache folder
 carries a digest of every source file of the package, so that machine code always belongs to the
-sources it is run with.
+sources it is run with. Where that folder cannot be written, kernels are compiled in memory.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
+import logging
 import os
 import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 # Threads that wait for each other spin only briefly: spinning for long is a fifth faster on idle
@@ -30,6 +33,8 @@ if _BLAS not in sys.modules:
     import numba.np.arraymath
 
     del sys.modules[_BLAS]
+
+log = logging.getLogger(__name__)
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
 OPTIONS = {"error_model": "numpy", "fastmath": FAST}
@@ -51,23 +56,64 @@ def source_digest() -> str:
 def cache_folder() -> Path:
     """Where compiled kernels of exactly these sources are kept between processes."""
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
-    base = Path(home) if home else Path.home() / ".cache"
+    try:
+        base = Path(home) if home else Path.home() / ".cache"
+    except RuntimeError:  # a user without a home; below this, nothing can be kept
+        base = Path(os.devnull)
     return base / "surrofe2" / source_digest()
+
+
+@cache
+def _writable_folder() -> Path | None:
+    """The cache folder, made where it is not there; None where it cannot be written."""
+    try:
+        folder = cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder) as file:
+            file.write(bytes(4096))
+    except OSError as error:
+        _tell_once(f"{error}")
+        return None
+    return folder
+
+
+@cache
+def _tell_once(why: str) -> None:
+    log.warning("kernels are compiled in memory and not kept, which takes a minute: %s", why)
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with options of one's own, cached here."""
-    options = {"cache": True, "no_cfunc_wrapper": True} | OPTIONS | options
+    options = {"no_cfunc_wrapper": True} | OPTIONS | options
 
     def decorate(function: Callable[..., Any]) -> Any:
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(cache_folder())
-        try:
+        folder = _writable_folder()
+        if folder is None:
             return numba.njit(**options)(function)
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            made = numba.njit(cache=True, **options)(function)
         finally:
             numba.config.CACHE_DIR = before
+        made._cache.save_overload = _saving(made._cache.save_overload, folder)
+        return made
 
     return decorate
+
+
+def _saving(save: Callable[..., None], folder: Path) -> Callable[..., None]:
+    """`save` by one process at a time, for two would use one name; a full disk is no error."""
+
+    def save_alone(*arguments: Any) -> None:
+        try:
+            with (folder / "lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                save(*arguments)
+        except OSError as error:
+            _tell_once(f"{error}")
+
+    return save_alone
 
 
 kernel = compiled()

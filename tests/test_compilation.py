@@ -77,3 +77,67 @@ def test_the_digest_covers_every_source_file(copy):
         source.write_text(source.read_text(encoding="utf-8") + "# another\n", encoding="utf-8")
         seen.append(digest())
     assert len(set(seen)) == 4
+
+
+TOLD = "kernels are compiled in memory and not kept, which takes a minute: "
+
+
+def start(copy, setting="", **environment):
+    """A process of the copy's kernel, and what it says."""
+    command = [sys.executable, "-c", setting + INPUTS]
+    given = {"PYTHONPATH": str(copy.parent), "NUMBA_CACHE_DIR": str(copy.parent / "kernels")}
+    return subprocess.Popen(
+        command,
+        env={**os.environ, **given, **environment},
+        cwd=copy.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+NO_HOME = """
+import os, pwd
+def nobody(*_):
+    raise KeyError
+pwd.getpwuid = nobody
+for name in ("HOME", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+    os.environ.pop(name, None)
+"""
+FULL = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+"""
+
+
+@pytest.mark.parametrize(
+    ("setting", "environment", "why"),
+    [
+        ("", {"NUMBA_CACHE_DIR": "/dev/null/kernels"}, "Not a directory"),
+        (NO_HOME, {}, "Not a directory"),
+        (FULL, {}, "File too large"),
+    ],
+    ids=["unwritable", "no-home", "full-disk"],
+)
+def test_without_a_place_to_keep_them_kernels_are_compiled_in_memory(
+    copy, setting, environment, why
+):
+    before = sorted(path for path in copy.rglob("*") if path.suffix != ".pyc")
+    process = start(copy, setting, **environment)
+    out, told = process.communicate()
+    assert process.returncode == 0, told
+    assert out.split()[:2] == ["7", "0"]
+    assert told.count(TOLD) == 1
+    assert len(told.splitlines()) == 1
+    assert why in told
+    assert [p for p in sorted(copy.rglob("*")) if p.suffix != ".pyc" and p.is_file()] == [
+        p for p in before if p.is_file()
+    ]
+
+
+def test_two_first_starts_at_once(copy):
+    both = [start(copy), start(copy)]
+    for process in both:
+        out, told = process.communicate()
+        assert (out.split()[0], told) == ("7", "")
+    assert inputs_of_a_law(copy) == (7, 1, 0)
