@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.stress_law import (
     Acceptance,
+    LearningLaw,
     Sources,
     StressLaw,
     StressResponse,
@@ -26,8 +27,8 @@ Index = NDArray[np.int64]
 class RegionalLaw:
     """Laws by region, each asked for its own points all at once.
 
-    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost. All
-    laws are asked to accept a step, so what one counts may be of a step that another objects to.
+    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost. A
+    law counts and learns only from steps to which no other objects.
 
     Attributes:
         laws: by name of the region.
@@ -111,11 +112,19 @@ class RegionalLaw:
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """As of `StressLaw`."""
-
-        def ask(law: StressLaw, own: Index, part: StressResponse) -> Acceptance:
-            return law.accept(F[own], F_dot[own], part)
-
-        return self._accepted(ask, response)
+        parts = self._parts_of(response)
+        prepared = [
+            law.prepare(F[own], F_dot[own], part) if isinstance(law, LearningLaw) else None
+            for (law, own), part in zip(self._parts, parts, strict=True)
+        ]
+        said = [
+            law.accept(F[own], F_dot[own], part) if ready is None else Acceptance(ready[0])
+            for (law, own), part, ready in zip(self._parts, parts, prepared, strict=True)
+        ]
+        if not any(answer.status.any() for answer in said):
+            pairs = zip(said, prepared, strict=True)
+            said = [answer if ready is None else ready[1]() for answer, ready in pairs]
+        return self._together(said, parts)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
@@ -128,18 +137,15 @@ class RegionalLaw:
             switching = cast(SwitchingLaw, law)
             return switching.restart_step(F[own], F_dot[own], part, switched[own])
 
-        return self._accepted(ask, response)
+        parts = self._parts_of(response)
+        pairs = zip(self._parts, parts, strict=True)
+        return self._together([ask(law, own, part) for (law, own), part in pairs], parts)
 
-    def _accepted(
-        self,
-        ask: Callable[[StressLaw, Index, StressResponse], Acceptance],
-        response: StressResponse,
-    ) -> Acceptance:
-        """What all laws say of their parts of a response, put together."""
-        said = []
-        for (law, own), state in zip(self._parts, response.state, strict=True):
-            left = response.left_bifurcation
-            part = replace(
+    def _parts_of(self, response: StressResponse) -> list[StressResponse]:
+        """What each law answered, without tangents."""
+        left = response.left_bifurcation
+        return [
+            replace(
                 response,
                 stress=response.stress[own],
                 status=response.status[own],
@@ -148,14 +154,19 @@ class RegionalLaw:
                 switched=None,
                 left_bifurcation=None if left is None else left[own],
             )
-            said.append((ask(law, own, part), part))
-        changed = any(answer.stress is not None for answer, _ in said)
-        stresses = [part.stress if a.stress is None else a.stress for a, part in said]
+            for (_, own), state in zip(self._parts, response.state, strict=True)
+        ]
+
+    def _together(self, said: Sequence[Acceptance], parts: Sequence[StressResponse]) -> Acceptance:
+        """What all laws say of their `parts` of a response."""
+        changed = any(answer.stress is not None for answer in said)
+        pairs = zip(said, parts, strict=True)
+        stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
         return Acceptance(
-            status=self._gathered([answer.status for answer, _ in said]),
-            state=tuple(answer.state for answer, _ in said),
+            status=self._gathered([answer.status for answer in said]),
+            state=tuple(answer.state for answer in said),
             stress=self._gathered(stresses) if changed else None,
-            left_bifurcation=self._where_any([a.left_bifurcation for a, _ in said], bool),
+            left_bifurcation=self._where_any([a.left_bifurcation for a in said], bool),
         )
 
     def _tangents(self, answers: Sequence[StressResponse]) -> Tangents:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,7 +181,20 @@ class StressLaw(Protocol):
         """
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """Commit the answer `response` that was given at (F, F_dot), the end of a kept step."""
+        """Commit the answer `response` that was given at (F, F_dot), the end of a kept step.
+
+        A law that objects at a point changes nothing: the step is not kept.
+        """
+
+
+@runtime_checkable
+class LearningLaw(StressLaw, Protocol):
+    """A law that a kept step changes beyond its state, as by what it counts or learns."""
+
+    def prepare(
+        self, F: Array, F_dot: Array, response: StressResponse
+    ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
+        """`accept` in two parts: what it objects to, (n,) codes, without a change; and the rest."""
 
 
 class SwitchingLaw(StressLaw, Protocol):

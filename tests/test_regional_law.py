@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import InputError
 from surrofe2.macro import (
     BodyForce,
@@ -17,7 +18,7 @@ from surrofe2.macro import (
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
-from tests.laws import DryFriction, KelvinVoigt
+from tests.laws import DryFriction, Failing, KelvinVoigt, Surrogate, TrueLaw, stretched
 
 MESH = Mesh.rectangle(60.0, 40.0, (3, 2)).with_regions(
     skin=Box((0.0, 20.0), (60.0, 40.0)), flesh=Box((0.0, 0.0), (60.0, 20.0))
@@ -90,3 +91,31 @@ def test_regions_that_miss_or_share_elements_are_named():
         RegionalLaw({"skin": STIFF, "flesh": SOFT}, POINTS).respond(
             *some_states(np.random.default_rng(1), 3)
         )
+
+
+def test_a_step_to_which_one_law_objects_changes_no_other():
+    """The cached law of the skin counts, audits and learns only from what the flesh keeps."""
+    cached = CachedLaw(Surrogate(), TrueLaw(), CacheSettings(audit=1.0))
+    objecting = []
+    flesh = Failing(KelvinVoigt(), refuses=lambda F, F_dot: np.full(len(F), bool(objecting)))
+    law = RegionalLaw({"skin": cached, "flesh": flesh}, POINTS)
+    F, F_dot = stretched(*np.linspace(0.9, 1.7, 30))
+    answer = law.respond(F, F_dot)
+    objecting.append(True)
+    refused = law.accept(F, F_dot, answer)
+    assert refused.status[POINTS["flesh"]].all()
+    assert not refused.status[POINTS["skin"]].any()
+    assert set(cached.counts.values()) == {0}
+    assert cached.report()["audit"]["audited"] == 0
+    objecting.clear()
+    kept = law.accept(F, F_dot, answer)
+    assert not kept.status.any()
+    assert cached.counts["steps"] == 1
+    assert cached.counts["hits"] + cached.counts["fallbacks"] == POINTS["skin"].size
+    alone = CachedLaw(Surrogate(), TrueLaw(), CacheSettings(audit=1.0))
+    own = F[POINTS["skin"]], F_dot[POINTS["skin"]]
+    expected = alone.accept(*own, alone.respond(*own))
+    assert cached.counts == alone.counts
+    np.testing.assert_array_equal(
+        kept.state[0].on_fallback.points, expected.state.on_fallback.points
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -198,11 +198,29 @@ class CachedLaw:
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
         answered by which part in the next step."""
+        return self.prepare(F, F_dot, response)[1]()
+
+    def prepare(
+        self, F: Array, F_dot: Array, response: StressResponse
+    ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
+        """As of `LearningLaw`: the fallback's check, and the rest."""
+        with self._monitor.meter.part("total"):
+            state, accepted = self._accept_fallback(F, F_dot, response, response.state)
+        if accepted.status.any():
+            return accepted.status, lambda: Acceptance(accepted.status, state)
+        return accepted.status, partial(self._learn, F, F_dot, response, state, accepted)
+
+    def _learn(
+        self,
+        F: Array,
+        F_dot: Array,
+        response: StressResponse,
+        state: CachedState,
+        accepted: Acceptance,
+    ) -> Acceptance:
+        """What follows on the fallback having `accepted`, which left `state`."""
         before: CachedState = response.state
         with self._monitor.meter.part("total"):
-            state, accepted = self._accept_fallback(F, F_dot, response, before)
-            if accepted.status.any():
-                return Acceptance(accepted.status, state)
             if accepted.stress is not None:
                 response = replace(response, stress=accepted.stress)
             self._monitor.note(F, F_dot, response.stress, state)
