@@ -19,7 +19,7 @@ from surrofe2.cli.console import (
 from surrofe2.report.study import NamedCell
 from surrofe2.workflow.reproduce import CURVES, Bars, reproduce_figure
 
-Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability"]
+Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability", "problems"]
 
 
 def reproduce(
@@ -35,8 +35,13 @@ def reproduce(
         ),
     ] = None,
     sizes: Annotated[
-        str, typer.Option(metavar="N,…", help="scales: plant cells a side of each bar.")
-    ] = "8,16,32",
+        str | None,
+        typer.Option(
+            metavar="N,…",
+            help="scales: plant cells a side of each bar, default 8,16,32. problems: across strip "
+            "and block, default 4,8,16,24.",
+        ),
+    ] = None,
     tissue: Annotated[
         bool, typer.Option("--tissue/--no-tissue", help="fig8: the full tissue as well.")
     ] = True,
@@ -53,8 +58,8 @@ def reproduce(
     initialisation against micro-integration as the rate goes down. scales: slow manifold against
     full tissues of 8 x 8, 16 x 16 and 32 x 32 plant cells. damping: decrements over mesh,
     tolerances, micro step and ways to fit. stability: where the plant cell has a stable
-    equilibrium. The last four are not in the paper; fig8, scales and damping keep each run's
-    curve in DIR/curves.
+    equilibrium. problems: strip, block between plates and skin against full tissues. The last five
+    are not in the paper; fig8, scales, damping and problems keep each run's curve in DIR/curves.
 
     Example: [bold]surrofe2 reproduce fig5 --cell water --out out/paper[/bold]
 
@@ -63,7 +68,7 @@ def reproduce(
     of = NamedCell.of(cell)
     bars = Bars(
         meshes=integers("--meshes", meshes or ("4,8" if figure == "fig8" else "4,8,16")),
-        sizes=integers("--sizes", sizes),
+        sizes=None if sizes is None else integers("--sizes", sizes),
         tissue=tissue,
         duration=duration,
     )

@@ -30,6 +30,7 @@ from surrofe2.studies.bar_runs import MICRO_STEP, TISSUE, WAYS, BarCase, BarRun
 
 DAMPING_METHODS = ("elastic", "constrained-runs", "slow-manifold")
 GROWING_METHOD = "slow-manifold"
+GROWING_SIZES = (8, 16, 32)
 TIGHTER = 0.1
 LIMIT = "mesh limit"
 
@@ -40,13 +41,14 @@ class Bars:
 
     Attributes:
         meshes: elements a side of each.
-        sizes: plant cells a side of each bar, where bars grow.
+        sizes: plant cells a side of each bar, where bars grow, or across of other problems; None:
+            as those studies have it.
         tissue: whether figure 8 computes the full tissue too.
         duration: of a run of 16 × 16 plant cells, µs.
     """
 
     meshes: tuple[int, ...] = (4, 8, 16)
-    sizes: tuple[int, ...] = (8, 16, 32)
+    sizes: tuple[int, ...] | None = None
     tissue: bool = True
     duration: float = 250.0
 
@@ -77,7 +79,7 @@ def figure_8_cases(of: NamedCell, bars: Bars) -> list[BarCase]:
 def growing_cases(of: NamedCell, bars: Bars) -> list[BarCase]:
     """The tissue and FE² on each mesh for each size, cheap ones first."""
     found = []
-    for n in bars.sizes:
+    for n in bars.sizes or GROWING_SIZES:
         tissue = BarCase(of=of, method=TISSUE, load_case=scaled_load_case(n, bars.duration))
         found.append(tissue)
         found += [replace(tissue, method=GROWING_METHOD, elements=(m, m)) for m in bars.meshes]

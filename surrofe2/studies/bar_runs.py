@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.io.kept import KeptCurve, KeptCurves
@@ -71,6 +71,15 @@ class BarCase:
         """Relative, and absolute in µm and µm/µs."""
         factor = self.tolerance_factor
         return factor * RELATIVE_TOLERANCE, factor * ABSOLUTE_TOLERANCE
+
+    @property
+    def duration(self) -> float:
+        """Length of the run, µs."""
+        return self.load_case.duration
+
+    def run(self, curve: DisplacementCurve, seconds: float) -> BarRun:
+        """The run of a kept curve."""
+        return BarRun(self, curve, seconds)
 
     def configuration(self) -> dict[str, Any]:
         """Everything the curve depends on, by name."""
@@ -164,11 +173,37 @@ class BarRun:
         return f"{self.case.method} {self.case.elements[0]}x{self.case.elements[1]}"
 
 
-def compute_or_read(case: BarCase, kept: KeptCurves, progress: Progress | None = None) -> BarRun:
+class Run(Protocol):
+    """A run: a curve and its wall time in s."""
+
+    @property
+    def curve(self) -> DisplacementCurve: ...  # noqa: D102 - the class says it
+    @property
+    def seconds(self) -> float: ...  # noqa: D102
+
+
+R_co = TypeVar("R_co", bound=Run, covariant=True)
+
+
+class Case(Protocol[R_co]):
+    """A run that is to be made; the names as of `BarCase`."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def label(self) -> str: ...  # noqa: D102
+    @property
+    def duration(self) -> float: ...  # noqa: D102
+    def configuration(self) -> dict[str, Any]: ...  # noqa: D102
+    def compute(self, progress: Progress | None = None) -> R_co: ...  # noqa: D102
+    def run(self, curve: DisplacementCurve, seconds: float) -> R_co: ...  # noqa: D102
+
+
+def compute_or_read(case: Case[R_co], kept: KeptCurves, progress: Progress | None = None) -> R_co:
     """The run of a case: from its kept curve, or made and kept."""
     found = kept.read(case.name, case.configuration())
     if found is not None:
-        return BarRun(case, found.curve, found.seconds)
+        return case.run(found.curve, found.seconds)
     run = case.compute(progress)
     kept.write(case.name, case.configuration(), KeptCurve(run.curve, run.seconds))
     return run

@@ -9,9 +9,15 @@ from pathlib import Path
 from surrofe2.io.kept import KeptCurves
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import NamedCell, Study, keep_study
-from surrofe2.studies import bar_comparison, initialisations, relaxation, stability
+from surrofe2.studies import (
+    bar_comparison,
+    initialisations,
+    relaxation,
+    stability,
+    tissue_problems,
+)
 from surrofe2.studies.bar_comparison import Bars
-from surrofe2.studies.bar_runs import BarCase, BarRun, compute_or_read
+from surrofe2.studies.bar_runs import BarCase, BarRun, Case, R_co, compute_or_read
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 
 CURVES = "curves"
@@ -41,6 +47,7 @@ OF_AN_RVE: Mapping[str, Callable[[CellParameters, Progress], Study]] = {
     "rates": _rates,
     "stability": _stability,
 }
+PROBLEMS = "problems"
 Cases = Callable[[NamedCell, Bars], list[BarCase]]
 OF_BARS: Mapping[str, tuple[Cases, Callable[[Sequence[BarRun]], Study], tuple[str, ...]]] = {
     "fig8": (bar_comparison.figure_8_cases, bar_comparison.figure_8, ("tissue",)),
@@ -71,6 +78,14 @@ def reproduce_figure(
                 return OF_AN_RVE[figure](of.cell, lambda done: report(done, ""))
 
         return keep_study(out, figure, of, {}, compute, fresh=fresh)
+    if figure == PROBLEMS:
+        sizes = tissue_problems.SIZES if bars.sizes is None else bars.sizes
+
+        def compare() -> Study:
+            cases = tissue_problems.problem_cases(of, sizes)
+            return tissue_problems.problems(compute_all(cases, KeptCurves(out / CURVES), stage))
+
+        return keep_study(out, figure, of, {"sizes": sizes}, compare, fresh=fresh)
     cases, describe, depends = OF_BARS[figure]
     names = {"meshes", "duration", *depends}
     asked = {name: value for name, value in asdict(bars).items() if name in names}
@@ -81,12 +96,12 @@ def reproduce_figure(
     return keep_study(out, figure, of, asked, make, fresh=fresh)
 
 
-def compute_all(cases: list[BarCase], kept: KeptCurves, stage: Stage = silent) -> list[BarRun]:
+def compute_all(cases: Sequence[Case[R_co]], kept: KeptCurves, stage: Stage = silent) -> list[R_co]:
     """The runs of all cases; those whose curves are kept are not computed again."""
     runs = []
     for k, case in enumerate(cases):
         label = f"{k + 1} of {len(cases)}: {case.label}"
-        with stage(label, case.load_case.duration, "µs") as report:
+        with stage(label, case.duration, "µs") as report:
             runs.append(compute_or_read(case, kept, _reporting(report)))
     return runs
 
