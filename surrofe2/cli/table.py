@@ -9,7 +9,7 @@ import typer
 
 from surrofe2.cli.console import Fresh, print_line
 from surrofe2.io.tables import read_table
-from surrofe2.workflow.run import merge_tables
+from surrofe2.workflow.run_outputs import merge_tables
 
 table = typer.Typer(
     help="Tables of stresses that runs by --law table leave behind: show and merge them.",

@@ -48,22 +48,12 @@ class Harvest:
 
 
 class HarvestWriter:
-    """Takes answers as `CachedLaw(on_true_answer=…)` gives them; in the file after `flush`.
-
-    Where the file is of the same RVE, it is continued.
-
-    Raises:
-        MismatchError: the file to be continued is of other parameters.
-    """
+    """Takes answers as `CachedLaw(on_true_answer=…)` gives them; `flush` writes the file anew."""
 
     def __init__(self, path: Path, origin: Origin) -> None:
         self.path, self.origin = path, origin
         self._parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         self._is_stored = True
-        if path.exists():
-            arrays, there = _read(path)
-            _check(path, there, (origin.cell, origin.rve["initialisation"]))
-            self.restore(arrays)
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
@@ -83,6 +73,7 @@ class HarvestWriter:
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Hold these answers and no others."""
         self._parts = {name: [arrays[name]] for name in _COLUMNS}
+        self._is_stored = not len(arrays["why"])
 
     def flush(self) -> None:
         """Write all answers so far."""

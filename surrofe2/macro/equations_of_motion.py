@@ -111,7 +111,7 @@ class EquationsOfMotion:
         piece: number of the one under way.
         clock: how a message calls the time; a quasi-static load has a factor in its place.
         law_state: what the stress law committed last.
-        is_committing: whether the law may have committed more than was recorded of the run.
+        is_committing: whether the law may have taken down more than was recorded of the run.
     """
 
     def __init__(
@@ -170,9 +170,7 @@ class EquationsOfMotion:
         started = perf_counter()
         acceptance = self.law.accept(now.F, now.F_dot, now.response)
         self.tally.law_seconds += perf_counter() - started
-        start = self._begin(now, acceptance)
-        self.is_committing = isinstance(start, Evaluation)
-        return start
+        return self._begin(now, acceptance)
 
     def begin(self, t: float, y: Array) -> Evaluation | NoStress | Switched:
         """The evaluation by which the first step begins, accepted by the law."""

@@ -223,6 +223,7 @@ class Recorder:
         samples = np.zeros((0, 1 + len(self._system.regions)))
         if self._record_dissipation:
             samples = self._with_sample(samples, start)
+            self._record_dissipation = len(samples) > 0
         self._state = MacroState(
             t=start.t,
             y=start.y,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ class Rest:
         counts: load steps, halvings, Newton iterations.
         next_step: factor of the next load step.
         extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
+        law_state: what the law has committed.
     """
 
     system: System
@@ -62,6 +64,7 @@ class Rest:
     counts: dict[str, int]
     next_step: float
     extremes: Array
+    law_state: Any
 
     @property
     def frame(self) -> Frames:
@@ -70,10 +73,11 @@ class Rest:
         return Frames.of(space, self.factor, (u, 0.0 * u), self.F, self.stress)
 
     def to_arrays(self) -> dict[str, Array]:
-        """What `find_rest` goes on from."""
+        """What `find_rest` goes on from, but for the law's state."""
         numbers = {"factor": self.factor, "next_step": self.next_step, **self.counts}
         arrays = {name: np.array(value) for name, value in numbers.items()}
-        return arrays | {"u": self.u, "path": self.path, "extremes": self.extremes}
+        tensors = {"u": self.u, "stress": self.stress, "extremes": self.extremes}
+        return arrays | tensors | {"path": self.path}
 
     @property
     def watched(self) -> Array:
@@ -91,6 +95,7 @@ def find_rest(
     load_steps: int = 1,
     reached: Callable[[Rest], None] | None = None,
     resume: Mapping[str, Array] | None = None,
+    law_state: Any = None,
 ) -> Rest:
     """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
 
@@ -103,7 +108,8 @@ def find_rest(
         load_steps: load steps to begin with.
         reached: called with each equilibrium on the way, the one without load first.
         resume: `Rest.to_arrays` of an equilibrium of the same problem on the way to the same
-            factor; the law starts cold there.
+            factor, with its `law_state`; what is found is that of the uninterrupted way, to the
+            bit.
 
     Raises:
         InputError: the law has no tangents.
@@ -119,22 +125,18 @@ def find_rest(
     system = system_of(as_problem(problem, settings), law, proportional=True)
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     newton = _Newton(equations, make_assembly(system), settings)
-    start = resume or {
-        "factor": np.zeros(()),
-        "next_step": np.array(factor / load_steps),
-        "u": np.zeros((system.n_rows, 2)),
-        "path": np.zeros((1, 3)),
-        "extremes": NO_EXTREMES,
-    }
-    if start["u"].shape != (system.n_rows, 2):
-        raise MismatchError("resume: the mesh is not that of the state; start anew")
-    found = newton.rest_at(float(start["factor"]), system.pick(start["u"]), start["path"])
-    if isinstance(found, NoStress):
+    found: Rest | NoStress | Switched
+    if resume is None:
+        step, met = factor / load_steps, NO_EXTREMES
+        found = newton.rest_at(0.0, np.zeros(system.free.size), np.zeros((1, 3)))
+    else:
+        if resume["u"].shape != (system.n_rows, 2):
+            raise MismatchError("resume: the mesh is not that of the state; start anew")
+        step, met = float(resume["next_step"]), resume["extremes"]
+        found = newton.known(resume, law_state)
+    if not isinstance(found, Rest):
         raise SimulationError(f"the load cannot start: {found.message}")
-    if resume is not None:
-        newton.set_counts(resume)
-    step, failed = float(start["next_step"]), False
-    rest = _on_the_way(found, start["extremes"], step)
+    rest, failed = _on_the_way(found, met, step), False
     if reached is not None and resume is None:
         reached(rest)
     while rest.factor != factor:
@@ -182,34 +184,45 @@ class _Newton:
             found = restarted if isinstance(restarted, NoStress) else self.balanced(factor, u)
         if isinstance(found, NoStress):
             return found
-        now, residuals, (K, C) = found
-        system = self.equations.system
         self.equations.tally.counts["load_steps"] += factor != 0.0
-        here = np.append(factor, system.at_watched_points(now.u)[0])
+        here = np.append(factor, self.equations.system.at_watched_points(found[0].u)[0])
+        return self._rest(*found, np.vstack([path, here]) if factor != path[-1, 0] else path)
+
+    def known(self, there: Mapping[str, Array], law_state: Any) -> Rest | NoStress | Switched:
+        """An equilibrium that was found before, as of `Rest.to_arrays`."""
+        equations, factor = self.equations, float(there["factor"])
+        u = equations.system.pick(there["u"])
+        y = np.concatenate([u, np.zeros(u.size)])
+        start = equations.resume(factor, y, there["stress"], law_state)
+        again = equations.evaluate(factor, y, tangents=True)
+        if not isinstance(again, Evaluation):
+            return again
+        for name in _COUNTS:
+            equations.tally.counts[name] = int(there[name])
+        return self._rest(start, [], self.assembly.tangents(again), there["path"])
+
+    def _rest(self, now: Evaluation, residuals: list[float], slopes: Slopes, path: Array) -> Rest:
+        equations = self.equations
         return Rest(
-            system=system,
-            factor=factor,
+            system=equations.system,
+            factor=now.t,
             u=now.u,
             F=now.F,
             stress=now.response.stress,
-            stiffness=K,
-            damping=C,
-            forces=system.resultants(now.forces, self.equations.reaction(now)),
-            path=np.vstack([path, here]) if factor != path[-1, 0] else path,
+            stiffness=slopes[0],
+            damping=slopes[1],
+            forces=equations.system.resultants(now.forces, equations.reaction(now)),
+            path=path,
             residuals=tuple(residuals),
             counts=self.counts(),
             next_step=0.0,
             extremes=NO_EXTREMES,
+            law_state=equations.law_state,
         )
 
     def counts(self) -> dict[str, int]:
         """As of `Rest`."""
         return {name: self.equations.tally.counts[name] for name in _COUNTS}
-
-    def set_counts(self, there: Mapping[str, Array]) -> None:
-        """Go on from counts that were reached before."""
-        for name in _COUNTS:
-            self.equations.tally.counts[name] = int(there[name])
 
     def balanced(
         self, factor: float, u: Array

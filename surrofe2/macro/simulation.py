@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from time import monotonic
+from functools import partial
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
@@ -108,8 +109,9 @@ def simulate(
         settings: mesh of a bar, tolerances, what is kept.
         progress: called with (t, duration) in µs after every step.
         checkpoint: called with the state of the run when `checkpoint_interval` seconds have
-            passed since it last was, and upon an interrupt, which then goes its way; but not
-            where that comes while the law commits a step, of which it may have taken down a part.
+            passed since it last was, or more where that took long, and upon an interrupt, which
+            then goes its way; but not where that comes in a step that the law has been asked to
+            commit, of which it may have taken down a part.
         checkpoint_interval: s.
         resume: a state that `checkpoint` was given, of the same problem and density. The results
             are those of the uninterrupted run to the bit where the law goes on from
@@ -133,8 +135,9 @@ def simulate(
         _check_same_run(resume, system, settings)
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
     recorder = Recorder(equations, settings, resume)
-    stepper = _make_stepper(equations, settings, recorder, resume)
-    duration, last_checkpoint = problem.duration, monotonic()
+    duration, clock = problem.duration, CheckpointClock(checkpoint_interval)
+    with threadpool_limits(1, user_api="blas"):  # as in every step
+        stepper = _make_stepper(equations, settings, recorder, resume)
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
         with threadpool_limits(1, user_api="blas"):
@@ -142,12 +145,11 @@ def simulate(
                 recorder.record(stepper.advance(), stepper)
                 if progress is not None:
                     progress(stepper.now.t, duration)
-                if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
-                    checkpoint(recorder.checkpoint())
-                    last_checkpoint = monotonic()
+                if checkpoint is not None and clock.is_due():
+                    clock.write(partial(checkpoint, recorder.checkpoint()))
     except SimulationError as error:
-        partial = _make_run(system, recorder.state(), given, finished=False)
-        raise SimulationError(str(error), partial=partial) from error
+        so_far = _make_run(system, recorder.state(), given, finished=False)
+        raise SimulationError(str(error), partial=so_far) from error
     except KeyboardInterrupt:
         if checkpoint is not None and not equations.is_committing:
             checkpoint(recorder.checkpoint())

@@ -22,6 +22,7 @@ from surrofe2.io.tables import StoredTable, read_table
 from surrofe2.macro.mesh import Mesh
 from surrofe2.recipe import Recipe
 from surrofe2.regional_law import RegionalLaw
+from surrofe2.rve import RveLaw
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import ChosenLaw, choose_law
@@ -139,21 +140,27 @@ def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, A
 
 
 def law_arrays(law: StressLaw, state: Any) -> dict[str, NDArray]:
-    """What cached laws must know to go on from the committed `state`; of other laws nothing."""
+    """What a law must know to go on from the committed `state`, to the bit."""
     if isinstance(law, CachedLaw):
         return law.to_arrays(state)
+    if isinstance(law, RveLaw) and state is not None:
+        arrays: dict[str, NDArray] = state.to_arrays()
+        return arrays
     if not isinstance(law, RegionalLaw):
         return {}
-    arrays: dict[str, NDArray] = {}
-    for (name, each), own in zip(law.laws.items(), state, strict=True):
+    arrays = {}
+    states = [None] * len(law.laws) if state is None else state
+    for (name, each), own in zip(law.laws.items(), states, strict=True):
         arrays |= within(name, law_arrays(each, own))
     return arrays
 
 
 def law_state(law: StressLaw, arrays: Mapping[str, NDArray]) -> Any:
-    """The committed state whose `law_arrays` these are; None where a law starts cold."""
+    """The committed state whose `law_arrays` these are; None of a law that keeps none."""
     if isinstance(law, CachedLaw):
         return law.from_arrays(arrays)
+    if isinstance(law, RveLaw) and arrays:
+        return law.state_from_arrays(arrays)
     if not isinstance(law, RegionalLaw):
         return None
     states = [law_state(each, part_of(arrays, name)) for name, each in law.laws.items()]

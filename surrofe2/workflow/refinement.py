@@ -28,8 +28,9 @@ from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate_surrogate
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.run import HARVEST, of_cell, origin_of, run_study
+from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent, time_text
+from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
 from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
 
 Array = NDArray[np.float64]
@@ -333,7 +334,6 @@ def _write_samples(
     """
     law = laws.true_law(recipe)
     done, total = 0, sum(len(F) for F, _, _ in asked)
-    remove(path)
     writer = HarvestWriter(path, origin_of(recipe))
     writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
     for F, F_dot, why in asked:

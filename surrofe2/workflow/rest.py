@@ -13,14 +13,16 @@ import numba
 import numpy as np
 
 from surrofe2.cache.branches import part_of, within
+from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.io.fields import write_fields
 from surrofe2.io.run_folder import RunRecord, write_history, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
-from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws
+from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import warm_up
 from surrofe2.workflow.run_lifecycle import (
+    CHECKPOINT_INTERVAL,
     Recording,
     Report,
     Stage,
@@ -60,12 +62,12 @@ def rest_study(
     """
     problem = recipe.problem()
     chosen = choose_laws(recipe, "rve", problem.mesh)
-    frames: Frames | None = None
-    forces: list[np.ndarray] = []
+    found: tuple[Rest | None, Frames, np.ndarray] | None = None  # replaced whole, so never torn
     begin = compilation = 0.0
 
     def store(record: RunRecord, last: Rest) -> RunRecord:
-        assert frames is not None
+        assert found is not None
+        _, frames, forces = found
         write_load_path(folder, last.path)
         write_history(folder, last.path[:, 0], _by_name(last, forces), "factor")
         space = last.system.discretisation
@@ -76,33 +78,49 @@ def rest_study(
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
     def compute(current: Recording) -> Rest:
-        nonlocal frames, begin, compilation
+        nonlocal found, begin, compilation
         compilation = warm_up(chosen.parts, recipe.macro, points=n_points_of(problem.mesh))
         begin = time.perf_counter()
         arrays = current.last_state()
         if arrays is not None:
             begin -= float(arrays["seconds"])
-            frames = Frames(**part_of(arrays, "frames"))
-            forces.extend(arrays["forces"])
+            found = None, Frames(**part_of(arrays, "frames")), arrays["forces"]
+        clock = CheckpointClock(CHECKPOINT_INTERVAL)
 
         def reached(rest: Rest) -> None:
-            nonlocal frames
-            frames = rest.frame if frames is None else frames.followed_by(rest.frame)
-            forces.append(rest.forces)
-            current.partial = rest
-            more = {"seconds": np.array(time.perf_counter() - begin), "forces": np.array(forces)}
-            current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | more)
+            nonlocal found
+            frames, forces = rest.frame, rest.forces[None]
+            if found is not None:
+                frames, forces = found[1].followed_by(frames), np.append(found[2], forces, axis=0)
+            found = rest, frames, forces
+            if clock.is_due():
+                clock.write(checkpoint)
             report(rest.factor / factor if factor else 1.0, "")
 
-        return find_rest(
-            problem,
-            chosen.law,
-            recipe.macro,
-            factor=factor,
-            load_steps=load_steps,
-            reached=reached,
-            resume=arrays,
-        )
+        def checkpoint() -> None:
+            assert found is not None
+            rest, frames, forces = found
+            assert rest is not None
+            more = {"seconds": np.array(time.perf_counter() - begin), "forces": forces}
+            more |= within("law", law_arrays(chosen.law, rest.law_state))
+            current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | more)
+
+        try:
+            return find_rest(
+                problem,
+                chosen.law,
+                recipe.macro,
+                factor=factor,
+                load_steps=load_steps,
+                reached=reached,
+                resume=arrays,
+                law_state=law_state(chosen.law, part_of(arrays or {}, "law")),
+            )
+        except KeyboardInterrupt:
+            if found is not None and found[0] is not None:
+                current.partial = found[0]
+                checkpoint()
+            raise
 
     record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
     stated = {"factor": factor, "load_steps": load_steps}
@@ -110,10 +128,10 @@ def rest_study(
     return record_run(folder, record, compute, store, fresh=fresh)
 
 
-def _by_name(rest: Rest, forces: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Components (m,) of forces [(k, 2), …] on the tissue, as `MacroRun.history` names them."""
+def _by_name(rest: Rest, forces: np.ndarray) -> dict[str, np.ndarray]:
+    """Components (m,) of forces (m, k, 2) on the tissue, as `MacroRun.history` names them."""
     return {
-        f"force {name} {axis}": np.array([found[k, i] for found in forces])
+        f"force {name} {axis}": forces[:, k, i]
         for k, name in enumerate(rest.system.force_names)
         for i, axis in enumerate("xy")
     }

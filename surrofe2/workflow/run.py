@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
-from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.cache.table.ellipsoids import merged
-from surrofe2.io.files import check_same
-from surrofe2.io.harvest import HarvestWriter
-from surrofe2.io.provenance import Origin
-from surrofe2.io.run_folder import RunRecord, caches_of, file_fingerprint
-from surrofe2.io.tables import check_table, read_table, stored, write_table
+from surrofe2.io.run_folder import RunRecord, caches_of
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
@@ -38,6 +30,7 @@ from surrofe2.workflow.run_lifecycle import (
     time_text,
     untold,
 )
+from surrofe2.workflow.run_outputs import RunOutputs, counts_of
 from surrofe2.workflow.saved_run import problem_record, with_results, write_results
 
 
@@ -69,9 +62,9 @@ def run_study(
     compilation = 0.0
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
+        record = with_results(record, run)  # which audits what still waits
         outputs.store(chosen.tables)
         write_results(folder, run)
-        record = with_results(record, run)
         return replace(
             record,
             wall_time={**record.wall_time, "compilation": compilation},
@@ -84,25 +77,31 @@ def run_study(
         state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
         if arrays is not None and state is not None:
             state = replace(state, law_state=law_state(chosen.law, part_of(arrays, "law")))
+            outputs.restore(part_of(arrays, "harvest"))
+            current.cache = cache_report(chosen.law)
 
         def checkpoint(state: MacroState) -> None:
-            outputs.store(chosen.tables)
             arrays = within("macro", state.to_arrays())
             arrays |= within("law", law_arrays(chosen.law, state.law_state))
+            arrays |= within("harvest", outputs.to_arrays())
             current.checkpoint(arrays, cache_report(chosen.law))
 
         points = n_points_of(problem.mesh)
         report(0.0, "loading kernels")
         compilation = warm_up(chosen.parts, recipe.macro, chosen.tables.values(), points=points)
-        return simulate(
-            problem,
-            chosen.law,
-            recipe.macro,
-            progress=lambda t, duration: report(t, ""),
-            checkpoint=checkpoint,
-            checkpoint_interval=CHECKPOINT_INTERVAL,
-            resume=state,
-        )
+        try:
+            return simulate(
+                problem,
+                chosen.law,
+                recipe.macro,
+                progress=lambda t, duration: report(t, ""),
+                checkpoint=checkpoint,
+                checkpoint_interval=CHECKPOINT_INTERVAL,
+                resume=state,
+            )
+        except KeyboardInterrupt:
+            outputs.store(chosen.tables)
+            raise
 
     record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
     return record_run(folder, record, compute, store, fresh=fresh)
@@ -189,85 +188,3 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
     return f"{text}; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"
-
-
-TABLE, HARVEST = "table.h5", "harvest.h5"
-
-
-def of_cell(file: str, cell: str) -> str:
-    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
-    name, dot, kind = file.rpartition(".")
-    return f"{name}-{cell}{dot}{kind}" if cell else file
-
-
-class RunOutputs:
-    """Writes tables and harvests of a run along with its checkpoints, of each cell its own."""
-
-    def __init__(self, recipe: Recipe, folder: Path, harvest: bool) -> None:
-        self.recipe, self.folder = recipe, folder
-        self._harvest = harvest
-        self._writers: list[HarvestWriter] = []
-
-    def taker(self, part: Recipe) -> OnTrueAnswer | None:
-        """What a `CachedLaw` of the recipe's only cell, or of one of them, gives true answers to;
-        None where nothing is harvested."""
-        if not self._harvest:
-            return None
-        name = of_cell(HARVEST, part.cell_name or "")
-        writer: HarvestWriter | None = None
-
-        def take(F: Any, F_dot: Any, stress: Any, status: Any, why: Any) -> None:
-            nonlocal writer
-            if writer is None:
-                writer = HarvestWriter(self.folder / name, origin_of(part))
-                self._writers.append(writer)
-            writer(F, F_dot, stress, status, why)
-
-        return take
-
-    def store(self, tables: Mapping[str, StressTable]) -> None:
-        """Write what there is now."""
-        for writer in self._writers:
-            writer.flush()
-        for name, table in tables.items():
-            write_table(self.folder / of_cell(TABLE, name), stored(table, self.recipe.to_dict()))
-
-
-def origin_of(recipe: Recipe) -> Origin:
-    """Where answers for a recipe come from."""
-    return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
-
-
-def counts_of(tables: Mapping[str, StressTable]) -> dict[str, int]:
-    """What became of the tables, for the record of a run."""
-    counts: Counter[str] = Counter()
-    for table in tables.values():
-        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
-        counts.update({"table_records": table.size, **changed})
-    return dict(counts)
-
-
-def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:
-    """Write the records of all files into one; how many there are.
-
-    Ellipsoids are tested for the smallest tolerance of the files.
-
-    Raises:
-        MismatchError: they are not of the same cell parameters and initialisation.
-    """
-    of = {"files": [file_fingerprint(path) for path in files]}
-    if out.exists() and not fresh:
-        kept = read_table(out)
-        check_same(out, of, kept.recipe)
-        return len(kept.records.centre)
-    tables = [read_table(path) for path in files]
-    first = tables[0]
-    tolerance = min(each.tolerance for each in tables)
-    images = 4 if first.cell.symmetry == "D4" else 1
-    records = first.records
-    for path, more in zip(files[1:], tables[1:], strict=True):
-        check_table(path, more, first.cell, first.initialisation)
-        records = merged(records, more.records, tolerance, images)
-    sources = {"merged": [each.recipe for each in tables], **of}
-    write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
-    return len(records.centre)

@@ -51,6 +51,7 @@ class Recording:
         record: what run.json says now.
         earlier: the record that an earlier call left, if this run goes on from there.
         partial: what to store where the run ends early and its error carries nothing.
+        cache: what a cached law reported of itself at the last checkpoint.
     """
 
     folder: Path
@@ -58,6 +59,7 @@ class Recording:
     earlier: RunRecord | None
     store: Store
     partial: Any = None
+    cache: Mapping[str, Any] | None = None
 
     def last_state(self) -> dict[str, np.ndarray] | None:
         """The arrays of the last checkpoint; None where the run starts at its beginning."""
@@ -68,10 +70,9 @@ class Recording:
     def checkpoint(
         self, arrays: Mapping[str, np.ndarray], cache: Mapping[str, Any] | None = None
     ) -> None:
-        """Write a state to go on from, with what a cached law reports of itself there."""
+        """Write a state to go on from; `cache` is what a cached law reports of itself there."""
         write_checkpoint(self._checkpoint_path(), arrays, self._kind())
-        self.record = replace(self.record, cache=cache)
-        write_record(self.folder, self.record)
+        self.cache = cache
 
     def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
@@ -80,7 +81,7 @@ class Recording:
 
     def end(self, status: str, result: Any = None, error: str | None = None) -> None:
         """Store what there is and say how the run ended."""
-        self.record = replace(self.record, status=status, error=error)
+        self.record = replace(self.record, status=status, error=error, cache=self.cache)
         if result is not None:
             self.record = self.store(self.record, result)
         write_record(self.folder, self.record)
@@ -109,9 +110,7 @@ def record_run(
         log.info("%s: finished before; --fresh starts over", folder)
         return earlier
     current = Recording(folder, record, earlier, store)
-    if earlier is not None:
-        current.record = replace(record, cache=earlier.cache)
-    write_record(folder, current.record)
+    write_record(folder, record)
     try:
         current.finish(compute(current))
     except SimulationError as error:

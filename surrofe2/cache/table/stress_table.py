@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.table.ellipsoids import update_ellipsoids
 from surrofe2.cache.table.lookup import MANY, look_up
 from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
-from surrofe2.cache.table.search_tree import insert, make_tree
+from surrofe2.cache.table.search_tree import Tree, insert, make_tree
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.sampling import SamplingRange, half_widths, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
@@ -163,13 +164,15 @@ class StressTable:
         self._tree = make_tree(records.centre, records.extent, self.tolerance, 2 * self.size)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Records and counts, for `from_arrays`."""
+        """Records, the order in which they are searched, and counts, for `from_arrays`."""
         counts = np.array(list(self.counts.values()))
-        return {**self.records._asdict(), "counts": counts}
+        return {**self.records._asdict(), "counts": counts, **within("tree", self._tree._asdict())}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Know what another table of the same law and tolerance knew at its `to_arrays`."""
         self.restore(Records(*(arrays[name] for name in Records._fields)))
+        tree: Any = part_of(arrays, "tree")
+        self._tree = Tree(**tree | {"tolerance": float(tree["tolerance"])})
         self.counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
 
     def _add(self, new: Records) -> None:

@@ -1,0 +1,110 @@
+"""Tables and harvests of runs: kept with their checkpoints, written at their end, merged."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from numpy.typing import NDArray
+
+from surrofe2.cache import StressTable
+from surrofe2.cache.branches import part_of, within
+from surrofe2.cache.protocols import OnTrueAnswer
+from surrofe2.cache.table.ellipsoids import merged
+from surrofe2.io.files import check_same
+from surrofe2.io.harvest import HarvestWriter
+from surrofe2.io.provenance import Origin
+from surrofe2.io.run_folder import file_fingerprint
+from surrofe2.io.tables import check_table, read_table, stored, write_table
+from surrofe2.recipe import Recipe
+
+TABLE, HARVEST = "table.h5", "harvest.h5"
+
+
+def of_cell(file: str, cell: str) -> str:
+    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
+    name, dot, kind = file.rpartition(".")
+    return f"{name}-{cell}{dot}{kind}" if cell else file
+
+
+class RunOutputs:
+    """Tables and harvests of a run, of each cell its own, written when it ends.
+
+    Until then true answers are kept in memory and in checkpoints, so that a harvest has exactly
+    those of the run that it belongs to.
+    """
+
+    def __init__(self, recipe: Recipe, folder: Path, harvest: bool) -> None:
+        self.recipe, self.folder = recipe, folder
+        self._harvest = harvest
+        self._writers: dict[str, HarvestWriter] = {}
+
+    def taker(self, part: Recipe) -> OnTrueAnswer | None:
+        """What a `CachedLaw` of the recipe's only cell, or of one of them, gives true answers to;
+        None where nothing is harvested."""
+        if not self._harvest:
+            return None
+        cell = part.cell_name or ""
+        self._writers[cell] = HarvestWriter(self.folder / of_cell(HARVEST, cell), origin_of(part))
+        return self._writers[cell]
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """The true answers so far, for `restore`."""
+        arrays: dict[str, NDArray] = {}
+        for cell, writer in self._writers.items():
+            arrays |= within(f"of {cell}", writer.to_arrays())
+        return arrays
+
+    def restore(self, arrays: Mapping[str, NDArray]) -> None:
+        """Have these true answers and no others."""
+        for cell, writer in self._writers.items():
+            writer.restore(part_of(arrays, f"of {cell}"))
+
+    def store(self, tables: Mapping[str, StressTable]) -> None:
+        """Write what there is now, each file whole."""
+        for writer in self._writers.values():
+            writer.flush()
+        for name, table in tables.items():
+            write_table(self.folder / of_cell(TABLE, name), stored(table, self.recipe.to_dict()))
+
+
+def origin_of(recipe: Recipe) -> Origin:
+    """Where answers for a recipe come from."""
+    return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
+
+
+def counts_of(tables: Mapping[str, StressTable]) -> dict[str, int]:
+    """What became of the tables, for the record of a run."""
+    counts: Counter[str] = Counter()
+    for table in tables.values():
+        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+        counts.update({"table_records": table.size, **changed})
+    return dict(counts)
+
+
+def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:
+    """Write the records of all files into one; how many there are.
+
+    Ellipsoids are tested for the smallest tolerance of the files.
+
+    Raises:
+        MismatchError: they are not of the same cell parameters and initialisation.
+    """
+    of = {"files": [file_fingerprint(path) for path in files]}
+    if out.exists() and not fresh:
+        kept = read_table(out)
+        check_same(out, of, kept.recipe)
+        return len(kept.records.centre)
+    tables = [read_table(path) for path in files]
+    first = tables[0]
+    tolerance = min(each.tolerance for each in tables)
+    images = 4 if first.cell.symmetry == "D4" else 1
+    records = first.records
+    for path, more in zip(files[1:], tables[1:], strict=True):
+        check_table(path, more, first.cell, first.initialisation)
+        records = merged(records, more.records, tolerance, images)
+    sources = {"merged": [each.recipe for each in tables], **of}
+    write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
+    return len(records.centre)

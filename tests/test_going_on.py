@@ -1,0 +1,234 @@
+"""A run that was interrupted or killed and goes on is the uninterrupted one, to the bit."""
+
+from __future__ import annotations
+
+import json
+from shutil import copytree
+
+import h5py
+import numba
+import numpy as np
+import pytest
+
+from surrofe2.io.run_folder import caches_of, read_record
+from surrofe2.io.seal import SEAL
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow import rest, run
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.rest import rest_study
+from surrofe2.workflow.run import run_study
+from surrofe2.workflow.train import train_surrogate
+from tests.cli.test_cell_types import BAR
+from tests.conftest import RECIPE
+
+STRONG = RECIPE.replace("-0.1]", "-0.9]").replace(
+    "stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]"
+)
+CACHED = STRONG + "[cache]\ntolerance = 0.2\naudit = 0.1\n"
+TABLE = CACHED + "[table]\ntolerance = 1e-2\n"
+BOTH = CACHED + "[table]\nenabled = true\ntolerance = 1e-2\n"
+CELLS = BAR.replace("-0.1]", "-0.9]") + "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
+OF_TIME = ("created", "wall_time", "sha256", SEAL)
+IMPLICIT = 'integrator = "implicit"\n'
+
+
+def by(initialisation, solver="direct"):
+    return STRONG + f'[rve]\ninitialisation = "{initialisation}"\nsolver = "{solver}"\n'
+
+
+CASES = {
+    "rve": ("rve", STRONG),
+    "surrogate": ("surrogate", RECIPE),
+    "cached": ("cached", CACHED),
+    "cached and table": ("cached", BOTH),
+}
+LONG_CASES = {
+    "rve implicit": ("rve", STRONG + IMPLICIT),
+    "slow-manifold": ("rve", by("slow-manifold")),
+    "elastic": ("rve", by("elastic")),
+    "cauchy-born": ("rve", by("cauchy-born")),
+    "iterated": ("rve", by("constrained-runs", "iterated").replace("= 4.0", "= 1.0")),
+    "cached implicit": ("cached", CACHED.replace("[cache]", IMPLICIT + "[cache]")),
+    "table": ("table", TABLE),
+    "cells by rve": ("rve", CELLS),
+    "cells by table": ("table", CELLS),
+}
+
+
+class Stop(KeyboardInterrupt):
+    pass
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A folder with a surrogate that knows little."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "recipe.toml").write_text(CACHED, encoding="utf-8")
+    recipe = load_recipe(folder / "recipe.toml")
+    generate_data_set(recipe)
+    train_surrogate(recipe)
+    return folder
+
+
+@pytest.fixture(
+    params=[*CASES, *(pytest.param(each, marks=pytest.mark.slow) for each in LONG_CASES)]
+)
+def case(request, home):
+    """(recipe, law, name)."""
+    law, text = (CASES | LONG_CASES)[request.param]
+    (home / "recipe.toml").write_text(text, encoding="utf-8")
+    return load_recipe(home / "recipe.toml"), law, request.param
+
+
+def after(steps, act):
+    """A report that acts when so many steps have been made."""
+    left = [steps]
+
+    def report(t, note):
+        left[0] -= t > 0.0
+        if left[0] == 0:
+            left[0] = -1
+            act()
+
+    return report
+
+
+def interrupted(recipe, law, out, steps):
+    def stop():
+        raise Stop
+
+    with pytest.raises(Stop):
+        run_study(recipe, law, out, report=after(steps, stop))
+    assert read_record(out).status == "interrupted"
+
+
+def numbers(folder):
+    """All that the files of a run say, but when it was and how long it took."""
+    found = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix == ".h5":
+            found[path.name] = stored(path)
+        elif path.name == "run.json":
+            record = json.loads(path.read_text(encoding="utf-8"))
+            record = {k: value for k, value in record.items() if k not in OF_TIME}
+            for cache in caches_of(record["cache"]).values():
+                del cache["cost"]
+            found[path.name] = record
+        else:
+            found[path.name] = path.read_bytes()
+    return found
+
+
+def stored(path):
+    found = {}
+    with h5py.File(path) as file:
+        found["attributes"] = {k: str(v) for k, v in file.attrs.items() if k not in OF_TIME}
+        count = int(file["completed"][()]) if "completed" in file else None
+
+        def collect(name, item):
+            if isinstance(item, h5py.Dataset):
+                found[name] = item[()].tobytes() if item.ndim == 0 else item[:count].tobytes()
+
+        file.visititems(collect)
+    return found
+
+
+def assert_same(folder, whole):
+    mine, theirs = numbers(folder), numbers(whole)
+    assert list(mine) == list(theirs)
+    for name, values in theirs.items():
+        if isinstance(values, dict):
+            assert list(mine[name]) == list(values)
+            for key, value in values.items():
+                assert mine[name][key] == value, (name, key)
+        assert mine[name] == values, name
+
+
+def test_goes_on_to_the_bit(case, tmp_path, monkeypatch):
+    recipe, law, name = case
+    whole = tmp_path / "whole"
+    record = run_study(recipe, law, whole)
+    steps = record.counts["steps"]
+    assert steps > 8
+    if law in ("cached", "table"):
+        assert record.counts["hits"] > 0
+        assert record.counts["fallbacks"] > 0
+        assert any(cache["audit"]["audited"] for cache in caches_of(record.cache).values())
+        assert list(whole.glob("harvest*.h5"))
+    if "table" in name:
+        assert record.counts["table_added"] > 0
+
+    twice = tmp_path / "twice"
+    interrupted(recipe, law, twice, steps // 3)
+    interrupted(recipe, law, twice, 2)
+    run_study(recipe, law, twice)
+    assert_same(twice, whole)
+
+    late = tmp_path / "late"
+    interrupted(recipe, law, late, steps - 1)
+    run_study(recipe, law, late)
+    assert_same(late, whole)
+
+    # Killed in the step after a checkpoint, and again before there was another one.
+    here, killed, again = (tmp_path / each for each in ("here", "killed", "again"))
+    with monkeypatch.context() as patched:
+        patched.setattr(run, "CHECKPOINT_INTERVAL", 0.0)
+        run_study(recipe, law, here, report=after(steps // 2, lambda: copytree(here, killed)))
+    assert_same(here, whole)
+    assert read_record(killed).status == "running"
+    assert not list(killed.glob("*harvest*"))
+    run_study(recipe, law, killed, report=after(3, lambda: copytree(killed, again)))
+    assert_same(killed, whole)
+    run_study(recipe, law, again)
+    assert_same(again, whole)
+
+
+def test_a_rest_goes_on_to_the_bit(recipe_path, tmp_path, monkeypatch):
+    recipe_path.write_text(by("slow-manifold"), encoding="utf-8")
+    recipe = load_recipe(recipe_path)
+
+    def stopped(out, factor):
+        def stop(done, note):
+            if done > factor:
+                raise Stop
+
+        with pytest.raises(Stop):
+            rest_study(recipe, out, report=stop)
+        assert read_record(out).status == "interrupted"
+
+    whole, twice, here, killed = (tmp_path / name for name in ("whole", "twice", "here", "killed"))
+    rest_study(recipe, whole)
+    stopped(twice, 0.25)
+    stopped(twice, 0.55)
+    rest_study(recipe, twice)
+    assert_same(twice, whole)
+    stopped(tmp_path / "late", 0.95)
+    rest_study(recipe, tmp_path / "late")
+    assert_same(tmp_path / "late", whole)
+
+    def copy(done, note):
+        if done > 0.65 and not killed.exists():
+            copytree(here, killed)
+
+    monkeypatch.setattr(rest, "CHECKPOINT_INTERVAL", 0.0)
+    rest_study(recipe, here, report=copy)
+    rest_study(recipe, killed)
+    assert_same(killed, whole)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two threads")
+def test_goes_on_with_other_threads_within_rounding(recipe_path, tmp_path):
+    recipe_path.write_text(STRONG, encoding="utf-8")
+    recipe = load_recipe(recipe_path)
+    whole, other = tmp_path / "whole", tmp_path / "other"
+    run_study(recipe, "rve", whole)
+    interrupted(recipe, "rve", other, 6)
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1 if before > 1 else 2)
+        run_study(recipe, "rve", other)
+    finally:
+        numba.set_num_threads(before)
+    curves = [np.loadtxt(each / "curve.csv", delimiter=",", skiprows=1) for each in (whole, other)]
+    amplitude = np.abs(curves[0][:, 1:]).max()
+    np.testing.assert_allclose(curves[1], curves[0], rtol=0.0, atol=1e-9 * amplitude)
