@@ -80,7 +80,7 @@ def condition_of(where: str, table: Any, name: str | None) -> Condition:
     motion = given.get("displacement")
     if kinds[kind] is PrescribedMotion and isinstance(motion, list):
         given["displacement"] = [None if each == "free" else each for each in motion]
-    return from_table(where, kinds[kind], given, ["kind"])
+    return _within(where, kind, kinds[kind], given)
 
 
 def _amplitude(where: str, given: Any) -> Amplitude:
@@ -111,6 +111,11 @@ def body_of(name: str, table: Any) -> RigidBody:
         if key in given:
             raise InputError(f"{where}.{key}: {given[key]!r}; the section has name and shape")
     if "amplitude" in given:
+        if "displacement" not in given:
+            raise InputError(
+                f"{where}.amplitude: {given['amplitude']!r}; it is of a displacement, which is "
+                "missing"
+            )
         given["amplitude"] = _amplitude(f"{where}.amplitude", given["amplitude"])
     return from_table(where, RigidBody, {**given, "name": name, "shape": shape}, _SHAPES)
 
@@ -118,10 +123,10 @@ def body_of(name: str, table: Any) -> RigidBody:
 def _within(where: str, own: str, kind: type, table: Mapping[str, Any]) -> Any:
     """The settings of a table within another; what `own` says of itself is said of `where`."""
     try:
-        return from_table(where, kind, table, ["kind"] if own == "amplitude" else [])
+        return from_table(where, kind, table, [] if kind in _SHAPES.values() else ["kind"])
     except InputError as error:
         told = str(error)
-        if told.startswith(f"{own}."):
+        if told.startswith((f"{own}.", f"{own}:")):
             told = where + told.removeprefix(own)
         raise InputError(told) from None
 

@@ -75,6 +75,11 @@ class TimeSettings:
         check_settings(self, "time")
         if self.output_interval is None:
             object.__setattr__(self, "output_interval", self.duration / 500.0)
+        elif self.output_interval > self.duration:
+            raise InputError(
+                f"time.output_interval: {self.output_interval}; it must be at most the duration, "
+                f"{self.duration} µs"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

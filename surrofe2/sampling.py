@@ -43,6 +43,8 @@ class SamplingRange:
             raise InputError(
                 f"range.stretch: ({low}, {high}); low must be below high, both positive"
             )
+        if not low <= 1.0 <= high:
+            raise InputError(f"range.stretch: ({low}, {high}); it must hold 1, the tissue at rest")
         if self.shear >= low:
             raise InputError(
                 f"range.shear: {self.shear}; it must be below the lowest stretch {low}, "

@@ -152,7 +152,8 @@ def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
     if least is not None:
         return f"{noun}{'of ' if noun else ''}at least {least:g}" + ("" if noun else " and finite")
     words = "positive" if above == 0 else f"above {above:g}" if above is not None else ""
-    return " and ".join(word for word in (words, "" if bounds.get("inf") else "finite") if word)
+    end = "" if bounds.get("inf") else "finite"
+    return " and ".join(word for word in (words, end) if word) or "a number"
 
 
 def _refusal(name: str, value: Any, allowed: str, metadata: Mapping[str, Any]) -> InputError:

@@ -30,10 +30,12 @@ from surrofe2 import (
     points_by_region,
     read_data_set,
     read_run,
+    read_surrogate,
     sample_stress,
     save_run,
     simulate,
     train,
+    write_surrogate,
     zoom_into,
 )
 from surrofe2.errors import InputError, MismatchError, SimulationError
@@ -162,7 +164,7 @@ def test_a_run_that_fails_is_saved_as_failed(tmp_path):
         read_run(tmp_path)
 
 
-def test_why_a_surrogate_is_not_trusted_is_one_line(caplog):
+def test_why_a_surrogate_is_not_trusted_is_one_line(caplog, tmp_path):
     law = RveLaw(CellParameters())
     wanted = SamplingRange(stretch=(0.98, 1.02), shear=0.02, rate=0.01)
     samples = sample_stress(law, wanted, 64)
@@ -177,6 +179,8 @@ def test_why_a_surrogate_is_not_trusted_is_one_line(caplog):
     (line,) = told(surrogate)
     assert "was not calibrated, its bound is infinite" in line
     assert "surrofe2.calibrate" in line
+    write_surrogate(surrogate, str(tmp_path / "own.safetensors"))
+    assert not read_surrogate(str(tmp_path / "own.safetensors")).is_calibrated
     paths = CalibrationSettings(walks=0, states=40, runs=0, share=0.1)
     known = calibrate(surrogate, samples, settings=paths)
     assert told(known) == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,15 +19,20 @@ from surrofe2.macro import (
     Fixed,
     Foundation,
     InitialVelocity,
+    Mesh,
     Plane,
     PrescribedMotion,
     Pressure,
+    Problem,
     RigidBody,
     Symmetry,
     Traction,
+    simulate,
 )
+from surrofe2.problem_sections import load_mesh
 from surrofe2.recipe import load_recipe, make_recipe
 from tests.io.gmsh_files import QUADS
+from tests.laws import KelvinVoigt
 
 RECIPE = """
 [range]
@@ -320,6 +326,28 @@ RECT = "width = 200.0\nheight = 100.0\nelements = [4, 2]\n"
          "load: [load] states the paper's bar, [mesh] another problem; leave one out"),
         ("[time]", "[macro]\nelements = [4, 4]\n[time]",
          "macro.elements: [4, 4]; it stands in [mesh]"),
+        ("duration = 20.0", "duration = 20.0\noutput_interval = 21.0",
+         "time.output_interval: 21.0; it must be at most the duration, 20.0 µs"),
+        ("duration = 20.0", "duration = 20.0\noutput_interval = 1e-6",
+         "problem.output_interval: 1e-06 µs; it must be at least 2e-05 µs, a millionth of the dur"),
+        ('displacement = [4.0, "free"]', 'displacement = ["free", "free"]',
+         "conditions.pull.displacement: both components are free; one must be a number (µm)"),
+        ("stiffness = 3.0", "stiffness = 0.0",
+         "conditions.soil: stiffness 0 and damping 0; one of them must be positive"),
+        ("displacement = [0.0, -8.0]", "displacement = [0.0, -8.0]\nvelocity = [0, -1]",
+         "bodies.plate.velocity: [0.0, -1.0]; it is of a free body: give a mass, or a displaceme"),
+        ("mass = 2.0", "mass = 2.0\namplitude = 0.5",
+         "bodies.ball.amplitude: 0.5; it is of a displacement, which is missing"),
+        ("friction = 0.3", "friction = 1e9",
+         "bodies.blade.friction: 1000000000.0; it must be within [0, 10]"),
+        ("[conditions.throw]", '[conditions.fling]\nkind = "initial_velocity"\nvelocity = [1, 0]\n'
+         "[conditions.throw]", "problem: 2 initial velocities on the whole mesh; give one"),
+        ("box = [0.0, 100.0, 100.0, 100.0]", "box = [nan, 100.0, 100.0, 100.0]",
+         "mesh.boundaries.patch.box[0]: nan; it must be a number"),
+        ("elements = [4, 2]", "elements = [40000, 20000]",
+         "mesh.elements: [40000, 20000]; there must be at least 1 each way and 10000000 in all a"),
+        ("stretch = [0.95, 1.05]", "stretch = [1.02, 1.05]",
+         "range.stretch: (1.02, 1.05); it must hold 1, the tissue at rest"),
         ("[mesh]\n" + RECT, "", "mesh.width: missing; a rectangle or a mesh.file must be given"),
         (RECT, RECT + 'file = "leaf.msh"\n', "mesh.width: 200.0; a mesh from a file has its own"),
         ("[watch]\ntip = [200.0, 50.0]\nmiddle = [100.0, 50.0]\n", "[wacth]\n",
@@ -360,6 +388,47 @@ def test_wrong_tables(table, sentence):
     with pytest.raises(InputError) as caught:
         make_recipe(whole)
     assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        (
+            RigidBody(name="lid", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, 95.0)),
+            "bodies.lid.position: [0.0, 95.0]; the tissue begins 5 µm inside it, at (",
+        ),
+        (
+            RigidBody(name="lid", shape=Plane(normal=(0.0, 1.0)), on="top", position=(0.0, 300.0)),
+            "bodies.lid.position: [0.0, 300.0]; the tissue begins 200 µm inside it, at",
+        ),
+        (
+            RigidBody(name="rod", shape=Circle(radius=9.0), on="top", position=(50.0, 100.0)),
+            "bodies.rod.position: [50.0, 100.0]; the tissue begins 9 µm inside it, at (50, 100) µm",
+        ),
+    ],
+)
+def test_a_body_that_begins_inside_the_tissue_is_refused(body, sentence):
+    mesh = Mesh.rectangle(200.0, 100.0, (2, 1))
+    problem = Problem(mesh=mesh, conditions=(Fixed(on="bottom"),), bodies=(body,))
+    with pytest.raises(InputError) as caught:
+        simulate(problem, KelvinVoigt())
+    assert str(caught.value).startswith(sentence)
+
+
+def test_wrong_calls_get_a_sentence():
+    mesh = Mesh.rectangle(2.0, 1.0, (2, 1))
+    with pytest.raises(InputError, match="there must be a tuple of Condition"):
+        Problem(mesh=mesh, conditions=Fixed(on="left"))
+    with pytest.raises(InputError, match="problem: 'left'; there must be a tuple of Condition"):
+        Problem(mesh=mesh, conditions=("left",))
+    with pytest.raises(InputError, match=r"mesh.width, mesh.height: -2.0, 1.0; they must be pos"):
+        Mesh.rectangle(-2.0, 1.0, (2, 1))
+    with pytest.raises(InputError, match=r"mesh: 2 elements of the same nodes at \(0.5, 0.5\) µm"):
+        Mesh(mesh.nodes, np.concatenate([mesh.elements, mesh.elements[:1]]))
+    with pytest.raises(InputError, match="left; the mesh has no boundary or region with a name"):
+        replace(mesh, boundaries={}).nodes_of("left")
+    with pytest.raises(InputError, match="length_unit: 'cm'; it must be one of µm, um, mm, m"):
+        load_mesh("leaf.msh", "cm")
 
 
 def test_what_needs_the_bar_says_so(changed):

@@ -40,8 +40,9 @@ _ZIP = b"PK\x03\x04"  # how files of torch begin
 Tensors = dict[str, NDArray[Any]]
 
 
-def write_surrogate(law: SurrogateLaw, path: Path) -> None:
+def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
     """Write a surrogate, whole or not at all; a FileError where that fails."""
+    path = Path(path)
     domain = {} if law.domain is None else asdict(law.domain)
     square = domain.pop("square", None)
     tensors = within("network", law.network.tensors) | within("domain", domain)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from surrofe2.amplitude import ONE, Amplitude
+from surrofe2.errors import InputError
 from surrofe2.settings import check_settings, setting
 from surrofe2.units import ACCELERATION, LENGTH
 
@@ -69,6 +70,14 @@ class PrescribedMotion(DrivenCondition):
         about='largest displacement in x and y; left out or "free": not prescribed', unit=LENGTH
     )
 
+    def __post_init__(self) -> None:
+        super(PrescribedMotion, self).__post_init__()
+        if self.displacement == (None, None):
+            raise InputError(
+                "prescribed_motion.displacement: both components are free; one must be a number "
+                f"({LENGTH})"
+            )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traction(DrivenCondition):
@@ -101,6 +110,11 @@ class Foundation(Condition):
     stiffness: float = setting(0.0, "spring per unloaded length", "µN/µm²", least=0.0)
     damping: float = setting(0.0, "dashpot per unloaded length", "µN µs/µm²", least=0.0)
     components: Literal["x", "y", "xy"] = setting("xy", "components that it holds")
+
+    def __post_init__(self) -> None:
+        super(Foundation, self).__post_init__()
+        if not (self.stiffness or self.damping):
+            raise InputError("foundation: stiffness 0 and damping 0; one of them must be positive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

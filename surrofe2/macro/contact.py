@@ -24,6 +24,7 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where a body is touched
 from numpy.typing import NDArray
 
+from surrofe2.errors import InputError
 from surrofe2.macro.forces import Matrix, Slopes, side_points
 from surrofe2.macro.rigid_bodies import RigidBody, Shape
 
@@ -33,6 +34,9 @@ Index = NDArray[np.int64]
 MODULI, ONSET, DAMPING = 200.0, 0.04, 0.5
 """Defaults: k by modulus over the length h of a side, k δ by modulus, c by the critical damping of
 the mass by which k moves the boundary of a mesh, ρ h/√12 a length."""
+
+_TOUCHING = 0.01
+"""Of a side: the depth at which a body may begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +112,22 @@ class Contact:
     def penetration(self, u: Array) -> float:
         """Deepest penetration of any point, µm."""
         return float(max(0.0, -self._gaps(u)[0].min()))
+
+    def check_start(self) -> None:
+        """Refuse a body that begins with a part of the tissue deep inside it.
+
+        Raises:
+            InputError: naming the place.
+        """
+        points = self.points.reshape(-1, 2)
+        gap, _, _ = self.shape.gap(points - self.position)
+        deepest = int(gap.argmin())
+        if gap[deepest] < -_TOUCHING * float(self.lengths.sum()) / len(self.sides):
+            x, y = points[deepest]
+            raise InputError(
+                f"bodies.{self.name}.position: {self.position.tolist()}; the tissue begins "
+                f"{-gap[deepest]:.3g} µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside"
+            )
 
     def energy(self, u: Array) -> float:
         """Energy stored in the springs, pJ."""

@@ -19,6 +19,9 @@ SIDES = {4: ((0, 1), (1, 2), (2, 3), (3, 0)), 6: ((0, 1, 3), (1, 2, 4), (2, 0, 5
 """Nodes of each side by the nodes of an element: both ends, then the middle of a triangle's."""
 
 
+MOST_ELEMENTS = 10_000_000
+
+
 class Part(Protocol):
     """A part of the plane that picks nodes."""
 
@@ -106,6 +109,15 @@ class Mesh:
         Its sides are the boundaries left, right, bottom and top.
         """
         nx, ny = elements
+        if not (min(nx, ny) >= 1 and nx * ny <= MOST_ELEMENTS):
+            raise InputError(
+                f"mesh.elements: [{nx}, {ny}]; there must be at least 1 each way and "
+                f"{MOST_ELEMENTS} in all at most"
+            )
+        if not (0.0 < width < np.inf and 0.0 < height < np.inf):
+            raise InputError(
+                f"mesh.width, mesh.height: {width}, {height}; they must be positive and finite (µm)"
+            )
         x, y = np.linspace(0.0, width, nx + 1), np.linspace(0.0, height, ny + 1)
         nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         number = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
@@ -200,6 +212,8 @@ def outer_sides(elements: Index) -> Index:
 def _named(known: Mapping[str, Index], name: str, where: str, what: str) -> Index:
     if name in known:
         return known[name]
+    if not known:
+        raise InputError(f"{where}: {name}; the mesh has no {what} with a name; name parts of it")
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     raise InputError(f"{where}: {name}; no such {what}; {hint}known are {', '.join(known)}")
@@ -212,6 +226,10 @@ def _check_orphans(nodes: Array, elements: Index) -> None:
         raise InputError(
             f"mesh.elements: node {elements.max()}; nodes are numbered from 0 to {len(nodes) - 1}"
         )
+    twice, count = np.unique(np.sort(elements, axis=1), axis=0, return_counts=True)
+    if count.max() > 1:
+        at = nodes[twice[count.argmax()]].mean(axis=0)
+        raise InputError(f"mesh: {count.max()} elements of the same nodes at {_at(at)}; keep one")
     alone = np.setdiff1d(np.arange(len(nodes)), elements)
     if alone.size:
         raise InputError(

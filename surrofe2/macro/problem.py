@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from surrofe2.amplitude import ONE, Amplitude, Table
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase, output_times
-from surrofe2.macro.conditions import BodyForce, Condition, DrivenCondition, Fixed
+from surrofe2.macro.conditions import BodyForce, Condition, DrivenCondition, Fixed, InitialVelocity
 from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
 
+MOST_ROWS = 1_000_000
 TAKEN = (
     "kinetic", "internal", "dissipated", "balance", "motion", "numerical", "contact",
     "contact dissipated",
@@ -53,12 +54,28 @@ class Problem:
         for name, value in (("duration", self.duration), ("output_interval", self.output_interval)):
             if not 0.0 < value < np.inf:
                 raise InputError(f"problem.{name}: {value}; it must be positive and finite (µs)")
+        if self.duration > MOST_ROWS * self.output_interval:
+            raise InputError(
+                f"problem.output_interval: {self.output_interval} µs; it must be at least "
+                f"{self.duration / MOST_ROWS:g} µs, a millionth of the duration"
+            )
+        for each, kind in ((self.conditions, Condition), (self.bodies, RigidBody)):
+            given = each if isinstance(each, tuple | list) else (each,)
+            wrong = next((one for one in given if not isinstance(one, kind)), None)
+            if wrong is not None or given is not each:
+                told = each if wrong is None else wrong
+                raise InputError(f"problem: {told!r}; there must be a tuple of {kind.__name__}")
         names = [*map(label, self.conditions), *(body.name for body in self.bodies)]
         for name, number in Counter(names).items():
             if number > 1:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
                 raise InputError(f"problem: a condition is called {name}; an energy has that name")
+        thrown = Counter(each.on for each in self.conditions if isinstance(each, InitialVelocity))
+        for place, number in thrown.items():
+            if number > 1:
+                where = place or "the whole mesh"
+                raise InputError(f"problem: {number} initial velocities on {where}; give one")
         for amplitude in self.amplitudes():
             if not isinstance(amplitude, Amplitude):
                 raise InputError(

@@ -112,7 +112,7 @@ class RigidBody:
     acceleration: tuple[float, float] = setting(
         (0.0, 0.0), "force per mass on a free body", ACCELERATION
     )
-    friction: float = setting(0.0, "Coulomb's coefficient", NONE, least=0.0)
+    friction: float = setting(0.0, "Coulomb's coefficient", NONE, least=0.0, most=10.0)
     stiffness: float | None = setting(
         None, "contact pressure per penetration; left out: 200 moduli of the tissue a side of "
         "an element", "µN/µm²", above=0.0,
@@ -138,3 +138,9 @@ class RigidBody:
                 f"bodies.{self.name}: mass {self.mass} and displacement {list(self.displacement)}; "
                 "a body is either free, with a mass, or moved"
             )
+        for name, value in (("velocity", self.velocity), ("acceleration", self.acceleration)):
+            if self.mass is None and value != (0.0, 0.0):
+                raise InputError(
+                    f"bodies.{self.name}.{name}: {list(value)}; it is of a free body: give a mass, "
+                    "or a displacement with its amplitude"
+                )

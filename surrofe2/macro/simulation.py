@@ -131,6 +131,8 @@ def simulate(
         )
     given, problem = (problem, law, settings), as_problem(problem, settings)
     system = system_of(problem, law)
+    for contact in system.contacts:
+        contact.check_start()
     if resume is not None:
         _check_same_run(resume, system, settings)
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)

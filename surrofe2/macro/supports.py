@@ -74,7 +74,8 @@ def _without_overlap(supports: list[Support], problem: Problem) -> tuple[Support
                 x, y = problem.mesh.nodes[unknown // 2]
                 raise InputError(
                     f"{support.name}: component {'xy'[unknown % 2]} of the node at "
-                    f"({x:.6g}, {y:.6g}) µm; {other[0]} prescribes it otherwise"
+                    f"({x:.6g}, {y:.6g}) µm; {other[0]} prescribes it otherwise, "
+                    "and only one may"
                 )
         kept.append(
             Support(support.name, support.unknowns[mine], support.largest[mine], support.amplitude)
@@ -87,5 +88,7 @@ def _normal_component(problem: Problem, condition: Symmetry) -> int:
     extent = np.ptp(nodes, axis=0)
     component = int(extent.argmin())
     if extent[component] > 1e-9 * extent.max():
-        raise InputError(f"symmetry.on: {condition.on}; it must be straight along x or along y")
+        raise InputError(
+            f"{label(condition)}.on: {condition.on}; a symmetry must be straight along x or along y"
+        )
     return component
