@@ -12,8 +12,13 @@ import pytest
 
 from surrofe2 import CellParameters, RveLaw, simulate
 from surrofe2.amplitude import Constant
-from surrofe2.macro.mesh import Mesh
 from surrofe2.recipe import load_recipe
+from surrofe2.workflow.cell_laws import law_by_region
+from surrofe2.workflow.comparison import compare_runs
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.rest import rest_study
+from surrofe2.workflow.run import run_study
+from surrofe2.workflow.train import train_surrogate
 
 FOLDER = Path(__file__).parents[1] / "examples"
 RECIPES = sorted(FOLDER.glob("*.toml"))
@@ -25,7 +30,7 @@ def law_of(recipe):
 
 
 def run_of(recipe, problem):
-    return simulate(problem, law_of(recipe), recipe.macro)
+    return simulate(problem, law_by_region(recipe, problem.mesh, law_of), recipe.macro)
 
 
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
@@ -39,11 +44,13 @@ def test_a_recipe_is_short_has_a_page_and_runs(path):
     recipe = load_recipe(path)
     problem = recipe.problem()
     driven = [each for each in problem.amplitudes() if not isinstance(each, Constant)]
-    assert driven or any(c.kind() == "initial_velocity" for c in problem.conditions)
-    if recipe.stated.mesh.file is None:
-        mesh = recipe.stated.mesh
-        few = tuple(min(number, 2) for number in mesh.elements)
-        problem = replace(problem, mesh=Mesh.rectangle(mesh.width, mesh.height, few))
+    at_once = {"initial_velocity", "traction"}
+    assert driven or at_once.intersection(c.kind() for c in problem.conditions)
+    stated = recipe.stated
+    if stated.mesh.file is None:
+        few = tuple(min(number, 2) for number in stated.mesh.elements)
+        coarse = replace(stated, mesh=replace(stated.mesh, elements=few))
+        problem = replace(recipe, stated=coarse).problem()
     # The thin sample starts with a jump in velocity, which a hundredth resolves at great cost.
     short = problem.duration * {"cyclic-shear": 0.3, "notched-leaf": 0.1}.get(path.stem, 0.01)
     run = run_of(recipe, replace(problem, duration=short, output_interval=0.25 * short))
@@ -91,3 +98,54 @@ def test_a_dropped_sample_meets_the_force_of_the_wave_and_rebounds():
     assert np.trapezoid(force, t) / time == pytest.approx(wave, rel=0.06)
     assert force.min() >= 0.0
     assert run.curves["top"].displacement[-1, 1] > 100.0
+
+
+def test_strips_with_and_without_skin_rest_as_beams_of_their_layers(tmp_path):
+    """Within 2 %: bending and shear of layers glued together."""
+    recipe = load_recipe(FOLDER / "skin-over-parenchyma.toml")
+    skin, soft = (moduli(part.cell) for part in recipe.parts().values())
+    plain = replace(recipe.types["skin"], cell=recipe.types["parenchyma"].cell)
+    without = replace(recipe, types={**recipe.types, "skin": plain})
+    for study, upper in ((recipe, skin), (without, soft)):
+        came_to = rest_study(study, tmp_path / f"{upper[0]:.0f}").met["watched"]
+        assert came_to[1] == pytest.approx(-deflection(upper, soft), rel=0.02)
+    assert deflection(soft, soft) > 1.5 * deflection(skin, soft)
+
+
+def moduli(cell):
+    """Along x with the sides free, and of shear, µN/µm."""
+    at_rest = RveLaw(cell).respond(np.eye(2)[None], np.zeros((1, 2, 2)), tangents=True)
+    C = at_rest.tangents.P_by_F[0]
+    return C[0, 0, 0, 0] - C[0, 0, 1, 1] ** 2 / C[1, 1, 1, 1], C[0, 1, 0, 1]
+
+
+def deflection(upper, lower):
+    """Deflection of the tip by bending and shear, two layers glued together, µm."""
+    length, height, thickness, force = 3000.0, 600.0, 200.0, 12.0
+    y, dy = np.linspace(0.0, height, 6001, retstep=True)
+    E, G = np.where((y < height - thickness)[:, None], lower, upper).T
+    axis = (E * y).sum() / E.sum()
+    stiffness = (E * (y - axis) ** 2).sum() * dy
+    flow = np.cumsum(E * (axis - y)) * dy / stiffness
+    return force * length**3 / (3.0 * stiffness) + force * length * (flow**2 / G).sum() * dy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+def test_cached_is_true_within_a_thousandth(path, tmp_path):
+    """Data set, training, both runs and their comparison, as the commands do it."""
+    (tmp_path / "examples").mkdir()
+    for name in (path.name, "notched-leaf.msh"):
+        (tmp_path / "examples" / name).write_bytes((FOLDER / name).read_bytes())
+    recipe = load_recipe(tmp_path / "examples" / path.name)
+    for part in recipe.parts().values():
+        generate_data_set(part)
+        train_surrogate(part)
+    for law in ("rve", "cached"):
+        run_study(recipe, law, tmp_path / law)
+    (run,) = compare_runs([tmp_path / "rve", tmp_path / "cached"], tmp_path / "both").runs
+    assert run.difference.largest < 1e-3
+    assert run.counts["rve_solves"] < 0.02 * run.counts["stress_points"]
+    for body in recipe.stated.bodies:
+        force = run.forces[body.name]
+        assert force.largest < 1e-3 * force.scale

@@ -164,14 +164,15 @@ def _load_of(run: StoredRun) -> dict[str, Any]:
 
 
 def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
-    """Force resultants over time by name, µN."""
+    """Force resultants on the tissue over time by name, µN; not what holds rigid bodies."""
+    held = {f"force {body} position" for body in run.record.recipe.get("bodies", {})}
     names = [name.removesuffix(" x") for name in run.history if name.endswith(" x")]
     return {
         name.removeprefix("force "): DisplacementCurve(
             run.curve.t, np.stack([run.history[f"{name} {axis}"] for axis in "xy"], axis=1)
         )
         for name in names
-        if name.startswith("force ")
+        if name.startswith("force ") and name not in held
     }
 
 
