@@ -158,7 +158,7 @@ def test_the_paper_s_bar_has_no_regions(written):
         load_recipe(written(load))
 
 
-def test_what_is_of_one_cell_refuses_several(invoke, written, tmp_path):
+def test_what_is_of_one_cell_refuses_several(invoke, written):
     path = written()
     with pytest.raises(InputError, match="this needs a recipe with one"):
         generate_data_set(load_recipe(path))
