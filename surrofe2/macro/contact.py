@@ -12,8 +12,10 @@ have a mass and the true boundary has none (Hunt and Crossley, J. Appl. Mech. 42
 have the form; a spring and a dashpot as the contact of finite elements with a rigid body).
 
 Friction is −µ p w/√(w² + s²) in the direction of the sliding velocity w, s being the slip speed: a
-force that follows Coulomb's law where sliding is fast and creeps where it is slow. The body takes
-the opposite forces, so momentum is kept to rounding.
+force that follows Coulomb's law where sliding is fast and creeps where it is slow. Where nothing
+has a velocity it follows from the sliding Δ since the last equilibrium and the friction τ of that:
+τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's law.
+The body takes the opposite forces, so momentum is kept to rounding.
 """
 
 from __future__ import annotations
@@ -40,6 +42,14 @@ _TOUCHING = 0.01
 
 
 @dataclass(frozen=True, slots=True)
+class Grip:
+    """An equilibrium: displacement u (n, 2), µm, and friction (m,) at all points, µN/µm."""
+
+    u: Array
+    drag: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Contact:
     """The contact force of one rigid body.
 
@@ -50,6 +60,7 @@ class Contact:
         points: (m, 3, 2) reference positions. lengths: (m, 3). shapes: (3, k).
         stiffness: k, µN/µm². smoothing: δ, µm. damping: c, µN µs/µm².
         friction: µ. slip_speed: s, µm/µs.
+        grip: the last equilibrium, in quasi-static runs.
     """
 
     name: str
@@ -65,6 +76,7 @@ class Contact:
     damping: float
     friction: float
     slip_speed: float
+    grip: Grip | None = None
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
         """As of `Force`."""
@@ -72,13 +84,11 @@ class Contact:
         gap, normal, _ = self._gaps(u)
         if not (gap < 0.0).any():
             return force
-        relative = self._relative(v)
-        pressure, *_ = self._pressure(-gap, -_dot(relative, normal))
-        tangent = _turned(normal)
+        pressure, *_ = self._pressure(-gap, -_dot(self._relative(v), normal))
         traction = pressure[:, None] * normal
         if self.friction:
-            drag, *_ = self._drag(pressure, _dot(relative, tangent))
-            traction -= drag[:, None] * tangent
+            drag, *_ = self._drag(pressure, _dot(self._slid(u, v), _turned(normal)))
+            traction -= drag[:, None] * _turned(normal)
         at_points = traction.reshape(*self.lengths.shape, 2) * self.lengths[:, :, None]
         np.add.at(force, self.sides, np.einsum("mqi,qa->mai", at_points, self.shapes))
         force[self.row] -= at_points.sum(axis=(0, 1))
@@ -91,8 +101,8 @@ class Contact:
         if not touching.size:
             return None
         tangent, relative = _turned(normal), self._relative(v)
-        apart, sliding = _dot(relative, normal), _dot(relative, tangent)
-        pressure, by_depth, by_closing = self._pressure(-gap, -apart)
+        sliding = _dot(relative, tangent)
+        pressure, by_depth, by_closing = self._pressure(-gap, -_dot(relative, normal))
         # ∂g/∂x = n; the frame turns with the point: ∂n/∂x = κ τ τᵀ, ∂τ/∂x = −κ n τᵀ.
         p_by_x = -by_depth[:, None] * normal - (by_closing * curvature * sliding)[:, None] * tangent
         p_by_v = -by_closing[:, None] * normal
@@ -100,14 +110,24 @@ class Contact:
         by_x = _outer(normal, p_by_x) + (pressure * curvature)[:, None, None] * both
         by_v = _outer(normal, p_by_v)
         if self.friction:
-            drag, by_pressure, by_sliding = self._drag(pressure, sliding)
+            slid = self._slid(u, v)
+            drag, by_pressure, by_sliding = self._drag(pressure, _dot(slid, tangent))
             along = by_pressure[:, None] * tangent
             by_x -= _outer(along, p_by_x)
-            by_x += (by_sliding * curvature * apart)[:, None, None] * both
+            by_x += (by_sliding * curvature * _dot(slid, normal))[:, None, None] * both
             by_x += (drag * curvature)[:, None, None] * _outer(normal, tangent)
-            by_v -= _outer(along, p_by_v) + by_sliding[:, None, None] * both
+            by_v -= _outer(along, p_by_v)
+            moved = by_v if self.grip is None else by_x
+            moved -= by_sliding[:, None, None] * both
         n = u.size
         return self._assembled(-by_x, touching, n), self._assembled(-by_v, touching, n)
+
+    def drag(self, u: Array) -> Array:
+        """(m,) friction at all points at rest, µN/µm."""
+        gap, normal, _ = self._gaps(u)
+        pressure, *_ = self._pressure(-gap, 0.0 * gap)
+        found, *_ = self._drag(pressure, _dot(self._slid(u, 0.0 * u), _turned(normal)))
+        return found
 
     def penetration(self, u: Array) -> float:
         """Deepest penetration of any point, µm."""
@@ -162,8 +182,18 @@ class Contact:
         by_depth = by_spring * k * near + by_dashpot * growing
         return pressure, by_depth, by_dashpot * self.damping * near**2 * (3.0 - 2.0 * near)
 
+    def _slid(self, u: Array, v: Array) -> Array:
+        """(n, 2) velocity relative to the body, or displacement since the grip."""
+        return self._relative(v if self.grip is None else u - self.grip.u)
+
     def _drag(self, pressure: Array, sliding: Array) -> tuple[Array, Array, Array]:
-        """Friction per length against sliding, and its slopes by pressure and sliding velocity."""
+        """Friction per length against sliding, and its slopes by pressure and by sliding."""
+        if self.grip is not None:
+            limit = self.friction * pressure
+            tried = self.grip.drag + self.stiffness * sliding
+            sticks = abs(tried) <= limit
+            slips = np.where(sticks, 0.0, self.friction * np.sign(tried))
+            return np.clip(tried, -limit, limit), slips, np.where(sticks, self.stiffness, 0.0)
         size = np.hypot(sliding, self.slip_speed)
         share = self.friction * sliding / size
         return share * pressure, share, self.friction * pressure * self.slip_speed**2 / size**3

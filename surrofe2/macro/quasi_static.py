@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.contact import Contact, Grip
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.macro.forces import Matrix, Slopes
@@ -49,6 +50,7 @@ class Rest:
         next_step: factor of the next load step.
         extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
         law_state: what the law has committed.
+        drags: by body, friction at all points of its contact, µN/µm.
     """
 
     system: System
@@ -65,6 +67,7 @@ class Rest:
     next_step: float
     extremes: Array
     law_state: Any
+    drags: dict[str, Array]
 
     @property
     def frame(self) -> Frames:
@@ -77,7 +80,8 @@ class Rest:
         numbers = {"factor": self.factor, "next_step": self.next_step, **self.counts}
         arrays = {name: np.array(value) for name, value in numbers.items()}
         tensors = {"u": self.u, "stress": self.stress, "extremes": self.extremes}
-        return arrays | tensors | {"path": self.path}
+        drags = {f"drag {name}": drag for name, drag in self.drags.items()}
+        return arrays | tensors | {"path": self.path} | drags
 
     @property
     def watched(self) -> Array:
@@ -111,6 +115,9 @@ def find_rest(
             factor, with its `law_state`; what is found is that of the uninterrupted way, to the
             bit.
 
+    Friction depends on the way: a point of contact sticks where it touched until Coulomb's law lets
+    it slip, from equilibrium to equilibrium, so more load steps follow its way more closely.
+
     Raises:
         InputError: the law has no tangents.
         MismatchError: `resume` is of another mesh.
@@ -128,11 +135,14 @@ def find_rest(
     found: Rest | NoStress | Switched
     if resume is None:
         step, met = factor / load_steps, NO_EXTREMES
+        newton = newton.gripping(np.zeros((system.n_rows, 2)), {})
         found = newton.rest_at(0.0, np.zeros(system.free.size), np.zeros((1, 3)))
     else:
         if resume["u"].shape != (system.n_rows, 2):
             raise MismatchError("resume: the mesh is not that of the state; start anew")
         step, met = float(resume["next_step"]), resume["extremes"]
+        drags = {each.name: resume[f"drag {each.name}"] for each in system.contacts}
+        newton = newton.gripping(resume["u"], drags)
         found = newton.known(resume, law_state)
     if not isinstance(found, Rest):
         raise SimulationError(f"the load cannot start: {found.message}")
@@ -142,6 +152,7 @@ def find_rest(
     while rest.factor != factor:
         left = factor - rest.factor
         target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
+        newton = newton.gripping(rest.u, rest.drags)
         found = newton.rest_at(target, system.pick(rest.u), rest.path)
         if isinstance(found, NoStress):
             equations.tally.counts["halvings"] += 1
@@ -218,7 +229,20 @@ class _Newton:
             next_step=0.0,
             extremes=NO_EXTREMES,
             law_state=equations.law_state,
+            drags={contact.name: contact.drag(now.u) for contact in equations.system.contacts},
         )
+
+    def gripping(self, u: Array, drags: Mapping[str, Array]) -> _Newton:
+        """The same, with contacts that go on from an equilibrium; u and drags as of `Rest`."""
+        system = self.equations.system
+        forces = tuple(
+            replace(force, grip=Grip(u, drags.get(force.name, np.zeros(force.lengths.size))))
+            if isinstance(force, Contact)
+            else force
+            for force in system.forces
+        )
+        self.equations.system = replace(system, forces=forces)
+        return replace(self, assembly=replace(self.assembly, system=self.equations.system))
 
     def counts(self) -> dict[str, int]:
         """As of `Rest`."""

@@ -22,6 +22,7 @@ from surrofe2.macro import (
     Traction,
     find_rest,
 )
+from surrofe2.macro.contact import Grip
 from surrofe2.macro.system import make_system
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import HEIGHT, WIDTH, plate
@@ -92,6 +93,21 @@ def test_slopes_of_contact(kind, shape, friction, rng):
     row = slice(2 * contact.row, 2 * contact.row + 2)
     assert abs(slopes[0][row, row]).max() > 1.0
     assert abs(slopes[1]).max() > 1.0
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_slopes_of_friction_at_rest(shape, rng):
+    """From an equilibrium with friction: some points stick, others slip, and the body is curved."""
+    struck = body(shape, friction=0.2, mass=40.0, stiffness=50.0, smoothing=0.8)
+    problem = Problem(mesh=plate("quads", rng, (6, 4)), conditions=(), bodies=(struck,))
+    (contact,) = make_system(problem, 0.08).contacts
+    u, before = rng.uniform(-0.1, 0.1, (2, len(problem.mesh.nodes) + 1, 2))
+    contact = replace(contact, grip=Grip(before, rng.uniform(-9.0, 9.0, contact.lengths.size)))
+    pressure, *_ = contact._pressure(-contact._gaps(u)[0], np.zeros(contact.lengths.size))
+    share = abs(contact.drag(u))[pressure > 0.0] / pressure[pressure > 0.0]
+    assert share.max() == pytest.approx(0.2)
+    assert share.min() < 0.19
+    assert_slopes(contact, u, 0.0 * u)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -188,6 +204,18 @@ NEWTON = {
         (Foundation(on="bottom", stiffness=3.0), Traction(on="right", traction=(8.0, 8.0))),
         (),
     ),
+    **{
+        f"{shape} with friction": (
+            (Fixed(on="bottom"), Traction(on="right", traction=(4.0, 0.0))),
+            (
+                replace(
+                    body(shape, stiffness=20.0, smoothing=0.5, friction=0.3),
+                    displacement=(0.3, -0.5),
+                ),
+            ),
+        )
+        for shape in SHAPES
+    },
     **{
         shape: (
             (Fixed(on="bottom"), Traction(on="right", traction=(4.0, 0.0))),

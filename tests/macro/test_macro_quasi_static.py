@@ -7,7 +7,17 @@ import pytest
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, Rest, find_rest, simulate
+from surrofe2.macro import (
+    Fixed,
+    MacroSettings,
+    Mesh,
+    Plane,
+    Problem,
+    Rest,
+    RigidBody,
+    find_rest,
+    simulate,
+)
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
@@ -46,6 +56,42 @@ def test_path_does_not_matter_for_an_elastic_bar():
     np.testing.assert_allclose(in_steps.path[:, 0], [0.0, 0.8, 1.6, 2.4, 3.2, 4.0], rtol=1e-12)
     np.testing.assert_array_equal(in_steps.path[-1, 1:], in_steps.watched)
     assert in_steps.counts["load_steps"] == 5
+
+
+def dragged(along, friction, load_steps=4, steps_on=()):
+    """Forces on a block of a plate pressed on it and dragged along, and the rest they are of."""
+    plate = RigidBody(
+        name="plate", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, 20.0),
+        displacement=(along, -0.4), friction=friction,
+    )  # fmt: skip
+    problem = Problem(
+        mesh=Mesh.rectangle(30.0, 20.0, (3, 2)), conditions=(Fixed(on="bottom"),), bodies=(plate,)
+    )
+    rest = find_rest(problem, KelvinVoigt(), load_steps=load_steps, **dict(steps_on))
+    return rest.forces[rest.system.force_names.index("plate")], rest
+
+
+def test_a_plate_sticks_or_slips_by_coulombs_law():
+    """Dragged far it pulls by µ times its force; a little, it takes the side along as if glued."""
+    (pull, push), _ = dragged(20.0, 0.1)
+    assert pull == pytest.approx(-0.1 * push, rel=1e-6)
+    (_, smooth), _ = dragged(20.0, 0.0)
+    assert push == pytest.approx(smooth, rel=0.05)
+    (pull, push), stuck = dragged(0.01, 5.0)
+    top = stuck.system.problem.mesh.boundaries["top"]
+    np.testing.assert_allclose(stuck.u[np.unique(top), 0], 0.01, atol=0.3 * 0.01)
+    assert 0.0 < pull < 0.05 * abs(push)
+
+
+def test_friction_at_rest_goes_on_from_where_it_was():
+    """A rest resumed at half of the load is that of the run that went on."""
+    reached = []
+    _, whole = dragged(0.3, 0.2, steps_on={"reached": reached.append})
+    state = reached[2].to_arrays()
+    assert abs(state["drag plate"]).max() > 0.1
+    _, resumed = dragged(0.3, 0.2, steps_on={"resume": state})
+    np.testing.assert_allclose(resumed.u, whole.u, atol=1e-9)
+    np.testing.assert_allclose(resumed.forces, whole.forces, atol=1e-6)
 
 
 class BearsSteps(KelvinVoigt):
