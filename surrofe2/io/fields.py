@@ -37,7 +37,7 @@ class Motion(Protocol):
 
 class Frames(Motion, Protocol):
     """The same of the nodes of a mesh; stress, F and Ḟ (m, e, 2, 2), source and bound (m, e) of
-    its elements, these two (m, 0) where not known.
+    its elements, these two and the energy `dissipated` by area (m, 0) where not known.
     """
 
     @property
@@ -50,6 +50,8 @@ class Frames(Motion, Protocol):
     def source(self) -> Array: ...  # noqa: D102
     @property
     def bound(self) -> Array: ...  # noqa: D102
+    @property
+    def dissipated(self) -> Array: ...  # noqa: D102
 
 
 def write_fields(
@@ -81,6 +83,8 @@ def write_fields(
                     "stress_source": frames.source[k],
                     "stress_bound_uN_per_um": frames.bound[k],
                 }
+            if frames.dissipated.size:
+                in_elements["dissipated_energy_pJ_per_um2"] = frames.dissipated[k]
             if cell is not None:
                 in_elements[_CELL] = cell
             write(float(t), _motion_at(frames, k), in_elements)

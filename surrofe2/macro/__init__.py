@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     )
     from surrofe2.macro.discretisation import points_by_region
     from surrofe2.macro.extremes import MetRange
-    from surrofe2.macro.history import Frames, MacroState
+    from surrofe2.macro.frames import Frames
+    from surrofe2.macro.history import MacroState
     from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
     from surrofe2.macro.modes import Modes, find_modes
     from surrofe2.macro.problem import Problem

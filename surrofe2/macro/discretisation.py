@@ -66,6 +66,14 @@ class Discretisation:
         """Points at which the stress law is asked."""
         return int(self.weights.size)
 
+    @property
+    def areas(self) -> Array:
+        """(n_el,) reference areas, µm²."""
+        if self.pressure_apart:
+            return self.weights[:, -1]
+        whole: Array = self.weights.sum(axis=1)
+        return whole
+
     def point_position(self, point: int) -> Array:
         """(2,) reference position of quadrature point number `point`, µm."""
         element, q = divmod(point, self.points_per_element)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from time import perf_counter
 from typing import Any
 
@@ -11,18 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.internal_force import (
-    deformation_gradient,
-    element_mean_F,
-    element_mean_stress,
-)
+from surrofe2.macro.frames import NOTHING, Frames
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
-from surrofe2.stress_law import Sources
 
 Array = NDArray[np.float64]
 
@@ -40,70 +34,6 @@ COUNTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """Whole fields at k times, each the end of the first step that passed an even fraction of the
-    duration: there the stress is the one the run went on with, and nothing is interpolated.
-
-    Attributes:
-        t: (k,) µs, increasing, from 0 to the end.
-        displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
-        stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
-        F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
-        source, bound: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
-            that does not tell.
-    """
-
-    t: Array
-    displacement: Array
-    velocity: Array
-    stress: Array
-    F: Array
-    F_dot: Array
-    source: Array
-    bound: Array
-
-    @classmethod
-    def of(
-        cls,
-        space: Discretisation,
-        t: float,
-        motion: tuple[Array, Array],
-        F: Array,
-        stress: Array,
-        sources: Sources | None = None,
-    ) -> Frames:
-        """Those of one time, from displacement and velocity (n, 2) of nodes and bodies, and from
-        values at the points.
-        """
-        u, v = motion
-        n = len(space.nodes)
-        _, F_dot, _ = deformation_gradient(space, u, v)
-        return cls(
-            t=np.array([t]),
-            displacement=u[None, :n],
-            velocity=v[None, :n],
-            stress=element_mean_stress(space, F, stress)[None],
-            F=element_mean_F(space, F)[None],
-            F_dot=element_mean_F(space, F_dot)[None],
-            source=_largest(space, None if sources is None else sources.source),
-            bound=_largest(space, None if sources is None else sources.bound),
-        )
-
-    def followed_by(self, other: Frames) -> Frames:
-        """Both, one after the other."""
-        pairs = zip(astuple(self), astuple(other), strict=True)
-        return Frames(*(np.concatenate(pair) for pair in pairs))
-
-
-def _largest(space: Discretisation, values: NDArray | None) -> Array:
-    """(1, n_el) largest of values (n_points,) in each element; (1, 0) of None."""
-    if values is None:
-        return np.empty((1, 0))
-    whole: Array = values.reshape(len(space.elements), -1).max(axis=1).astype(np.float64)[None]
-    return whole
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MacroState:
     """A run at the end of a step: all that carries it on, and all it has found.
@@ -118,6 +48,7 @@ class MacroState:
         work: (k,) since t = 0 of what `Evaluation.powers` lists, pJ.
         rows: (r, c) at the output times passed, the columns of `columns_of`.
         samples: (s, 1 + regions) t and rates of dissipation, µs and pJ/µs, at ends of steps.
+        dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
         frames: whole fields.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
         identity: (k, 32) digests of the problem's parts; a resumed run must have the same.
@@ -133,6 +64,7 @@ class MacroState:
     work: Array
     rows: Array
     samples: Array
+    dissipated: Array
     frames: Frames
     extremes: Array
     identity: Array
@@ -221,8 +153,9 @@ class Recorder:
         extremes = NO_EXTREMES.copy()
         widen_extremes(extremes, start.F, start.F_dot)
         samples = np.zeros((0, 1 + len(self._system.regions)))
+        dissipated = np.zeros((2, len(self._system.discretisation.elements)))
         if self._record_dissipation:
-            samples = self._with_sample(samples, start)
+            samples, dissipated = self._with_sample(samples, dissipated, start)
             self._record_dissipation = len(samples) > 0
         self._state = MacroState(
             t=start.t,
@@ -232,7 +165,8 @@ class Recorder:
             work=work,
             rows=self._row(start.t, start.y, work, self._forces(start))[None],
             samples=samples,
-            frames=self._frame(start),
+            dissipated=dissipated,
+            frames=self._frame(start, samples, dissipated),
             extremes=extremes,
             identity=self._system.identity(),
             **self._standing(stepper),
@@ -244,6 +178,7 @@ class Recorder:
         before, end = self._state, step.end
         passed, due = len(before.rows), self._rows_due(end.t)
         rows, samples, frames = [before.rows], before.samples, before.frames
+        dissipated = before.dissipated
         if due > passed:
             first, last = self._forces(step.start), self._forces(end)
             for t in self._t[passed:due]:
@@ -254,9 +189,9 @@ class Recorder:
                 rows.append(self._row(t, step.interpolate(within), work, forces)[None])
         # About every other output time, and at the last.
         if self._record_dissipation and (due // 2 > passed // 2 or passed < due == self._t.size):
-            samples = self._with_sample(samples, end)
+            samples, dissipated = self._with_sample(samples, dissipated, end)
         if self._frames_due(end.t) > self._frames_due(step.start.t):
-            frames = frames.followed_by(self._frame(end))
+            frames = frames.followed_by(self._frame(end, samples, dissipated))
         extremes = before.extremes.copy()
         widen_extremes(extremes, end.F, end.F_dot)
         self._state = replace(
@@ -268,6 +203,7 @@ class Recorder:
             work=before.work + step.work(end.t),
             rows=np.concatenate(rows),
             samples=samples,
+            dissipated=dissipated,
             frames=frames,
             extremes=extremes,
             **self._standing(stepper),
@@ -303,15 +239,22 @@ class Recorder:
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
-    def _with_sample(self, samples: Array, now: Evaluation) -> Array:
-        """With a row of time and each region's dissipation; as it was where that is not known."""
+    def _with_sample(
+        self, samples: Array, dissipated: Array, now: Evaluation
+    ) -> tuple[Array, Array]:
+        """With a row of time and each region's dissipation, and with that of the elements; as they
+        were where it is not known.
+        """
         # At rest nothing dissipates.
-        rates = np.zeros(0) if not now.v.any() else self._equations.dissipation_rates(now)
+        still = np.zeros(dissipated.shape[1])
+        rates = still if not now.v.any() else self._equations.dissipation_rates(now)
         if rates is None:
-            return samples
-        by_region = [rates[elements].sum() if rates.size else 0.0
-                     for elements in self._system.regions.values()]  # fmt: skip
-        return np.vstack([samples, [now.t, *by_region]])
+            return samples, dissipated
+        by_region = [rates[elements].sum() for elements in self._system.regions.values()]
+        energy, before = dissipated
+        since = now.t - samples[-1, 0] if len(samples) else 0.0
+        energy = energy + 0.5 * since * (before + rates)
+        return np.vstack([samples, [now.t, *by_region]]), np.stack([energy, rates])
 
     def _forces(self, now: Evaluation) -> Array:
         """(k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
@@ -329,7 +272,11 @@ class Recorder:
         flat = [part.ravel() for part in vectors]
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
-    def _frame(self, now: Evaluation) -> Frames:
+    def _frame(self, now: Evaluation, samples: Array, dissipated: Array) -> Frames:
         answer, space = now.response, self._system.discretisation
         told = None if answer.sources is None else answer.sources()
-        return Frames.of(space, now.t, (now.u, now.v), now.F, answer.stress, told)
+        density = NOTHING
+        if self._record_dissipation:
+            density = (dissipated[0] + (now.t - samples[-1, 0]) * dissipated[1]) / space.areas
+        motion = now.u, now.v
+        return Frames.of(space, now.t, motion, now.F, answer.stress, told, density)

@@ -15,7 +15,7 @@ from surrofe2.macro.contact import Contact, Grip
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.macro.forces import Matrix, Slopes
-from surrofe2.macro.history import Frames
+from surrofe2.macro.frames import Frames
 from surrofe2.macro.problem import Problem
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.simulation import as_problem, system_of

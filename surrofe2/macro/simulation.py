@@ -20,8 +20,9 @@ from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import MetRange
+from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
-from surrofe2.macro.history import Frames, MacroState, Recorder, columns_of
+from surrofe2.macro.history import MacroState, Recorder, columns_of
 from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import PARTS, System, make_system

@@ -33,6 +33,7 @@ def frames():
         F_dot=numbers.normal(size=(3, 1, 2, 2)),
         source=np.array([[0.0], [3.0], [6.0]]),
         bound=np.array([[0.1], [0.0], [0.0]]),
+        dissipated=np.array([[0.0], [0.2], [0.3]]),
     )
 
 
@@ -54,6 +55,8 @@ def test_fields_read_back(tmp_path, frames):
             u, v = at_nodes["displacement_um"], at_nodes["velocity_um_per_us"]
             np.testing.assert_array_equal(u[:, :2], frames.displacement[k])
             np.testing.assert_array_equal(v[:, :2], frames.velocity[k])
+            (dissipated,) = in_quads["dissipated_energy_pJ_per_um2"]
+            np.testing.assert_array_equal(dissipated, frames.dissipated[k])
             (stress,) = in_quads["cauchy_stress_uN_per_um"]
             (F,) = in_quads["deformation_gradient"]
             np.testing.assert_array_equal(stress[:, :2, :2], frames.stress[k])
@@ -127,6 +130,7 @@ def test_triangles_with_six_nodes(tmp_path):
         F=tensors,
         F_dot=tensors,
         source=np.empty((1, 0)),
+        dissipated=np.empty((1, 0)),
     )
     write_fields(tmp_path, nodes, np.arange(6)[None], frames)
     with meshio.xdmf.TimeSeriesReader(tmp_path / "fields.xdmf") as reader:

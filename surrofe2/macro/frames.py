@@ -1,0 +1,89 @@
+"""Whole fields of a run at a few times."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.macro.discretisation import Discretisation
+from surrofe2.macro.internal_force import (
+    deformation_gradient,
+    element_mean_F,
+    element_mean_stress,
+)
+from surrofe2.stress_law import Sources
+
+Array = NDArray[np.float64]
+
+NOTHING: Array = np.empty(0)
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Whole fields at k times, each the end of the first step that passed an even fraction of the
+    duration: there the stress is the one the run went on with, and nothing is interpolated.
+
+    Attributes:
+        t: (k,) µs, increasing, from 0 to the end.
+        displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
+        stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
+        F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
+        source, bound: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
+            that does not tell.
+        dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
+            The rate is linear between the samples of `MacroState`, and constant after the last.
+    """
+
+    t: Array
+    displacement: Array
+    velocity: Array
+    stress: Array
+    F: Array
+    F_dot: Array
+    source: Array
+    bound: Array
+    dissipated: Array
+
+    @classmethod
+    def of(
+        cls,
+        space: Discretisation,
+        t: float,
+        motion: tuple[Array, Array],
+        F: Array,
+        stress: Array,
+        sources: Sources | None = None,
+        dissipated: Array = NOTHING,
+    ) -> Frames:
+        """Those of one time, from displacement and velocity (n, 2) of nodes and bodies, from
+        values at the points, and from `dissipated` (n_el,).
+        """
+        u, v = motion
+        n = len(space.nodes)
+        _, F_dot, _ = deformation_gradient(space, u, v)
+        return cls(
+            t=np.array([t]),
+            displacement=u[None, :n],
+            velocity=v[None, :n],
+            stress=element_mean_stress(space, F, stress)[None],
+            F=element_mean_F(space, F)[None],
+            F_dot=element_mean_F(space, F_dot)[None],
+            source=_largest(space, None if sources is None else sources.source),
+            bound=_largest(space, None if sources is None else sources.bound),
+            dissipated=dissipated[None],
+        )
+
+    def followed_by(self, other: Frames) -> Frames:
+        """Both, one after the other."""
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return Frames(*(np.concatenate(pair) for pair in pairs))
+
+
+def _largest(space: Discretisation, values: NDArray | None) -> Array:
+    """(1, n_el) largest of values (n_points,) in each element; (1, 0) of None."""
+    if values is None:
+        return np.empty((1, 0))
+    whole: Array = values.reshape(len(space.elements), -1).max(axis=1).astype(np.float64)[None]
+    return whole
