@@ -3,6 +3,15 @@
 import numpy as np
 import pytest
 
+from surrofe2 import (
+    CachedLaw,
+    CalibrationSettings,
+    SamplingRange,
+    TrainingSettings,
+    calibrate,
+    sample_stress,
+    train,
+)
 from surrofe2.amplitude import ONE, Pulse, Ramp, Sine, Table
 from surrofe2.macro import BodyForce, Fixed, MacroSettings, Mesh, Problem, simulate
 from surrofe2.plant_cell.parameters import CellParameters
@@ -24,10 +33,17 @@ LOADS = {
     "slow half sine": (Pulse(begin=50.0, length=300.0), 400.0, 0.2),
     "rest, then a ramp": (Table(points=((0, 0), (10, 0), (20, 1), (30, 1))), 30.0, 0.2),
 }  # fmt: skip
+LONG_LOADS = {
+    "ramp of 10 ms, held to 15 ms": (Ramp(end=1e4), 1.5e4, 0.2),
+    "smooth ramp of 10 ms": (Ramp(end=1e4, smooth=True), 1.2e4, 0.2),
+    "pulse in the middle of 10 ms": (
+        Table(points=((0, 0), (5000, 1), (5000.5, 3), (5001, 1), (10000, 1))), 1e4, 0.2,
+    ),
+}  # fmt: skip
 
 
 def under(load, mesh=MESH):
-    amplitude, duration, size = LOADS[load]
+    amplitude, duration, size = (LOADS | LONG_LOADS)[load]
     pull = BodyForce(name="load", acceleration=(0.0, -size), amplitude=amplitude)
     return Problem(
         mesh=mesh,
@@ -59,13 +75,43 @@ def test_displacement_is_within_three_tolerances_at_every_output_time(load):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("load", LONG_LOADS)
+def test_displacement_under_loads_of_milliseconds_too(load):
+    errors = [*errors_in_tolerances(under(load), KelvinVoigt(), ["explicit", "implicit"])]
+    assert max(errors) < 3.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["printed", "water"])
-@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("load", [*LOADS, "ramp of 10 ms, held to 15 ms"])
 def test_displacement_of_rves_is_within_three_tolerances(load, preset):
     mesh = Mesh.rectangle(400.0, 400.0, (1, 1))
     law = RveLaw(CellParameters.preset(preset), initialisation="slow-manifold")
     errors = [*errors_in_tolerances(under(load, mesh), law, ["explicit", "implicit"])]
     assert max(errors) < 3.0
+
+
+@pytest.fixture(scope="module", params=["printed", "water"])
+def cached(request):
+    """A law that a surrogate answers nearly everywhere."""
+    rve = RveLaw(CellParameters.preset(request.param))
+    strain = {"printed": 0.06, "water": 0.04}[request.param]
+    wanted = SamplingRange(stretch=(1.0 - strain, 1.0 + strain), shear=strain, rate=0.015)
+    samples = sample_stress(rve, wanted, 1024)
+    surrogate = train(samples, TrainingSettings(iterations=200))
+    paths = CalibrationSettings(walks=0, states=100, runs=0)
+    return CachedLaw(calibrate(surrogate, samples, rve, paths), rve)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", [*LOADS, "ramp of 10 ms, held to 15 ms", "smooth ramp of 10 ms"])
+def test_displacement_of_cached_runs_is_within_three_tolerances(load, cached):
+    """Against a cached run at 1e-8: the integration in time is judged, not the surrogate."""
+    problem = under(load, Mesh.rectangle(400.0, 400.0, (1, 1)))
+    cached.reset_counts()
+    errors = [*errors_in_tolerances(problem, cached, ["explicit", "implicit"])]
+    assert max(errors) < 3.0
+    assert cached.counts["hits"] > 10 * cached.counts["fallbacks"]
 
 
 def test_a_body_at_rest_without_load_stays_at_rest_with_few_steps():
