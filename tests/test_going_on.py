@@ -13,10 +13,11 @@ import pytest
 from surrofe2.io.run_folder import caches_of, read_record
 from surrofe2.io.seal import SEAL
 from surrofe2.recipe import load_recipe
-from surrofe2.workflow import rest, run
+from surrofe2.workflow import rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
+from surrofe2.workflow.tissue import run_tissue
 from surrofe2.workflow.train import train_surrogate
 from tests.cli.test_cell_types import BAR
 from tests.conftest import RECIPE
@@ -213,6 +214,25 @@ def test_a_rest_goes_on_to_the_bit(recipe_path, tmp_path, monkeypatch):
     monkeypatch.setattr(rest, "CHECKPOINT_INTERVAL", 0.0)
     rest_study(recipe, here, report=copy)
     rest_study(recipe, killed)
+    assert_same(killed, whole)
+
+
+def test_a_tissue_goes_on_to_the_bit(recipe_path, tmp_path, monkeypatch):
+    small = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0, 25.0]")
+    text = small.replace("duration = 4.0", "duration = 1.0\noutput_interval = 0.1")
+    recipe_path.write_text(text, encoding="utf-8")
+    recipe, (whole, killed) = load_recipe(recipe_path), (tmp_path / each for each in "wk")
+    monkeypatch.setattr(tissue, "CHECKPOINT_INTERVAL", 0.0)
+    run_tissue(recipe, whole, report=after(5, lambda: copytree(whole, killed)))
+    assert read_record(killed).status == "running"
+    for steps in (1, 2):
+
+        def stop():
+            raise Stop
+
+        with pytest.raises(Stop):
+            run_tissue(recipe, killed, report=after(steps, stop))
+    run_tissue(recipe, killed)
     assert_same(killed, whole)
 
 

@@ -21,11 +21,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from time import monotonic
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
@@ -105,16 +106,15 @@ def simulate_tissue(
     else:
         recorder.restore(resume)
     times = problem.output_times()
-    last_checkpoint = monotonic()
+    clock = CheckpointClock(checkpoint_interval)
     try:
         for row in range(recorder.state.rows, len(times)):
             start, end = float(times[row - 1]), float(times[row])
             recorder.record(*advance(dynamics, problem, settings, start, end))
             if progress is not None:
                 progress(end, problem.duration)
-            if checkpoint is not None and monotonic() - last_checkpoint >= checkpoint_interval:
-                checkpoint(recorder.state)
-                last_checkpoint = monotonic()
+            if checkpoint is not None and clock.is_due():
+                clock.write(partial(checkpoint, recorder.state))
     except SimulationError as error:
         said = f"{error}; {_about_step(settings, bears)}"
         raise SimulationError(said, partial=recorder.run(finished=False)) from error
