@@ -38,7 +38,7 @@ from surrofe2.tissue.layout import Tissue, make_mixed_tissue
 from surrofe2.tissue.problem import TissueProblem, as_problem
 from surrofe2.tissue.relaxation import relax
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.tissue.stable_step import LONGEST, rounded_step, stable_step
+from surrofe2.tissue.stable_step import LONGEST, rounded_step, safe_step, stable_step
 
 Array = NDArray[np.float64]
 Cells = CellParameters | Sequence[CellParameters]
@@ -74,8 +74,9 @@ def simulate_tissue(
             the results are those of the uninterrupted run, bit by bit.
 
     Raises:
-        InputError: the cells do not fill the extent, or the problem contradicts itself.
-        SimulationError: the step is too long or the tissue collapses; `partial` is the
+        InputError: the cells do not fill the extent, the problem contradicts itself, or the step
+            is longer than the tissue bears.
+        SimulationError: the tissue collapses, or the step is too long for it; `partial` is the
             `TissueRun` up to there (None before the loaded run begins).
         MismatchError: `resume` is of another run, `reference` of another cell.
     """
@@ -151,8 +152,21 @@ def step_at_rest(conditions: Conditions, cell: Cells, reference: References) -> 
 
 
 def with_step(settings: TissueSettings, bears: float) -> TissueSettings:
-    """The settings with a step that the tissue bears where they state none."""
-    return settings if settings.micro_step else replace(settings, micro_step=rounded_step(bears))
+    """The settings with a step that the tissue bears where they state none.
+
+    Raises:
+        InputError: they state one too close to the limit that it `bears` at rest: it could grow to
+            any size without an error.
+    """
+    step, longest = settings.micro_step, safe_step(bears)
+    if step is None:
+        return replace(settings, micro_step=rounded_step(bears))
+    if step > longest * (1.0 + 1e-9):
+        raise InputError(
+            f"tissue.micro_step: {step:.4g} µs; at most {longest:.4g}, as the limit of stability "
+            f"at rest is {bears:.4g} µs with bodies; leave it out or take {rounded_step(bears):g}"
+        )
+    return settings
 
 
 def _about_step(settings: TissueSettings, limit: float) -> str:

@@ -33,9 +33,14 @@ def default_micro_step(cell: CellParameters, reference: ReferenceState) -> float
     return rounded_step(stable_step(cell, reference))
 
 
+def safe_step(limit: float) -> float:
+    """The longest step that a tissue bears in motion too, where it is stable to `limit` at rest."""
+    return _SHARE * limit
+
+
 def rounded_step(limit: float) -> float:
     """`LONGEST`, or what is borne for sure if that is less, rounded down to two digits, µs."""
-    wanted = _SHARE * limit
+    wanted = safe_step(limit)
     if wanted >= LONGEST:
         return LONGEST
     unit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.errors import SimulationError
+from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
@@ -56,9 +56,17 @@ def test_living_cells_run(preset):
     assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
 
 
-def test_a_step_that_is_too_long_is_named_and_not_the_load():
-    with pytest.raises(SimulationError) as caught:
-        run(CellParameters.preset("printed", wall_stiffness=6000.0), micro_step=4e-3)
-    assert "tissue.micro_step is 0.004 µs, at rest this cell bears 0.0019" in str(caught.value)
-    assert "the step is too long; leave it out or take 0.0016" in str(caught.value)
-    assert "load" not in str(caught.value)
+def test_a_step_near_the_limit_is_refused_and_the_limit_named():
+    """At 0.95 of the limit at rest this run grew to 270,000 µm without an error."""
+    cell = CellParameters.preset("printed", wall_stiffness=6000.0)
+    limit = stable_step(cell, RveLaw(cell).reference)
+    for share in (0.95, 1.02, 2.0):
+        with pytest.raises(InputError) as caught:
+            run(cell, micro_step=share * limit)
+        message = str(caught.value)
+        assert message.startswith(f"tissue.micro_step: {share * limit:.4g} µs; at most")
+        assert f"the limit of stability at rest is {limit:.4g} µs" in message
+        assert "leave it out or take 0.0016" in message
+    within = run(cell, micro_step=0.86 * limit)
+    default = run(cell).curve.displacement
+    assert np.abs(within.curve.displacement - default).max() < 1e-3 * np.abs(default).max()
