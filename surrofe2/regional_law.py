@@ -71,6 +71,8 @@ class RegionalLaw:
         if len(F) != self.density.size:
             raise InputError(f"F: {len(F)} points; the regions have {self.density.size}")
         states = (None,) * len(self._parts) if state is None else state
+        if not isinstance(states, tuple) or len(states) != len(self._parts):
+            raise InputError("state: not of a law of these regions; pass one of it, or None")
         answers = [
             law.respond(F[own], F_dot[own], part, tangents=tangents)
             for (law, own), part in zip(self._parts, states, strict=True)

@@ -244,9 +244,14 @@ def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:
 
 def _as_tensors(name: str, value: Any) -> Array:
     try:
-        array = np.ascontiguousarray(value, dtype=np.float64)
+        given = np.asanyarray(value)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: not an array of numbers; it must be (n, 2, 2)") from None
+        given = np.array(None)
+    if given.dtype.kind not in "fiu":
+        raise InputError(f"{name}: {given.dtype}; it must be an array (n, 2, 2) of real numbers")
+    if type(given) is not np.ndarray and np.ma.isMaskedArray(given):
+        raise InputError(f"{name}: a masked array; every entry must be a number")
+    array = np.ascontiguousarray(given, dtype=np.float64)
     if array.ndim != 3 or array.shape[1:] != (2, 2):
         raise InputError(f"{name}: shape {np.shape(value)}; it must be (n, 2, 2)")
     finite = np.isfinite(array)

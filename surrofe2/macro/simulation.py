@@ -10,7 +10,6 @@ from functools import partial
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.displacement_curve import DisplacementCurve
@@ -29,6 +28,7 @@ from surrofe2.macro.system import PARTS, System, make_system
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
+from surrofe2.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ def simulate(
         stepper = _make_stepper(equations, settings, recorder, resume)
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             while stepper.now.t < duration:
                 recorder.record(stepper.advance(), stepper)
                 if progress is not None:

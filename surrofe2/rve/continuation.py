@@ -55,7 +55,10 @@ DOWN = 0.4
 """Longest displacement of a particle in one step down, µm."""
 PAIRED = 0.02
 """Distance of fluid particles below which they count as one, µm."""
-STEPS, HALVINGS = 200, 30
+STEPS, HALVINGS = 100, 30
+"""Steps down to a minimum, and halvings of each, after which there is none."""
+EFFORT, OF_LEAVING = 150, 10
+"""Newton solves on the way of a point after which it is given up; a branch left counts as ten."""
 
 
 def is_far(F: Reals) -> Flags:
@@ -109,8 +112,9 @@ class Walker:
         longest, shortest = np.minimum(1.0, LONGEST / way), SHORTEST / way
         done, step = np.zeros(count), np.minimum(longest, 0.5)
         left, arrived, unstable = np.zeros((3, count), dtype=np.bool_)
-        active = np.arange(count)
+        active, effort = np.arange(count), np.zeros(count)
         while len(active):
+            effort[active] += 1.0
             part = np.minimum(done[active] + step[active], 1.0)
             t = part[:, None, None]
             F = (1.0 - t) * start[active] + t * end[active]
@@ -122,6 +126,7 @@ class Walker:
                 unstable[active[stuck]] = trial.found[stuck]
                 there[stuck], good[stuck] = self._leave(F, z[active], trial, stuck)
                 left[active[stuck]] |= good[stuck]
+                effort[active[stuck]] += OF_LEAVING
                 solves += len(stuck)
             lost = np.isin(np.arange(len(active)), stuck) & ~good
             z[active[good]] = there[good]
@@ -132,7 +137,7 @@ class Walker:
                 np.maximum(0.5 * step[active], shortest[active]),
             )
             arrived[active] = good & (part >= 1.0)
-            active = active[~arrived[active] & ~lost]
+            active = active[~arrived[active] & ~lost & (effort[active] < EFFORT)]
         return Walked(self.newton(end, z), arrived, unstable & ~arrived, left, solves + count)
 
     def newton(self, F: Reals, z: Reals) -> Equilibria:

@@ -81,6 +81,7 @@ class RveLaw:
         )
         self.cell = cell
         self.unit_cell = make_unit_cell(cell, reference)
+        self._name = f"{cell.fingerprint} {self.settings.initialisation} {self.settings.solver}"
 
     @property
     def reference(self) -> ReferenceState:
@@ -109,7 +110,7 @@ class RveLaw:
 
     def rest_state(self, points: int) -> RveState:
         """State of n RVEs at F = I, to warm-start from."""
-        return rest_state(self.unit_cell.position, self.unit_cell.factors, points)
+        return rest_state(self.unit_cell.position, self.unit_cell.factors, points, self._name)
 
     def particles(self, F: Any, F_dot: Any, state: RveState | None = None) -> Particles:
         """The particles behind the stress at n points: positions, forces, pressures, walls.
@@ -134,7 +135,7 @@ class RveLaw:
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
         """The state whose `to_arrays` gave these, to the bit."""
-        return RveState.from_arrays(arrays)
+        return RveState.from_arrays(arrays, self._name)
 
     def respond(
         self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False
@@ -151,9 +152,9 @@ class RveLaw:
         cold = state is None
         if cold:
             state = self.rest_state(points)
-        elif not isinstance(state, RveState) or state.points != points:
+        elif not isinstance(state, RveState) or state.points != points or state.of != self._name:
             raise InputError(
-                f"state: not a state of an RveLaw for {points} points; pass what an earlier "
+                f"state: not a state of this RveLaw for {points} points; pass what an earlier "
                 "answer for the same points carried, or None"
             )
         if tangents and not self.has_tangents:

@@ -144,6 +144,7 @@ class RveState:
     """Particles of n RVEs in tiles, at the deformation they were solved at.
 
     Attributes:
+        of: fingerprint of the law that it is a state of.
         points: n; the last tile is filled up with copies.
         z: (tiles, 2, particles, TILE) material positions, x = F z, µm.
         F, F_dot: (tiles, 2, 2, TILE) where z was solved.
@@ -155,6 +156,7 @@ class RveState:
         is_checked: whether every point was found stable at this very z, its factors made there.
     """
 
+    of: str
     points: int
     z: Reals
     F: Reals
@@ -190,9 +192,10 @@ class RveState:
         return own | self._tiles(self) | self.factors.to_arrays()
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RveState:
-        """The state whose `to_arrays` gave these, to the bit."""
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], of: str) -> RveState:
+        """The state whose `to_arrays` gave these, to the bit, of the same law."""
         return cls(
+            of=of,
             points=int(arrays["points"]),
             factors=Factors.from_arrays(arrays),
             is_checked=bool(arrays["is_checked"]),
@@ -245,8 +248,8 @@ def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp],
     return np.append(index, copies), np.append(place, np.repeat(last, len(copies)))
 
 
-def rest_state(position: Reals, factors: Factors, points: int) -> RveState:
-    """n RVEs at F = I, Ḟ = 0 with particles at `position` (n, 2) and the factors there."""
+def rest_state(position: Reals, factors: Factors, points: int, of: str) -> RveState:
+    """n RVEs of a law at F = I, Ḟ = 0 with particles at `position` (n, 2) and the factors there."""
 
     def everywhere(value: NDArray[Any]) -> NDArray[Any]:
         lanes = np.broadcast_to(value[..., None], (*value.shape, TILE))
@@ -255,6 +258,7 @@ def rest_state(position: Reals, factors: Factors, points: int) -> RveState:
     z = everywhere(position.T)
     identity = everywhere(np.eye(2))
     return RveState(
+        of=of,
         points=points,
         z=z,
         F=identity,

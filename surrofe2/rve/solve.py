@@ -19,6 +19,7 @@ from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Array, Status, Tangents
+from surrofe2.threads import one_blas_thread
 
 _NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a cold start
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
@@ -273,7 +274,9 @@ class Solution:
         if not len(index):
             return
         start, end, z = (unpack(values, points)[index] for values in (self.before.F, F, z_before))
-        walked = Walker(self.unit, self.law[0], self.settings.tolerance).walk(start, end, z)
+        walker = Walker(self.unit, self.law[0], self.settings.tolerance)
+        with one_blas_thread():
+            walked = walker.walk(start, end, z)
         self.newton_solves += walked.newton_solves
         self._take_over(index, walked, z_found)
         self._at_rate(index, z_found)
