@@ -139,7 +139,7 @@ def simulate(
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
     recorder = Recorder(equations, settings, resume)
     duration, clock = problem.duration, CheckpointClock(checkpoint_interval)
-    with threadpool_limits(1, user_api="blas"):  # as in every step
+    with one_blas_thread():  # as in every step
         stepper = _make_stepper(equations, settings, recorder, resume)
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.

@@ -169,7 +169,7 @@ def test_a_warm_run_leaves_at_an_accepted_step(initialisation):
         assert state.left_points.all() == bool(left_at)
     assert len(left_at) == 1
     assert 1.15 < left_at[0] < 1.2
-    rest = law("printed").respond(F, 0.0 * F, state)
+    rest = this.respond(F, 0.0 * F, state)
     assert_stable("printed", F, rest)
 
 
