@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 from surrofe2.macro.discretisation import points_by_region
 from surrofe2.macro.mesh import Mesh
 from surrofe2.plant_cell.parameters import CellParameters
@@ -74,7 +74,9 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
         return {}
     cells = table["cells"]
     if not isinstance(cells, dict) or not cells:
-        raise InputError(f"cells: {cells!r}; it must have a section [cells.NAME] for each cell")
+        raise InputError(
+            f"cells: {quoted(cells)}; it must have a section [cells.NAME] for each cell"
+        )
     if "cell" in table:
         raise InputError("cell: [cell] fills the tissue with one cell, [cells.NAME] with several; "
                          "leave one out")  # fmt: skip
@@ -86,7 +88,7 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
     for section, key in _OWN:
         if key in shared[section]:
             raise InputError(
-                f"{section}.{key}: {shared[section][key]!r}; each cell has its own: give "
+                f"{section}.{key}: {quoted(shared[section][key])}; each cell has its own: give "
                 f"cells.NAME.{section}.{key}"
             )
     made = {name: _cell_type(name, entries, shared) for name, entries in cells.items()}
@@ -98,20 +100,20 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
         for name, file in files.items():
             first = known.setdefault(str(Path(file)), name) if file is not None else name
             if first != name:
-                raise InputError(f"cells.{name}.{kind}.file: {file!r}; that is {first}'s")
+                raise InputError(f"cells.{name}.{kind}.file: {quoted(file)}; that is {first}'s")
     return made
 
 
 def _cell_type(name: str, table: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
     where = f"cells.{name}"
     if not re.fullmatch(r"[\w-]+", name):
-        raise InputError(f"{where}: {name!r}; a name must be of letters, digits, _ and -")
+        raise InputError(f"{where}: {quoted(name)}; a name must be of letters, digits, _ and -")
     if not isinstance(table, dict):
-        raise InputError(f"{where}: {table!r}; it must be a section [{where}]")
+        raise InputError(f"{where}: {quoted(table)}; it must be a section [{where}]")
     given = dict(table)
     for section in _SHARED:
         if not isinstance(given.get(section, {}), dict):
-            raise InputError(f"{where}.{section}: {given[section]!r}; it must be a table")
+            raise InputError(f"{where}.{section}: {quoted(given[section])}; it must be a table")
     sections = {section: {**shared[section], **given.pop(section, {})} for section in _SHARED}
     preset = check_value(f"{where}.preset", given.pop("preset", "printed"), str, {})
     regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})

@@ -1,8 +1,15 @@
 """Errors a user can meet. Each message is one sentence: the field, the value, what is allowed."""
 
+LONGEST = 300
+"""Characters of a sentence; of a longer one the middle is left out."""
+_LONGEST_VALUE = 80
+
 
 class Surrofe2Error(Exception):
     """Base of every error that surrofe2 raises on purpose; the command line prints its one line."""
+
+    def __init__(self, sentence: str = "") -> None:
+        super().__init__(shortened(sentence))
 
 
 class InputError(Surrofe2Error, ValueError):
@@ -23,3 +30,17 @@ class SimulationError(Surrofe2Error, RuntimeError):
     def __init__(self, message: str, partial: object = None) -> None:
         super().__init__(message)
         self.partial = partial
+
+
+def shortened(text: str, most: int = LONGEST) -> str:
+    """Beginning and end of a text of more than `most` characters."""
+    begin = 2 * most // 3
+    return text if len(text) <= most else f"{text[:begin]}…{text[1 + begin - most :]}"
+
+
+def quoted(value: object) -> str:
+    """A value as a sentence quotes it, whatever it is."""
+    try:
+        return shortened(repr(value), _LONGEST_VALUE)
+    except (ValueError, RecursionError):  # an integer of thousands of digits; deep nesting
+        return f"a very long {type(value).__name__}"

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from surrofe2.amplitude import KINDS, Amplitude, Constant
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 from surrofe2.macro.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
 from surrofe2.macro.mesh import Box, Disc, HalfPlane, Part
 from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
@@ -69,11 +69,13 @@ def condition_of(where: str, table: Any, name: str | None) -> Condition:
     if "kind" not in given:
         raise InputError(f"{where}.kind: missing; it must be one of {', '.join(kinds)}")
     kind = given.pop("kind")
-    if kind not in kinds:
-        raise InputError(unknown(f"{where}.kind: {kind!r}", str(kind), "kind", kinds))
+    if not isinstance(kind, str) or kind not in kinds:
+        raise InputError(
+            unknown(f"{where}.kind: {quoted(kind)}", quoted(kind).strip("'"), "kind", kinds)
+        )
     if name is not None:
         if "name" in given:
-            raise InputError(f"{where}.name: {given['name']!r}; its section names it")
+            raise InputError(f"{where}.name: {quoted(given['name'])}; its section names it")
         given["name"] = name
     if "amplitude" in given and issubclass(kinds[kind], DrivenCondition):
         given["amplitude"] = _amplitude(f"{where}.amplitude", given["amplitude"])
@@ -93,8 +95,10 @@ def _amplitude(where: str, given: Any) -> Amplitude:
     kind = rest.pop("kind", None)
     if kind is None:
         raise InputError(f"{where}.kind: missing; it must be one of {', '.join(KINDS)}")
-    if kind not in KINDS:
-        raise InputError(unknown(f"{where}.kind: {kind!r}", str(kind), "kind", KINDS))
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError(
+            unknown(f"{where}.kind: {quoted(kind)}", quoted(kind).strip("'"), "kind", KINDS)
+        )
     return _within(where, "amplitude", KINDS[kind], rest)
 
 
@@ -109,12 +113,12 @@ def body_of(name: str, table: Any) -> RigidBody:
     shape: Shape = _within(f"{where}.{kind}", kind, _SHAPES[kind], outline)
     for key in ("name", "shape"):
         if key in given:
-            raise InputError(f"{where}.{key}: {given[key]!r}; the section has name and shape")
+            raise InputError(f"{where}.{key}: {quoted(given[key])}; the section has name and shape")
     if "amplitude" in given:
         if "displacement" not in given:
             raise InputError(
-                f"{where}.amplitude: {given['amplitude']!r}; it is of a displacement, which is "
-                "missing"
+                f"{where}.amplitude: {quoted(given['amplitude'])}; it is of a displacement, which "
+                "is missing"
             )
         given["amplitude"] = _amplitude(f"{where}.amplitude", given["amplitude"])
     return from_table(where, RigidBody, {**given, "name": name, "shape": shape}, _SHAPES)
@@ -145,7 +149,7 @@ def _one_of(where: str, table: Any, known: tuple[str, ...]) -> tuple[str, Any]:
 
 def _check_table(where: str, given: Any) -> None:
     if not isinstance(given, dict):
-        raise InputError(f"{where}: {given!r}; it must be a table of entries")
+        raise InputError(f"{where}: {quoted(given)}; it must be a table of entries")
 
 
 def entries_of(stated: Condition | RigidBody) -> dict[str, Any]:

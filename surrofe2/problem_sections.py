@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from surrofe2.errors import InputError
+from surrofe2.errors import FileError, InputError, quoted
 from surrofe2.io.files import reported
 from surrofe2.io.meshes import read_mesh
 from surrofe2.macro.conditions import BodyForce, Condition, Foundation, Pressure, Traction
@@ -56,9 +56,9 @@ class MeshSettings:
             if self.file is None and value is None:
                 raise InputError(f"mesh.{name}: missing; a rectangle or a mesh.file must be given")
             if self.file is not None and value is not None:
-                raise InputError(f"mesh.{name}: {value!r}; a mesh from a file has its own")
+                raise InputError(f"mesh.{name}: {quoted(value)}; a mesh from a file has its own")
         if self.file is None and self.length_unit is not None:
-            raise InputError(f"mesh.length_unit: {self.length_unit!r}; it is of a mesh.file")
+            raise InputError(f"mesh.length_unit: {quoted(self.length_unit)}; it is of a mesh.file")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +191,7 @@ def stated_problem(table: Mapping[str, Any], folder: Path) -> StatedProblem:
     for name in SECTIONS:
         lists = (list, dict) if name == "conditions" else dict
         if not isinstance(table.get(name, {}), lists):
-            raise InputError(f"{name}: {table[name]!r}; it must be a section [{name}]")
+            raise InputError(f"{name}: {quoted(table[name])}; it must be a section [{name}]")
     if "mesh" not in table:
         first = next(name for name in SECTIONS if name in table)
         raise InputError(f"mesh: missing; [{first}] needs the section [mesh]")
@@ -203,6 +203,8 @@ def stated_problem(table: Mapping[str, Any], folder: Path) -> StatedProblem:
     sha256 = None
     if mesh.file is not None:
         path = folder / mesh.file
+        if not path.is_file():  # a device or a pipe might never end
+            raise FileError(f"mesh.file: {path}: cannot be read: no such file")
         with reported(path, "read"):
             sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     conditions, bodies = table.get("conditions", {}), table.get("bodies", {})

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.cell_types import CellType, SampleSettings, cell_types, points_of_cells
-from surrofe2.errors import FileError, InputError
+from surrofe2.errors import FileError, InputError, quoted, shortened
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.mesh import Mesh
@@ -78,7 +78,9 @@ class Recipe:
             InputError: there is no cell of that name.
         """
         if name is not None and name not in self.types:
-            raise InputError(unknown(f"--cell: {name!r}", name, "cell", self.types or ("[cell]",)))
+            raise InputError(
+                unknown(f"--cell: {quoted(name)}", name, "cell", self.types or ("[cell]",))
+            )
         names = self.types if name is None else (name,)
         return {each: self._part(each) for each in names} if names else {"": self}
 
@@ -154,15 +156,15 @@ class Recipe:
             FileError: the mesh file cannot be read.
             InputError: the mesh is none, or has not what the recipe names.
         """
-        if self.stated is None:
-            return bar(self.bar_load(), self.macro.elements)
         try:
+            if self.stated is None:
+                return bar(self.bar_load(), self.macro.elements)
             problem = self.stated.problem(self.path.parent)
             if self.types:
                 self.points_of_cells(problem.mesh)
             return problem
-        except InputError as error:
-            raise InputError(f"{self.path.name}: {error}") from None
+        except (FileError, InputError) as error:
+            raise type(error)(f"{self.path.name}: {error}") from None
 
     def bar_load(self) -> LoadCase:
         """The load of the paper's bar, for what computes no other problem.
@@ -252,12 +254,12 @@ def load_recipe(path: str | Path) -> Recipe:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path.name}: not TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # an integer may have too many digits, too
+        raise InputError(f"{path.name}: not TOML: {shortened(str(error), 150)}") from None
     try:
         return make_recipe(table, path)
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None
+    except (FileError, InputError) as error:
+        raise type(error)(f"{path.name}: {error}") from None
 
 
 def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> Recipe:
@@ -271,7 +273,7 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
         if name not in known:
             raise InputError(unknown(name, name, "section", known))
         if name in SECTIONS and not isinstance(section, dict):
-            raise InputError(f"{name}: {section!r}; it must be a section [{name}]")
+            raise InputError(f"{name}: {quoted(section)}; it must be a section [{name}]")
     stated, types = _stated(table, path.parent), cell_types(table)
     given = {name: dict(table.get(name, {})) for name in SECTIONS}
     extras: dict[str, Any] = {}
@@ -313,5 +315,5 @@ def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem | None:
     for key in ("elements", "frames"):
         if key in table.get("macro", {}) and (key == "elements" or key in table.get("time", {})):
             home = "mesh" if key == "elements" else "time"
-            raise InputError(f"macro.{key}: {table['macro'][key]!r}; it stands in [{home}]")
+            raise InputError(f"macro.{key}: {quoted(table['macro'][key])}; it stands in [{home}]")
     return stated_problem(table, folder)

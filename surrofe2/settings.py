@@ -19,10 +19,15 @@ from operator import attrgetter
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted, shortened
 from surrofe2.units import NONE
 
 T = TypeVar("T")
+
+_LONGEST_NAME, _LONGEST_LIST = 60, 150
+"""Characters of a name and of a list of names in a sentence."""
+_SMALLEST, _ENDS = 1e-30, (0.0, math.inf, -math.inf)
+"""Numbers smaller than this, or larger than its inverse, are mistakes whose products overflow."""
 
 
 def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds: Any) -> Any:
@@ -82,7 +87,8 @@ def unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:
     """The sentence that refuses a key which is not among the known."""
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"{name}: unknown {what}; {hint}known are {', '.join(sorted(known))}"
+    names = shortened(", ".join(sorted(known)), _LONGEST_LIST)
+    return f"{shortened(name, _LONGEST_NAME)}: unknown {what}; {hint}known are {names}"
 
 
 @cache
@@ -135,10 +141,18 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
     least, most = bounds.get("least", -math.inf), bounds.get("most", math.inf)
     above, below = bounds.get("above"), bounds.get("below")
     inside = (above is None or value > above) and (below is None or value < below)
-    finite = math.isfinite(value) or (bounds.get("inf", False) and not math.isnan(value))
-    if not (finite and inside and least <= value <= most):
+    if not (_is_finite(value, bounds) and inside and least <= value <= most):
         raise _refusal(name, value, allowed_numbers(kind, bounds), {})
+    if kind is float and not (_SMALLEST <= abs(value) <= 1.0 / _SMALLEST or value in _ENDS):
+        raise _refusal(name, value, f"0, or of {_SMALLEST:g} to {1.0 / _SMALLEST:g}", bounds)
     return kind(value)
+
+
+def _is_finite(value: int | float, bounds: Mapping[str, Any]) -> bool:
+    try:
+        return math.isfinite(value) or (bounds.get("inf", False) and not math.isnan(value))
+    except OverflowError:  # an integer beyond all floats
+        return False
 
 
 def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
@@ -158,6 +172,6 @@ def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
 
 def _refusal(name: str, value: Any, allowed: str, metadata: Mapping[str, Any]) -> InputError:
     unit = metadata.get("unit", NONE)
-    shown = list(value) if isinstance(value, tuple) else value
-    told = f"{name}: {shown!r}; it must be {allowed}"
+    shown = quoted(list(value) if isinstance(value, tuple) else value)
+    told = f"{shortened(name, _LONGEST_NAME)}: {shown}; it must be {allowed}"
     return InputError(told if unit == NONE else f"{told} ({unit})")

@@ -241,7 +241,9 @@ def test_a_mesh_file_is_relative_to_the_recipe_and_told_by_its_digest(tmp_path):
     assert stored["file"] == "meshes/leaf.msh"
     path.write_text(path.read_text().replace("leaf.msh", "none.msh"), encoding="utf-8")
     none = tmp_path / "meshes" / "none.msh"
-    assert refusal(path, FileError) == f"{none}: cannot be read: No such file or directory"
+    assert refusal(path, FileError) == (
+        f"leaf.toml: mesh.file: {none}: cannot be read: no such file"
+    )
 
 
 RECT = "width = 200.0\nheight = 100.0\nelements = [4, 2]\n"

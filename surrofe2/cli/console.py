@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 
 
 class PrintHandler(logging.Handler):
@@ -189,5 +189,7 @@ def integers(option: str, text: str, least: int = 1) -> tuple[int, ...]:
     except ValueError:
         numbers = ()
     if not numbers or min(numbers) < least:
-        raise InputError(f"{option}: {text!r}; it must be integers of at least {least} with commas")
+        raise InputError(
+            f"{option}: {quoted(text)}; it must be integers of at least {least} with commas"
+        )
     return numbers

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.amplitude import ONE, Amplitude, Table
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 from surrofe2.load_case import LoadCase, output_times
 from surrofe2.macro.conditions import BodyForce, Condition, DrivenCondition, Fixed, InitialVelocity
 from surrofe2.macro.mesh import Mesh
@@ -64,7 +64,9 @@ class Problem:
             wrong = next((one for one in given if not isinstance(one, kind)), None)
             if wrong is not None or given is not each:
                 told = each if wrong is None else wrong
-                raise InputError(f"problem: {told!r}; there must be a tuple of {kind.__name__}")
+                raise InputError(
+                    f"problem: {quoted(told)}; there must be a tuple of {kind.__name__}"
+                )
         names = [*map(label, self.conditions), *(body.name for body in self.bodies)]
         for name, number in Counter(names).items():
             if number > 1:
@@ -79,7 +81,7 @@ class Problem:
         for amplitude in self.amplitudes():
             if not isinstance(amplitude, Amplitude):
                 raise InputError(
-                    f"problem: amplitude: {amplitude!r}; it must be an Amplitude, as Table"
+                    f"problem: amplitude: {quoted(amplitude)}; it must be an Amplitude, as Table"
                 )
         if not self.watched:
             low, high = self.mesh.extent

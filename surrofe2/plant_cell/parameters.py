@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from math import isqrt, sqrt
 from typing import Any
 
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 from surrofe2.plant_cell.tessellation import Tessellation, make_tessellation
 from surrofe2.settings import check_settings, setting
 from surrofe2.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
@@ -80,7 +80,7 @@ class CellParameters:
     def preset(cls, name: str, **changes: Any) -> CellParameters:
         """The parameters called `name`, a key of `PRESETS`, with single fields changed."""
         if name not in PRESETS:
-            raise InputError(f"cell.preset: {name!r}; it must be one of {', '.join(PRESETS)}")
+            raise InputError(f"cell.preset: {quoted(name)}; it must be one of {', '.join(PRESETS)}")
         known = {item.name for item in fields(cls)}
         for key in changes:
             if key not in known:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 from surrofe2.io.files import is_there, write_json
 from surrofe2.io.run_folder import file_fingerprint, read_run
 from surrofe2.recipe import Recipe
@@ -79,5 +79,7 @@ def parse_tolerances(text: str) -> tuple[float, ...]:
     try:
         numbers = {float(part) for part in text.split(",")}
     except ValueError:
-        raise InputError(f"--tolerances: {text!r}; they must be numbers between commas") from None
+        raise InputError(
+            f"--tolerances: {quoted(text)}; they must be numbers between commas"
+        ) from None
     return tuple(sorted(numbers, reverse=True))
