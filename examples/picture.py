@@ -19,6 +19,7 @@ CURVES = {  # name: (over, force or displacement of a watched point, sign that m
     "tensile-strip": ("time", "force clamp x", -1.0),
     "notched-leaf": ("time", "force clamp x", -1.0),
     "hexagons-in-tension": ("time", "force grip x", 1.0),
+    "voronoi-in-tension": ("time", "force grip x", 1.0),
     "skin-over-parenchyma": ("time", "displacement tip y", -1.0),
 }
 

@@ -84,16 +84,16 @@ def _tell_once(why: str) -> None:
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with options of one's own, cached here."""
-    options = {"no_cfunc_wrapper": True} | OPTIONS | options
+    options = {"cache": True, "no_cfunc_wrapper": True} | OPTIONS | options
 
     def decorate(function: Callable[..., Any]) -> Any:
-        folder = _writable_folder()
+        folder = _writable_folder() if options["cache"] else None
         if folder is None:
-            return numba.njit(**options)(function)
+            return numba.njit(**options | {"cache": False})(function)
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
         try:
-            made = numba.njit(cache=True, **options)(function)
+            made = numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
         made._cache.save_overload = _saving(made._cache.save_overload, folder)

@@ -22,7 +22,7 @@ COMMANDS = {
     "table": "run {recipe} --law table --out {out} --fresh",
     "implicit": "run {recipe} --law rve --integrator implicit --out {out} --fresh",
     "tissue": "tissue {recipe} --out {out} --fresh",
-    "rest": "rest {recipe} --out {out} --fresh",
+    "rest": "rest {recipe} --out {out} --load-steps 100000 --fresh",
 }
 SOON = 2.0
 
@@ -33,7 +33,7 @@ def long_recipe(changed_recipe, invoke):
     path = changed_recipe("iterations = 40", "iterations = 1000000")
     assert invoke("generate", path).exit_code == 0
     text = path.read_text().replace("duration = 4.0", "duration = 100000.0")
-    path.write_text(text + "frames = 2\n[rest]\nload_steps = 100000\n")
+    path.write_text(text + "frames = 2\n")
     return path
 
 

@@ -88,7 +88,7 @@ def test_a_triangle_that_folds_within_is_found():
         ((Fixed(on="lfet"),), r"fixed\.on: lfet; no such .*did you mean left\? known are"),
         ((Traction(on="half", traction=(1.0, 0.0)),), r"traction\.on: half; no such boundary"),
         ((BodyForce(on="left", acceleration=(1.0, 0.0)),), r"body_force\.on: left; no such region"),
-        ((Symmetry(on="half"),), r"symmetry\.on: half; it must be straight"),
+        ((Symmetry(on="half"),), r"symmetry half\.on: half; a symmetry must be straight"),
         ((Fixed(on="left"), PrescribedMotion(on="top", displacement=(1.0, None))),
          r"prescribed_motion top: component x of the node at \(0, 2\) µm; fixed left prescribes"),
     ],

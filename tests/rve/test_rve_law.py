@@ -199,7 +199,7 @@ def particles_of(state, point):
         (np.zeros((1, 2, 2)), np.zeros((1, 2, 2)), "F: det F = 0 at point 0; it must be positive"),
         (np.full((1, 2, 2), np.nan), np.zeros((1, 2, 2)), "F: not finite at point 0"),
         (np.eye(2)[None], np.full((1, 2, 2), np.inf), "F_dot: not finite at point 0"),
-        ([["a", "b"], ["c", "d"]], np.zeros((1, 2, 2)), "F: not an array of numbers"),
+        ([["a", "b"], ["c", "d"]], np.zeros((1, 2, 2)), "F: <U1; it must be an array"),
     ],
 )
 def test_bad_deformations_are_named(F, F_dot, message):
@@ -211,7 +211,7 @@ def test_bad_deformations_are_named(F, F_dot, message):
 def test_foreign_state_is_refused():
     F, F_dot = deformations("printed", n=4)
     state = law("printed").respond(F, F_dot).state
-    with pytest.raises(InputError, match="state: not a state of an RveLaw for 3 points"):
+    with pytest.raises(InputError, match="state: not a state of this RveLaw for 3 points"):
         law("printed").respond(F[:3], F_dot[:3], state)
 
 
