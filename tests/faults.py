@@ -10,7 +10,7 @@ from itertools import count
 from surrofe2.errors import FileError
 from surrofe2.io import disk
 
-OPERATIONS = ("write", "sync", "move", "remove", "make_folder")
+OPERATIONS = ("write", "create", "sync", "move", "remove", "remove_folder", "make_folder")
 KINDS = {"no space": errno.ENOSPC, "input/output error": errno.EIO, "killed": None}
 
 
@@ -58,12 +58,14 @@ def fault_at(kind, at):
             setattr(disk, name, operation)
 
 
-def each_fault(kind, folders, work):
+def each_fault(kind, folders, work, stride=1):
     """The folders in which `work(folder)` met a fault, at its first operation, its second, …
+
+    stride: only every so many operations.
 
     It must fail by a FileError, which names a file in the folder, or go on without harm.
     """
-    for at in count(1):
+    for at in count(1, stride):
         folder = folders / f"{kind}-{at}".replace(" ", "-").replace("/", "-")
         told = f"{folder}"
         with fault_at(kind, at) as fault:

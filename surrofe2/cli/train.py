@@ -14,7 +14,8 @@ from surrofe2.errors import InputError, SimulationError
 from surrofe2.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.refinement import QUANTITIES, SURROGATE, Round, refine_surrogate
+from surrofe2.workflow.refinement import refine_surrogate
+from surrofe2.workflow.rounds import QUANTITIES, SURROGATE, Round
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.run_outputs import of_cell
 from surrofe2.workflow.train import STRESSES, train_surrogate, training_summary

@@ -22,6 +22,7 @@ from surrofe2.errors import InputError
 from surrofe2.io.files import check_same, flat
 from surrofe2.io.hdf5 import Column, store_columns, writing_hdf5
 from surrofe2.io.kept import attached
+from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
@@ -86,7 +87,7 @@ class DataSetWriter:
     def __init__(
         self, path: Path, header: DataSetHeader, rows: Mapping[str, np.ndarray], is_finished: bool
     ) -> None:
-        self.path, self.header, self._is_finished = path, header, is_finished
+        self.path, self.header, self.is_finished = path, header, is_finished
         self._parts = {name: [values] for name, values in rows.items()}
         self._written = monotonic()
         self._wait = INTERVAL
@@ -138,12 +139,12 @@ class DataSetWriter:
         missing = self.header.count - self.completed
         if missing:
             raise InputError(f"{self.path}: {missing} samples are missing; it cannot be finished")
-        if not self._is_finished:
+        if not self.is_finished:
             status = self._rows()["status"]
             index = np.flatnonzero(status)
             reasons = [describe(code) for code in status[index]]
             self._write("finished", {"index": index, "reason": reasons})
-            self._is_finished = True
+            self.is_finished = True
         return read_data_set(self.path)
 
     def _rows(self) -> dict[str, np.ndarray]:
@@ -176,9 +177,24 @@ def writing_data_set(
     """A data set to fill, or to go on with where it is there; the file has what the block took.
 
     Raises:
-        FileError: the file is not a data set.
+        FileError: the file is not a data set, or another process fills it.
         MismatchError: it was begun with other settings, and not `fresh`.
     """
+    writer = _begun(path, header, fresh)
+    if writer.is_finished and not file_lock(path).exists():
+        yield writer
+        return
+    with locked_file(path):
+        writer = _begun(path, header, fresh)  # what another process added is there now
+        if not writer.completed:
+            writer.store()
+        try:
+            yield writer
+        finally:
+            writer.store()
+
+
+def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
     rows: dict[str, np.ndarray] = {}
     is_finished = False
     if path.exists() and not fresh:
@@ -187,13 +203,7 @@ def writing_data_set(
             is_finished = file.attrs["status"] == "finished"
             if file.attrs["completed"]:
                 rows = {name: file[name][()] for name in _columns_in(file)}
-    writer = DataSetWriter(path, header, rows, is_finished)
-    if not rows:
-        writer.store()
-    try:
-        yield writer
-    finally:
-        writer.store()
+    return DataSetWriter(path, header, rows, is_finished)
 
 
 def _columns_in(file: h5py.File) -> list[str]:

@@ -19,6 +19,12 @@ def write(path: Path, content: bytes | memoryview) -> None:
             rest = rest[file.write(rest) :]
 
 
+def create(path: Path, content: bytes) -> None:
+    """Write a file that must not be there yet."""
+    with path.open("xb", buffering=0) as file:
+        file.write(content)
+
+
 def sync(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
@@ -36,6 +42,11 @@ def move(source: Path, target: Path) -> None:
 def remove(path: Path) -> None:
     """Remove a file where it is there."""
     path.unlink(missing_ok=True)
+
+
+def remove_folder(path: Path) -> None:
+    """Remove an empty folder."""
+    path.rmdir()
 
 
 def make_folder(path: Path) -> None:

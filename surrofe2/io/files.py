@@ -33,7 +33,7 @@ def reported(path: Path, action: str) -> Iterator[None]:
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
     """Write a file whole, or leave what was there."""
-    partial = path.with_name(f".{path.name}.partial")
+    partial = partial_of(path)
     with reported(path, "written"):
         disk.make_folder(path.parent)
         try:
@@ -45,10 +45,32 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
             disk.remove(partial)
 
 
+def partial_of(path: Path) -> Path:
+    """The name under which a file is written; a process that was killed leaves it behind."""
+    return path.with_name(f".{path.name}.partial")
+
+
 def remove(path: Path) -> None:
-    """Remove a file where it is there."""
+    """Remove a file, and what a process that was killed left of it, where they are there."""
     with reported(path, "removed"):
-        disk.remove(path)
+        for each in (path, partial_of(path)):
+            if each.exists():
+                disk.remove(each)
+
+
+def remove_tree(folder: Path) -> None:
+    """Remove a folder and all that is in it."""
+    with reported(folder, "removed"):
+        for path in sorted(folder.rglob("*"), reverse=True):
+            is_folder = path.is_dir() and not path.is_symlink()
+            (disk.remove_folder if is_folder else disk.remove)(path)
+        disk.remove_folder(folder)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those that it is in, where they are not there."""
+    with reported(path, "written"):
+        disk.make_folder(path)
 
 
 def read_bytes(path: Path) -> bytes:

@@ -16,6 +16,8 @@ from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import (
     check_same,
+    make_folder,
+    partial_of,
     read_bytes,
     read_json,
     remove,
@@ -23,13 +25,15 @@ from surrofe2.io.files import (
     write_json,
     write_text,
 )
+from surrofe2.io.lock import folder_lock
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 2
+CHECKPOINT = "checkpoint.h5"
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
-    "checkpoint.h5", "table.h5", "harvest.h5",
+    CHECKPOINT, "table.h5", "harvest.h5",
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
@@ -105,7 +109,7 @@ class RunRecord:
         """Everything the numbers depend on, by the names a recipe uses."""
         flat: dict[str, Any] = {
             f"{name}.{key}": self.recipe[name][key]
-            for name in (*_SECTIONS, *self._sections_of_law())
+            for name in (*_SECTIONS, *(() if self.law in _WITHOUT_CACHE else ("cache",)))
             for key in self.recipe.get(name, {})
         }
         for name, cell in self.recipe.get("cells", {}).items():
@@ -127,9 +131,6 @@ class RunRecord:
             }
         )
 
-    def _sections_of_law(self) -> tuple[str, ...]:
-        return () if self.law in _WITHOUT_CACHE else ("cache",)
-
 
 @dataclass(frozen=True, slots=True)
 class StoredRun:
@@ -144,6 +145,9 @@ class StoredRun:
 def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> RunRecord | None:
     """Make a folder ready for a run; the record of this very run, if an earlier call left one.
 
+    A run that starts at its beginning finds nothing of another one. Its record is there before
+    that is removed: a process that is killed in between leaves one run or the other.
+
     Args:
         fresh: start over, whatever the folder holds; files that are not of a run stay.
 
@@ -151,24 +155,35 @@ def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> 
         FileError: the folder cannot be written, or has files but no run.
         MismatchError: it has a run of other settings.
     """
-    with reported(folder, "written"):
-        folder.mkdir(parents=True, exist_ok=True)
-        occupied = any(folder.iterdir())
-    if occupied and not fresh:
-        if not (folder / "run.json").exists():
-            raise FileError(f"{folder}: has files but no run; write elsewhere or say --fresh")
-        earlier = read_record(folder)
-        check_same(folder, record.compared(), earlier.compared())
+    earlier = None if fresh else earlier_run(folder, record)
+    if earlier is not None and (earlier.status == "finished" or (folder / CHECKPOINT).exists()):
         return earlier
-    with reported(folder, "written"):
-        for path in [
-            *(folder / name for name in FILES),
-            *folder.glob("harvest-*.h5"),
-            *folder.glob("table-*.h5"),
-        ]:
-            remove(path)
+    make_folder(folder)
+    remove(folder / CHECKPOINT)
     write_record(folder, record)
+    for each in (*FILES[1:], "harvest-*.h5", "table-*.h5"):
+        for path in folder.glob(each):
+            remove(path)
     return None
+
+
+def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
+    """The record of this very run that an earlier call left in a folder, if there is one.
+
+    Raises:
+        FileError: the folder cannot be read, or has files but no run.
+        MismatchError: it has a run of other settings.
+    """
+    path = folder / "run.json"
+    if not path.exists():
+        with reported(folder, "read"):
+            there = set(folder.iterdir() if folder.is_dir() else ())
+        if there - {partial_of(path), folder_lock(folder)}:
+            raise FileError(f"{folder}: has files but no run; write elsewhere or say --fresh")
+        return None
+    earlier = read_record(folder)
+    check_same(folder, record.compared(), earlier.compared())
+    return earlier
 
 
 def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:

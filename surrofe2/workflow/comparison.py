@@ -8,6 +8,7 @@ from pathlib import Path
 
 from surrofe2.errors import InputError, quoted
 from surrofe2.io.files import is_there, write_json
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import file_fingerprint, read_run
 from surrofe2.recipe import Recipe
 from surrofe2.report.comparison import Comparison, write_comparison_plot
@@ -53,20 +54,21 @@ def run_sweep(
     names = ["rve", *(f"tolerance-{each:g}" for each in tolerances)]
     caches = [replace(recipe.cache, tolerance=each) for each in tolerances]
     studies = [recipe, *(replace(recipe, cache=cache) for cache in caches)]
-    for k, (name, study) in enumerate(zip(names, studies, strict=True)):
-        with stage(f"{k + 1}/{len(names)} {name}", study.duration, "µs") as report:
-            run_study(
-                study,
-                "cached" if k else "rve",
-                out / name,
-                surrogates=surrogates,
-                fresh=fresh,
-                report=report,
-            )
-    reference, *runs = (read_run(out / name) for name in names)
-    sweep = make_sweep(reference, runs)
-    write_json(out / SWEEP_FILES[0], sweep.to_dict())
-    write_sweep_plot(out / SWEEP_FILES[1], sweep)
+    with locked_folder(out):
+        for k, (name, study) in enumerate(zip(names, studies, strict=True)):
+            with stage(f"{k + 1}/{len(names)} {name}", study.duration, "µs") as report:
+                run_study(
+                    study,
+                    "cached" if k else "rve",
+                    out / name,
+                    surrogates=surrogates,
+                    fresh=fresh,
+                    report=report,
+                )
+        reference, *runs = (read_run(out / name) for name in names)
+        sweep = make_sweep(reference, runs)
+        write_json(out / SWEEP_FILES[0], sweep.to_dict())
+        write_sweep_plot(out / SWEEP_FILES[1], sweep)
     return sweep
 
 

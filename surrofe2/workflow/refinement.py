@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
-from shutil import rmtree
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +13,18 @@ from numpy.typing import NDArray
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.errors import SimulationError
 from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.files import check_same, read_json, remove, reported, write_json
+from surrofe2.io.files import (
+    make_folder,
+    read_bytes,
+    read_json,
+    write_bytes,
+    write_json,
+)
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
-from surrofe2.report.tables import NONE, Quantity, percent
 from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
@@ -28,82 +32,20 @@ from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate_surrogate
 from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.rounds import SURROGATE, Round, open_rounds, write_rounds
 from surrofe2.workflow.run import run_study
-from surrofe2.workflow.run_lifecycle import Report, Stage, silent, time_text
+from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
 from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
 
 Array = NDArray[np.float64]
 
-ROUNDS, SURROGATE = "refine.json", "surrogate.safetensors"
 _NEW, _STARTED = "new.h5", "round.json"
 FALLBACK, AUDIT, NEIGHBOUR, WIDENED = 0, 1, 2, 3
 AUDIT_QUANTILE = 0.99
 MOST_NEIGHBOURS = 20_000
 """Largest number of neighbours sampled in a round; as many as unknown states below it."""
 CHUNK = 512
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Round:
-    """A row of the table of rounds, of one cell.
-
-    Attributes:
-        cell: its name, "" of the only one.
-        hits: share of the answers at kept steps that came from the surrogate.
-        unknown: states at accepted steps that the surrogate could not answer, and audited ones
-            over the tolerance.
-        samples: valid ones that the surrogate was trained on.
-        held_out: largest held-out RMS error of a stress component, relative to its spread.
-        audit: 99 % quantile of the audited errors as a share of the spread of stress; None where
-            nothing was audited.
-        range: of the surrogate.
-        added: samples taken in after the run.
-        seconds: since the round began, with run, sampling and training.
-    """
-
-    round: int
-    cell: str = ""
-    hits: float
-    unknown: int
-    samples: int
-    held_out: float
-    audit: float | None
-    tolerance: float
-    range: dict[str, Any]
-    added: int
-    seconds: float
-
-    @property
-    def settled(self) -> bool:
-        """Whether no state was unknown and the audit holds."""
-        return self.unknown == 0 and (self.audit is None or self.audit <= self.tolerance)
-
-    @property
-    def sentence(self) -> str:
-        """What became of the round."""
-        of = self.cell and f"{self.cell}: "
-        return (
-            f"round {self.round}: {of}{100 * self.hits:.4g} % hits, {self.unknown} unknown states, "
-            f"{self.added} samples added"
-        )
-
-
-QUANTITIES: tuple[Quantity[Round], ...] = (
-    Quantity("round", "", "", lambda row: row.round),
-    Quantity("cell", "", "", lambda row: row.cell or None),
-    Quantity("hits", "", percent(".4g"), lambda row: row.hits),
-    Quantity("unknown", "", "", lambda row: row.unknown),
-    Quantity("samples", "", "", lambda row: row.samples),
-    Quantity("held-out RMS", "", percent(".2g"), lambda row: row.held_out),
-    Quantity(
-        "audit 99 %",
-        "",
-        "",  # a column even where no round was audited
-        lambda row: NONE if row.audit is None else percent(".2g")(row.audit),
-    ),
-    Quantity("time", "", time_text, lambda row: row.seconds),
-)
 
 
 def refine_surrogate(
@@ -132,19 +74,20 @@ def refine_surrogate(
         SimulationError: the last round is not settled.
     """
     parts = recipe.parts(cell)
-    done = _open(recipe, parts, out, fresh)
-    for k in range(rounds):
-        rows = [row for row in done if row.round == k]
-        if not rows:
-            rows = _round(recipe, parts, out, k, stage)
-            done += rows
-            _write_rounds(recipe, parts, out, done)
-        for row in rows:
-            tell(row)
-        if all(row.settled for row in rows):
-            for name in (of_cell(SURROGATE, cell) for cell in parts):
-                (out / name).write_bytes((out / f"round-{k}" / name).read_bytes())
-            return done
+    with locked_folder(out):
+        done = open_rounds(recipe, parts, out, fresh)
+        for k in range(rounds):
+            rows = [row for row in done if row.round == k]
+            if not rows:
+                rows = _round(recipe, parts, out, k, stage)
+                done += rows
+                write_rounds(recipe, parts, out, done)
+            for row in rows:
+                tell(row)
+            if all(row.settled for row in rows):
+                for name in (of_cell(SURROGATE, cell) for cell in parts):
+                    write_bytes(out / name, read_bytes(out / f"round-{k}" / name))
+                return done
     unknown = sum(row.unknown for row in rows)
     raise SimulationError(
         f"{out}: {unknown} states still unknown after {rounds} rounds; go on with "
@@ -153,36 +96,13 @@ def refine_surrogate(
     )
 
 
-def _open(recipe: Recipe, parts: Iterable[str], out: Path, fresh: bool) -> list[Round]:
-    """The finished rounds to go on from."""
-    begun = out / ROUNDS
-    if begun.exists() and not fresh:
-        stored = read_json(begun)
-        here, there = ({"--cell": names} for names in ([*parts], stored.get("cells", [""])))
-        check_same(out, recipe.to_dict() | here, stored["recipe"] | there)
-        return [Round(**row) for row in stored["rounds"]]
-    with reported(out, "written"):
-        out.mkdir(parents=True, exist_ok=True)
-        for folder in out.glob("round-*"):
-            rmtree(folder)
-        for path in out.glob("surrogate*.safetensors"):
-            remove(path)
-    _write_rounds(recipe, parts, out, [])
-    return []
-
-
-def _write_rounds(recipe: Recipe, parts: Iterable[str], out: Path, done: list[Round]) -> None:
-    rounds = [asdict(row) for row in done]
-    write_json(out / ROUNDS, {"recipe": recipe.to_dict(), "cells": [*parts], "rounds": rounds})
-
-
 def _round(
     recipe: Recipe, parts: Mapping[str, Recipe], out: Path, k: int, stage: Stage
 ) -> list[Round]:
     """One round, a row for each cell; what it has finished before an interruption is kept."""
     begin = time.perf_counter()
     folder = out / f"round-{k}"
-    folder.mkdir(exist_ok=True)
+    make_folder(folder)
     learnt = {name: _surrogate(part, out, k, stage) for name, part in parts.items()}
     files = {name: folder / of_cell(SURROGATE, name) for name in parts}
     with stage(f"round {k}: run", recipe.duration, "µs") as report:
@@ -243,7 +163,8 @@ def _surrogate(
     if k == 0:  # the recipe's, made where it is not there
         with stage(f"generate {name}".strip(), recipe.samples.count, "samples") as report:
             generate_data_set(recipe, report=report)
-        if not recipe.training_path().exists():
+        trained = recipe.training_path()
+        if not (trained.exists() and read_surrogate(trained).is_calibrated):
             train_surrogate(recipe, stage=stage)
     # A round in which a cell was settled has no new samples of it.
     grown = [out / f"round-{j}" for j in range(k) if (out / f"round-{j}" / started).exists()]
@@ -255,9 +176,9 @@ def _surrogate(
     if not path.exists():
         before = out / f"round-{k - 1}"
         if k == 0:
-            path.write_bytes(recipe.training_path().read_bytes())
+            write_bytes(path, read_bytes(recipe.training_path()))
         elif before not in grown:
-            path.write_bytes((before / file).read_bytes())
+            write_bytes(path, read_bytes(before / file))
         else:
             title = f"round {k} {name}".rstrip()
             write_surrogate(_trained(recipe, samples, title, stage), path)

@@ -6,7 +6,7 @@ import logging
 import os
 import platform
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -16,10 +16,17 @@ from typing import Any
 import numba
 import numpy as np
 
-from surrofe2.errors import SimulationError
+from surrofe2.errors import FileError, SimulationError
 from surrofe2.io.files import remove
 from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.io.run_folder import RunRecord, open_run_folder, write_record
+from surrofe2.io.lock import folder_lock, locked_folder
+from surrofe2.io.run_folder import (
+    CHECKPOINT,
+    RunRecord,
+    earlier_run,
+    open_run_folder,
+    write_record,
+)
 from surrofe2.recipe import Recipe
 
 log = logging.getLogger(__name__)
@@ -87,7 +94,7 @@ class Recording:
         write_record(self.folder, self.record)
 
     def _checkpoint_path(self) -> Path:
-        return self.folder / "checkpoint.h5"
+        return self.folder / CHECKPOINT
 
     def _kind(self) -> str:
         return f"a {self.record.law} run"
@@ -103,19 +110,40 @@ def record_run(
 ) -> RunRecord:
     """Open a run folder, compute and record how that ends; an earlier call's finished run is kept.
 
-    A run that fails or is interrupted leaves what it computed.
+    A run that fails or is interrupted leaves what it computed. Nobody else writes into the folder
+    meanwhile.
     """
-    earlier = open_run_folder(folder, record, fresh=fresh)
-    if earlier is not None and earlier.status == "finished":
-        log.info("%s: finished before; --fresh starts over", folder)
-        return earlier
-    current = Recording(folder, record, earlier, store)
-    write_record(folder, record)
+    earlier = None if fresh else earlier_run(folder, record)
+    if earlier is None or earlier.status != "finished":
+        with locked_folder(folder):
+            return _recorded(folder, record, compute, store, fresh)
+    if folder_lock(folder).exists():  # a process was killed after its last file
+        with locked_folder(folder):
+            remove(folder / CHECKPOINT)
+    log.info("%s: finished before; --fresh starts over", folder)
+    return earlier
+
+
+def _recorded(
+    folder: Path,
+    record: RunRecord,
+    compute: Callable[[Recording], Any],
+    store: Store,
+    fresh: bool,
+) -> RunRecord:
+    current = Recording(folder, record, None, store)
     try:
+        current.earlier = open_run_folder(folder, record, fresh=fresh)
+        if current.earlier is not None:
+            write_record(folder, record)
         current.finish(compute(current))
     except SimulationError as error:
         partial = current.partial if error.partial is None else error.partial
         current.end("failed", partial, str(error))
+        raise
+    except FileError as error:
+        with suppress(FileError):  # the disk may be full for this too
+            current.end("failed", error=str(error))
         raise
     except KeyboardInterrupt:
         current.end("interrupted", current.partial)

@@ -13,6 +13,7 @@ import numpy as np
 from surrofe2.cache import CachedLaw
 from surrofe2.io.fields import write_fields
 from surrofe2.io.files import plain
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import (
     RunRecord,
     open_run_folder,
@@ -50,9 +51,12 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
     """
     folder = Path(folder)
     record = with_results(_record_of(run), run)
-    open_run_folder(folder, record, fresh=fresh)
-    write_results(folder, run)
-    write_record(folder, record)
+    with locked_folder(folder):
+        begun = replace(record, status="running")
+        if open_run_folder(folder, begun, fresh=fresh) is not None:
+            write_record(folder, begun)
+        write_results(folder, run)
+        write_record(folder, record)
     return record
 
 

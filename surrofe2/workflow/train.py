@@ -12,9 +12,10 @@ import numpy as np
 
 from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.files import START_OVER, check_same, remove, reported
+from surrofe2.io.files import START_OVER, check_same, remove
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.io.kept import read_attached
+from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.io.surrogates import (
     read_surrogate,
     read_training,
@@ -64,25 +65,31 @@ def train_surrogate(
     _check_data(recipe, samples, source)
     samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
     surrogate = None
-    if path.exists() and not fresh:
+    if path.exists() and not fresh and not _unfinished(recipe).exists():
         surrogate = read_surrogate(path)
         _check_surrogate(recipe, surrogate, samples)
         if surrogate.is_calibrated:
+            if file_lock(path).exists():  # a process was killed after its last file
+                with locked_file(path):
+                    pass
             return Trained(path, surrogate, True, bound_summary(surrogate, samples))
-    if surrogate is None:
-        with reported(path, "written"):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        surrogate = _train(recipe, samples, fresh, stage)
-    with stage("calibrate", 1.0, "of the paths") as report:
-        surrogate = calibrate_surrogate(recipe, surrogate, samples, report)
-    write_surrogate(surrogate, path)
+    with locked_file(path):
+        if surrogate is None:
+            surrogate = _train(recipe, samples, fresh, stage)
+        with stage("calibrate", 1.0, "of the paths") as report:
+            surrogate = calibrate_surrogate(recipe, surrogate, samples, report)
+        write_surrogate(surrogate, path)
     return Trained(path, surrogate, False, bound_summary(surrogate, samples))
+
+
+def _unfinished(recipe: Recipe) -> Path:
+    """What a training leaves to go on from; where it is there, no surrogate is finished."""
+    return recipe.training_path().with_suffix(".unfinished.safetensors")
 
 
 def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) -> SurrogateLaw:
     """A surrogate without a bound, in the recipe's file."""
-    path = recipe.training_path()
-    unfinished = path.with_suffix(".unfinished.safetensors")
+    path, unfinished = recipe.training_path(), _unfinished(recipe)
     if fresh:
         remove(unfinished)
     state = TrainingState(*read_training(unfinished)) if unfinished.exists() else None

@@ -74,8 +74,19 @@ def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
 
 def test_the_same_run_gives_its_earlier_record(tmp_path, record):
     write_record(tmp_path, replace(record, status="interrupted"))
+    (tmp_path / "checkpoint.h5").touch()
     earlier = open_run_folder(tmp_path, replace(record, threads=1))
     assert earlier == replace(record, status="interrupted")
+
+
+def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, record, curve):
+    folder = tmp_path / "run"
+    write_curve(folder, curve)
+    write_record(folder, replace(record, status="interrupted"))
+    (folder / "harvest-skin.h5").touch()
+    assert open_run_folder(folder, replace(record, status="running")) is None
+    assert [path.name for path in folder.iterdir()] == ["run.json"]
+    assert read_record(folder).status == "running"
 
 
 def test_another_run_is_refused(tmp_path, record):

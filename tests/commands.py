@@ -1,0 +1,139 @@
+"""Commands on short recipes over laws without cells, each with all that it leaves in its folder.
+
+`python -m tests.commands NAME FOLDER` is a process to kill; as in `checkpointed`, a checkpoint
+follows every step.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+from surrofe2.io import data_sets
+from surrofe2.io.run_folder import caches_of
+from surrofe2.io.seal import SEAL
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow import laws, rest, run, tissue
+from surrofe2.workflow.comparison import run_sweep
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.refinement import refine_surrogate
+from surrofe2.workflow.run import run_study
+from surrofe2.workflow.tissue import run_tissue
+from surrofe2.workflow.train import train_surrogate
+from tests.conftest import RECIPE
+from tests.laws import SoftLaw, SquareLaw
+
+SHORT = RECIPE.replace("-0.1]", "-0.9]").replace("duration = 4.0", "duration = 2.0")
+SHORT = SHORT.replace("stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]")
+CACHED = SHORT + "[cache]\ntolerance = 0.5\naudit = 0.3\n[table]\ntolerance = 1e-2\n"
+BOTH = CACHED.replace("[table]\n", "[table]\nenabled = true\n")
+SMALL = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0, 25.0]")
+TISSUE = SMALL.replace("duration = 4.0", "duration = 0.3\noutput_interval = 0.1")
+LEAVING = RECIPE.replace("-0.1]", "-1.0]")
+OF_TIME = {
+    "created", "wall_time", "true_wall_time", "speed_up", "seconds", "cost", "sha256", "of", SEAL,
+}  # fmt: skip
+
+
+def by(law, **changes):
+    def work(recipe, folder):
+        run_study(recipe, law, folder / "out", **changes)
+
+    return work
+
+
+def train(recipe, folder):
+    generate_data_set(recipe)
+    train_surrogate(recipe)
+
+
+def sweep(recipe, folder):
+    run_sweep(recipe, folder / "out", (0.5, 0.1))
+
+
+COMMANDS = {
+    "generate": (SHORT, lambda recipe, folder: generate_data_set(recipe, chunk=8)),
+    "train": (SHORT, train),
+    "rve": (SHORT, by("rve")),
+    "surrogate": (RECIPE, by("surrogate")),
+    "cached": (CACHED, by("cached")),
+    "cached and table": (BOTH, by("cached")),
+    "table": (CACHED, by("table")),
+    "implicit": (SHORT + 'integrator = "implicit"\n', by("rve")),
+    "tissue": (TISSUE, lambda recipe, folder: run_tissue(recipe, folder / "out")),
+    "refine": (LEAVING, lambda recipe, folder: refine_surrogate(recipe, folder / "out")),
+    "sweep": (CACHED, sweep),
+}
+"""By name: recipe, and the command on it in a folder."""
+NEED_NO_SURROGATE = ("generate", "train", "rve", "table", "implicit", "tissue", "refine")
+NEED_TANGENTS = ("cached and table", "table", "implicit")
+
+
+@contextmanager
+def checkpointed(name):
+    """Laws stand in for RVEs, and a checkpoint follows every step."""
+    soft = SquareLaw() if name in NEED_TANGENTS else SoftLaw()
+    with ExitStack() as patches:
+
+        def patch(module, entry, value):
+            patches.enter_context(mock.patch.object(module, entry, value))
+
+        patch(laws, "true_law", lambda recipe, *_: soft.of(recipe.cell, recipe.rve))
+        for module in (run, rest, tissue):
+            patch(module, "CHECKPOINT_INTERVAL", 0.0)
+        patch(data_sets, "INTERVAL", 0.0)
+        patch(data_sets, "SHARE", np.inf)
+        yield
+
+
+def prepare(name, folder, learnt):
+    """The recipe of a command in a folder, and what it needs from the folder `learnt`."""
+    folder.mkdir(parents=True)
+    (folder / "recipe.toml").write_text(COMMANDS[name][0], encoding="utf-8")
+    if name not in NEED_NO_SURROGATE:
+        for file in ("cells.h5", "cells.safetensors"):
+            (folder / file).write_bytes((learnt / file).read_bytes())
+
+
+def execute(name, folder):
+    """Run a command in its folder, or go on with it."""
+    with checkpointed(name):
+        COMMANDS[name][1](load_recipe(folder / "recipe.toml"), folder)
+
+
+def left_in(folder):
+    """All numbers in a folder by file, but when they were made and how long that took."""
+    return {
+        path.relative_to(folder).as_posix(): _numbers(path)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def _numbers(path):
+    if path.suffix == ".h5":
+        from tests.test_going_on import stored
+
+        found = stored(path)
+        found["attributes"] = {k: v for k, v in found["attributes"].items() if "json" not in k}
+        return found
+    if path.suffix == ".json":
+        entries = json.loads(path.read_text(encoding="utf-8"))
+        assert all("cost" in cache for cache in caches_of(entries.get("cache")).values())
+        return _lasting(entries)
+    return None if path.suffix == ".png" else path.read_bytes()
+
+
+def _lasting(value):
+    if isinstance(value, dict):
+        return {key: _lasting(entry) for key, entry in value.items() if key not in OF_TIME}
+    return [_lasting(entry) for entry in value] if isinstance(value, list) else value
+
+
+if __name__ == "__main__":
+    execute(sys.argv[1], Path(sys.argv[2]))
