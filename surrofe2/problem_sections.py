@@ -178,7 +178,10 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> Mesh:
         InputError: it is no mesh of quadrilaterals or triangles in a plane, or has no such unit.
     """
     stored = read_mesh(Path(path), length_unit)
-    return Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
+    try:
+        return Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
+    except InputError as error:
+        raise InputError(f"{Path(path).name}: {error}") from None
 
 
 def stated_problem(table: Mapping[str, Any], folder: Path) -> StatedProblem:

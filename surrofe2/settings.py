@@ -26,8 +26,8 @@ T = TypeVar("T")
 
 _LONGEST_NAME, _LONGEST_LIST = 60, 150
 """Characters of a name and of a list of names in a sentence."""
-_SMALLEST, _ENDS = 1e-30, (0.0, math.inf, -math.inf)
-"""Numbers smaller than this, or larger than its inverse, are mistakes whose products overflow."""
+_SMALLEST, _LARGEST, _ENDS = 1e-60, 1e30, (0.0, math.inf, -math.inf)
+"""Numbers beyond these are mistakes, whose products overflow."""
 
 
 def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds: Any) -> Any:
@@ -143,8 +143,8 @@ def _number(name: str, value: Any, kind: type, bounds: Mapping[str, Any]) -> Any
     inside = (above is None or value > above) and (below is None or value < below)
     if not (_is_finite(value, bounds) and inside and least <= value <= most):
         raise _refusal(name, value, allowed_numbers(kind, bounds), {})
-    if kind is float and not (_SMALLEST <= abs(value) <= 1.0 / _SMALLEST or value in _ENDS):
-        raise _refusal(name, value, f"0, or of {_SMALLEST:g} to {1.0 / _SMALLEST:g}", bounds)
+    if kind is float and not (_SMALLEST <= abs(value) <= _LARGEST or value in _ENDS):
+        raise _refusal(name, value, f"0, or of {_SMALLEST:g} to {_LARGEST:g}", bounds)
     return kind(value)
 
 

@@ -13,8 +13,12 @@ does not change when both are rotated. Tolerances are shares of the spread of th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
+
+from surrofe2.errors import InputError, shortened
 
 Array = NDArray[np.float64]
 
@@ -95,3 +99,25 @@ def cofactor(F: Array) -> Array:
     result[:, 0, 0], result[:, 1, 1] = F[:, 1, 1], F[:, 0, 0]
     result[:, 0, 1], result[:, 1, 0] = -F[:, 1, 0], -F[:, 0, 1]
     return result
+
+
+def check_arrays(
+    what: str, arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Refuse float64 arrays that are missing, unknown, of another shape or not finite.
+
+    Raises:
+        InputError: naming the array.
+    """
+    for name in {*arrays, *shapes}:
+        if name not in arrays or name not in shapes:
+            told = "unknown" if name in arrays else "missing"
+            raise InputError(f"{what}.{shortened(name, 60)}: {told}")
+        values = arrays[name]
+        if values.shape != shapes[name] or values.dtype != np.float64:
+            raise InputError(
+                f"{what}.{name}: {values.dtype} of shape {values.shape}; it must be float64 of "
+                f"{shapes[name]}"
+            )
+        if not np.isfinite(values).all():
+            raise InputError(f"{what}.{name}: not finite")

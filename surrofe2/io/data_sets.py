@@ -20,10 +20,16 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.io.files import check_same, flat
-from surrofe2.io.hdf5 import Column, store_columns, writing_hdf5
+from surrofe2.io.hdf5 import (
+    Column,
+    store_columns,
+    stored_number,
+    stored_rows,
+    writing_hdf5,
+)
 from surrofe2.io.kept import attached
 from surrofe2.io.lock import file_lock, locked_file
-from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range
+from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range, stored_text
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, StressResponse, describe
@@ -199,15 +205,18 @@ def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
     is_finished = False
     if path.exists() and not fresh:
         with reading(path, SCHEMA, SCHEMA_VERSION) as file:
-            check_same(path, header.compared(), json.loads(file.attrs["compared"]))
-            is_finished = file.attrs["status"] == "finished"
-            if file.attrs["completed"]:
-                rows = {name: file[name][()] for name in _columns_in(file)}
+            check_same(path, header.compared(), json.loads(stored_text(file, "compared")))
+            is_finished = stored_text(file, "status") == "finished"
+            if stored_number(file, "completed"):
+                rows = stored_rows(file, _columns_in(file))
+                if not len(rows["F"]) == file.attrs["completed"] <= header.count:
+                    raise ValueError(f"completed: {file.attrs['completed']} of {len(rows['F'])}")
     return DataSetWriter(path, header, rows, is_finished)
 
 
-def _columns_in(file: h5py.File) -> list[str]:
-    return [name for name in (*_COLUMNS, *_TANGENT_COLUMNS) if name in file]
+def _columns_in(file: h5py.File) -> dict[str, Column]:
+    own = {name: column for name, column in _TANGENT_COLUMNS.items() if name in file}
+    return _COLUMNS | own
 
 
 def _attributes(header: DataSetHeader) -> dict[str, Any]:
@@ -231,25 +240,26 @@ def read_data_set(path: str | Path) -> StressSamples:
     """
     path = Path(path)
     with reading(path, SCHEMA, SCHEMA_VERSION) as file:
-        if file.attrs["status"] != "finished":
+        if stored_text(file, "status") != "finished":
+            done, count = (stored_number(file, name) for name in ("completed", "count"))
             raise InputError(
-                f"{path}: unfinished, {file.attrs['completed']} of {file.attrs['count']} "
+                f"{path}: unfinished, {done:g} of {count:g} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
         return _samples_of(file)
 
 
 def _samples_of(file: h5py.File) -> StressSamples:
-    arrays = {name: file[name][()] for name in _columns_in(file)}
+    arrays = stored_rows(file, _columns_in(file))
     left = arrays.pop(LEFT).astype(np.bool_)
     cell, initialisation = stored_cell(file)
-    length = file.attrs.get("rest_length")
+    length = stored_number(file, "rest_length") if "rest_length" in file.attrs else None
     return StressSamples(
         **arrays,
         cell=cell,
         initialisation=initialisation,
         range=stored_range(file),
-        seed=int(file.attrs["seed"]),
-        rest_length=None if length is None else float(length),
+        seed=int(stored_number(file, "seed")),
+        rest_length=length,
         left_bifurcation=left,
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import FileError
 from surrofe2.io.files import reported, write_text
-from surrofe2.io.hdf5 import reading_hdf5, writing_hdf5
+from surrofe2.io.hdf5 import reading_hdf5, stored_array, writing_hdf5
 
 Array = NDArray[np.float64]
 Data = dict[str, Array]
@@ -116,13 +116,22 @@ def read_element_motion(folder: Path) -> ElementMotion:
     with reading_hdf5(path) as file:
         if f"{F_DOT_NAME}.0" not in file:
             raise FileError(f"{path}: no {F_DOT_NAME} of elements in it; run anew with --fresh")
-        t = file["t"][()]
+        t, nodes = stored_array(file, "t", (None,)), stored_array(file, "points", (None, 3))
+        elements = stored_array(file, "cells", (None, None), np.int64)
+        if not (len(t) and 0 <= elements.min(initial=0) <= elements.max(initial=0) < len(nodes)):
+            raise ValueError("t or cells: empty, or of points that are not there")
+        tensors = (len(elements), 3, 3)
         F, F_dot = (
-            np.stack([file[f"{name}.{k}"][:, :2, :2] for k in range(len(t))])
+            np.stack([stored_array(file, f"{name}.{k}", tensors) for k in range(len(t))])
             for name in (F_NAME, F_DOT_NAME)
         )
-        cell = file[f"{_CELL}.0"][()].astype(np.int64) if f"{_CELL}.0" in file else None
-        return ElementMotion(file["points"][:, :2], file["cells"][()], t, F, F_dot, cell)
+        cell = None
+        if f"{_CELL}.0" in file:
+            kind = file[f"{_CELL}.0"].dtype
+            if kind.kind not in "if":
+                raise ValueError(f"{_CELL}.0: {kind}; it must be numbers")
+            cell = stored_array(file, f"{_CELL}.0", (len(elements),), kind).astype(np.int64)
+        return ElementMotion(nodes[:, :2], elements, t, F[..., :2, :2], F_dot[..., :2, :2], cell)
 
 
 def _invariants(stress: Array) -> dict[str, Array]:

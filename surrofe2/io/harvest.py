@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.hdf5 import Column, store_columns, writing_hdf5
+from surrofe2.errors import FileError
+from surrofe2.io.hdf5 import Column, store_columns, stored_rows, writing_hdf5
 from surrofe2.io.provenance import Origin, check_same_rve, reading, stored_cell
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.units import RATE, STRESS
@@ -92,6 +93,8 @@ def read_harvest(path: str | Path) -> Harvest:
         FileError: not a harvest of this schema, or damaged.
     """
     arrays, (cell, initialisation) = _read(Path(path))
+    if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
+        raise FileError(f"{path}: stress: not finite where the status is 0; it is damaged")
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
@@ -111,7 +114,7 @@ def check_harvest(path: Path, harvest: Harvest, cell: CellParameters, initialisa
 def _read(path: Path) -> tuple[dict[str, NDArray[Any]], tuple[CellParameters, str]]:
     """All rows, and the plant cells and initialisation that they are of."""
     with reading(path, SCHEMA, SCHEMA_VERSION) as file:
-        return {name: file[name][()] for name in _COLUMNS}, stored_cell(file)
+        return stored_rows(file, _COLUMNS), stored_cell(file)
 
 
 def _check(path: Path, there: tuple[CellParameters, str], here: tuple[CellParameters, str]) -> None:

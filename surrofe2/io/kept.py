@@ -18,7 +18,7 @@ import numpy as np
 
 from surrofe2.compilation import cache_folder
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.errors import FileError
 from surrofe2.io.files import plain, read_json, write_json
 from surrofe2.io.hdf5 import reading_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
@@ -68,7 +68,7 @@ def read_reference(path: Path, cell: CellParameters) -> ReferenceState | None:
     if stored is None:
         return None
     del stored["identity"]
-    return _checked({name: np.array(values) for name, values in stored.items()}, cell)
+    return _checked(stored, cell)
 
 
 def attached(reference: ReferenceState) -> dict[str, np.ndarray]:
@@ -86,11 +86,12 @@ def read_attached(path: Path, cell: CellParameters) -> ReferenceState | None:
     return _checked(arrays, cell)
 
 
-def _checked(arrays: dict[str, np.ndarray], cell: CellParameters) -> ReferenceState | None:
+def _checked(stored: Mapping[str, Any], cell: CellParameters) -> ReferenceState | None:
     try:
+        arrays = {name: np.array(values) for name, values in stored.items()}
         found = ReferenceState.from_arrays(arrays)
         found.check_belongs_to(cell)
-    except (InputError, MismatchError):
+    except (TypeError, ValueError, OverflowError):  # InputError and MismatchError among them
         return None
     return found
 
@@ -118,7 +119,7 @@ class KeptCurves:
         try:
             curve = DisplacementCurve(np.array(stored["t"]), np.array(stored["displacement"]))
             return KeptCurve(curve, float(stored["seconds"]))
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise FileError(f"{path}: not a whole curve; delete it") from None
 
     def write(self, name: str, configuration: Mapping[str, Any], kept: KeptCurve) -> Path:

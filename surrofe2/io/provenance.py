@@ -13,9 +13,9 @@ from typing import Any
 
 import h5py
 
-from surrofe2.errors import FileError, MismatchError, Surrofe2Error
+from surrofe2.errors import FileError, MismatchError, Surrofe2Error, shortened
 from surrofe2.io.files import plain
-from surrofe2.io.hdf5 import reading_hdf5
+from surrofe2.io.hdf5 import DAMAGED, reading_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 
@@ -57,13 +57,27 @@ def stamp(
 
 def stored_cell(file: h5py.File) -> tuple[CellParameters, str]:
     """(plant cells, initialisation) that a file's answers are of."""
-    cell = CellParameters(**json.loads(file.attrs["cell"]))
-    return cell, str(file.attrs["initialisation"])
+    cell = CellParameters(**json.loads(stored_text(file, "cell")))
+    if cell.fingerprint != stored_text(file, "cell_fingerprint"):
+        raise ValueError("cell: its parameters are not those that the answers are of")
+    return cell, stored_text(file, "initialisation")
 
 
 def stored_range(file: h5py.File) -> SamplingRange:
     """The range that a file has as JSON."""
-    return SamplingRange(**json.loads(file.attrs["range"]))
+    return SamplingRange(**json.loads(stored_text(file, "range")))
+
+
+def stored_text(file: h5py.File, name: str) -> str:
+    """A text among the attributes of a file.
+
+    Raises:
+        ValueError: it is missing or no text.
+    """
+    value = file.attrs.get(name)
+    if not isinstance(value, str):
+        raise ValueError(f"{name}: missing, or no text")
+    return value
 
 
 @contextmanager
@@ -75,17 +89,19 @@ def reading(path: Path, schema: str, schema_version: int) -> Iterator[h5py.File]
     """
     kind = schema.removeprefix("surrofe2-").replace("-", " ")
     with reading_hdf5(path) as file:
-        if file.attrs.get("schema") != schema:
+        if str(file.attrs.get("schema")) != schema:
             raise FileError(f"{path}: an HDF5 file, but not a surrofe2 {kind}")
-        found = int(file.attrs["schema_version"])
-        if found != schema_version:
+        found = str(file.attrs.get("schema_version"))
+        if found != str(schema_version):
+            found = shortened(found, 20)
             raise FileError(f"{path}: {kind} schema {found}; this surrofe2 reads {schema_version}")
         try:
             yield file
-        except Surrofe2Error:
-            raise
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(f"{path}: not a whole surrofe2 {kind}: {error}") from None
+        except DAMAGED as error:
+            if isinstance(error, Surrofe2Error) and str(path) in str(error):
+                raise
+            told = shortened(" ".join(str(error).split()), 120)
+            raise FileError(f"{path}: not a whole surrofe2 {kind}: {told}") from None
 
 
 def check_same_rve(

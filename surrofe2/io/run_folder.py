@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_origin
 
 import numpy as np
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.errors import FileError, InputError
+from surrofe2.errors import FileError, InputError, quoted, shortened
+from surrofe2.io.columns import read_columns, write_columns
 from surrofe2.io.files import (
     check_same,
     make_folder,
@@ -23,9 +24,9 @@ from surrofe2.io.files import (
     remove,
     reported,
     write_json,
-    write_text,
 )
 from surrofe2.io.lock import folder_lock
+from surrofe2.settings import check_value, hints_of
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 
 SCHEMA = "surrofe2-run"
@@ -225,9 +226,35 @@ def read_record(folder: Path) -> RunRecord:
     if version != SCHEMA_VERSION or not known.issuperset(stored):
         raise FileError(f"{path}: run schema {version}; this surrofe2 reads {SCHEMA_VERSION}")
     try:
-        return RunRecord(**stored)
-    except TypeError:
-        raise FileError(f"{path}: not a whole record of a surrofe2 run") from None
+        record = RunRecord(**stored)
+        _check_entries(record)
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        told = shortened(str(error), 80)
+        raise FileError(f"{path}: not a whole record of a surrofe2 run: {told}") from None
+    return record
+
+
+def _check_entries(record: RunRecord) -> None:
+    """Types of all entries, and that sections and cells of the recipe are tables."""
+    for name, hint in hints_of(RunRecord).items():
+        value = attrgetter(name)(record)
+        if Mapping in (get_origin(hint), *(get_origin(option) for option in get_args(hint))):
+            nothing = value is None and NoneType in get_args(hint)
+            if not (isinstance(value, dict) or nothing):
+                raise ValueError(f"{name}: {quoted(value)}; it must be a table")
+            kinds = {"wall_time": float, "counts": int, "files": str, "platform": str}
+            for key, entry in value.items() if name in kinds else ():
+                check_value(f"{name}.{key}", entry, kinds[name], {})
+        else:
+            check_value(name, value, hint, {})
+    for name in (*_SECTIONS, "cache"):
+        section = record.recipe.get(name, {})
+        for one in (section, *(section.values() if name == "cells" else ())):
+            if not isinstance(one, dict):
+                raise ValueError(f"recipe.{name}: {quoted(one)}; it must be a table")
+    if record.surrogate is not None:
+        record.surrogate["fingerprint"]
+    check_value("recipe.duration", record.duration, float, {"above": 0.0})
 
 
 def write_curve(
@@ -242,7 +269,7 @@ def write_curve(
     names = [f"{u}_um {name}" for name in more for u in ("u_x", "u_y")]
     columns = [column for other in more.values() for column in other.displacement.T]
     header = [*CURVE_HEADER.split(","), *names]
-    _write_table(folder / "curve.csv", header, [curve.t, *curve.displacement.T, *columns])
+    write_columns(folder / "curve.csv", header, [curve.t, *curve.displacement.T, *columns])
 
 
 def read_curve(folder: Path) -> DisplacementCurve:
@@ -252,8 +279,9 @@ def read_curve(folder: Path) -> DisplacementCurve:
         FileError: missing or damaged.
     """
     path = folder / "curve.csv"
-    names, table = _read_table(path)
-    if ",".join(names[:3]) != CURVE_HEADER or not len(table):
+    names, table = read_columns(path)
+    whole = ",".join(names[:3]) == CURVE_HEADER and len(table) > 0
+    if not whole or not np.isfinite(table[:, :3]).all() or (np.diff(table[:, 0]) <= 0.0).any():
         raise FileError(f"{path}: not a table of {CURVE_HEADER}")
     return DisplacementCurve(table[:, 0], table[:, 1:3])
 
@@ -270,7 +298,7 @@ def write_history(
     clock: the name of t; a rest has the factor of the load in its place.
     """
     names = [f"{name}_{HISTORY_UNITS.get(name.split()[0], 'um')}" for name in history]
-    _write_table(folder / "history.csv", [clock, *names], [t, *history.values()])
+    write_columns(folder / "history.csv", [clock, *names], [t, *history.values()])
 
 
 def read_history(folder: Path) -> dict[str, np.ndarray]:
@@ -279,7 +307,7 @@ def read_history(folder: Path) -> dict[str, np.ndarray]:
     Raises:
         FileError: missing or damaged.
     """
-    names, table = _read_table(folder / "history.csv")
+    names, table = read_columns(folder / "history.csv")
     columns = zip(names[1:], table.T[1:], strict=True)
     return {name.rpartition("_")[0]: column for name, column in columns}
 
@@ -287,37 +315,17 @@ def read_history(folder: Path) -> dict[str, np.ndarray]:
 def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray]) -> None:
     """Write energies.csv: each energy (m,) in pJ over t (m,) in µs."""
     header = ["t_us", *(f"{name}_pJ" for name in energies)]
-    _write_table(folder / "energies.csv", header, [t, *energies.values()])
+    write_columns(folder / "energies.csv", header, [t, *energies.values()])
 
 
 def write_load_path(folder: Path, path: np.ndarray) -> None:
     """Write path.csv: factor of the load, displacement of the watched point in µm; (m, 3)."""
-    _write_table(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
+    write_columns(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
 
 
 def write_named(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write a CSV file of columns (m,) by name."""
-    _write_table(path, list(columns), list(columns.values()))
-
-
-def _write_table(path: Path, header: list[str], columns: list[np.ndarray]) -> None:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(header)
-    table.writerows([repr(float(value)) for value in row] for row in zip(*columns, strict=True))
-    write_text(path, text.getvalue())
-
-
-def _read_table(path: Path) -> tuple[list[str], np.ndarray]:
-    """Names of columns and (m, columns) numbers."""
-    with reported(path, "read"):
-        lines = path.read_text(encoding="utf-8").splitlines()
-    names, *rows = csv.reader(lines) if lines else [[]]
-    try:
-        table = np.array([[float(entry) for entry in row] for row in rows])
-        return names, table.reshape(len(rows), len(names))
-    except ValueError:
-        raise FileError(f"{path}: not a table of {','.join(names[:3])}") from None
+    write_columns(path, list(columns), list(columns.values()))
 
 
 def read_run(folder: str | Path) -> StoredRun:

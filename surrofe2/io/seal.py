@@ -15,7 +15,7 @@ from surrofe2.errors import FileError
 SEAL = "sha256_of_this_file"
 NO_DIGEST = "0" * 64
 """What stands in a file before it is sealed."""
-_DIGEST = re.compile(SEAL.encode() + rb"\W{1,12}([0-9a-f]{64})")
+_DIGEST = re.compile(rb"(?<=[\"\0])" + SEAL.encode() + rb"\W{1,12}([0-9a-f]{64})")
 
 
 def sealed(content: bytes) -> bytes:

@@ -19,12 +19,13 @@ from safetensors.numpy import load, save
 
 from surrofe2 import units
 from surrofe2.cache.branches import part_of, within
-from surrofe2.errors import FileError, InputError
+from surrofe2.errors import FileError, shortened
 from surrofe2.io.files import plain, read_bytes, write_bytes
 from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
+from surrofe2.settings import check_value
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import NetworkParameters
@@ -94,9 +95,13 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             reference=ReferenceState.from_arrays(reference) if reference else None,
         )
         fingerprint = content["cell_fingerprint"]
-    except (KeyError, TypeError, ValueError, AttributeError, InputError):
+        for name, kind in _TEXTS.items():
+            check_value(name, content[name], kind, {})
+        _check_errors(law.errors)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FileError(
-            f"{path}: a surrofe2 surrogate with missing or damaged entries; {_ANEW}"
+            f"{path}: a surrofe2 surrogate with missing or damaged entries "
+            f"({shortened(str(error), 80)}); {_ANEW}"
         ) from None
     if cell.fingerprint != fingerprint:
         raise FileError(
@@ -104,6 +109,23 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             f"trained for {fingerprint}; {_ANEW}"
         )
     return law
+
+
+_STRESSES = ("xx", "xy", "yx", "yy")
+_TEXTS = {
+    "initialisation": str,
+    "data_fingerprint": str,
+    "version": str,
+    "rest_length": float | None,
+}
+
+
+def _check_errors(errors: Mapping[str, Any]) -> None:
+    """Figures by component; none of a surrogate that was not trained."""
+    for name in ("spread", "rms", "worst") if errors else ():
+        for component in _STRESSES:
+            if not isinstance(errors[name][component], int | float):
+                raise TypeError(f"errors.{name}.{component}")
 
 
 def _calibration(content: Mapping[str, Any]) -> Calibration:
@@ -126,7 +148,10 @@ def write_training(
 def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
     """(identity, iterations, arrays) of an interrupted training, or a FileError."""
     content, tensors = _read(path, TRAINING_SCHEMA, "unfinished training")
-    return content["identity"], content["iterations"], tensors
+    identity, iterations = content.get("identity"), content.get("iterations")
+    if not isinstance(identity, dict) or type(iterations) is not int or iterations < 0:
+        raise FileError(f"{path}: identity, iterations: missing or damaged; {_ANEW}")
+    return identity, iterations, tensors
 
 
 def _write(path: Path, schema: str, content: Mapping[str, Any], tensors: Tensors) -> None:
@@ -151,7 +176,8 @@ def _read(path: Path, schema: str, name: str) -> tuple[dict[str, Any], Tensors]:
         length = int.from_bytes(stored[:8], "little")
         content = json.loads(json.loads(stored[8 : 8 + length])["__metadata__"]["surrofe2"])
         tensors = load(stored)
-    except (SafetensorError, ValueError, KeyError, TypeError):
+        content.get("schema")
+    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise FileError(f"{path}: not a surrofe2 {name}; {_ANEW}") from None
     if content.get("schema") != schema or content.get("schema_version") != SCHEMA_VERSION:
         found_schema = f"{content.get('schema')} {content.get('schema_version')}"

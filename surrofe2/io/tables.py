@@ -12,8 +12,15 @@ import numpy as np
 
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
-from surrofe2.io.hdf5 import writing_hdf5
-from surrofe2.io.provenance import check_same_rve, reading, stamp, stored_cell, stored_range
+from surrofe2.io.hdf5 import stored_array, stored_number, writing_hdf5
+from surrofe2.io.provenance import (
+    check_same_rve,
+    reading,
+    stamp,
+    stored_cell,
+    stored_range,
+    stored_text,
+)
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.tensors import INPUTS
@@ -94,26 +101,29 @@ def read_table(path: str | Path) -> StoredTable:
     with reading(Path(path), SCHEMA, SCHEMA_VERSION) as file:
         cell, initialisation = stored_cell(file)
         table = StoredTable(
-            records=Records(*(np.array(file[name], dtype=np.float64) for name in _SHAPES)),
+            records=Records(
+                *(stored_array(file, name, (None, *_SHAPES[name])) for name in _SHAPES)
+            ),
             cell=cell,
             initialisation=initialisation,
             range=stored_range(file),
-            tolerance=float(file.attrs["tolerance"]),
-            spread=float(file.attrs["stress_spread"]),
-            recipe=json.loads(file.attrs["recipe"]),
+            tolerance=stored_number(file, "tolerance"),
+            spread=stored_number(file, "stress_spread"),
+            recipe=json.loads(stored_text(file, "recipe")),
         )
-        _check_whole(table, str(file.attrs["cell_fingerprint"]))
+        _check_whole(table)
     return table
 
 
-def _check_whole(table: StoredTable, fingerprint: str) -> None:
+def _check_whole(table: StoredTable) -> None:
     count = len(table.records.centre)
     for name, values in table.records._asdict().items():
-        shape = _SHAPES[name]
-        if values.shape != (count, *shape) or not np.isfinite(values).all():
+        if len(values) != count or not np.isfinite(values).all():
             raise ValueError(f"{name} is damaged")
-    if table.cell.fingerprint != fingerprint:
-        raise ValueError("its cell parameters are not those it was made for")
+    if not (table.tolerance > 0.0 and table.spread > 0.0):
+        raise ValueError("tolerance and stress_spread must be positive")
+    if not isinstance(table.recipe, dict):
+        raise ValueError("recipe: not a JSON object")
 
 
 def check_table(path: Path, table: StoredTable, cell: CellParameters, initialisation: str) -> None:

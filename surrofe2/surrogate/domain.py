@@ -16,14 +16,15 @@ What lies between valid samples is taken to be valid. `calibration` finds it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.errors import InputError
 from surrofe2.square_symmetry import SUM, parity
-from surrofe2.tensors import INPUTS, to_inputs
+from surrofe2.tensors import INPUTS, check_arrays, to_inputs
 
 Array = NDArray[np.float64]
 Table = NDArray[np.int64]
@@ -58,8 +59,15 @@ class Domain:
     cliff: Array
 
     def __post_init__(self) -> None:
+        count = len(self.limits)
+        shapes = {"scale": (INPUTS,), "signs": (count, 2), "limits": (count,)}
+        cliff = {"cliff": (len(cliff_table(self.square)) if self.cliff.size else 0,)}
+        floats = {name: values for name, values in asdict(self).items() if name in shapes | cliff}
+        check_arrays("domain", floats, shapes | cliff)
+        if self.pairs.shape != (count, 2) or self.pairs.dtype.kind != "i":
+            raise InputError(f"domain.pairs: shape {self.pairs.shape}; it must be ({count}, 2)")
         if not ((self.pairs >= 0) & (self.pairs < FEATURES)).all():
-            raise ValueError("domain: pairs beyond the features")
+            raise InputError("domain.pairs: beyond the features")
 
 
 def features(x: Array, square: bool) -> Array:

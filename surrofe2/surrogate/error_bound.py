@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.errors import InputError
 from surrofe2.surrogate.domain import Table, padded_table, products
-from surrofe2.tensors import INPUTS
+from surrofe2.tensors import INPUTS, check_arrays
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,11 @@ class Calibration:
     data_fingerprint: str
     subject: str
     settings: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        check_arrays("calibration", {"scale": self.scale}, {"scale": (len(scale_table()),)})
+        if not (self.quantile >= 0.0 and (self.scale >= 0.0).all() and self.stress_spread > 0.0):
+            raise InputError("calibration: scale, quantile and stress_spread; none may be negative")
 
 
 def local_scale(scale: Array, x: Array) -> Array:

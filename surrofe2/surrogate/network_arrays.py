@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.errors import InputError, quoted
 from surrofe2.sampling import SLACK, SamplingRange
 from surrofe2.surrogate.compiled_frame import ONE
 from surrofe2.surrogate.compiled_network import (
@@ -21,8 +22,10 @@ from surrofe2.surrogate.compiled_network import (
 )
 from surrofe2.surrogate.features import STRETCH, Features, Product, differentiated, make_features
 from surrofe2.surrogate.polynomial import Polynomial, make_polynomial
+from surrofe2.tensors import INPUTS, check_arrays
 
 Array = NDArray[np.float64]
+HIGHEST_DEGREE = 5
 Layers = tuple[tuple[Array, Array], ...]
 """Matrix (outputs, inputs) and bias (outputs,) of each layer of a tanh network."""
 
@@ -44,6 +47,33 @@ class NetworkParameters:
     symmetry: str
     degree: int
     tensors: Mapping[str, Array]
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.degree, int) and 0 <= self.degree <= HIGHEST_DEGREE):
+            raise InputError(
+                f"network.degree: {quoted(self.degree)}; it must be from 0 to {HIGHEST_DEGREE}"
+            )
+        features = self.features
+        wanted: dict[str, tuple[int, ...]] = {
+            "input_scale": (INPUTS,),
+            "output_scale": (4,),
+            "energy_scale": (1,),
+            "coefficients": (len(features.monomials),),
+            "energy_coefficients": (len(features.energy_monomials),),
+        }
+        for part, size, outputs in (
+            ("factors", len(features.invariants), len(features.terms)),
+            ("energy", STRETCH, 1),
+        ):
+            count = sum(name.startswith(f"{part}.") for name in self.tensors) // 2
+            for k in np.arange(count).tolist():
+                given = self.tensors.get(f"{part}.{k}.bias", np.empty(0))
+                rows = outputs if k == count - 1 else len(given)
+                wanted |= {f"{part}.{k}.weight": (rows, size), f"{part}.{k}.bias": (rows,)}
+                size = rows
+            if bool(count) != (part == "factors" or bool(features.powers)):
+                raise InputError(f"network.{part}: {count} layers; those of another form")
+        check_arrays("network", self.tensors, wanted)
 
     @property
     def features(self) -> Features:

@@ -204,12 +204,26 @@ class _Minimisation:
                     f"training: the state to resume has {name} {state.identity.get(name)}, "
                     f"not {value}"
                 )
+        try:
+            self._put_back(state)
+        except (KeyError, TypeError, ValueError, RuntimeError, OverflowError):
+            raise MismatchError("training: the state to resume has not what it must") from None
+        return state.iterations
+
+    def _put_back(self, state: TrainingState) -> None:
         parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}}
         for name, array in state.arrays.items():
             part, key = name.split(".", 1)
             parts[part][key] = torch.from_numpy(np.array(array))
         self.network.load_state_dict(parts["network"])
         found = parts["optimiser"]
+        size = sum(each.numel() for each in self.parameters)
+        steps = len(found["old_dirs"]) if found else 0
+        shapes = {"old_dirs": (steps, size), "old_stps": (steps, size), "ro": (steps,)}
+        shapes |= dict.fromkeys(_NUMBERS, ()) | dict.fromkeys(_VECTORS, (size,))
+        for name, values in found.items():
+            if tuple(values.shape) != shapes[name] and steps:
+                raise ValueError(name)
         for name in _LISTS if found else ():
             found[name] = list(found[name])
         for name in _NUMBERS if found else ():
@@ -217,7 +231,6 @@ class _Minimisation:
         for name in ("func_evals", "n_iter") if found else ():
             found[name] = int(found[name])
         self.optimiser.state[self.parameters[0]].update(found)
-        return state.iterations
 
 
 def measure_errors(law: SurrogateLaw, samples: StressSamples) -> dict[str, Any]:

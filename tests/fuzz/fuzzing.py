@@ -86,6 +86,13 @@ def damaged_lines(draw, texts, values=EXTREME):
 KEYS = ("a.b", '""', '"' + "k" * 400 + '"', '"\\u0000\\n"', "file", "kind", "name", "on", "box")
 
 
+class Content(bytes):
+    """Bytes of a file that a report does not show."""
+
+    def __repr__(self):
+        return f"<{len(self)} bytes>"
+
+
 @st.composite
 def damaged_bytes(draw, whole):
     """The bytes of a file truncated, flipped, overwritten, doubled or with others in between."""

@@ -1,0 +1,284 @@
+"""One small file of each kind, how it is read, and damage behind its digest."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import BytesIO
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+from hypothesis import strategies as st
+from safetensors.numpy import load, save
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.io import seal
+from surrofe2.io.data_sets import read_data_set, writing_data_set
+from surrofe2.io.fields import read_element_motion, write_fields
+from surrofe2.io.files import read_json, write_json
+from surrofe2.io.harvest import HarvestWriter, read_harvest
+from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
+from surrofe2.io.kept import read_reference, write_reference
+from surrofe2.io.run_folder import (
+    read_curve,
+    read_history,
+    read_record,
+    write_curve,
+    write_history,
+    write_record,
+)
+from surrofe2.io.surrogates import (
+    read_surrogate,
+    read_training,
+    write_surrogate,
+    write_training,
+)
+from surrofe2.io.tables import read_table, stored, write_table
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.problem_sections import load_mesh
+from surrofe2.recipe import load_recipe
+from surrofe2.surrogate import TrainingSettings, train
+from surrofe2.surrogate.calibration import fit_domain
+from surrofe2.surrogate.error_bound import Calibration, scale_table
+from tests.cache.tables import make, states, taught
+from tests.fuzz.test_recipes import ROOT, places, replaced
+from tests.io.gmsh_files import QUADS
+from tests.io.small_data_set import HEADER, append_chunk, write_all
+from tests.laws import CELL, SoftLaw, lattice_samples
+from tests.run_records import finished_record
+
+POINTS = np.eye(2) + 0.01 * np.arange(8.0).reshape(2, 2, 2), 0.001 * np.ones((2, 2, 2))
+T = np.arange(5.0)
+CURVE = DisplacementCurve(T, np.stack([T, -T], axis=1))
+KEPT = {"law": "rve"}
+
+
+def data_set(folder):
+    write_all(folder / "set.h5")
+
+
+def unfinished(folder):
+    with writing_data_set(folder / "begun.h5", HEADER) as data:
+        append_chunk(data, SoftLaw())
+
+
+def continued(path):
+    with writing_data_set(path, HEADER) as data:
+        return data.completed, data.status_counts()
+
+
+def harvest(folder):
+    writer = HarvestWriter(folder / "harvest.h5", HEADER)
+    writer(*POINTS, POINTS[0], np.zeros(2, np.int8), np.ones(2, np.int8))
+    writer.flush()
+
+
+def table(folder):
+    found = stored(taught(*states(5)), {"recipe": "recipe.toml"})
+    write_table(folder / "table.h5", found)
+
+
+def asked_table(path):
+    found, table = read_table(path), make()
+    table.restore(found.records)
+    return found, table.lookup(*POINTS)
+
+
+def surrogate(folder):
+    settings = TrainingSettings(hidden=(4,), baseline_degree=2, iterations=2)
+    samples = lattice_samples(200)
+    law = train(samples, settings)
+    bound = Calibration(
+        scale=np.ones(len(scale_table())), quantile=0.7, share=0.01, stress_spread=10.0,
+        kinds={"walks": {"paths": 9, "quantile": 1.0}}, settings={"walks": 9},
+        data_fingerprint=law.data_fingerprint, subject=law.network.fingerprint(law.range),
+    )  # fmt: skip
+    rest = ReferenceState(law.cell.fingerprint, np.eye(2), np.eye(2), 1.5)
+    law = replace(law, domain=fit_domain(samples), calibration=bound, reference=rest)
+    write_surrogate(law, folder / "law.safetensors")
+
+
+def asked_surrogate(path):
+    law = read_surrogate(path)
+    made = law.version, law.rest_length, law.stress_spread, law.data_fingerprint
+    return law.lookup(*POINTS), law.tangents(*POINTS), made
+
+
+def training(folder):
+    identity, arrays = {"data": "0123"}, {"network.a": np.ones(3)}
+    write_training(folder / "begun.safetensors", identity, 7, arrays)
+
+
+def checkpoint(folder):
+    arrays = {"macro/t": np.ones(3), "law/status": np.ones(2, np.int8)}
+    write_checkpoint(folder / "checkpoint.h5", arrays, "a rve run")
+
+
+def fields(folder):
+    numbers = np.random.default_rng(0)
+    shapes = dict.fromkeys(("stress", "F", "F_dot"), (2, 1, 2, 2))
+    shapes |= dict.fromkeys(("displacement", "velocity"), (2, 4, 2))
+    shapes |= dict.fromkeys(("source", "bound", "dissipated"), (2, 1))
+    frames = {name: numbers.normal(size=shape) for name, shape in shapes.items()}
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    of_time = SimpleNamespace(t=np.arange(2.0), **frames)
+    write_fields(folder, square, np.array([[0, 1, 2, 3]]), of_time, np.zeros(1))
+
+
+def record(folder):
+    recipe = load_recipe(ROOT / "data" / "bending-bar.toml")
+    made = finished_record(recipe, "rve", {"total": 3.0, "law": 2.0}, {"steps": 80})
+    write_record(folder, made)
+
+
+def asked_record(path):
+    found = read_record(path.parent)
+    return found, found.duration, found.compared()
+
+
+def reference(folder):
+    write_reference(
+        folder / "reference.json", ReferenceState(CELL.fingerprint, *[np.eye(2)] * 2, 1)
+    )
+
+
+def mesh(folder):
+    (folder / "mesh.msh").write_text(QUADS, encoding="utf-8")
+
+
+KINDS = {
+    "set.h5": (data_set, read_data_set),
+    "begun.h5": (unfinished, continued),
+    "harvest.h5": (harvest, read_harvest),
+    "table.h5": (table, asked_table),
+    "law.safetensors": (surrogate, asked_surrogate),
+    "begun.safetensors": (training, read_training),
+    "checkpoint.h5": (checkpoint, lambda path: read_checkpoint(path, "a rve run")),
+    "fields.h5": (fields, lambda path: read_element_motion(path.parent)),
+    "run.json": (record, asked_record),
+    "some.json": (
+        lambda folder: write_json(folder / "some.json", {"a": [1.0, {"b": None}]}),
+        read_json,
+    ),
+    "reference.json": (reference, lambda path: read_reference(path, CELL)),
+    "curve.csv": (lambda folder: write_curve(folder, CURVE), lambda path: read_curve(path.parent)),
+    "history.csv": (
+        lambda folder: write_history(folder, T, {"force hold": T}),
+        lambda path: read_history(path.parent),
+    ),
+    "mesh.msh": (mesh, load_mesh),
+}
+"""How a file of each kind is written into a folder, and what reads it, by its name."""
+UNSEALED = (".csv", ".msh")
+"""Ends of names of files without a digest of their own."""
+
+
+def sealed_anew(content):
+    """The bytes with a digest that belongs to them, where they have a place for it."""
+    content = seal._DIGEST.sub(lambda found: found[0][:-64] + seal.NO_DIGEST.encode(), content)
+    try:
+        return seal.sealed(content)
+    except ValueError:
+        return content
+
+
+ARRAYS = (
+    np.zeros(0), np.zeros((3, 3)), np.full(4, np.nan), np.array(1.0), np.full((2, 2, 2), 1e308),
+    np.array([-1, 2**62]), np.array([b"text"]), np.array([True]), np.ones(3, np.complex128),
+    np.ones((1, 2, 2), np.float32), np.zeros((0, 2, 2)),
+)  # fmt: skip
+TEXTS = ("", "{", "[]", "null", "[" * 5000, "{}", "9" * 5000, '{"a": NaN}', "x" * 5000, "finished")
+LEAVES = (
+    None, True, -1, 2**70, 0.0, 1e308, "", "inf", "nan", "x" * 5000, [], {}, [[]], [None], {"a": 1},
+)  # fmt: skip
+
+
+@st.composite
+def other_hdf5(draw, whole):
+    """The bytes of an HDF5 file with entries or attributes missing, renamed or others."""
+    buffer = BytesIO()
+    with h5py.File(BytesIO(whole)) as there, h5py.File(buffer, "w") as file:
+        names: list[str] = []
+        there.visititems(lambda name, item: names.append(name))
+        for name in there:
+            there.copy(name, file)
+        file.attrs.update({k: v for k, v in there.attrs.items() if k != "sha256"})
+        arrays = [name for name in names if isinstance(there[name], h5py.Dataset)]
+        attributes = [name for name in there.attrs if name != "sha256"] or ["none"]
+        for _ in range(draw(st.integers(1, 2))):
+            name, other = (draw(st.sampled_from(arrays)) for _ in range(2))
+            attribute = draw(st.sampled_from(attributes))
+            match draw(st.sampled_from(["array", "array", "cut", "drop", "swap", "attribute"])):
+                case "array" if name in file:
+                    del file[name]
+                    file[name] = draw(st.sampled_from(ARRAYS))
+                case "cut" if name in file and there[name].shape:
+                    del file[name]
+                    file[name] = there[name][:-1]
+                case "drop" if name in file:
+                    del file[name]
+                case "swap" if name in file:
+                    del file[name]
+                    file[name] = there[other][()]
+                case "attribute":
+                    values = (*TEXTS, *ARRAYS, 0, -1, 2**40, np.nan, np.inf)
+                    file.attrs[attribute] = draw(st.sampled_from(values))
+        if draw(st.booleans()):
+            file.attrs.pop(draw(st.sampled_from(attributes)), None)
+        file.attrs["sha256"] = f"{seal.SEAL}: {seal.NO_DIGEST}"
+    return sealed_anew(buffer.getvalue())
+
+
+def other_json(draw, tree):
+    """A tree with another value in one or two places."""
+    for _ in range(draw(st.integers(1, 2))):
+        known = list(places(tree)) or [()]
+        at, value = draw(st.sampled_from(known)), draw(st.sampled_from(LEAVES))
+        tree = replaced(tree, at, value)
+    return tree
+
+
+@st.composite
+def other_tree(draw, whole):
+    """The bytes of a JSON file with other values in it."""
+    tree = other_json(draw, {k: v for k, v in json.loads(whole).items() if k != seal.SEAL})
+    tree = tree if isinstance(tree, dict) else {"a": tree}
+    return sealed_anew(json.dumps({seal.SEAL: seal.NO_DIGEST, **tree}).encode())
+
+
+@st.composite
+def other_tensors(draw, whole):
+    """The bytes of a safetensors file with other arrays, or another header."""
+    length = int.from_bytes(whole[:8], "little")
+    header = json.loads(json.loads(whole[8 : 8 + length])["__metadata__"]["surrofe2"])
+    arrays = load(whole)
+    if draw(st.booleans()):
+        header = other_json(draw, header)
+    else:
+        name, other = (draw(st.sampled_from(sorted(arrays))) for _ in range(2))
+        kept = [each for each in ARRAYS if each.dtype.kind in "fib"]
+        match draw(st.sampled_from(["array", "drop", "swap", "cut", "value"])):
+            case "array":
+                arrays[name] = draw(st.sampled_from(kept))
+            case "drop":
+                del arrays[name]
+            case "swap":
+                arrays[name] = arrays[other]
+            case "cut":
+                arrays[name] = arrays[name][:-1].copy()
+            case "value" if arrays[name].size:
+                number = draw(st.sampled_from([np.nan, np.inf, 1e308, -1.0, 0.0]))
+                arrays[name] = np.where(np.ones(arrays[name].shape), number, 0.0)
+    header = header if isinstance(header, dict) else {"a": header}
+    header[seal.SEAL] = seal.NO_DIGEST
+    return sealed_anew(save(arrays, metadata={"surrofe2": json.dumps(header)}))
+
+
+def damaged_inside(name, whole):
+    """Files whose digest is right and whose content is not."""
+    if name.endswith(".h5"):
+        return other_hdf5(whole)
+    if name.endswith(".safetensors"):
+        return other_tensors(whole)
+    return other_tree(whole)

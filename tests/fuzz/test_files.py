@@ -1,0 +1,63 @@
+"""Damaged files: what was written, or one sentence that names the file.
+
+Bytes of a sealed file are changed as they are, which its digest tells, and are sealed anew, so that
+what lies behind the digest is tested too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surrofe2.io.files import plain
+from tests.fuzz.fuzzing import Content, answered, damaged_bytes, examples, few_and_all
+from tests.fuzz.stored import KINDS, UNSEALED, damaged_inside, sealed_anew
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def stored(request, tmp_path_factory):
+    """Path of a whole file, what is in it, and what reads it."""
+    write, read = KINDS[request.param]
+    folder = tmp_path_factory.mktemp("stored")
+    write(folder)
+    path = folder / request.param
+    return path, Content(path.read_bytes()), read
+
+
+def check(path, content, read, whole=None):
+    """Read other content; where `whole` is given, it is what must be read."""
+    path.write_bytes(content)
+    with np.errstate(all="ignore"), answered(path.name):
+        found = read(path)
+        if whole is not None and found is not None:
+            assert repr(plain([found])) == whole
+
+
+@few_and_all(30, 1000)
+def test_changed_bytes(stored, number):
+    path, content, read = stored
+    path.write_bytes(content)
+    whole = None if path.suffix in UNSEALED else repr(plain([read(path)]))
+
+    @examples(number)
+    @given(damaged_bytes(content))
+    def changed(damaged):
+        check(path, damaged, read, whole)
+
+    changed()
+
+
+@few_and_all(30, 1000)
+def test_changed_bytes_with_a_right_digest(stored, number):
+    path, content, read = stored
+    if path.suffix in UNSEALED:
+        pytest.skip("it has no digest of its own")
+
+    @examples(number)
+    @given(st.one_of(damaged_bytes(content).map(sealed_anew), damaged_inside(path.name, content)))
+    def changed(damaged):
+        check(path, damaged, read)
+
+    changed()
