@@ -220,9 +220,10 @@ class _Minimisation:
         size = sum(each.numel() for each in self.parameters)
         steps = len(found["old_dirs"]) if found else 0
         shapes = {"old_dirs": (steps, size), "old_stps": (steps, size), "ro": (steps,)}
-        shapes |= dict.fromkeys(_NUMBERS, ()) | dict.fromkeys(_VECTORS, (size,))
+        shapes |= dict.fromkeys(_VECTORS, (size,))
         for name, values in found.items():
-            if tuple(values.shape) != shapes[name] and steps:
+            single = name in _NUMBERS and values.numel() == 1
+            if steps and not single and tuple(values.shape) != shapes[name]:
                 raise ValueError(name)
         for name in _LISTS if found else ():
             found[name] = list(found[name])
