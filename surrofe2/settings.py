@@ -102,7 +102,8 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
 
     Args:
         name: whose value it is, for the sentence.
-        hint: its type: float, int, bool, str, Literal, a tuple of these, or one of them or None.
+        hint: its type: float, int, bool, str, Literal, a tuple or Mapping of these, or one of
+            them or None.
         bounds: as `setting` takes them.
 
     Raises:
@@ -114,6 +115,12 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
         return None if value is None else check_value(name, value, inner, bounds)
     if get_origin(hint) is tuple:
         return _list(name, value, options, bounds)
+    if get_origin(hint) is Mapping:
+        if not isinstance(value, Mapping):
+            raise _refusal(name, value, "a table of entries", bounds)
+        own = options[1] in (str, float, int)
+        return {k: check_value(f"{name}.{k}", v, options[1], {}) if own else v
+                for k, v in value.items()}  # fmt: skip
     if hint in (float, int):
         return _number(name, value, hint, bounds)
     one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())

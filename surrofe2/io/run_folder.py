@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from operator import attrgetter
 from pathlib import Path
-from types import NoneType
-from typing import Any, get_args, get_origin
+from typing import Any
 
 import numpy as np
 
@@ -237,16 +236,7 @@ def read_record(folder: Path) -> RunRecord:
 def _check_entries(record: RunRecord) -> None:
     """Types of all entries, and that sections and cells of the recipe are tables."""
     for name, hint in hints_of(RunRecord).items():
-        value = attrgetter(name)(record)
-        if Mapping in (get_origin(hint), *(get_origin(option) for option in get_args(hint))):
-            nothing = value is None and NoneType in get_args(hint)
-            if not (isinstance(value, dict) or nothing):
-                raise ValueError(f"{name}: {quoted(value)}; it must be a table")
-            kinds = {"wall_time": float, "counts": int, "files": str, "platform": str}
-            for key, entry in value.items() if name in kinds else ():
-                check_value(f"{name}.{key}", entry, kinds[name], {})
-        else:
-            check_value(name, value, hint, {})
+        check_value(name, attrgetter(name)(record), hint, {})
     for name in (*_SECTIONS, "cache"):
         section = record.recipe.get(name, {})
         for one in (section, *(section.values() if name == "cells" else ())):
