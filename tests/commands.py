@@ -1,7 +1,7 @@
 """Commands on short recipes over laws without cells, each with all that it leaves in its folder.
 
-`python -m tests.commands NAME FOLDER` is a process to kill; as in `checkpointed`, a checkpoint
-follows every step.
+`python -m tests.commands NAME FOLDER` is a process to kill, which says "at work" when its work
+begins; as in `checkpointed`, a checkpoint follows every step.
 """
 
 from __future__ import annotations
@@ -19,12 +19,9 @@ from surrofe2.io.run_folder import caches_of
 from surrofe2.io.seal import SEAL
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow import laws, rest, run, tissue
-from surrofe2.workflow.comparison import run_sweep
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.refinement import refine_surrogate
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.tissue import run_tissue
-from surrofe2.workflow.train import train_surrogate
 from tests.conftest import RECIPE
 from tests.laws import SoftLaw, SquareLaw
 
@@ -48,11 +45,21 @@ def by(law, **changes):
 
 
 def train(recipe, folder):
+    from surrofe2.workflow.train import train_surrogate  # here and below: torch is heavy
+
     generate_data_set(recipe)
     train_surrogate(recipe)
 
 
+def refine(recipe, folder):
+    from surrofe2.workflow.refinement import refine_surrogate
+
+    refine_surrogate(recipe, folder / "out")
+
+
 def sweep(recipe, folder):
+    from surrofe2.workflow.comparison import run_sweep
+
     run_sweep(recipe, folder / "out", (0.5, 0.1))
 
 
@@ -66,7 +73,7 @@ COMMANDS = {
     "table": (CACHED, by("table")),
     "implicit": (SHORT + 'integrator = "implicit"\n', by("rve")),
     "tissue": (TISSUE, lambda recipe, folder: run_tissue(recipe, folder / "out")),
-    "refine": (LEAVING, lambda recipe, folder: refine_surrogate(recipe, folder / "out")),
+    "refine": (LEAVING, refine),
     "sweep": (CACHED, sweep),
 }
 """By name: recipe, and the command on it in a folder."""
@@ -135,5 +142,15 @@ def _lasting(value):
     return [_lasting(entry) for entry in value] if isinstance(value, list) else value
 
 
+def assert_same(folder, wanted):
+    """All numbers in a folder are those `wanted`, which `left_in` gave."""
+    found = left_in(folder)
+    assert list(found) == list(wanted)
+    for file, values in wanted.items():
+        assert found[file] == values, file
+
+
 if __name__ == "__main__":
+    sys.stdout.write("at work\n")
+    sys.stdout.flush()
     execute(sys.argv[1], Path(sys.argv[2]))

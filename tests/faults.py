@@ -58,14 +58,14 @@ def fault_at(kind, at):
             setattr(disk, name, operation)
 
 
-def each_fault(kind, folders, work, stride=1):
+def each_fault(kind, folders, work, stride=1, most=None):
     """The folders in which `work(folder)` met a fault, at its first operation, its second, …
 
-    stride: only every so many operations.
+    stride: only every so many operations; most: none beyond this one.
 
     It must fail by a FileError, which names a file in the folder, or go on without harm.
     """
-    for at in count(1, stride):
+    for at in count(1, stride) if most is None else range(1, most + 1, stride):
         folder = folders / f"{kind}-{at}".replace(" ", "-").replace("/", "-")
         told = f"{folder}"
         with fault_at(kind, at) as fault:

@@ -6,10 +6,15 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 
 import pytest
 
+from surrofe2.errors import MismatchError
+from surrofe2.io.run_folder import read_record
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow.run import run_study
 from tests import commands
 from tests.faults import KINDS, each_fault
 
@@ -39,11 +44,11 @@ def check(name, kind, folders, learnt, stride=1):
 
     for folder in each_fault(kind, folders, work, stride):
         met += 1
+        record = folder / "out" / "run.json"
+        if kind != "killed" and record.exists():
+            assert read_record(record.parent).status != "running"
         commands.execute(name, folder)
-        found = commands.left_in(folder)
-        assert list(found) == list(wanted), met
-        for file, values in wanted.items():
-            assert found[file] == values, (met, file)
+        commands.assert_same(folder, wanted)
         shutil.rmtree(folder)
     return met
 
@@ -51,6 +56,47 @@ def check(name, kind, folders, learnt, stride=1):
 @pytest.mark.parametrize("name", ["cached", "table"])
 def test_a_killed_run_goes_on_to_the_bit(name, tmp_path, learnt):
     assert check(name, "killed", tmp_path, learnt, stride=23) >= 4
+
+
+def test_a_run_whose_disk_failed_says_so_and_goes_on_to_the_bit(tmp_path, learnt):
+    assert check("surrogate", "input/output error", tmp_path, learnt, stride=29) >= 3
+
+
+@pytest.mark.parametrize(
+    "kind", ["killed", *(pytest.param(each, marks=pytest.mark.slow) for each in list(KINDS)[:2])]
+)
+def test_starting_over_leaves_the_former_run_or_the_new_one(kind, tmp_path, learnt):
+    former, new = tmp_path / "former", tmp_path / "new"
+    for folder, duration in ((former, "1.0"), (new, "0.5")):
+        commands.prepare("surrogate", folder, learnt)
+        set_duration(folder, duration)
+        commands.execute("surrogate", folder)
+    shutil.copy(new / "out" / "fields.h5", former / "out" / "harvest-skin.h5")
+    wanted, before = commands.left_in(new / "out"), commands.left_in(former / "out")
+
+    def start_over(folder):
+        shutil.copytree(former, folder)
+        set_duration(folder, "0.5")
+        with commands.checkpointed("surrogate"):
+            run_study(load_recipe(folder / "recipe.toml"), "surrogate", folder / "out", fresh=True)
+
+    started = 0
+    for folder in each_fault(kind, tmp_path, start_over, most=24):
+        try:
+            commands.execute("surrogate", folder)
+        except MismatchError:
+            found = commands.left_in(folder / "out")
+            assert {file: found[file] for file in before} == before
+        else:
+            started += 1
+            assert commands.left_in(folder / "out") == wanted
+    assert started >= 4
+
+
+def set_duration(folder, duration):
+    path = folder / "recipe.toml"
+    text = re.sub(r"duration = .*", f"duration = {duration}", path.read_text(encoding="utf-8"))
+    path.write_text(text, encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from surrofe2.io.files import (
     write_json,
 )
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
-from surrofe2.io.lock import locked_folder
+from surrofe2.io.lock import file_lock, locked_folder
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
@@ -164,7 +164,8 @@ def _surrogate(
         with stage(f"generate {name}".strip(), recipe.samples.count, "samples") as report:
             generate_data_set(recipe, report=report)
         trained = recipe.training_path()
-        if not (trained.exists() and read_surrogate(trained).is_calibrated):
+        is_whole = trained.exists() and not file_lock(trained).exists()
+        if not (is_whole and read_surrogate(trained).is_calibrated):
             train_surrogate(recipe, stage=stage)
     # A round in which a cell was settled has no new samples of it.
     grown = [out / f"round-{j}" for j in range(k) if (out / f"round-{j}" / started).exists()]
