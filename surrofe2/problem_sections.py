@@ -7,6 +7,7 @@ and made when a command asks for the problem.
 from __future__ import annotations
 
 import hashlib
+import os.path
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -206,7 +207,7 @@ def stated_problem(table: Mapping[str, Any], folder: Path) -> StatedProblem:
     sha256 = None
     if mesh.file is not None:
         path = folder / mesh.file
-        if not path.is_file():  # a device or a pipe might never end
+        if not os.path.isfile(path):  # a device or a pipe might never end
             raise FileError(f"mesh.file: {path}: cannot be read: no such file")
         with reported(path, "read"):
             sha256 = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -36,6 +36,9 @@ from surrofe2.tissue.settings import TissueSettings
 
 T = TypeVar("T")
 
+_LONGEST_NAME = 200
+"""Bytes of a file's name; others that are made from it are longer."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
@@ -201,6 +204,11 @@ class Recipe:
             raise InputError(
                 f"{self.path.name}: {self._own(section)}.file: missing; this command needs the "
                 f"file of the {what}, relative to the recipe"
+            )
+        if "\0" in file or max(len(os.fsencode(part)) for part in file.split("/")) > _LONGEST_NAME:
+            raise InputError(
+                f"{self.path.name}: {self._own(section)}.file: {quoted(file)}; no file can be "
+                "called so"
             )
         return Path(os.path.normpath(self.path.parent / file))
 

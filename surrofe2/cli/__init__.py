@@ -7,6 +7,7 @@ in `MODULES`; it is imported when the command is called, so `surrofe2 --help` im
 from __future__ import annotations
 
 import atexit
+import errno
 import gc
 import logging
 import os
@@ -20,7 +21,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from surrofe2.cli.console import InterruptedWork, PrintHandler, print_error
-from surrofe2.errors import Surrofe2Error
+from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
 COMMANDS = {
@@ -120,6 +121,11 @@ class Commands(TyperGroup):
             if ctx.params.get("traceback"):
                 raise
             print_error(f"error: {error}")
+            raise typer.Exit(1) from None
+        except OSError as error:
+            if error.errno != errno.ENAMETOOLONG:
+                raise
+            print_error(f"error: {shortened(f'{error.filename}: {error.strerror}')}")
             raise typer.Exit(1) from None
         except InterruptedWork as work:
             print_error(f"interrupted: {work}; go on with: {_again(ctx)}")

@@ -8,6 +8,7 @@ left, and triangles of three nodes get middles on their straight sides.
 from __future__ import annotations
 
 import io
+import os.path
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -69,7 +70,7 @@ def read_mesh(path: Path, length_unit: str = "µm") -> StoredMesh:
 def _read(path: Path) -> Any:
     import meshio  # takes a third of a second, which recipes without a file do not spend
 
-    if not path.is_file():
+    if not os.path.isfile(path):  # False, too, of what no file can be called
         raise FileError(f"{path}: cannot be read: no such file")
     told = io.StringIO()
     try:

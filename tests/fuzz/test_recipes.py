@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from surrofe2.cli import app
 from surrofe2.errors import FileError, InputError
 from surrofe2.recipe import load_recipe, make_recipe
-from tests.fuzz.fuzzing import EXTREME, answered, damaged_lines, examples, few_and_all
+from tests.fuzz.fuzzing import EXTREME, LONGEST, answered, damaged_lines, examples, few_and_all
 
 ROOT = Path(__file__).parents[2]
 TEXTS = tuple(
@@ -37,7 +39,14 @@ def read(path):
         recipe.problem()
 
 
-FOUND = [f"[load]\nwidth = {value}\n" for value in EXTREME]
+FOUND = [
+    *(f"[load]\nwidth = {value}\n" for value in EXTREME),
+    *(
+        f"[mesh]\nfile = {value}\n[conditions.a]\nkind = {value}\non = {value}\n"
+        for value in EXTREME
+    ),
+]
+"""Recipes of which many gave a traceback or a sentence without end."""
 
 
 @few_and_all(100, 2000)
@@ -110,3 +119,38 @@ def made(tree, path):
         return make_recipe(tree, path)
     except (FileError, InputError) as error:
         raise type(error)(f"{path.name}: {error}") from None
+
+
+@few_and_all(20, 200)
+def test_the_command_line_says_it_in_one_line(folder, number):
+    path = folder / "recipe.toml"
+
+    @examples(number)
+    @given(damaged_lines(TEXTS))
+    def check(text):
+        path.write_text(text, encoding="utf-8")
+        try:
+            load_recipe(path).problem()
+        except (FileError, InputError):
+            done = CliRunner().invoke(app, ["range", str(path)])
+            assert done.exit_code == 1
+            assert isinstance(done.exception, SystemExit)
+            (line,) = done.stderr.splitlines()
+            assert line.startswith("error: ")
+            assert path.name in line
+            assert len(line) <= 7 + LONGEST
+
+    check()
+
+
+def test_a_name_that_no_file_can_have(folder):
+    path = folder / "recipe.toml"
+    for name in ("x" * 300, "a\\u0000b"):
+        path.write_text(f'[samples]\nfile = "{name}"\n', encoding="utf-8")
+        with pytest.raises(
+            InputError, match=r"recipe\.toml: samples\.file: .*no file can be called so"
+        ):
+            load_recipe(path).data_path()
+    done = CliRunner().invoke(app, ["compare", "x" * 300, "y" * 300, "--out", str(folder)])
+    assert done.exit_code == 1
+    assert "File name too long" in done.stderr

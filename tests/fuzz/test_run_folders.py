@@ -1,0 +1,80 @@
+"""Run folders with a damaged file in them: compared, or one sentence that names the folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surrofe2.io import seal
+from surrofe2.io.run_folder import read_run
+from surrofe2.report.comparison import compare
+from tests.fuzz.fuzzing import Content, answered, damaged_bytes, examples, few_and_all
+from tests.fuzz.stored import KINDS, other_tree, sealed_anew
+
+PARTS = ("run.json", "curve.csv", "history.csv")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A folder with a whole run, and the bytes of its files."""
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    folder.mkdir()
+    for name in reversed(PARTS):
+        KINDS[name][0](folder)
+    return folder, {name: Content((folder / name).read_bytes()) for name in PARTS}
+
+
+def told(contents):
+    """run.json with the digests of the tables as they are."""
+    record = json.loads(contents["run.json"])
+    for name in PARTS[1:]:
+        record["files"][name] = hashlib.sha256(contents[name]).hexdigest()
+    record[seal.SEAL] = seal.NO_DIGEST
+    return sealed_anew(json.dumps(record).encode())
+
+
+@st.composite
+def damaged_run(draw, contents):
+    """Files of a run of which one is damaged, with digests that belong to it or not."""
+    found = dict(contents)
+    name = draw(st.sampled_from(PARTS))
+    if name != "run.json":
+        found[name] = draw(damaged_bytes(contents[name]))
+        if draw(st.booleans()):
+            found["run.json"] = told(found)
+    elif draw(st.booleans()):
+        found[name] = draw(damaged_bytes(contents[name]))
+    else:
+        found[name] = draw(other_tree(contents[name]))
+    if draw(st.integers(0, 9)) == 0:
+        del found[draw(st.sampled_from(PARTS))]
+    return found
+
+
+@few_and_all(30, 500)
+def test_damaged_runs(run, number):
+    whole, contents = run
+    folder = whole.parent / "damaged"
+
+    @examples(number)
+    @given(damaged_run(contents))
+    def check(files):
+        read_and_compare(whole, folder, files)
+
+    check()
+
+
+def read_and_compare(whole, folder, files):
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    with np.errstate(all="ignore"), answered("damaged", "displacement curves"):
+        result = compare([read_run(whole), read_run(folder)])
+        json.dumps(result.to_dict())
