@@ -156,5 +156,7 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise FileError(f"{path}: not a JSON object; it is damaged or foreign")
     check_seal(path, content)
+    if SEAL not in value:
+        raise FileError(f"{path}: no SHA-256 in it; it is damaged, foreign or older")
     del value[SEAL]
     return value

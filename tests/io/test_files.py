@@ -9,7 +9,8 @@ import pytest
 
 from surrofe2.errors import FileError
 from surrofe2.io import disk
-from surrofe2.io.files import plain, read_json, write_json, write_text
+from surrofe2.io.files import plain, read_json, write_bytes, write_json, write_text
+from surrofe2.io.seal import NO_DIGEST, SEAL, sealed
 
 
 @pytest.mark.parametrize("operation", ["write", "sync", "move"])
@@ -71,3 +72,10 @@ def test_json_without_a_seal_is_refused(tmp_path):
     with pytest.raises(FileError) as caught:
         read_json(path)
     assert str(caught.value) == f"{path}: no SHA-256 in it; it is damaged, foreign or older"
+
+
+def test_json_whose_seal_stands_elsewhere_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    write_bytes(path, sealed(json.dumps({"inside": {SEAL: NO_DIGEST}}).encode()))
+    with pytest.raises(FileError, match="no SHA-256 in it"):
+        read_json(path)
