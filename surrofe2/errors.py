@@ -28,7 +28,7 @@ class SimulationError(Surrofe2Error, RuntimeError):
     """A computation could not be carried on; `partial` holds what was computed until then."""
 
     def __init__(self, message: str, partial: object = None) -> None:
-        super().__init__(message)
+        Exception.__init__(self, message)  # all of it: it quotes nothing of a user's
         self.partial = partial
 
 

@@ -104,7 +104,7 @@ def cofactor(F: Array) -> Array:
 def check_arrays(
     what: str, arrays: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]
 ) -> None:
-    """Refuse float64 arrays that are missing, unknown, of another shape or not finite.
+    """Refuse float64 arrays that are missing, unknown or of another shape.
 
     Raises:
         InputError: naming the array.
@@ -119,5 +119,3 @@ def check_arrays(
                 f"{what}.{name}: {values.dtype} of shape {values.shape}; it must be float64 of "
                 f"{shapes[name]}"
             )
-        if not np.isfinite(values).all():
-            raise InputError(f"{what}.{name}: not finite")

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest import mock
 
+import numba
 import numpy as np
 
 from surrofe2.io import data_sets
@@ -108,7 +109,8 @@ def prepare(name, folder, learnt):
 
 
 def execute(name, folder):
-    """Run a command in its folder, or go on with it."""
+    """Run a command in its folder, or go on with it, by as many threads as a new process has."""
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     with checkpointed(name):
         COMMANDS[name][1](load_recipe(folder / "recipe.toml"), folder)
 
@@ -147,6 +149,9 @@ def assert_same(folder, wanted):
     found = left_in(folder)
     assert list(found) == list(wanted)
     for file, values in wanted.items():
+        if isinstance(values, dict):
+            for name, value in values.items():
+                assert found[file].get(name) == value, (file, name)
         assert found[file] == values, file
 
 

@@ -80,6 +80,9 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
         cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
         reference = part_of(tensors, "reference")
+        for name, values in tensors.items():
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name}: not finite")
         law = SurrogateLaw(
             network=NetworkParameters(**content["network"], tensors=part_of(tensors, "network")),
             cell=cell,

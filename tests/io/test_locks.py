@@ -16,9 +16,10 @@ from surrofe2.errors import FileError
 from surrofe2.io.lock import file_lock, folder_lock, locked_file, locked_folder
 
 HOLDER = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from surrofe2.io.lock import locked_folder
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have it ignored
 with locked_folder(Path(sys.argv[1])):
     print("held", flush=True)
     try:
