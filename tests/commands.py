@@ -13,7 +13,6 @@ from pathlib import Path
 from unittest import mock
 
 import numba
-import numpy as np
 
 from surrofe2.io import data_sets
 from surrofe2.io.run_folder import caches_of
@@ -95,7 +94,6 @@ def checkpointed(name):
         for module in (run, rest, tissue):
             patch(module, "CHECKPOINT_INTERVAL", 0.0)
         patch(data_sets, "INTERVAL", 0.0)
-        patch(data_sets, "SHARE", np.inf)
         yield
 
 

@@ -11,13 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.errors import InputError
 from surrofe2.io.files import check_same, flat
 from surrofe2.io.hdf5 import (
@@ -39,8 +39,7 @@ from surrofe2.units import RATE, STRESS, VISCOSITY
 SCHEMA = "surrofe2-data-set"
 SCHEMA_VERSION = 2
 INTERVAL = 5.0
-SHARE = 0.05
-"""A data set is written every so many seconds, and in no more than this share of the time."""
+"""Seconds between two writings of a data set, at least."""
 LEFT = "left_bifurcation"
 _COLUMNS = {
     "F": Column((2, 2)),
@@ -95,8 +94,7 @@ class DataSetWriter:
     ) -> None:
         self.path, self.header, self.is_finished = path, header, is_finished
         self._parts = {name: [values] for name, values in rows.items()}
-        self._written = monotonic()
-        self._wait = INTERVAL
+        self._clock = CheckpointClock(INTERVAL)
         self._is_stored = bool(rows)
 
     @property
@@ -117,8 +115,8 @@ class DataSetWriter:
         for name, values in rows.items():
             self._parts.setdefault(name, []).append(np.array(values))
         self._is_stored = False
-        if monotonic() - self._written >= self._wait:
-            self.store()
+        if self._clock.is_due():
+            self._clock.write(self.store)
 
     def left_count(self) -> int:
         """How many rows so far are of RVEs that left a bifurcation."""
@@ -160,7 +158,6 @@ class DataSetWriter:
         return {name: parts[0] for name, parts in self._parts.items()}
 
     def _write(self, status: str, failed: Mapping[str, Any]) -> None:
-        began = monotonic()
         with writing_hdf5(self.path) as file:
             store_columns(file, _COLUMNS | _TANGENT_COLUMNS, self._rows())
             if self.header.reference is not None:
@@ -172,8 +169,7 @@ class DataSetWriter:
                 file["failed/index"] = failed["index"]
                 file.create_dataset("failed/reason", data=failed["reason"], dtype=text)
                 file.attrs["fingerprint"] = _samples_of(file).fingerprint
-        self._written, self._is_stored = monotonic(), True
-        self._wait = max(INTERVAL, (self._written - began) / SHARE)
+        self._is_stored = True
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -41,26 +41,22 @@ def file_lock(path: Path) -> Path:
     return path.with_name(f".{path.name}.lock")
 
 
-@contextmanager
-def locked_folder(folder: Path) -> Iterator[None]:
+def locked_folder(folder: Path) -> AbstractContextManager[None]:
     """Nobody else writes into a folder; it is made where it is not there.
 
     Raises:
         FileError: another process does, and the sentence names it, or the folder is not writable.
     """
-    with _locked(folder_lock(folder), folder):
-        yield
+    return _locked(folder_lock(folder), folder)
 
 
-@contextmanager
-def locked_file(path: Path) -> Iterator[None]:
+def locked_file(path: Path) -> AbstractContextManager[None]:
     """Nobody else writes a file; its folder is made where it is not there.
 
     Raises:
         FileError: another process does, and the sentence names it, or the folder is not writable.
     """
-    with _locked(file_lock(path), path):
-        yield
+    return _locked(file_lock(path), path)
 
 
 @contextmanager

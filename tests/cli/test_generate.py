@@ -80,7 +80,7 @@ class SlowLaw(SoftLaw):
         time.sleep(0.05)
         return super().respond(F, F_dot, state)
 
-data_sets.INTERVAL, data_sets.SHARE = 0.0, float("inf")
+data_sets.INTERVAL = 0.0
 generate_data_set(load_recipe(sys.argv[1]), SlowLaw(), chunk=2, report=lambda n, note: print(n))
 """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from surrofe2.io import data_sets
@@ -23,7 +22,6 @@ def fill(folder):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_data_set_loses_no_row(tmp_path, kind, monkeypatch):
     monkeypatch.setattr(data_sets, "INTERVAL", 0.0)
-    monkeypatch.setattr(data_sets, "SHARE", np.inf)
     whole = fill(tmp_path / "whole")
     met = 0
     for folder in each_fault(kind, tmp_path, fill):
