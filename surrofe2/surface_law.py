@@ -1,0 +1,54 @@
+"""The second hinge: (λ, λ̇) along a free side in, its line tension out, for all points at once.
+
+A free side of a tissue differs from the bulk beside it: outer walls are single, and outer plant
+cells relax into the open. What that adds to a continuum is a line tension (Gurtin, Murdoch 1975);
+docs/theory.md, surface law. Slabs of plant cells, tables and test laws implement `SurfaceLaw`; the
+macro scale knows nothing else of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceResponse:
+    """What a surface law answers for n points.
+
+    Attributes:
+        tension: (n,) nominal tension P_s, µN: its power is P_s λ̇ per undeformed length; NaN where
+            the answer is not valid.
+        valid: (n,) whether there is an answer.
+        tangent: (n,) ∂P_s/∂λ, µN; None unless asked for.
+        rate_tangent: (n,) ∂P_s/∂λ̇, µN µs; None unless asked for.
+    """
+
+    tension: Array
+    valid: NDArray[np.bool_]
+    tangent: Array | None = None
+    rate_tangent: Array | None = None
+
+
+class SurfaceLaw(Protocol):
+    """A law P_s(λ, λ̇) of a free side of a tissue. It is pure and has no memory."""
+
+    @property
+    def mass(self) -> float:
+        """What the surface weighs beyond the bulk, ng per µm of undeformed length; any sign."""
+
+    def respond(
+        self, stretch: Array, stretch_rate: Array, *, tangents: bool = False
+    ) -> SurfaceResponse:
+        """Tension at n points.
+
+        Args:
+            stretch: (n,) λ along the side, positive.
+            stretch_rate: (n,) λ̇, 1/µs.
+            tangents: whether the answer shall carry its derivatives.
+        """
