@@ -59,7 +59,8 @@ def test_a_recipe_is_short_has_a_page_and_runs(path):
     moved = abs(run.frames.velocity[-1]).max()
     assert 0.0 < moved < 10.0
     scale = max(run.energies["kinetic"].max(), abs(run.energies["internal"]).max())
-    assert abs(run.energies["balance"]).max() < 0.02 * scale
+    assert abs(run.energies["balance"]).max() < 1e-6 * scale
+    assert abs(run.energies["numerical"]).max() < 0.02 * scale
 
 
 def test_moduli_from_loops_are_those_of_the_tangents():

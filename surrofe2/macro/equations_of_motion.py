@@ -39,8 +39,8 @@ class Evaluation:
         internal: (n, 2) internal force, µN.
         forces: (k, n, 2) the other forces of the system, µN.
         residual: (m,) forces − internal − what prescribed accelerations take, µN.
-        powers: (k + 3,) of the internal force, the other forces and the supports, pJ/µs, and 0 in
-            the place of what a method itself dissipates in a step.
+        powers: (k + 3,) of the internal force, the other forces, the supports and inertia M ü,
+            pJ/µs.
         rate: (2 m,) rate of y.
     """
 
@@ -234,17 +234,17 @@ class EquationsOfMotion:
 
     def reaction(self, now: Evaluation) -> Array:
         """(n, 2) force by which supports act on what they hold: M a − forces, µN."""
-        reaction = now.internal - now.forces.sum(axis=0)
-        reaction += self.system.mass @ self.acceleration(now)
+        reaction = now.internal - now.forces.sum(axis=0) + self.inertia(now)
         reaction.ravel()[self.system.free] = 0.0
         return reaction
 
-    def acceleration(self, now: Evaluation) -> Array:
-        """(n, 2) of all rows, those of supports that move included, µm/µs²."""
+    def inertia(self, now: Evaluation) -> Array:
+        """(n, 2) M ü of all rows, those of supports that move included, µN."""
         pushed = self.system.prescribed_acceleration(now.t, now.within)
         a = np.zeros((self.system.n_rows, 2)) if pushed is None else pushed
         a.ravel()[self.system.free] = now.acceleration
-        return a
+        inertia: Array = self.system.mass @ a
+        return inertia
 
     def no_stress(self, t: float, point: int, F: Array, reason: str) -> NoStress:
         """The failure that names the point."""
@@ -305,11 +305,12 @@ class EquationsOfMotion:
         powers = np.zeros(len(forces) + 3)
         powers[0] = np.vdot(internal, v)
         powers[1:-2] = np.einsum("kni,ni->k", forces, v)
+        powers[-1] = np.dot(y[y.size // 2 :], residual)
         now = Evaluation(
             t, self.within, y, u, v, F, F_dot, response, internal, forces, residual, powers, rate
         )
         if system.moving:
-            powers[-2] = np.vdot(self.reaction(now), v)
+            powers[-2:] = np.vdot(self.reaction(now), v), np.vdot(self.inertia(now), v)
         return now
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:

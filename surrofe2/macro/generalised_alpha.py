@@ -198,8 +198,8 @@ class GeneralisedAlpha:
     def _works(self, start: Evaluation, solved: Solved) -> Array:
         """(k,) works as `Evaluation.powers` lists them, pJ: mean force times displacement.
 
-        What the method dissipates is the work of inertia, less the gain of kinetic energy; it is
-        zero at spectral radius 1. Inertia is that of the method, which leaves Newton's residual.
+        Inertia is that of the method, which leaves Newton's residual. At spectral radius 1 its work
+        is the gain of kinetic energy.
         """
         end, equations = solved.now, self._equations
         system, moved = equations.system, 0.5 * (end.u - start.u)
@@ -208,10 +208,8 @@ class GeneralisedAlpha:
         works[1:-2] = np.einsum("kni,ni->k", start.forces + end.forces, moved)
         if system.moving:
             works[-2] = np.vdot(equations.reaction(start) + equations.reaction(end), moved)
-        inertia = system.mass @ (equations.acceleration(start) + equations.acceleration(end))
-        gained = 0.5 * np.vdot(end.v + start.v, system.mass @ (end.v - start.v))
-        left = 2.0 * system.pick(moved) @ solved.residual
-        works[-1] = np.vdot(inertia, moved) + left - gained
+        works[-1] = np.vdot(equations.inertia(start) + equations.inertia(end), moved)
+        works[-1] += 2.0 * system.pick(moved) @ solved.residual
         return works
 
     def _factorised(

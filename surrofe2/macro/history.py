@@ -120,7 +120,7 @@ def columns_of(system: System) -> list[str]:
     vectors += [f"position {contact.name}" for contact in system.contacts]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     depths = [f"penetration {contact.name}" for contact in system.contacts]
-    works = ["internal", *(force.name for force in system.forces), "motion", "numerical"]
+    works = ["internal", *(force.name for force in system.forces), "motion", "inertia"]
     return ["t", *both, *depths, "contact", "kinetic", *(f"work {name}" for name in works)]
 
 

@@ -44,11 +44,11 @@ class MacroRun:
             since t = 0, integrated along with the equations of motion by the same method;
             `motion`, that of prescribed motion; `contact`, what is stored in contact, and
             `contact dissipated`, what its dashpots and friction took, together minus the work of
-            bodies; `numerical`, of an implicit run, what the method itself dissipated; `balance`,
-            all other works − gain of kinetic energy − internal − numerical, zero but for the error
-            of explicit steps and of interpolation within implicit ones; `dissipated`, the work of
-            the stress in excess of σ(F, 0), from samples at the ends of steps joined by a monotone
-            cubic (second order or better), NaN where not recorded, and by region
+            bodies; `numerical`, what the method itself and its interpolation dissipated, the work
+            of inertia M ü − gain of kinetic energy; `balance`, all other works − gain of kinetic
+            energy − internal − numerical, zero to rounding or Newton's tolerance; `dissipated`,
+            the work of the stress in excess of σ(F, 0), from samples at the ends of steps joined
+            by a monotone cubic (second order or better), NaN where not recorded, and by region
             ``dissipated NAME``.
         curves: displacement of every watched point by name.
         history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
@@ -237,12 +237,11 @@ def _make_run(
         if name.startswith("work ") and (name != "work motion" or system.moving)
     }
     works.pop("internal")
-    numerical = works.pop("numerical")
+    inertia = works.pop("inertia")
     dissipated = {
         f"dissipated {name}".strip(): _dissipated(t, state.samples[:, [0, 1 + k]])
         for k, name in enumerate(system.regions)
     }
-    started = kinetic[0] - sum(work[0] for work in works.values())
     kept = ("mean displacement", "force", "position", "penetration")
     return MacroRun(
         curve=next(iter(curves.values())),
@@ -252,8 +251,8 @@ def _make_run(
             **works,
             **_of_contact(system, found),
             **dissipated,
-            **({"numerical": numerical} if settings.integrator == "implicit" else {}),
-            "balance": started + sum(works.values()) - kinetic - internal - numerical,
+            "numerical": inertia - inertia[0] - kinetic + kinetic[0],
+            "balance": sum(works.values()) - internal - inertia,
         },
         curves=curves,
         history={name: column for name, column in found.items() if name.startswith(kept)},

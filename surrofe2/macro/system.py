@@ -146,7 +146,7 @@ class System:
         y[m:] -= self.solve_mass(self.pick(self.mass @ jump))
         new = self.spread(y, t, after)[1]
         # The impulse acts on the supports alone, at the mean of both velocities.
-        work[-2] = 0.5 * np.vdot(new + v, self.mass @ (new - v))
+        work[-2:] = 0.5 * np.vdot(new + v, self.mass @ (new - v))
         return y, work
 
     @property

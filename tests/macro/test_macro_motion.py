@@ -60,9 +60,8 @@ def test_a_jump_of_velocity_keeps_the_momentum_of_what_is_free(kind, rng):
     gain = 0.5 * (
         np.vdot(v_after, system.mass @ v_after) - np.vdot(v_before, system.mass @ v_before)
     )
-    assert work[-2] == pytest.approx(gain, rel=1e-12)
+    assert work[-2:] == pytest.approx(gain, rel=1e-12)
     assert not work[:-2].any()
-    assert not work[-1]
 
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
@@ -169,23 +168,19 @@ def test_run_resumes_to_the_bit_across_corners(integrator, rng):
         assert resumed.counts == whole.counts
 
 
-@pytest.mark.parametrize(("integrator", "tolerance"), [("explicit", 1e-5), ("implicit", 1e-3)])
-def test_balance_closes_with_everything_that_acts(integrator, tolerance, rng):
-    """Works of all loads, bodies, springs and supports, to 1e-6 of the largest term."""
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_balance_closes_with_everything_that_acts_at_the_default_tolerance(integrator, rng):
+    """Works of all loads, bodies, springs and supports, to 1e-6 of the largest term and better."""
     problem = everything(rng)
-    settings = MacroSettings(
-        integrator=integrator, absolute_tolerance=1e-2 * tolerance, relative_tolerance=tolerance,
-        frames=2, record_dissipation=False,
-    )  # fmt: skip
+    settings = MacroSettings(integrator=integrator, frames=2, record_dissipation=False)
     energies = simulate(problem, LAW, settings).energies
     largest = max(abs(values).max() for name, values in energies.items() if name != "balance"
                   and np.isfinite(values).all())  # fmt: skip
     worked = {name for name, values in energies.items() if abs(np.nan_to_num(values)).max() > 1e-4}
     assert {"motion", "body_force", "traction top", "pressure bottom", "foundation bottom",
             "ball", "contact", "internal", "kinetic"} <= worked  # fmt: skip
-    assert abs(energies["balance"]).max() < 1e-6 * largest
-    assert ("numerical" in energies) == (integrator == "implicit")
-    assert abs(energies.get("numerical", 0.0 * energies["balance"])).max() < 1e-5 * largest
+    assert abs(energies["balance"]).max() < 1e-9 * largest
+    assert abs(energies["numerical"]).max() < 1e-4 * largest
     assert energies["balance"].size == problem.output_times().size
 
 

@@ -8,7 +8,7 @@ from scipy.integrate import RK45
 
 from surrofe2.errors import SimulationError
 from surrofe2.macro import simulate
-from surrofe2.macro.dormand_prince import DormandPrince
+from surrofe2.macro.dormand_prince import WEIGHTS, DormandPrince
 from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import NO_MEMORY, Stepper
@@ -187,11 +187,11 @@ def test_step_length_follows_the_error():
 
 
 class Oscillator:
-    """Evaluations of ẏ = (y₂, −y₁), exact y = (sin t, cos t); the power is that of y₁³."""
+    """Evaluations of ẏ = (y₂, −y₁), exact y = (sin t, cos t); powers of y₁³ and of inertia."""
 
     def __call__(self, t, y):
         rate = np.array([y[1], -y[0]])
-        powers = np.array([3.0 * y[0] ** 2 * y[1], 0.0])
+        powers = np.array([3.0 * y[0] ** 2 * y[1], -y[0] * y[1]])
         nothing = np.empty((0, 2, 2))
         return Evaluation(t, t, y, *[nothing] * 8, powers, rate)
 
@@ -218,6 +218,27 @@ def test_dormand_prince_is_of_fifth_order_and_of_fourth_within_a_step():
         )
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
     assert rates[-1] == pytest.approx([6.0, 6.0, 5.0, 5.0], abs=0.3)
+
+
+def test_the_method_dissipates_what_its_tableau_says():
+    """Work of inertia less kinetic energy gained is h²/2 Σ (bᵢaᵢⱼ + bⱼaⱼᵢ − bᵢbⱼ) v̇ᵢ v̇ⱼ, which
+    Burrage and Butcher, SIAM J. Numer. Anal. 16 (1979) 46–57, find to vanish where no energy is."""
+    h, asked = 0.4, []
+
+    def noted(t, y):
+        asked.append(Oscillator()(t, y))
+        return asked[-1]
+
+    step = DormandPrince(noted, 1.0, 1.0).step(noted(0.5, exact(0.5)), NO_MEMORY, 0.5 + h)
+    gained = 0.5 * (step.end.y[1] ** 2 - step.start.y[1] ** 2)
+    a = np.array([stage.rate[1] for stage in asked[:6]])
+    b, tableau = WEIGHTS[-1], np.zeros((6, 6))
+    for stage in range(6):
+        tableau[stage, :stage] = WEIGHTS[stage]
+    form = b[:, None] * tableau + b * tableau.T - np.outer(b, b)
+    dissipated = 0.5 * h**2 * a @ form @ a
+    assert abs(dissipated) > 1e-9
+    assert step.work(0.5 + h)[1] - gained == pytest.approx(dissipated, rel=1e-6)
 
 
 def test_dormand_prince_takes_the_steps_of_scipy():
