@@ -81,8 +81,11 @@ def test_a_law_of_zero_changes_no_bit(integrator):
     settings = MacroSettings(integrator=integrator, frames=4)
     bare, zero = (simulate(clamped(each), LAW, settings) for each in (None, Surface(law=Skin())))
     assert np.array_equal(zero.curve.displacement, bare.curve.displacement)
-    for name, values in bare.energies.items():
-        assert np.array_equal(zero.energies[name], values), name
+    for name in ("displacement", "velocity", "stress"):
+        assert np.array_equal(getattr(zero.frames, name), getattr(bare.frames, name)), name
+    scale = bare.energies["internal"].max()
+    for name, values in bare.energies.items():  # sums of one more column round otherwise
+        assert abs(zero.energies[name] - values).max() < 1e-13 * scale, name
     assert zero.counts["steps"] == bare.counts["steps"]
     assert not zero.energies["surface"].any()
     assert not zero.rest.any()
