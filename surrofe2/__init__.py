@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         InitialVelocity,
         PrescribedMotion,
         Pressure,
-        Surface,
         Symmetry,
         Traction,
     )
@@ -58,6 +57,9 @@ if TYPE_CHECKING:
     from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse, Tangents
     from surrofe2.stress_paths import StressPath, follow_path, oscillation, ramp_and_hold
     from surrofe2.stress_samples import StressSamples
+    from surrofe2.surface.slab_law import SlabLaw
+    from surrofe2.surface.tabulated import TabulatedSurface, tabulate_surface
+    from surrofe2.surface_law import SurfaceLaw, SurfaceResponse
     from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
     from surrofe2.surrogate.surrogate_law import SurrogateLaw
     from surrofe2.surrogate.training import train

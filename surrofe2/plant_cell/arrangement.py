@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tessellation import Edge, Shift, Tessellation, centroid, edge_of
+from surrofe2.plant_cell.tessellation import Edge, Shift, Tessellation, centroid, edge_of, slab
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -32,6 +32,7 @@ Wall = tuple[int, Shift]
 _INSET = 0.82
 """Fluid of irregular cells starts within polygons shrunk by this factor."""
 _GRID, _SPREADING_STEPS, _FEW_STEPS = 2000, 30, 3
+_LEVEL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ class Arrangement:
         rims: for each plant cell (k, 3) wall particles around it, and their shifts (a, b).
         fluid_counts: fluid particles of each plant cell.
         wall_edge: (walls,) number of the edge that each wall particle is counted to.
+        outer: (walls,) of a slab 1 along its lower side, 2 along its upper one, else 0.
     """
 
     tessellation: Tessellation
@@ -53,6 +55,7 @@ class Arrangement:
     rims: tuple[Ints, ...]
     fluid_counts: tuple[int, ...]
     wall_edge: Ints
+    outer: Ints
 
     @property
     def walls(self) -> int:
@@ -73,7 +76,19 @@ class Arrangement:
 @lru_cache(maxsize=32)
 def make_arrangement(cell: CellParameters) -> Arrangement:
     """The arrangement that `cell` names."""
-    tessellation = cell.tessellation
+    return _arrange(cell, cell.tessellation, cell.cells)
+
+
+@lru_cache(maxsize=32)
+def make_slab_arrangement(cell: CellParameters, rows: int, gap: float) -> Arrangement:
+    """A column of square plant cells between two free sides; images above are `gap`, µm, away."""
+    made = _arrange(cell, slab(cell.cell_side, rows, gap), rows)
+    height, top = made.wall_position[:, 1], rows * cell.cell_side
+    lower, upper = np.abs(height) < _LEVEL * top, np.abs(height - top) < _LEVEL * top
+    return replace(made, outer=(lower + 2 * upper).astype(np.int32))
+
+
+def _arrange(cell: CellParameters, tessellation: Tessellation, cells: int) -> Arrangement:
     lines, position, wall_edge = _wall_lines(tessellation, cell.spring_length)
     bonds = [
         (i, j, t[0] - s[0], t[1] - s[1])
@@ -85,8 +100,9 @@ def make_arrangement(cell: CellParameters) -> Arrangement:
         position - position[0],
         np.array(bonds, dtype=np.int32),
         tuple(_rim(corners, lines) for corners in tessellation.polygons),
-        _shares(tessellation.areas, cell.fluid_particles * cell.cells),
+        _shares(tessellation.areas, cell.fluid_particles * cells),
         wall_edge,
+        np.zeros_like(wall_edge),
     )
 
 

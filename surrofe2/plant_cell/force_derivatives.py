@@ -40,6 +40,7 @@ from surrofe2.plant_cell.forces import (
 )
 from surrofe2.plant_cell.jacobian import add_at, central_gradient
 from surrofe2.plant_cell.sph_kernel import spline_bend, spline_third
+from surrofe2.plant_cell.tiles import outer_constants
 from surrofe2.simd import TILE, load, store
 
 FIELDS = 4
@@ -130,6 +131,9 @@ def add_force_gradients(work, weights, by_x, by_v, topology, c):
     """
     _add_central_gradients(work, weights, by_x, by_v, topology.bonds, True, c)
     _add_central_gradients(work, weights, by_x, by_v, topology.contacts, False, c)
+    outer = outer_constants(topology, c)
+    _add_central_gradients(work, weights, by_x, by_v, topology.outer_bonds, True, outer)
+    _add_central_gradients(work, weights, by_x, by_v, topology.outer_contacts, False, outer)
     _add_fluid_gradients(work, weights, by_x, by_v, topology, c)
 
 
@@ -197,6 +201,9 @@ def elastic_forces_and_rates(work, f_rate, volume_rate, topology, c):
     f_rate[:] = 0.0
     _add_central_rates(work, f_rate, topology.bonds, True, c)
     _add_central_rates(work, f_rate, topology.contacts, False, c)
+    outer = outer_constants(topology, c)
+    _add_central_rates(work, f_rate, topology.outer_bonds, True, outer)
+    _add_central_rates(work, f_rate, topology.outer_contacts, False, outer)
     _add_fluid_rates(work, f_rate, volume_rate, topology, c)
 
 
@@ -300,4 +307,7 @@ def add_stiffness_rates(work, u, f, topology, c):
     """
     _add_central_stiffness_rates(work, u, f, topology.bonds, True, c)
     _add_central_stiffness_rates(work, u, f, topology.contacts, False, c)
+    outer = outer_constants(topology, c)
+    _add_central_stiffness_rates(work, u, f, topology.outer_bonds, True, outer)
+    _add_central_stiffness_rates(work, u, f, topology.outer_contacts, False, outer)
     _add_fluid_stiffness_rates(work, u, f, topology, c)

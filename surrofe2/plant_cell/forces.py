@@ -22,6 +22,7 @@ from surrofe2.plant_cell.contact import (
 )
 from surrofe2.plant_cell.fluid import fluid_coefficients
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
+from surrofe2.plant_cell.tiles import outer_constants
 from surrofe2.plant_cell.wall import wall_energy, wall_force
 from surrofe2.simd import TILE, inverse_root, load, spread, store
 
@@ -180,6 +181,9 @@ def local_forces(work, topology, c):
     work.f[:] = 0.0
     add_central_forces(work.x, work.v, work.f, topology.bonds, None, True, c)
     add_central_forces(work.x, work.v, work.f, topology.contacts, None, False, c)
+    outer = outer_constants(topology, c)
+    add_central_forces(work.x, work.v, work.f, topology.outer_bonds, None, True, outer)
+    add_central_forces(work.x, work.v, work.f, topology.outer_contacts, None, False, outer)
     add_fluid_forces(work.x, work.v, work.f, topology, c, work.slope, work.volume)
 
 
@@ -227,4 +231,7 @@ def elastic_energy(x, topology, c, energy):
     store(0.0, energy, 0)
     add_central_energy(x, topology.bonds, None, True, c, energy)
     add_central_energy(x, topology.contacts, None, False, c, energy)
+    outer = outer_constants(topology, c)
+    add_central_energy(x, topology.outer_bonds, None, True, outer, energy)
+    add_central_energy(x, topology.outer_contacts, None, False, outer, energy)
     add_fluid_energy(x, topology, None, c, energy)

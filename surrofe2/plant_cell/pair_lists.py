@@ -79,6 +79,7 @@ def make_patches(
     levels: tuple[tuple[float, float], ...] = LEVELS,
     *,
     sparse: bool | None = None,
+    arrangement: Arrangement | None = None,
 ) -> tuple[Patch, ...]:
     """Pair lists of an arrangement, one for each of the `levels`.
 
@@ -87,12 +88,14 @@ def make_patches(
         lattice: (2, 2), its columns the lattice vectors, µm.
         levels: reach in cut-offs, of contacts in one plant cell and of others; see `LEVELS`.
         sparse: whether matrices have blocks of interacting groups alone; None: where that pays.
+        arrangement: instead of the cell's own, such as a slab.
     """
-    arrangement, particles = make_arrangement(cell), len(position)
+    arrangement, particles = arrangement or make_arrangement(cell), len(position)
     walls, cutoff = arrangement.walls, cell.repulsion_cutoff
     every, distance, common = _contacts(arrangement, position, lattice, FARTHEST * cutoff)
     mass = np.full(particles, cell.fluid_mass)
-    mass[:walls] = cell.wall_particle_mass
+    share = 0.5 * cell.outer_wall
+    mass[:walls] = cell.wall_particle_mass * np.where(arrangement.outer > 0, share, 1.0)
     counts = np.array(arrangement.fluid_counts)
     fluid = np.concatenate(
         [first + np.stack(np.triu_indices(count, 1), axis=1)
@@ -105,12 +108,17 @@ def make_patches(
         pattern = make_pattern(np.zeros(particles, dtype=np.int32), [])
     patches = []
     for level, listed in zip(levels, within, strict=True):
-        lists = [_sorted(pairs) for pairs in (arrangement.bonds, every[listed], inside)]
-        owner, shift, (bonds, contacts, fluid_pairs) = _localised(lists, particles)
+        central = (arrangement.bonds, every[listed])
+        lists = [_sorted(pairs[~_is_outer(arrangement, pairs)]) for pairs in central]
+        lists += [_sorted(pairs[_is_outer(arrangement, pairs)]) for pairs in central] + [inside]
+        owner, shift, (bonds, contacts, outer, touching, fluid_pairs) = _localised(lists, particles)
         topology = Topology(
             bonds=bonds,
             contacts=contacts,
             fluid_pairs=fluid_pairs,
+            outer_bonds=outer,
+            outer_contacts=touching,
+            outer_share=share,
             owner=owner,
             image_offset=np.ascontiguousarray(shift @ lattice.T),
             particles=particles,
@@ -202,6 +210,13 @@ def _keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
     i, j = np.where(turned, j, i), np.where(turned, i, j)
     a, b = np.where(turned, -a, a), np.where(turned, -b, b)
     return ((i << 32) | j) * _SHIFTS**2 + (a + _SHIFTS // 2) * _SHIFTS + b + _SHIFTS // 2
+
+
+def _is_outer(arrangement: Arrangement, pairs: Ints) -> NDArray[np.bool_]:
+    """(k,) whether both particles of pairs (k, 4) lie along one outer wall."""
+    of = np.pad(arrangement.outer, (0, arrangement.particles - arrangement.walls))
+    along: NDArray[np.bool_] = (of[pairs[:, 0]] > 0) & (of[pairs[:, 0]] == of[pairs[:, 1]])
+    return along
 
 
 def _sorted(pairs: Ints) -> Ints:

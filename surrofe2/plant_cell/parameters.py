@@ -63,6 +63,9 @@ class CellParameters:
     contact_damping_ratio: float = _constant(
         1.0, NONE, f"{_PAPER}, section 2.1: critical (eq. 2)", least=0.0
     )
+    outer_wall: float = _constant(
+        1.0, NONE, "of a tissue's outer walls (stiffness, damping, mass), over half an inner wall"
+    )
     tissue_thickness: float = _constant(
         10.0, LENGTH, f"{_PAPER}, section 6; turns 2D stress into MPa"
     )
@@ -142,8 +145,12 @@ class CellParameters:
 
     @property
     def fingerprint(self) -> str:
-        """16 hexadecimal digits that two equal sets of parameters share and no others."""
+        """16 hexadecimal digits that two sets of parameters share if their RVEs are equal.
+
+        `outer_wall` is not of the RVE.
+        """
         values = asdict(self)
+        del values["outer_wall"]
         if self.is_one_square:  # as before there were arrangements
             values = {k: v for k, v in values.items() if k not in _ARRANGEMENT}
         text = json.dumps({k: repr(v) for k, v in sorted(values.items())})

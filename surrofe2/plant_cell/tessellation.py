@@ -78,6 +78,13 @@ def make_tessellation(arrangement: str, side: float, cells: int, seed: int) -> T
     return _voronoi(side**2, cells, seed)
 
 
+def slab(side: float, rows: int, gap: float) -> Tessellation:
+    """A column of squares in a box taller by `gap`, µm: a strip of tissue between free sides."""
+    base = side * np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64)
+    squares = [base + np.array([0.0, k * side]) for k in range(rows)]
+    return _from_polygons(np.diag([side, rows * side + gap]), squares)
+
+
 def polygon_area(corners: Array) -> float:
     """Area of a polygon (k, 2), positive when counter-clockwise."""
     x, y = corners.T

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.simd import TILE
 
@@ -42,6 +42,7 @@ class Topology(NamedTuple):
     """Who interacts, by local indices, and the `Pattern` of matrices: numba nests no tuples.
 
     bonds, contacts, fluid_pairs: (·, 2) local i, j. particles, of which `walls` come first: own.
+    outer_bonds, outer_contacts: those along a slab's outer walls, which act by `outer_share`.
     owner, image_offset: (g,) own particle of each image, (g, 2) µm from there to it; image k has
         the local index particles + k.
     fluid_start, fluid_pair_start: (cells + 1,) where each plant cell's fluid, counted from the
@@ -52,6 +53,9 @@ class Topology(NamedTuple):
     bonds: Ints
     contacts: Ints
     fluid_pairs: Ints
+    outer_bonds: Ints
+    outer_contacts: Ints
+    outer_share: float
     owner: Ints
     image_offset: Reals
     particles: int
@@ -116,6 +120,24 @@ def make_constants(cell: CellParameters, rest_length: float) -> Constants:
         fluid_mass=cell.fluid_mass,
         sound_speed_squared=cell.sound_speed**2,
         viscosity=cell.viscosity,
+    )
+
+
+@pair_law
+def outer_constants(topology, c):
+    """Constants of pairs along outer walls: `topology.outer_share` of their force and damping."""
+    share = topology.outer_share
+    return Constants(
+        share * c.wall_stiffness,
+        c.rest_length,
+        share * c.wall_damping,
+        share * c.repulsion,
+        c.cutoff,
+        share * c.contact_damping,
+        c.smoothing_length,
+        c.fluid_mass,
+        c.sound_speed_squared,
+        c.viscosity,
     )
 
 

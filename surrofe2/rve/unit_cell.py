@@ -18,7 +18,7 @@ import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to 
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
+from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement, start_positions
 from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
@@ -98,8 +98,19 @@ def make_unit_cell(cell: CellParameters, reference: ReferenceState | None = None
     position = reference.position
     if len(position) != make_arrangement(cell).particles:
         raise InputError("reference: another number of particles; have it settled anew")
-    patches = make_patches(cell, position, reference.lattice)
-    topology, constants = patches[0].topology, make_constants(cell, reference.rest_length)
+    return unit_around(cell, reference, make_patches(cell, position, reference.lattice))
+
+
+def unit_around(
+    cell: CellParameters, reference: ReferenceState, patches: tuple[Patch, ...]
+) -> UnitCell:
+    """Particles at rest in `reference`, with their pair lists.
+
+    Raises:
+        InputError: they are not in a stable equilibrium.
+    """
+    position, topology = reference.position, patches[0].topology
+    constants = make_constants(cell, reference.rest_length)
     z = np.repeat(np.ascontiguousarray(position.T)[None, ..., None], TILE, axis=-1)
     unit = pack(np.eye(2)[None])
     factors = Factors.empty(1, topology)
@@ -152,21 +163,28 @@ class Equilibria:
 
 
 def equilibria_in(
-    cell: CellParameters, lattice: Array, rest_length: float, starts: Array
+    cell: CellParameters,
+    lattice: Array,
+    rest_length: float,
+    starts: Array,
+    arrangement: Arrangement | None = None,
 ) -> Equilibria:
     """Equilibria at F = I of a given box and l₀ into which `starts` (k, n, 2) settle.
 
     Args:
         lattice: (2, 2); starts are given in the arrangement's own box and deformed to this one.
+        arrangement: instead of the cell's own.
 
     Raises:
         InputError: no start comes to rest.
     """
-    own = make_arrangement(cell).tessellation.lattice
+    arrangement = arrangement or make_arrangement(cell)
+    own = arrangement.tessellation.lattice
     moved = starts @ np.linalg.solve(own.T, lattice.T)
     constants = make_constants(cell, rest_length)
-    settled = _settled(cell, lattice, make_constants(_damped(cell), rest_length), moved)
-    (patch,) = make_patches(cell, settled[0], lattice, WHOLE_CELLS)
+    damped = make_constants(_damped(cell), rest_length)
+    settled = _settled(cell, lattice, damped, moved, arrangement)
+    (patch,) = make_patches(cell, settled[0], lattice, WHOLE_CELLS, arrangement=arrangement)
     unit = np.broadcast_to(np.eye(2), (len(settled), 2, 2))
     return relax(patch.topology, constants, np.swapaxes(settled, 1, 2), unit)
 
@@ -219,16 +237,25 @@ def lowest(equilibria: Equilibria) -> int:
     return int(np.flatnonzero(energy <= energy.min() + SAME_ENERGY * abs(energy.min()))[0])
 
 
-def _settled(cell: CellParameters, lattice: Array, constants: Constants, starts: Array) -> Array:
+def _settled(
+    cell: CellParameters,
+    lattice: Array,
+    constants: Constants,
+    starts: Array,
+    arrangement: Arrangement,
+) -> Array:
     """Where particles come to rest at F = I from `starts` (k, n, 2), of those that do."""
-    (patch,) = make_patches(cell, starts[0], lattice, WHOLE_CELLS)
+    (patch,) = make_patches(cell, starts[0], lattice, WHOLE_CELLS, arrangement=arrangement)
+    mass = patch.mass.copy()
+    walls = mass[: arrangement.walls]
+    np.maximum(walls, cell.wall_particle_mass, out=walls)  # outer walls may be light
     x = np.ascontiguousarray(np.moveaxis(pack(starts), 2, 1))
     unit = pack(np.broadcast_to(np.eye(2), (len(starts), 2, 2)))
     drive, v, answer = Drive(unit, np.zeros_like(unit)), np.zeros_like(x), empty_answer(len(x))
     stepping = Stepping(_SETTLING_STEP, _SETTLED[cell.arrangement], _SETTLING_LIMIT)
     for t in range(len(x)):
         at, said = drive_of(drive, t), answer_of(answer, t)
-        iterate_tile(at, x[t], v[t], patch.mass, patch.topology, constants, stepping, said)
+        iterate_tile(at, x[t], v[t], mass, patch.topology, constants, stepping, said)
     rested = unpack(answer.iterations, len(starts)) >= 0
     if not rested.any():
         raise InputError(

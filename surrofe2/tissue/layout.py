@@ -15,6 +15,7 @@ whole tiles with empty places. A particle that does not exist lies far away, whe
 What two cells share is halved where one of them is missing (docs/theory.md, walls at a free
 boundary): the mass of a wall particle is its share, (cells present)/(cells that share it), so a
 quarter at the tissue's corners. Between plant cells of two types it is the sum of both shares.
+`outer_wall` multiplies what is left along the boundary.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ from surrofe2.simd import TILE
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_ALIKE = ("cell_side", "wall_springs_per_side", "fluid_particles_per_side", "repulsion_cutoff")
+_ALIKE = (
+    "cell_side", "wall_springs_per_side", "fluid_particles_per_side", "repulsion_cutoff",
+    "outer_wall",
+)  # fmt: skip
 """What all types of plant cells of a tissue must share, so that their walls meet."""
 
 NOWHERE = 1e6
@@ -177,6 +181,7 @@ def make_mixed_tissue(
     for k, each in enumerate(types):
         share = shares(cell, kind == k, column, row)
         mass += share * np.where(is_wall, each.wall_particle_mass, each.fluid_mass)
+    mass[_outer(cell, (n, m), column, row)] *= cell.outer_wall
     exists = mass > 0.0
     place = np.full((column.max() + 1, row.max() + 1), -1)
     there = column >= 0
@@ -218,6 +223,19 @@ def _places(cells: tuple[int, int]) -> tuple[Ints, Ints]:
     filled = [group + [(-1, -1)] * (-len(group) % TILE) for group in (whole, edge)]
     column, row = np.array(filled[0] + filled[1]).T
     return column, row
+
+
+def _outer(
+    cell: CellParameters, cells: tuple[int, int], column: Ints, row: Ints
+) -> NDArray[np.bool_]:
+    """(places, own) whether a particle lies in an outer wall."""
+    (n, m), per_side = cells, cell.wall_springs_per_side
+    walls = 2 * per_side - 1
+    lower, left = (row == 0) | (row == m), (column == 0) | (column == n)
+    outer = np.zeros((len(column), walls + cell.fluid_particles), dtype=np.bool_)
+    outer[:, 0] = lower | left
+    outer[:, 1:per_side], outer[:, per_side:walls] = lower[:, None], left[:, None]
+    return outer
 
 
 def shares(cell: CellParameters, filled: NDArray[np.bool_], column: Ints, row: Ints) -> Array:

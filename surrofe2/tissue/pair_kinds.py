@@ -5,8 +5,8 @@ A pair kind is (i, j, shift): own particle i of any plant cell with own particle
 
 Wall particles sit on the lines of a grid of springs. Those a spring apart are bonded; all others
 touch. Two on one wall line share that line's wall, so at the tissue's boundary their contact is
-halved like their bonds; across a corner they touch through one plant cell and are not. Fluid
-touches the walls around its own cell.
+halved like their bonds, times `outer_wall`; across a corner they touch through one plant cell and
+are not. Fluid touches the walls around its own cell.
 """
 
 from __future__ import annotations

@@ -183,7 +183,7 @@ def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
 
 
 def pair_shares(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
-    """(tiles, bonds + lines, TILE): 1, ½ on the tissue's boundary, 0 where a particle lacks."""
+    """(tiles, bonds + lines, TILE): 1, ½ `outer_wall` on the boundary, 0 where a particle lacks."""
     (n, m), count = tissue.cells, kinds.bonds + kinds.lines
     exists = np.moveaxis(tissue.exists, 1, 2).reshape(-1, tissue.own)
     share = np.zeros((len(tissue.column), count))
@@ -192,7 +192,7 @@ def pair_shares(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
         there = place[:, kinds.shift[k]]
         share[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
         across, most = (tissue.row, m) if kinds.axis[k] == 0 else (tissue.column, n)
-        share[(across == 0) | (across == most), k] *= 0.5
+        share[(across == 0) | (across == most), k] *= 0.5 * tissue.cell.outer_wall
     return _tiled(share)
 
 

@@ -1,0 +1,202 @@
+"""A surface law by slabs: what it is by identities, and what the tissue says of it."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.plant_cell.arrangement import make_slab_arrangement
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import unpack
+from surrofe2.rve import INITIALISATIONS, RveLaw
+from surrofe2.rve.particle_state import stored_energy
+from surrofe2.surface import SlabLaw
+from surrofe2.surface.side_free import side_free
+from surrofe2.surface.slab import GAP, make_slab
+from surrofe2.tissue import TissueDynamics, make_tissue, relax
+from tests.surface.slab_twin import SlabTwin
+
+SLOW = "slow-manifold"
+STRETCH = np.array([0.971, 0.988, 1.0, 1.012, 1.027])
+RATE = np.array([0.004, -0.003, 0.002, 0.001, -0.005])
+
+
+@cache
+def slab(preset="water", initialisation=SLOW, rows=4, **changes):
+    cell = CellParameters.preset(preset, **changes)
+    return SlabLaw(cell, initialisation=initialisation, rows=rows)
+
+
+def starts(law):
+    """(n, 2) where a slab's particles are before they relax."""
+    cell, rows = law.cell, law.rows
+    made = make_slab_arrangement(cell, rows, GAP * cell.repulsion_cutoff)
+    fluid = law.law.reference.position[2 * cell.wall_springs_per_side - 1 :]
+    up = [fluid + np.array([0.0, k * cell.cell_side]) for k in range(rows)]
+    return np.concatenate([made.wall_position, *up])
+
+
+def moving(law, stretch, rate):
+    """x and v (n, 2) of a slab at one point."""
+    at = law.point(np.array([stretch]), np.array([rate]))
+    state, F, F_dot = at.solution.state, at.bulk.F[0], at.bulk.F_dot[0]
+    z, beyond = (unpack(each, 1)[0].T for each in (state.z, state.beyond_affine))
+    return z @ F.T, z @ F_dot.T + beyond, at.resultant[0]
+
+
+@pytest.mark.parametrize("outer_wall", [1.0, 1.7])
+def test_columns_pull_each_other_with_the_resultant_and_every_particle_is_in_balance(outer_wall):
+    law = slab(rows=2, outer_wall=outer_wall)
+    x, v, resultant = moving(law, 0.985, 0.004)
+    f, pull = SlabTwin(law.cell, law.law.rest_length, starts(law), 2).forces(x, v, 0.985, 0.004)
+    assert np.hypot(*f.T).max() < 1e-6
+    assert resultant == pytest.approx(pull, rel=1e-9)
+
+
+@pytest.mark.parametrize("outer_wall", [1.0, 1.7])
+def test_a_slab_repeated_along_a_tissue_is_at_rest_inside_it(outer_wall):
+    law = slab(rows=3, outer_wall=outer_wall)
+    cell, columns, stretch = law.cell, 6, 0.99
+    x, _, _ = moving(law, stretch, 0.0)
+    tissue = make_tissue(cell, law.law.reference, (columns, law.rows))
+    place = tissue.to_particles(tissue.start)
+    column = np.floor(place[:, 0] / cell.cell_side + 1e-6)
+    start = starts(law)
+    own = np.floor(start[:, 0] / cell.cell_side + 1e-6)  # column of each of the slab's particles
+    start[:, 0] -= own * cell.cell_side
+    x[:, 0] -= own * stretch * cell.cell_side
+    along = np.stack([column * cell.cell_side, 0.0 * column], axis=1)
+    nearest = np.linalg.norm((place - along)[:, None] - start, axis=2).argmin(axis=1)
+    dynamics = TissueDynamics(tissue)
+    dynamics.place(x[nearest] + stretch * along)
+    middle = (column >= 2) & (column < 4)
+    assert np.abs(dynamics.forces()[middle]).max() < 1e-6
+    assert np.abs(dynamics.forces()).max() > 1.0  # at the ends
+
+
+def test_tension_is_the_slope_of_the_energy_beyond_that_of_the_bulk():
+    law, d, one = slab(), 4e-4, np.zeros(1)
+    for stretch in (0.98, 1.0, 1.02):
+        along = stretch + d * np.array([-2.0, -1.0, 1.0, 2.0])
+        at = law.point(along, np.zeros(4))
+        unit, bulk = law.unit, law.law.unit_cell
+        slab_energy = stored_energy(
+            at.bulk.F, unpack(at.solution.state.relaxed, 4), unit.topologies[-1], unit.constants
+        )
+        settled = law.law.respond(at.bulk.F, np.zeros((4, 2, 2))).state
+        cell_energy = stored_energy(
+            at.bulk.F, unpack(settled.relaxed, 4), bulk.topologies[-1], bulk.constants
+        )
+        beyond = slab_energy - law.rows * cell_energy
+        slope = np.array([1.0, -8.0, 8.0, -1.0]) @ beyond / (12.0 * d)
+        wanted = law.respond(np.array([stretch]), one).tension[0]
+        assert 0.5 * slope / law.cell.cell_side == pytest.approx(wanted, rel=1e-6)
+
+
+@pytest.mark.parametrize("initialisation", INITIALISATIONS)
+def test_tangents_are_the_slopes(initialisation):
+    law, d = slab(initialisation=initialisation), 2e-6
+    found = law.respond(STRETCH, RATE, tangents=True)
+    assert found.valid.all()
+    after, before = (law.respond(STRETCH + e, RATE).tension for e in (d, -d))
+    np.testing.assert_allclose(found.tangent, (after - before) / (2 * d), rtol=1e-5)
+    e = 1e-6
+    after, before = (law.respond(STRETCH, RATE + k).tension for k in (e, -e))
+    np.testing.assert_allclose(found.rate_tangent, (after - before) / (2 * e), rtol=1e-4, atol=0.01)
+
+
+@pytest.mark.parametrize("preset", ["water", "printed"])
+def test_the_law_does_not_depend_on_the_thickness(preset):
+    along, rate = np.linspace(0.96, 1.04, 9), 0.005 * np.cos(np.arange(9.0))
+    few, *found = [slab(preset, rows=m).respond(along, rate).tension for m in (4, 6, 8, 10)]
+    spread = np.ptp(found[0])
+    assert np.ptp(found, axis=0).max() < 1e-3 * spread
+    # The sides of few plant cells feel each other, by a fifth with each more.
+    assert 5.0 * np.abs(found[0] - found[-1]).max() < np.abs(few - found[-1]).max() < 0.02 * spread
+
+
+def test_images_of_a_slab_do_not_see_each_other():
+    unit = slab().unit
+    for patch in unit.patches:
+        assert not patch.shift[:, 1].any()
+        assert not patch.unlisted.offset[:, 1].any()
+    height = np.ptp(unit.position[:, 1])
+    assert unit.reference.lattice[1, 1] - height > 3.0 * unit.cell.repulsion_cutoff
+
+
+def test_a_side_that_is_free_has_no_stress_across():
+    for initialisation in INITIALISATIONS:
+        law = RveLaw(CellParameters.preset("water"), initialisation=initialisation)
+        rate = 0.0 * RATE if initialisation == "elastic" else RATE
+        found = side_free(law, STRETCH, rate)
+        stress = law.respond(found.F, found.F_dot).stress
+        assert np.abs(stress[:, 1, 1]).max() < 1e-8
+        np.testing.assert_allclose(found.P, stress[:, 0, 0] * found.F[:, 1, 1], rtol=1e-12)
+
+
+def test_a_strip_pulled_between_grips_has_the_force_of_slab_and_surface():
+    # Tensile strips of docs/tissue.md: force at a stretch of 1.03 beyond that at 1.
+    for preset, forces in (("water", {4: 1244.8, 8: 2614.2}), ("printed", {4: 2445.5, 8: 5004.7})):
+        law = slab(preset, rows=8)
+        along, still = np.array([1.0, 1.03]), np.zeros(2)
+        surface = np.diff(law.respond(along, still).tension)[0]
+        bulk = np.diff(side_free(law.law, along, still).P)[0]
+        for across, force in forces.items():
+            resultant = np.diff(slab(preset, rows=across).point(along, still).resultant)[0]
+            assert resultant == pytest.approx(force, rel=6e-4)
+            by_law = across * law.cell.cell_side * bulk + 2.0 * surface
+            assert by_law == pytest.approx(force, rel=1e-3)
+
+
+def test_outer_rows_of_a_relaxed_tissue_shrink_as_those_of_the_slab():
+    law, n, m = slab(rows=4), 14, 4
+    stretch = np.array([0.98, 1.0])
+    low, high = law.point(stretch, 0.0 * stretch).resultant
+    for _ in range(40):  # at rest: the resultant vanishes, by bisection
+        middle = stretch.mean()
+        force = law.point(np.array([middle]), np.zeros(1)).resultant[0]
+        stretch[int(force > 0.0)] = middle
+    assert low < 0.0 < high
+    x, start = moving(law, stretch[0], 0.0)[0], starts(law)
+    side = law.cell.cell_side
+    along = np.abs((start[:, 0] + 1.0) % side - 1.0)  # corners may lie in the next column
+    rows = [np.abs(along + np.abs(start[:, 1] - k * side)).argmin() for k in (0, 1)]
+    tissue = make_tissue(law.cell, law.law.reference, (n, m))
+    relaxed = relax(TissueDynamics(tissue), 1e-3)
+    grid = [np.array([n // 2 * side, k * side]) for k in (0, 1)]
+    at = [np.abs(tissue.outline - place).sum(axis=1).argmin() for place in grid]
+    shrinks = side - np.diff(relaxed[at, 1])[0]
+    assert side - np.diff(x[rows, 1])[0] == pytest.approx(shrinks, rel=0.1)
+
+
+def test_plant_cells_that_a_strip_of_four_lacks_are_those_of_its_period():
+    # c = n (1 − FE²/tissue) of strips of four plant cells, from squared ratios of periods
+    assert slab(rows=8).missing_cells(4) == pytest.approx(0.48, rel=0.05)
+    assert slab("printed", rows=8).missing_cells(4) == pytest.approx(0.21, rel=0.05)
+
+
+def test_an_outer_wall_weighs_in_tissue_and_surface_alike():
+    cell = CellParameters.preset("water", outer_wall=1.5)
+    n, m, per_side = 3, 2, cell.wall_springs_per_side
+    reference = RveLaw(cell).reference
+    beyond = make_tissue(cell, reference, (n, m)).mass.sum() - n * m * cell.mass
+    per_length = slab(outer_wall=1.5).mass
+    around = 2 * (n + m) * cell.cell_side
+    corners = 0.5 * cell.wall_particle_mass  # a corner has a quarter of a particle, not a half
+    assert beyond == pytest.approx(around * per_length - corners, rel=1e-12)
+    assert slab().mass == 0.0
+    assert per_length == pytest.approx(0.25 * per_side * cell.wall_particle_mass / 25.0)
+
+
+def test_plant_cells_that_have_no_surface_law_are_refused():
+    voronoi = CellParameters(arrangement="voronoi", cells=4)
+    reference = RveLaw(CellParameters.preset("water")).reference
+    with pytest.raises(InputError, match=r"cell.arrangement: 4 of voronoi"):
+        make_slab(voronoi, reference, 4)
+    with pytest.raises(InputError, match=r"rve.solver: 'iterated'"):
+        SlabLaw(CellParameters(), replace(slab().law.settings, initialisation="elastic",
+                                          solver="iterated"))  # fmt: skip
+    with pytest.raises(MismatchError, match="reference"):
+        make_slab(CellParameters(), reference, 4)

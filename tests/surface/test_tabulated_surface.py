@@ -1,0 +1,93 @@
+"""Tables of surface laws: as good as they say, their slopes exact, and kept in files."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.io.surfaces import check_surface, read_surface, write_surface
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.surface import SlabLaw, tabulate_surface
+from surrofe2.surface_law import SurfaceResponse
+
+RANGE, RATE = (0.97, 1.03), 0.01
+
+
+@cache
+def law():
+    return SlabLaw(CellParameters.preset("water"), initialisation="slow-manifold", rows=4)
+
+
+@cache
+def table():
+    return tabulate_surface(law(), RANGE, RATE)
+
+
+def points(n, seed):
+    return np.random.default_rng(seed).uniform((RANGE[0], -RATE), (RANGE[1], RATE), (n, 2)).T
+
+
+def test_a_table_is_within_its_tolerance_of_the_slab():
+    at = points(64, 7)
+    wanted, found = law().respond(*at).tension, table().respond(*at)
+    assert found.valid.all()
+    assert np.abs(found.tension - wanted).max() < 1e-4 * table().spread
+    assert table().spread == pytest.approx(np.ptp(wanted), rel=0.2)
+    assert table().mass == law().mass
+
+
+def test_tangents_are_those_of_the_polynomials():
+    at, d = points(32, 8), 1e-7
+    found = table().respond(*at, tangents=True)
+    for k, tangent in enumerate((found.tangent, found.rate_tangent)):
+        step = np.zeros((2, 1))
+        step[k] = d
+        after, before = (table().respond(*(at + e)).tension for e in (step, -step))
+        np.testing.assert_allclose(tangent, (after - before) / (2 * d), rtol=1e-5, atol=1e-3)
+
+
+def test_values_are_sums_of_chebyshev_polynomials():
+    at = points(16, 9)
+    x = (2.0 * at[0] - sum(RANGE)) / (RANGE[1] - RANGE[0])
+    wanted = np.polynomial.chebyshev.chebval2d(x, at[1] / RATE, table().coefficients)
+    np.testing.assert_allclose(table().respond(*at).tension, wanted, rtol=1e-13)
+
+
+def test_beyond_its_range_a_table_does_not_answer():
+    stretch, rate = np.array([0.96, 1.0, 1.0, 1.04]), np.array([0.0, 0.02, 0.0, 0.0])
+    found = table().respond(stretch, rate, tangents=True)
+    assert found.valid.tolist() == [False, False, True, False]
+    for values in (found.tension, found.tangent, found.rate_tangent):
+        assert np.isnan(values).tolist() == [True, True, False, True]
+
+
+def test_a_table_comes_back_from_its_file_and_belongs_to_its_plant_cell(tmp_path):
+    path = tmp_path / "surface.h5"
+    write_surface(path, table(), {"from": "a test"})
+    found = read_surface(path)
+    at = points(16, 10)
+    assert np.array_equal(found.respond(*at).tension, table().respond(*at).tension)
+    assert (found.mass, found.error, found.spread) == (table().mass, table().error, table().spread)
+    check_surface(path, found, law().cell, "slow-manifold")
+    with pytest.raises(MismatchError, match=r"cell.outer_wall = 1.0, not 2.0"):
+        check_surface(path, found, CellParameters.preset("water", outer_wall=2.0), "slow-manifold")
+    with pytest.raises(MismatchError, match=r"cell.fluid_particle_mass"):
+        check_surface(path, found, CellParameters(), "slow-manifold")
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(FileError):
+        read_surface(path)
+
+
+def test_a_range_without_extent_or_without_slabs_is_refused():
+    with pytest.raises(InputError, match=r"surface: stretch \(1, 1\)"):
+        tabulate_surface(law(), (1.0, 1.0), RATE)
+    with pytest.raises(InputError, match=r"no stable slab at stretch 0\.9\d+, rate"):
+        tabulate_surface(Torn(), RANGE, RATE)
+
+
+class Torn:
+    """A slab that bears no compression."""
+
+    def respond(self, stretch, rate):
+        return SurfaceResponse(0.0 * stretch, stretch > 1.0)
