@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         InitialVelocity,
         PrescribedMotion,
         Pressure,
+        Surface,
         Symmetry,
         Traction,
     )

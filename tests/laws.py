@@ -2,7 +2,7 @@
 
 In this order: laws of the bar (viscoelastic solid, linear solid, fibres, dry friction, one that
 fails); an isotropic law that stands in for RVEs; a law with the square's symmetry; a lattice of
-points with what plant cells have; true laws and surrogates of a cached law.
+points with what plant cells have; true laws and surrogates of a cached law; a surface law.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from surrofe2.stress_law import (
     require_tangents,
 )
 from surrofe2.stress_samples import StressSamples
+from surrofe2.surface_law import SurfaceResponse
 from surrofe2.tensors import det, from_components, rotation, to_inputs, transpose
 
 IDENTITY = np.eye(2)
@@ -530,3 +531,32 @@ class Learnt(Untaught):
 def shear_error(size):
     """An error that changes its sign with position, up to `size`, µN/µm."""
     return lambda F, F_dot: size * np.sin(60.0 * F[:, 0, 1] + 40.0 * F[:, 1, 1])
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A surface law: P_s = a + b (λ − 1) + c (λ − 1)² + η (1 + d (λ − 1)) λ̇ up to a stretch."""
+
+    a: float = 0.0
+    b: float = 0.0
+    c: float = 0.0
+    eta: float = 0.0
+    d: float = 0.0
+    mass: float = 0.0
+    largest: float = np.inf
+
+    def respond(self, stretch, stretch_rate, *, tangents=False):
+        e = stretch - 1.0
+        tension = self.a + self.b * e + self.c * e**2 + self.eta * (1.0 + self.d * e) * stretch_rate
+        valid = stretch <= self.largest
+        return SurfaceResponse(
+            np.where(valid, tension, np.nan),
+            valid,
+            self.b + 2.0 * self.c * e + self.eta * self.d * stretch_rate if tangents else None,
+            self.eta * (1.0 + self.d * e) if tangents else None,
+        )
+
+    def energy(self, stretch):
+        """µN."""
+        e = stretch - 1.0
+        return self.a * e + 0.5 * self.b * e**2 + self.c * e**3 / 3.0

@@ -1,9 +1,10 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
 Reading order: settings, mesh, conditions, rigid_bodies, problem (what is computed);
-discretisation, internal_force (space); forces, contact, supports, system (what acts on it);
-equations_of_motion, time_stepping, dormand_prince (explicit); tangents, generalised_alpha
-(implicit); history, simulation (a run). Without time: quasi_static, modes.
+discretisation, internal_force (space); forces, contact, free_sides, surface_elements, supports,
+mass, system (what acts on it), posed; equations_of_motion, time_stepping, dormand_prince
+(explicit); tangents, generalised_alpha (implicit); history, simulation (a run). Without time:
+equilibrium, quasi_static, modes.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
         InitialVelocity,
         PrescribedMotion,
         Pressure,
+        Surface,
         Symmetry,
         Traction,
     )

@@ -1,4 +1,5 @@
-"""What acts on a tissue: supports, prescribed motion, loads, foundations, initial velocity.
+"""What acts on a tissue: supports, prescribed motion, loads, foundations, initial velocity,
+surface tension.
 
 Each condition names the boundary or region it acts `on`; None is the whole mesh. Conditions with an
 amplitude give their largest value, which the amplitude multiplies in time.
@@ -6,16 +7,22 @@ amplitude give their largest value, which the amplitude multiplies in time.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.amplitude import ONE, Amplitude
-from surrofe2.errors import InputError
+from surrofe2.errors import InputError, quoted
 from surrofe2.settings import check_settings, setting
+from surrofe2.surface_law import SurfaceLaw
 from surrofe2.units import ACCELERATION, LENGTH
 
 SPEED = "µm/µs"
 LINE_FORCE = "µN/µm"
+FREE: Final = "free"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +129,37 @@ class InitialVelocity(Condition):
     """Velocity at t = 0 of all nodes that are not held."""
 
     velocity: tuple[float, float] = setting(about="at t = 0", unit=SPEED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """The free sides of a tissue that have a surface law.
+
+    Attributes:
+        law: of all sides, or of the sides of a region's elements by the region's name.
+        on: boundaries; "free": all outer sides but those that a condition or a body names.
+        regions: elements of each law by its name; left out: the mesh's regions of these names.
+    """
+
+    law: SurfaceLaw | Mapping[str, SurfaceLaw]
+    on: tuple[str, ...] | Literal["free"] = FREE
+    regions: Mapping[str, NDArray[np.int64]] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", checked_sides(self.on))
+
+
+def checked_sides(on: Any) -> tuple[str, ...] | Literal["free"]:
+    """What `Surface.on` says.
+
+    Raises:
+        InputError: it is no list of names and not "free".
+    """
+    if isinstance(on, tuple | list) and on and all(isinstance(name, str) for name in on):
+        return tuple(on)
+    if on != FREE:
+        raise InputError(f'surface.on: {quoted(on)}; it must be names of boundaries, or "{FREE}"')
+    return FREE
 
 
 CONDITIONS: tuple[type[Condition], ...] = (

@@ -146,7 +146,7 @@ class EquationsOfMotion:
         """Stress, forces and rate at (t, y); the law's tangents where asked for."""
         self.tally.counts["right_hand_sides"] += 1
         u, v = self.system.spread(y, t, self.within)
-        F, F_dot, J = deformation_gradient(self.discretisation, u, v)
+        F, F_dot, J = deformation_gradient(self.discretisation, self.system.from_mesh(u), v)
         if not J.min() > 0.0:
             point = int(np.argmin(J > 0.0))
             reason = f"det F = {J[point]:.6g}; the element is inverted there"
@@ -162,6 +162,10 @@ class EquationsOfMotion:
         if not np.isfinite(now.internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
             return self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
+        surface = self.system.surface
+        if surface is not None and not np.isfinite(now.powers[-3]):
+            told = surface.refusal(self.discretisation.nodes, u, v)
+            return NoStress(f"{self.clock.format(t)}, {told}")
         return now
 
     def accept(self, now: Evaluation) -> Evaluation | NoStress:
@@ -183,7 +187,7 @@ class EquationsOfMotion:
         law_state: what the law had committed there.
         """
         u, v = self.system.spread(y, t, self.within)
-        F, F_dot, _ = deformation_gradient(self.discretisation, u, v)
+        F, F_dot, _ = deformation_gradient(self.discretisation, self.system.from_mesh(u), v)
         response = StressResponse(stress, np.zeros(len(F), dtype=np.int8), law_state)
         self.law_state = law_state
         self._start = self._evaluation(t, y, (u, v), F, F_dot, response)

@@ -6,6 +6,7 @@ positions of rigid bodies are numbered on after the nodes of the mesh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -21,7 +22,7 @@ from surrofe2.macro.conditions import (
     Pressure,
     Traction,
 )
-from surrofe2.macro.discretisation import SIDE_RULE, Discretisation, side_shapes
+from surrofe2.macro.discretisation import SIDE_RULE, side_shapes
 from surrofe2.macro.problem import Problem, label
 
 Array = NDArray[np.float64]
@@ -157,12 +158,15 @@ def side_mass(nodes: Array, sides: Index, components: str, n: int) -> Matrix:
 
 
 def make_loads(
-    problem: Problem, space: Discretisation, density: Array, n: int, proportional: bool
+    problem: Problem,
+    mass_of: Callable[[Array], tuple[Array, Index, Index]],
+    n: int,
+    proportional: bool,
 ) -> list[Force]:
     """The forces of the conditions and on free bodies, on n rows.
 
     Args:
-        density: (n_el,) ng/µm².
+        mass_of: the mass matrix of a share (n_el,) of each element, entries, rows and columns.
         proportional: as of `make_system`.
     """
     mesh, loads = problem.mesh, list[Force]()
@@ -174,7 +178,7 @@ def make_loads(
             case BodyForce():
                 inside = np.zeros(len(mesh.elements))
                 inside[mesh.region(condition.on, where)] = 1.0
-                entries, row, _ = space.mass(density * inside)
+                entries, row, _ = mass_of(inside)
                 nodal = np.bincount(row, entries)
                 load = np.zeros((n, 2))
                 load[: nodal.size] = np.outer(nodal, condition.acceleration)

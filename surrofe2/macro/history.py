@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from time import perf_counter
 from typing import Any
 
@@ -47,7 +47,8 @@ class MacroState:
         memory: what the integrator knows besides y; empty if and only if it is the explicit one.
         work: (k,) since t = 0 of what `Evaluation.powers` lists, pJ.
         rows: (r, c) at the output times passed, the columns of `columns_of`.
-        samples: (s, 1 + regions) t and rates of dissipation, µs and pJ/µs, at ends of steps.
+        samples: (s, 1 + k) t and rates of dissipation of `System.dissipating`, µs and pJ/µs, at
+            ends of steps.
         dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
         frames: whole fields.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
@@ -55,6 +56,7 @@ class MacroState:
         counts, effort, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.
+        rest: as `System.rest`; (0, 2) of None.
     """
 
     t: float
@@ -73,6 +75,7 @@ class MacroState:
     wall_time: dict[str, float]
     stress: Array
     law_state: Any = None
+    rest: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def to_arrays(self) -> dict[str, NDArray]:
         """One array for each entry; those of frames and dicts are ``"counts.steps"`` and so on."""
@@ -100,7 +103,8 @@ class MacroState:
             (values[group] if dot else values)[key or name] = value
         for of, found, prefix in ((cls, values, ""), (Frames, values["frames"], "frames.")):
             for item in fields(of):
-                if item.name not in found and item.name != "law_state":
+                needed = item.default is MISSING and item.default_factory is MISSING
+                if needed and item.name not in found:
                     raise InputError(
                         f"macro state: no '{prefix}{item.name}'; the checkpoint is incomplete"
                     )
@@ -132,6 +136,7 @@ class Recorder:
         equations: EquationsOfMotion,
         settings: MacroSettings,
         resume: MacroState | None = None,
+        begin: float | None = None,
     ) -> None:
         self._equations, self._system = equations, equations.system
         problem = self._system.problem
@@ -142,7 +147,8 @@ class Recorder:
         self._record_dissipation = settings.record_dissipation and (
             resume is None or len(resume.samples) > 0
         )
-        self._started = perf_counter() - (resume.wall_time["total"] if resume else 0.0)
+        begin = perf_counter() if begin is None else begin
+        self._started = begin - (resume.wall_time["total"] if resume else 0.0)
         self._state: MacroState
         if resume is not None:
             self._state = resume
@@ -152,7 +158,7 @@ class Recorder:
         start = stepper.now
         extremes = NO_EXTREMES.copy()
         widen_extremes(extremes, start.F, start.F_dot)
-        samples = np.zeros((0, 1 + len(self._system.regions)))
+        samples = np.zeros((0, 1 + len(self._system.dissipating)))
         dissipated = np.zeros((2, len(self._system.discretisation.elements)))
         if self._record_dissipation:
             samples, dissipated = self._with_sample(samples, dissipated, start)
@@ -169,6 +175,7 @@ class Recorder:
             frames=self._frame(start, samples, dissipated),
             extremes=extremes,
             identity=self._system.identity(),
+            rest=np.empty((0, 2)) if self._system.rest is None else self._system.rest,
             **self._standing(stepper),
         )
         self._equations.is_committing = False
@@ -251,6 +258,9 @@ class Recorder:
         if rates is None:
             return samples, dissipated
         by_region = [rates[elements].sum() for elements in self._system.regions.values()]
+        surface = self._system.surface
+        if surface is not None:
+            by_region += [*surface.dissipation_rates(now.u, now.v)]
         energy, before = dissipated
         since = now.t - samples[-1, 0] if len(samples) else 0.0
         energy = energy + 0.5 * since * (before + rates)

@@ -12,16 +12,24 @@ from numpy.typing import NDArray
 from surrofe2.amplitude import ONE, Amplitude, Table
 from surrofe2.errors import InputError, quoted
 from surrofe2.load_case import LoadCase, output_times
-from surrofe2.macro.conditions import BodyForce, Condition, DrivenCondition, Fixed, InitialVelocity
+from surrofe2.macro.conditions import (
+    BodyForce,
+    Condition,
+    DrivenCondition,
+    Fixed,
+    InitialVelocity,
+    Surface,
+)
 from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
 
 MOST_ROWS = 1_000_000
+SURFACE = "surface"
 TAKEN = (
     "kinetic", "internal", "dissipated", "balance", "motion", "numerical", "contact",
-    "contact dissipated",
+    "contact dissipated", SURFACE,
 )  # fmt: skip
 """Names of energies, which no condition may have."""
 
@@ -38,6 +46,8 @@ class Problem:
         output_interval: time between rows of the results, µs.
         watched: reference positions whose displacement is recorded, µm, by name; the first is
             the one of the displacement curve. The tissue's middle if there is none.
+        surface: free sides with a surface law, under which the tissue comes to rest before the
+            run; displacements count from there. None: there are none.
 
     Raises:
         InputError: two things have one name, or a number is out of range.
@@ -49,6 +59,7 @@ class Problem:
     duration: float = 250.0
     output_interval: float = 0.5
     watched: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    surface: Surface | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("duration", self.duration), ("output_interval", self.output_interval)):
@@ -67,6 +78,8 @@ class Problem:
                 raise InputError(
                     f"problem: {quoted(told)}; there must be a tuple of {kind.__name__}"
                 )
+        if not isinstance(self.surface, Surface | None):
+            raise InputError(f"problem.surface: {quoted(self.surface)}; it must be a Surface")
         names = [*map(label, self.conditions), *(body.name for body in self.bodies)]
         for name, number in Counter(names).items():
             if number > 1:

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import zip_longest
+from time import perf_counter
 
 import numba
 import numpy as np
@@ -15,16 +17,17 @@ from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
-from surrofe2.macro.problem import Problem, bar
+from surrofe2.macro.posed import as_problem, system_of
+from surrofe2.macro.problem import Problem
+from surrofe2.macro.quasi_static import settle
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.system import PARTS, System, make_system
+from surrofe2.macro.system import PARTS, System
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
@@ -49,12 +52,15 @@ class MacroRun:
             energy − internal − numerical, zero to rounding or Newton's tolerance; `dissipated`,
             the work of the stress in excess of σ(F, 0), from samples at the ends of steps joined
             by a monotone cubic (second order or better), NaN where not recorded, and by region
-            ``dissipated NAME``.
+            ``dissipated NAME``; `surface`, the work of the surface tension of free sides, and by
+            boundary ``dissipated surface NAME``.
         curves: displacement of every watched point by name.
         history: by name, (m,) arrays at the output times: mean displacement of boundaries (µm),
             forces of supports, surface loads and bodies on the tissue (µN), positions and
             penetration of bodies (µm); forces are linear between ends of steps.
         nodes: (n_nodes, 2) reference positions, µm; elements: (n_el, 4 or 6) their nodes.
+        rest: (n_nodes, 2) displacement of a tissue with free sides when it comes to rest before the
+            run, from which all others count, µm; (0, 2) without.
         frames: whole fields at a few times.
         met: extremes of deformation and rate.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest).
@@ -74,6 +80,7 @@ class MacroRun:
     history: dict[str, Array]
     nodes: Array
     elements: NDArray[np.int64]
+    rest: Array
     frames: Frames
     met: MetRange
     wall_time: dict[str, float]
@@ -136,8 +143,17 @@ def simulate(
         contact.check_start()
     if resume is not None:
         _check_same_run(resume, system, settings)
+    begin = perf_counter()
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
-    recorder = Recorder(equations, settings, resume)
+    if problem.surface is not None:
+        if resume is None:
+            with one_blas_thread():
+                settled = settle(problem, law, settings, equations.tally)
+            rest, equations.law_state = settled.u, settled.law_state
+        else:
+            rest = resume.rest
+        system = equations.system = system.from_rest(rest)
+    recorder = Recorder(equations, settings, resume, begin)
     duration, clock = problem.duration, CheckpointClock(checkpoint_interval)
     with one_blas_thread():  # as in every step
         stepper = _make_stepper(equations, settings, recorder, resume)
@@ -158,32 +174,6 @@ def simulate(
             checkpoint(recorder.checkpoint())
         raise
     return _make_run(system, recorder.state(), given, finished=True)
-
-
-def as_problem(problem: Problem | LoadCase, settings: MacroSettings) -> Problem:
-    """A load case as the bar that it is."""
-    return bar(problem, settings.elements) if isinstance(problem, LoadCase) else problem
-
-
-def system_of(problem: Problem, law: StressLaw, *, proportional: bool = False) -> System:
-    """The system of a problem with the law's density and, where bodies touch it, its modulus."""
-    if not problem.bodies:
-        return make_system(problem, law.density, proportional=proportional)
-    modulus = _modulus(law, n_points_of(problem.mesh))
-    return make_system(problem, law.density, modulus=modulus, proportional=proportional)
-
-
-def _modulus(law: StressLaw, n_points: int) -> float:
-    """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
-    strain, largest = 1e-4, 0.0
-    still = np.zeros((n_points, 2, 2))
-    for k in (0, 1):
-        F = np.tile(np.eye(2), (n_points, 1, 1))
-        before = law.respond(F, still).stress[:, k, k]
-        F[:, k, k] += strain
-        after = law.respond(F, still).stress[:, k, k]
-        largest = max(largest, float(np.nanmax(after - before)) / strain)
-    return largest
 
 
 def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method:
@@ -240,7 +230,7 @@ def _make_run(
     inertia = works.pop("inertia")
     dissipated = {
         f"dissipated {name}".strip(): _dissipated(t, state.samples[:, [0, 1 + k]])
-        for k, name in enumerate(system.regions)
+        for k, name in enumerate(system.dissipating)
     }
     kept = ("mean displacement", "force", "position", "penetration")
     return MacroRun(
@@ -258,6 +248,7 @@ def _make_run(
         history={name: column for name, column in found.items() if name.startswith(kept)},
         nodes=system.discretisation.nodes,
         elements=system.discretisation.elements,
+        rest=state.rest[: len(system.discretisation.nodes)],
         frames=state.frames,
         met=MetRange.of(state.extremes),
         wall_time=state.wall_time,
@@ -335,6 +326,6 @@ def _check_same_run(state: MacroState, system: System, settings: MacroSettings) 
             f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {begun} "
             "run: resume with that or run anew"
         )
-    for name, begun_with, now in zip(PARTS, state.identity, system.identity(), strict=True):
+    for name, begun_with, now in zip_longest(PARTS, state.identity, system.identity()):
         if not np.array_equal(begun_with, now):
             raise MismatchError(f"resume: {name}: not that of the checkpoint; run anew")

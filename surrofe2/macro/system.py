@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # scipy.sparse is loaded where a mesh is large
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
@@ -20,15 +19,16 @@ from surrofe2.macro.conditions import InitialVelocity
 from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
-from surrofe2.macro.problem import Problem
+from surrofe2.macro.mass import make_mass, mass_solver
+from surrofe2.macro.problem import SURFACE, Problem
 from surrofe2.macro.supports import Support, make_supports
+from surrofe2.macro.surface_elements import SurfaceForce, make_surface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-DENSE_LIMIT = 300
 
-PARTS = ("mesh", "density", "conditions", "bodies", "output times", "watched points")
-"""What a system's identity is made of, in this order."""
+PARTS = ("mesh", "density", "conditions", "bodies", "output times", "watched points", "surface")
+"""What a system's identity is made of, in this order; without free sides all but the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +46,8 @@ class System:
         initial_velocity: (n, 2) µm/µs.
         watched: nodes and weights of each watched point.
         boundary_weights: (n_nodes,) weights of the mean over each boundary that is acted on.
+        rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
+            others count, µm; None: none.
     """
 
     problem: Problem
@@ -58,6 +60,7 @@ class System:
     initial_velocity: Array
     watched: tuple[tuple[Index, Array], ...]
     boundary_weights: Mapping[str, Array]
+    rest: Array | None = None
 
     @property
     def n_rows(self) -> int:
@@ -73,6 +76,24 @@ class System:
     def contacts(self) -> tuple[Contact, ...]:
         """The contacts among the forces."""
         return tuple(force for force in self.forces if isinstance(force, Contact))
+
+    @property
+    def surface(self) -> SurfaceForce | None:
+        """That of the free sides; None where they have no law."""
+        last = self.forces[-1] if self.forces else None
+        return last if isinstance(last, SurfaceForce) else None
+
+    def from_rest(self, rest: Array) -> System:
+        """The same with displacements that count from `rest` (n, 2)."""
+        forces = tuple(
+            force.from_rest(rest) if isinstance(force, SurfaceForce) else force
+            for force in self.forces
+        )
+        return replace(self, forces=forces, rest=rest)
+
+    def from_mesh(self, u: Array) -> Array:
+        """(n, 2) displacement of the mesh itself where all else knows u."""
+        return u if self.rest is None else u + self.rest
 
     def spread(self, y: Array, t: float, within: float) -> tuple[Array, Array]:
         """Displacement and velocity (n, 2) of all rows from y (2 m,) and the prescribed motion."""
@@ -184,10 +205,17 @@ class System:
         mesh = self.problem.mesh
         return {"": np.arange(len(mesh.elements)), **mesh.regions}
 
+    @property
+    def dissipating(self) -> tuple[str, ...]:
+        """Parts whose dissipation is recorded: regions, and free sides by boundary."""
+        sides = () if self.surface is None else self.surface.sides.names
+        return *self.regions, *(f"{SURFACE} {name}" for name in sides)
+
     def identity(self) -> Array:
         """(k, 32) digests of `PARTS`, which decide the motion but for law and settings."""
         problem, space = self.problem, self.discretisation
         held = [each.unknowns for each in self.supports]
+        sides = self.surface
         named = {**problem.mesh.boundaries, **problem.mesh.regions}
         parts: tuple[list[Array | Index | str], ...] = (
             [space.nodes, space.elements, repr([*named]), *named.values()],
@@ -197,6 +225,8 @@ class System:
             [repr(problem.output_interval)],
             [repr([*problem.watched.items()])],
         )
+        if sides is not None:
+            parts = *parts, [repr(sides.sides.names), sides.sides.nodes, sides.sides.law]
         return np.array([_digest(part) for part in parts], dtype=np.float64)
 
     def at_watched_points(self, u: Array) -> Array:
@@ -232,7 +262,16 @@ def make_system(
     mesh, space = problem.mesh, make_discretisation(problem.mesh)
     per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
     n_nodes, n = len(mesh.nodes), len(mesh.nodes) + len(problem.bodies)
-    mass = _mass_matrix(problem, space.mass(per_element), n)
+    surface = [] if problem.surface is None else [make_surface(problem)]
+
+    def mass_of(share: Array) -> tuple[Array, Index, Index]:
+        """Entries, rows and columns of the mass of a share of each element, its sides included."""
+        tissue = space.mass(share * per_element)
+        parts = [tissue, *(each.mass(share) for each in surface)]
+        entries, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return entries, row, column
+
+    mass = make_mass(problem, mass_of(np.ones(len(mesh.elements))), n)
     supports = make_supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
@@ -240,7 +279,7 @@ def make_system(
         raise InputError("conditions: they hold or move every node; leave one free")
     heaviest = float(per_element.max())
     forces = [
-        *make_loads(problem, space, per_element, n, proportional),
+        *make_loads(problem, mass_of, n, proportional),
         *(
             make_contact(
                 body, n_nodes + k, mesh.nodes,
@@ -248,6 +287,7 @@ def make_system(
             )
             for k, body in enumerate(problem.bodies)
         ),
+        *surface,
     ]  # fmt: skip
     return System(
         problem=problem,
@@ -256,7 +296,7 @@ def make_system(
         free=free,
         supports=supports,
         forces=tuple(forces),
-        solve_mass=_mass_solver(mass, free),
+        solve_mass=mass_solver(mass, free),
         initial_velocity=_initial_velocity(problem, supports, n),
         watched=tuple(
             space.locate(np.array(at, dtype=np.float64), f"watched.{name}")
@@ -277,18 +317,6 @@ def _boundary_weights(problem: Problem) -> dict[str, Array]:
     return {name: load / load.sum() for name, load in loads.items()}
 
 
-def _mass_matrix(problem: Problem, tissue: tuple[Array, Index, Index], n: int) -> Matrix:
-    """Mass of one component of nodes and bodies, dense where that is small."""
-    entries, row, column = tissue
-    bodies = np.arange(n - len(problem.bodies), n)
-    masses = [1.0 if body.mass is None else body.mass for body in problem.bodies]
-    entries = np.concatenate([entries, masses])
-    row, column = np.concatenate([row, bodies]), np.concatenate([column, bodies])
-    if n > DENSE_LIMIT:
-        return scipy.sparse.csc_matrix((entries, (row, column)), shape=(n, n))
-    return np.bincount(n * row + column, entries, n * n).reshape(n, n)
-
-
 def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
     """(n, 2) velocities at t = 0; what is held has none."""
     velocity = np.zeros((n, 2))
@@ -302,47 +330,3 @@ def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -
     for support in supports:
         velocity.ravel()[support.unknowns[support.largest == 0.0]] = 0.0
     return velocity
-
-
-def _mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass of the free unknowns; one factor where x and y are free alike."""
-    rows = [free[free % 2 == k] // 2 for k in (0, 1)]
-    if np.array_equal(*rows):
-        solve = _factorised_mass(mass, rows[0])
-
-        def solve_both(r: Array) -> Array:
-            result: Array = solve(r.reshape(-1, 2)).ravel()
-            return result
-
-        return solve_both
-    places = [np.flatnonzero(free % 2 == k) for k in (0, 1)]
-    solvers = [_factorised_mass(mass, each) if each.size else None for each in rows]
-
-    def solve_each(r: Array) -> Array:
-        result = np.empty_like(r)
-        for place, solve in zip(places, solvers, strict=True):
-            if solve is not None:
-                result[place] = solve(r[place])
-        return result
-
-    return solve_each
-
-
-def _factorised_mass(mass: Matrix, rows: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass between these rows.
-
-    The matrix is symmetric and positive definite, so a sparse one needs no pivoting and an
-    ordering that keeps symmetry.
-    """
-    part = mass[rows][:, rows]
-    if isinstance(part, np.ndarray):
-        inverse = np.linalg.inv(part)
-        return lambda r: inverse @ r
-    factor = scipy.sparse.linalg.splu(
-        scipy.sparse.csc_matrix(part),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    solve: Callable[[Array], Array] = factor.solve
-    return solve

@@ -1,0 +1,347 @@
+"""Free sides with a surface law: forces, slopes, energies, rest, known answers."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.macro import (
+    BodyForce,
+    Box,
+    Fixed,
+    InitialVelocity,
+    MacroSettings,
+    Mesh,
+    Plane,
+    Problem,
+    RigidBody,
+    Surface,
+    Symmetry,
+    find_modes,
+    find_rest,
+    simulate,
+)
+from surrofe2.macro.free_sides import free_sides
+from surrofe2.macro.history import MacroState
+from surrofe2.macro.system import make_system
+from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
+from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, with_middles
+from tests.macro.test_macro_force_tangents import assert_slopes
+
+LAW = KelvinVoigt()
+RADIUS = 10.0
+SKIN = Skin(a=30.0, b=400.0, c=900.0, eta=70.0, d=2.0)
+MIRRORS = (Symmetry(on="left"), Symmetry(on="bottom"))
+TIGHT = MacroSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10, newton_tolerance=1e-12)
+
+
+def clamped(surface, mesh=None, **more):
+    """A plate, clamped at the left, under its weight."""
+    conditions = (Fixed(on="left"), BodyForce(acceleration=(0.3, -0.2)))
+    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3)) if mesh is None else mesh
+    more = {"duration": 6.0, "output_interval": 0.25, **more}
+    return Problem(mesh=mesh, conditions=conditions, surface=surface, **more)
+
+
+def twin_force(mesh, sides, law, u, v):
+    """Side by side, point by point."""
+    force = np.zeros_like(u)
+    k = sides.shape[1]
+    for nodes in sides:
+        for s, w in zip(*np.polynomial.legendre.leggauss(k - 1), strict=True):
+            by_s = np.array([-0.5, 0.5] if k == 2 else [s - 0.5, s + 0.5, -2.0 * s])
+            length = np.linalg.norm(by_s @ mesh.nodes[nodes])
+            g = by_s @ (mesh.nodes + u)[nodes] / length
+            stretch = np.linalg.norm(g)
+            rate = g @ (by_s @ v[nodes]) / length / stretch
+            pull = law.respond(np.array([stretch]), np.array([rate])).tension[0]
+            force[nodes] -= w * pull * np.outer(by_s, g / stretch)
+    return force
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_force_is_that_of_plain_numpy_and_slopes_are_its_derivatives(kind, rng):
+    mesh = plate(kind, rng, (3, 2), bulge=0.4)
+    surface = Surface(law=SKIN, on=("right", "top"))
+    system = make_system(clamped(surface, mesh), 0.08)
+    u, v = rng.uniform(-0.5, 0.5, (2, system.n_rows, 2))
+    sides = np.concatenate([mesh.boundaries[name] for name in surface.on])
+    force = system.surface.at(0.0, 0.0, u, v)
+    np.testing.assert_allclose(force, twin_force(mesh, sides, SKIN, u, v), rtol=1e-12, atol=1e-11)
+    slopes = assert_slopes(system.surface, u, v)
+    assert abs(slopes[0] - slopes[0].T).max() > 0.1  # the rate's part is not symmetric
+    moved = system.surface.from_rest(u)
+    np.testing.assert_allclose(moved.at(0.0, 0.0, 0.0 * u, v), force, rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_a_law_of_zero_changes_no_bit(integrator):
+    settings = MacroSettings(integrator=integrator, frames=4)
+    bare, zero = (simulate(clamped(each), LAW, settings) for each in (None, Surface(law=Skin())))
+    assert np.array_equal(zero.curve.displacement, bare.curve.displacement)
+    for name in ("displacement", "velocity", "stress"):
+        assert np.array_equal(getattr(zero.frames, name), getattr(bare.frames, name)), name
+    scale = bare.energies["internal"].max()
+    for name, values in bare.energies.items():  # sums of one more column round otherwise
+        assert abs(zero.energies[name] - values).max() < 1e-13 * scale, name
+    assert zero.counts["steps"] == bare.counts["steps"]
+    assert not zero.energies["surface"].any()
+    assert not zero.rest.any()
+    assert zero.rest.size
+    assert not bare.rest.size
+
+
+def test_power_balance_and_what_the_surface_stores_and_dissipates():
+    problem = clamped(Surface(law=SKIN, on=("top", "right")), output_interval=0.05)
+    run = simulate(problem, LAW, TIGHT)
+    work, scale = run.energies["surface"], abs(run.energies["surface"]).max()
+    assert abs(run.energies["balance"]).max() < 1e-6 * scale
+    system = make_system(problem, LAW.density).from_rest(run.rest)
+    stored = []
+    for u in (run.frames.displacement[0], run.frames.displacement[-1]):
+        _, stretch, _ = system.surface._stretches(u, 0.0 * u)
+        stored.append(system.surface.weights.ravel() @ SKIN.energy(stretch))
+    dissipated = [run.energies[f"dissipated surface {name}"] for name in ("top", "right")]
+    assert min(each.min() for each in dissipated) >= 0.0
+    assert dissipated[0][-1] > 1e-3 * scale
+    gone = work[-1] + (stored[1] - stored[0]) + sum(each[-1] for each in dissipated)
+    assert abs(gone) < 1e-3 * sum(each[-1] for each in dissipated)  # samples are 0.1 µs apart
+
+
+def test_implicit_and_explicit_runs_agree():
+    problem = clamped(Surface(law=SKIN))
+    settings = replace(TIGHT, relative_tolerance=1e-4, absolute_tolerance=1e-6)
+    runs = [simulate(problem, LAW, replace(settings, integrator=each))
+            for each in ("explicit", "implicit")]  # fmt: skip
+    ends = [run.curve.displacement for run in runs]
+    assert abs(ends[0] - ends[1]).max() < 1e-3 * abs(ends[0]).max()
+
+
+def test_displacements_count_from_the_rest_under_surface_tension():
+    """Without load nothing moves, and the rest is that of a balance of all forces."""
+    problem = replace(clamped(Surface(law=SKIN)), conditions=(Fixed(on="left"),), duration=1.0)
+    run = simulate(problem, LAW, TIGHT)
+    assert run.rest[:, 0].min() < -0.1
+    assert abs(run.curve.displacement).max() < 1e-9
+    far = problem.mesh.nodes[:, 0] == WIDTH
+    spread = np.ptp(run.rest[far, 1])
+    assert spread > 0.1
+    rest = find_rest(problem, LAW, TIGHT, factor=0.0)
+    np.testing.assert_array_equal(rest.system.rest, run.rest)
+    assert abs(rest.u).max() < 1e-9
+
+
+def test_rest_under_load_and_its_resumption():
+    """With bodies, that are away while the tissue comes to rest and press it then."""
+    plate_above = RigidBody(
+        name="plate", shape=Plane(normal=(0.0, -1.0)), on="top", position=(0.0, HEIGHT),
+        displacement=(0.0, -0.5),
+    )  # fmt: skip
+    problem = replace(clamped(Surface(law=SKIN, on=("top", "right"))), bodies=(plate_above,))
+    reached = []
+    whole = find_rest(problem, LAW, TIGHT, load_steps=3, reached=reached.append)
+    again = find_rest(problem, LAW, TIGHT, load_steps=3, resume=reached[1].to_arrays())
+    np.testing.assert_array_equal(again.u, whole.u)
+    np.testing.assert_array_equal(again.system.rest, whole.system.rest)
+    bare = find_rest(replace(problem, bodies=()), LAW, TIGHT, factor=0.0)
+    np.testing.assert_array_equal(whole.system.rest[:-1], bare.system.rest)
+
+
+def test_a_run_goes_on_to_the_bit():
+    problem, states = clamped(Surface(law=SKIN)), []
+    whole = simulate(problem, LAW, checkpoint=states.append, checkpoint_interval=0.0)
+    middle = MacroState.from_arrays(states[len(states) // 2].to_arrays())
+    again = simulate(problem, LAW, resume=middle)
+    assert np.array_equal(again.curve.displacement, whole.curve.displacement)
+    for name, values in whole.energies.items():
+        assert np.array_equal(again.energies[name], values), name
+    assert np.array_equal(again.rest, whole.rest)
+    with pytest.raises(MismatchError, match=r"surface: not that of the checkpoint"):
+        simulate(replace(problem, surface=None), LAW, resume=middle)
+    other = replace(problem, surface=Surface(law=SKIN, on=("top",)))
+    with pytest.raises(MismatchError, match=r"surface: not that of the checkpoint"):
+        simulate(other, LAW, resume=middle)
+
+
+def test_a_rectangle_under_constant_tension_shrinks():
+    """Across any cut the bulk bears the two tensions: mean σ_xx = −2 T/H, and mean ε = S σ."""
+    law, tension = LinearFirstPiola(shear_modulus=60.0, lame=80.0), 1e-2
+    mesh = Mesh.rectangle(WIDTH, HEIGHT, (6, 5))
+    both = replace(clamped(Surface(law=Skin(a=tension), on=("top", "right"))), mesh=mesh)
+    rest = find_rest(replace(both, conditions=MIRRORS), law, factor=0.0)
+    s = np.array([-tension / HEIGHT, -tension / WIDTH])  # a quarter: one side across each cut
+    mean = (s - 80.0 / (2 * 60.0 + 2 * 80.0) * s.sum()) / (2 * 60.0)
+    u = rest.system.rest
+    for axis, (name, length) in enumerate((("right", WIDTH), ("top", HEIGHT))):
+        ends = u[mesh.boundaries[name], axis].mean()
+        assert ends / length == pytest.approx(mean[axis], rel=1e-4)
+
+
+def test_laplace_pressure_in_a_disc():
+    """Constant tension T on a disc of radius r makes a pressure T/r, its mean of fourth order."""
+    tension, off = 150.0, []
+    for n in (2, 4):
+        mesh, surface = disc(n), Surface(law=Skin(a=tension), on=("rim",))
+        problem = Problem(mesh=mesh, conditions=MIRRORS, surface=surface)
+        rest = find_rest(problem, LAW, TIGHT, factor=0.0)
+        moved = mesh.nodes + rest.system.rest
+        radius = np.linalg.norm(moved[np.unique(mesh.boundaries["rim"])], axis=1)
+        assert np.ptp(radius) < 0.02 / n**4 * RADIUS
+        assert radius.mean() < 0.95 * RADIUS
+        pressure = -0.5 * np.trace(rest.stress, axis1=1, axis2=2) * radius.mean() / tension
+        assert abs(pressure - 1.0).max() < 0.03 / n**2
+        weights = rest.system.discretisation.weights.ravel()
+        off.append(weights @ pressure / weights.sum() - 1.0)
+    assert off[0] < 3e-4
+    assert off[0] > 10.0 * off[1] > 0.0
+
+
+def test_newton_is_quadratic():
+    mesh = Mesh.rectangle(WIDTH, HEIGHT, (6, 4))
+    problem = clamped(Surface(law=replace(SKIN, a=200.0)), mesh)
+    loaded = find_rest(problem, LAW, TIGHT)
+    errors = [each for each in loaded.residuals if each < 0.1]
+    quadratic = [b < 30.0 * a**2 for a, b in pairwise(errors) if b > 1e-13]
+    assert quadratic
+    assert all(quadratic)
+    assert errors[-1] < 1e-12
+
+
+def test_modes_of_a_thin_strip():
+    """A bar of modulus E h + 2 b and mass ρ h + 2 m along its length, without Poisson's ratio."""
+    law, height, b, m = LinearFirstPiola(shear_modulus=50.0, lame=0.0), 2.0, 40.0, 0.03
+    mesh = Mesh.rectangle(60.0, height, (12, 1))
+    conditions = (Fixed(on="left", components="x"), Fixed(on="bottom", components="y"))
+    problem = Problem(mesh=mesh, conditions=conditions)
+    skin = Surface(law=Skin(b=b, mass=m, eta=3.0), on=("top", "bottom"))
+    bare, both = (
+        find_modes(find_rest(replace(problem, surface=each), law, factor=0.0), 1)
+        for each in (None, skin)
+    )
+    stiffer = 1.0 + 2.0 * b / (2.0 * 50.0 * height)
+    heavier = 1.0 + 2.0 * m / (law.density * height)
+    square = (abs(both.eigenvalues[0]) / abs(bare.eigenvalues[0])) ** 2
+    assert square == pytest.approx(stiffer / heavier, rel=1e-6)
+    # δ = ω² η/2E of Kelvin–Voigt: here η is 2 η_s/h and E the stiffened modulus.
+    assert -2.0 * both.eigenvalues[0].real / abs(both.eigenvalues[0]) ** 2 == pytest.approx(
+        2.0 * 3.0 / (2.0 * 50.0 * height * stiffer), rel=1e-6
+    )
+
+
+def test_mass_excess_bears_the_body_force():
+    """Of the whole tissue, and of a region its sides alone; an accelerated frame moves as one."""
+    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3)).with_regions(half=Box((0.0, 0.0), (15.0, HEIGHT)))
+    surface = Surface(law=Skin(mass=0.05), on=("top",))
+    weights = []
+    for region in (None, "half"):
+        pull = BodyForce(on=region, name="pull", acceleration=(1.0, 0.0))
+        system = make_system(Problem(mesh=mesh, conditions=(pull,), surface=surface), 0.08)
+        weights.append(system.forces[0].at(0.0, 0.0, *np.zeros((2, system.n_rows, 2)))[:, 0].sum())
+    whole = 0.08 * WIDTH * HEIGHT + 0.05 * WIDTH
+    np.testing.assert_allclose(weights, [whole, 0.5 * whole], rtol=1e-12)
+    assert system.mass.sum() == pytest.approx(whole)
+    thrown = Problem(
+        mesh=mesh, conditions=(pull := BodyForce(acceleration=(0.5, 0.0)),), surface=surface,
+        duration=2.0, output_interval=0.5,
+    )  # fmt: skip
+    assert pull.on is None
+    run = simulate(replace(thrown, conditions=(pull, Fixed(on="left", components="y"))), LAW)
+    np.testing.assert_allclose(run.curve.displacement[-1], [1.0, 0.0], atol=1e-6)
+
+
+def test_free_sides_are_those_without_a_condition():
+    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3))
+    body = RigidBody(name="body", shape=Plane(normal=(0, -1)), on="top", position=(0, HEIGHT))
+    found = free_sides(replace(clamped(Surface(law=SKIN), mesh), bodies=(body,)))
+    named = np.concatenate([mesh.boundaries["bottom"], mesh.boundaries["right"]])
+    assert {*map(tuple, found.nodes)} == {*map(tuple, named)}
+    assert found.names == ("free",)
+    assert not found.oblique.any()
+    for side, element in zip(found.nodes, found.elements, strict=True):
+        assert np.isin(side, mesh.elements[element]).all()
+    twice = free_sides(clamped(Surface(law=SKIN, on=("top", "right", "top")), mesh))
+    assert len(twice.nodes) == 7
+
+
+def test_each_side_takes_the_law_of_its_element():
+    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3)).with_regions(
+        near=Box((0.0, 0.0), (15.0, HEIGHT)), far=Box((15.0, 0.0), (WIDTH, HEIGHT))
+    )
+    laws = {"far": Skin(a=5.0), "near": SKIN}
+    problem = clamped(Surface(law=laws, on=("top",)), mesh)
+    system = make_system(problem, 0.08)
+    u, v = np.random.default_rng(3).uniform(-0.3, 0.3, (2, system.n_rows, 2))
+    top = mesh.boundaries["top"]
+    near = (mesh.nodes[top, 0] <= 15.0).all(axis=1)
+    expected = twin_force(mesh, top[near], SKIN, u, v) + twin_force(
+        mesh, top[~near], laws["far"], u, v
+    )
+    np.testing.assert_allclose(system.surface.at(0, 0, u, v), expected, rtol=1e-12, atol=1e-12)
+    assert_slopes(system.surface, u, v)
+    regions = {"a": mesh.regions["near"], "b": mesh.regions["far"]}
+    named = Surface(law={"a": SKIN, "b": laws["far"]}, on=("top",), regions=regions)
+    same = make_system(replace(problem, surface=named), 0.08)
+    np.testing.assert_allclose(same.surface.at(0, 0, u, v), expected, rtol=1e-12, atol=1e-12)
+    with pytest.raises(InputError, match=r"surface.law: the element at \(18.75, .* in 0 of near"):
+        make_system(replace(problem, surface=Surface(law={"near": SKIN}, on=("top",))), 0.08)
+
+
+def test_oblique_sides_say_by_how_much():
+    mesh = disc(2)
+    sides = free_sides(Problem(mesh=mesh, conditions=(), surface=Surface(law=SKIN, on=("rim",))))
+    assert sides.oblique.max() == pytest.approx(35.78, abs=0.01)
+
+
+def test_wrong_surfaces_are_refused():
+    with pytest.raises(InputError, match=r"surface.on: tpo; no such boundary; did you mean top"):
+        simulate(clamped(Surface(law=SKIN, on=("tpo",))), LAW)
+    with pytest.raises(InputError, match=r"surface.on: 'top'; it must be names of boundaries, or"):
+        Surface(law=SKIN, on="top")
+    with pytest.raises(InputError, match=r"problem.surface: .*; it must be a Surface"):
+        clamped(SKIN)
+    held = tuple(Fixed(on=name, components="x") for name in ("left", "right", "top", "bottom"))
+    with pytest.raises(InputError, match=r"surface.on: free; every outer side has a condition"):
+        simulate(replace(clamped(Surface(law=SKIN)), conditions=held), LAW)
+
+
+def test_where_the_law_has_no_answer_the_run_says_so():
+    problem = clamped(Surface(law=replace(SKIN, a=0.0, largest=1.001)))
+    fast = InitialVelocity(velocity=(4.0, 0.0))
+    thrown = replace(problem, conditions=(*problem.conditions, fast))
+    with pytest.raises(
+        SimulationError, match=r"free side at .* stretch 1.00\d+, rate .* no answer"
+    ):
+        simulate(thrown, LAW)
+    pulled = replace(problem, surface=Surface(law=replace(SKIN, a=-900.0, largest=1.001)))
+    with pytest.raises(SimulationError, match=r"no rest under the surface tension: .* before the"):
+        simulate(pulled, LAW)
+
+
+class Rim:
+    """All points as far from the origin as the radius."""
+
+    def holds(self, points):
+        return np.linalg.norm(points, axis=1) > RADIUS * (1.0 - 1e-9)
+
+
+def disc(n):
+    """A quarter of a disc, n curved triangles along each straight side; x = 0 and y = 0 named."""
+    x = np.linspace(0.0, 1.0, n + 1)
+    grid = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def mapped(points):
+        length = np.linalg.norm(points, axis=1)
+        factor = RADIUS * points.max(axis=1) / np.where(length > 0.0, length, 1.0)
+        return points * factor[:, None]
+
+    k = np.arange(len(grid)).reshape(n + 1, n + 1)
+    a, b, c, d = k[:-1, :-1].ravel(), k[1:, :-1].ravel(), k[1:, 1:].ravel(), k[:-1, 1:].ravel()
+    corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    square, elements = with_middles(grid, corners)
+    straight, _ = with_middles(mapped(grid), corners)
+    nodes = np.where((square.max(axis=1) == 1.0)[:, None], mapped(square), straight)
+    return Mesh(nodes, elements).with_boundaries(
+        rim=Rim(), left=Box((0.0, 0.0), (0.0, RADIUS)), bottom=Box((0.0, 0.0), (RADIUS, 0.0))
+    )
