@@ -169,6 +169,14 @@ Audit = Annotated[
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
 ]
+Workers = Annotated[
+    int,
+    typer.Option(min=0, metavar="N", help="Processes that sample; default: this one alone."),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers sample, tcp://HOST:PORT."),
+]
 Fresh = Annotated[
     bool, typer.Option("--fresh", help="Start over; default: keep what is there and go on.")
 ]

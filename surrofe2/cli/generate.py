@@ -8,12 +8,15 @@ from surrofe2.cli import console
 from surrofe2.workflow.generate import data_summary, generate_data_set
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run_lifecycle import time_text
+from surrofe2.workflow.workers import executor_of
 
 
 def generate(
     recipe: console.RecipeFile,
     cell: console.OneCell = None,
     fresh: console.Fresh = False,
+    workers: console.Workers = 0,
+    scheduler: console.Scheduler = None,
     threads: console.Threads = None,
 ) -> None:
     """Compute plant-cell stresses over a range of (F, Ḟ) into a data set.
@@ -25,13 +28,17 @@ def generate(
 
     Example: [bold]surrofe2 generate data/bending-bar.toml[/bold]
 
+    Several processes or a cluster ([bold]--workers[/bold], [bold]--scheduler[/bold]) give the same
+    samples, to the bit where their processors are of one kind.
+
     Next: [bold]surrofe2 train data/bending-bar.toml[/bold]
     """
     study = open_study(recipe, threads)
-    for name, part in study.parts(cell).items():
-        begin, kept = time.perf_counter(), "the samples so far are kept"
-        what = f"generate {name}".rstrip()
-        with console.working(what, part.samples.count, "samples", kept) as report:
-            made = generate_data_set(part, fresh=fresh, report=report)
-        taken = time_text(time.perf_counter() - begin)
-        console.print_line(f"{made.path}: {data_summary(made)}, {taken}")
+    with executor_of(workers, scheduler) as executor:
+        for name, part in study.parts(cell).items():
+            begin, kept = time.perf_counter(), "the samples so far are kept"
+            what = f"generate {name}".rstrip()
+            with console.working(what, part.samples.count, "samples", kept) as report:
+                made = generate_data_set(part, fresh=fresh, executor=executor, report=report)
+            taken = time_text(time.perf_counter() - begin)
+            console.print_line(f"{made.path}: {data_summary(made)}, {taken}")

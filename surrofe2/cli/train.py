@@ -19,6 +19,7 @@ from surrofe2.workflow.rounds import QUANTITIES, SURROGATE, Round
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.run_outputs import of_cell
 from surrofe2.workflow.train import STRESSES, train_surrogate, training_summary
+from surrofe2.workflow.workers import executor_of
 
 
 def train(
@@ -83,6 +84,8 @@ def refine(
     cell: console.OneCell = None,
     rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds at most.")] = 6,
     fresh: console.Fresh = False,
+    workers: console.Workers = 0,
+    scheduler: console.Scheduler = None,
     threads: console.Threads = None,
 ) -> None:
     """Teach the surrogate what the recipe's own run meets.
@@ -106,13 +109,15 @@ def refine(
         console.print_line(row.sentence)
 
     try:
-        with console.on_interrupt(f"{folder} keeps the finished rounds"):
+        kept = console.on_interrupt(f"{folder} keeps the finished rounds")
+        with kept, executor_of(workers, scheduler) as executor:
             refine_surrogate(
                 study,
                 folder,
                 cell=cell,
                 rounds=rounds,
                 fresh=fresh,
+                executor=executor,
                 stage=console.progress,
                 tell=tell,
             )

@@ -83,6 +83,10 @@ class RveLaw:
         self.unit_cell = make_unit_cell(cell, reference)
         self._name = f"{cell.fingerprint} {self.settings.initialisation} {self.settings.solver}"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What another process makes the same law of; the reference is not settled again."""
+        return _same_law, (self.cell, self.settings, self.reference)
+
     @property
     def reference(self) -> ReferenceState:
         """The settled reference state, to be kept and handed to another law of this cell."""
@@ -232,3 +236,7 @@ class RveLaw:
             if covered_by(self.unit_cell, level, state.F, state.z).all():
                 return topology
         return topology
+
+
+def _same_law(cell: CellParameters, settings: RveSettings, reference: ReferenceState) -> RveLaw:
+    return RveLaw(cell, settings, reference=reference)

@@ -10,6 +10,7 @@ In reading order:
     run            a bar by a stress law
     tissue         the full microscopic tissue
     rest           the bar at rest under its load, and its small oscillations
+    workers        pieces of work by several processes or a cluster
     generate       a data set of true stresses
     train          a surrogate from it and from true answers of runs
     calibrate      the bound of its error

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import builtins
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.io.data_sets import DataSetHeader, writing_data_set
@@ -18,6 +22,9 @@ from surrofe2.stress_law import StressLaw, StressResponse, describe
 from surrofe2.stress_samples import StressSamples
 from surrofe2.workflow import laws
 from surrofe2.workflow.run_lifecycle import Report, untold
+from surrofe2.workflow.workers import in_pieces
+
+Array = NDArray[np.float64]
 
 CHUNK = 512
 
@@ -45,15 +52,17 @@ def generate_data_set(
     *,
     fresh: bool = False,
     chunk: int = CHUNK,
+    executor: Any = None,
     report: Report = untold,
 ) -> Generated:
     """Sample the recipe's range, ask the RVE, and write the recipe's data set.
 
-    Samples are asked in chunks of fixed bounds and without warm start, so a continued data set
-    equals one made in one go, to the bit.
+    Samples are asked without warm start and answered each for itself, so a data set that was
+    continued, or made by several processes, equals one made in one go, to the bit.
 
     Args:
-        law: asked instead of the recipe's RVE.
+        law: asked instead of the recipe's RVE; an executor must be able to send it.
+        executor: does the work, see `surrofe2.workflow.workers`; None: this process.
         report: is told the number of samples done.
 
     Raises:
@@ -79,11 +88,9 @@ def generate_data_set(
         added = settings.count - data.completed
         failures = sum(n for code, n in data.status_counts().items() if code)
         report(data.completed, f"{failures} failed")
-        while data.completed < settings.count:
-            start = data.completed
-            rows = min(chunk, settings.count - start)
-            F, F_dot = sample(wanted, rows, settings.seed, start=start)
-            answer = law.respond(F, F_dot, tangents=settings.tangents)
+        work = partial(_sampled, law, wanted, settings.seed, settings.tangents)
+        items = range(data.completed, settings.count)
+        for _, _, (F, F_dot, answer) in in_pieces(work, items, chunk, executor):
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
@@ -93,6 +100,15 @@ def generate_data_set(
     return Generated(path, settings.count, added, failed, left)
 
 
+def _sampled(
+    law: StressLaw, wanted: SamplingRange, seed: int, tangents: bool, first: int, count: int
+) -> tuple[Array, Array, StressResponse]:
+    """Points `first` to `first + count` of a sequence, F and Ḟ, and the answers there."""
+    F, F_dot = sample(wanted, count, seed, start=first)
+    answer = law.respond(F, F_dot, tangents=tangents)
+    return F, F_dot, replace(answer, state=None)  # a warm start takes 20 kB a sample
+
+
 def sample_stress(
     law: RveLaw,
     range: SamplingRange,
@@ -100,12 +116,14 @@ def sample_stress(
     *,
     seed: int = 1,
     tangents: bool = True,
+    executor: Any = None,
     report: Report = untold,
 ) -> StressSamples:
     """Samples of the stress of an RVE over a range, for `train`; the numbers of `generate`.
 
     Args:
         tangents: whether ∂P/∂F and ∂P/∂Ḟ are sampled too, from which training learns more.
+        executor: does the work, see `surrofe2.workflow.workers`; None: this process.
         report: is told the number of samples done.
 
     Raises:
@@ -113,25 +131,24 @@ def sample_stress(
     """
     if count < 1:
         raise InputError(f"count: {count}; it must be at least 1")
-    F, F_dot = sample(range, count, seed)
-    parts: list[StressResponse] = []
-    for start in np.arange(0, count, CHUNK).tolist():
-        rows = slice(start, start + CHUNK)
-        answer = law.respond(F[rows], F_dot[rows], tangents=tangents)
-        parts.append(replace(answer, state=None))  # a warm start takes 20 kB a sample
-        report(min(start + CHUNK, count), "")
-    slopes = [answer.tangents for answer in parts if answer.tangents is not None]
+    parts: list[tuple[Array, Array, StressResponse]] = []
+    work = partial(_sampled, law, range, seed, tangents)
+    for first, done, part in in_pieces(work, builtins.range(count), CHUNK, executor):
+        parts.append(part)
+        report(first + done, "")
+    answers = [answer for _, _, answer in parts]
+    slopes = [answer.tangents for answer in answers if answer.tangents is not None]
     left = [
         np.zeros(len(answer.status), np.bool_)
         if answer.left_bifurcation is None
         else answer.left_bifurcation
-        for answer in parts
+        for answer in answers
     ]
     return StressSamples(
-        F=F,
-        F_dot=F_dot,
-        stress=np.concatenate([answer.stress for answer in parts]),
-        status=np.concatenate([answer.status for answer in parts]),
+        F=np.concatenate([F for F, _, _ in parts]),
+        F_dot=np.concatenate([F_dot for _, F_dot, _ in parts]),
+        stress=np.concatenate([answer.stress for answer in answers]),
+        status=np.concatenate([answer.status for answer in answers]),
         cell=law.cell,
         initialisation=law.initialisation,
         range=range,

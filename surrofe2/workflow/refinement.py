@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,7 @@ from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
+from surrofe2.stress_law import StressLaw, StressResponse
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
 from surrofe2.tensors import stress_error
@@ -37,6 +40,7 @@ from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
 from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
+from surrofe2.workflow.workers import in_pieces
 
 Array = NDArray[np.float64]
 
@@ -55,6 +59,7 @@ def refine_surrogate(
     cell: str | None = None,
     rounds: int = 6,
     fresh: bool = False,
+    executor: Any = None,
     stage: Stage = silent,
     tell: Callable[[Round], None] = lambda row: None,
 ) -> list[Round]:
@@ -68,6 +73,7 @@ def refine_surrogate(
     Args:
         cell: the only one of several that is refined; None: all, each until it is settled.
         rounds: how many at most.
+        executor: samples, see `surrofe2.workflow.workers`; None: this process.
         tell: called with the rows of each finished round.
 
     Raises:
@@ -79,7 +85,7 @@ def refine_surrogate(
         for k in range(rounds):
             rows = [row for row in done if row.round == k]
             if not rows:
-                rows = _round(recipe, parts, out, k, stage)
+                rows = _round(recipe, parts, out, k, stage, executor)
                 done += rows
                 write_rounds(recipe, parts, out, done)
             for row in rows:
@@ -97,19 +103,19 @@ def refine_surrogate(
 
 
 def _round(
-    recipe: Recipe, parts: Mapping[str, Recipe], out: Path, k: int, stage: Stage
+    recipe: Recipe, parts: Mapping[str, Recipe], out: Path, k: int, stage: Stage, executor: Any
 ) -> list[Round]:
     """One round, a row for each cell; what it has finished before an interruption is kept."""
     begin = time.perf_counter()
     folder = out / f"round-{k}"
     make_folder(folder)
-    learnt = {name: _surrogate(part, out, k, stage) for name, part in parts.items()}
+    learnt = {name: _surrogate(part, out, k, stage, executor) for name, part in parts.items()}
     files = {name: folder / of_cell(SURROGATE, name) for name in parts}
     with stage(f"round {k}: run", recipe.duration, "µs") as report:
         record = run_study(recipe, "cached", folder / "run", surrogates=files, report=report)
     caches = caches_of(record.cache)
     return [
-        _row(part, folder, k, learnt[name], caches[name]["accepted"], begin, stage)
+        _row(part, folder, k, learnt[name], caches[name]["accepted"], begin, stage, executor)
         for name, part in parts.items()
     ]
 
@@ -122,6 +128,7 @@ def _row(
     counts: Mapping[str, int],
     begin: float,
     stage: Stage,
+    executor: Any,
 ) -> Round:
     """What the run of a round met that its surrogate did not know, and the samples of that."""
     (surrogate, samples), name = learnt, recipe.cell_name or ""
@@ -136,7 +143,8 @@ def _row(
         seed = recipe.samples.seed + k + 1
         asked = _new_states(recipe, states, wider, wider != surrogate.range, seed)
         with stage(f"round {k}: sample {name}".rstrip(), 1.0, "of the samples") as report:
-            added = _write_samples(folder / of_cell(_NEW, name), recipe, harvest, asked, report)
+            path = folder / of_cell(_NEW, name)
+            added = _write_samples(path, recipe, harvest, asked, executor, report)
         write_json(folder / of_cell(_STARTED, name), {"range": wider})
     return Round(
         round=k,
@@ -154,7 +162,7 @@ def _row(
 
 
 def _surrogate(
-    recipe: Recipe, out: Path, k: int, stage: Stage
+    recipe: Recipe, out: Path, k: int, stage: Stage, executor: Any
 ) -> tuple[SurrogateLaw, StressSamples]:
     """The surrogate of a cell that round k runs on, in its folder, and the samples behind it."""
     name = recipe.cell_name or ""
@@ -162,7 +170,7 @@ def _surrogate(
     path = out / f"round-{k}" / file
     if k == 0:  # the recipe's, made where it is not there
         with stage(f"generate {name}".strip(), recipe.samples.count, "samples") as report:
-            generate_data_set(recipe, report=report)
+            generate_data_set(recipe, executor=executor, report=report)
         trained = recipe.training_path()
         is_whole = trained.exists() and not file_lock(trained).exists()
         if not (is_whole and read_surrogate(trained).is_calibrated):
@@ -247,6 +255,7 @@ def _write_samples(
     recipe: Recipe,
     harvest: Harvest,
     asked: list[tuple[Array, Array, int]],
+    executor: Any,
     report: Report,
 ) -> int:
     """Write the harvest and the true answers at further states, whole or not at all; how many.
@@ -259,12 +268,18 @@ def _write_samples(
     writer = HarvestWriter(path, origin_of(recipe))
     writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
     for F, F_dot, why in asked:
-        for first in range(0, len(F), CHUNK):
-            rows = slice(first, first + CHUNK)
-            answer = law.respond(F[rows], F_dot[rows])
-            reasons = np.full(len(answer.status), why, dtype=np.int8)
+        work = partial(_true_answers, law, F, F_dot)
+        for first, count, answer in in_pieces(work, range(len(F)), CHUNK, executor):
+            rows = slice(first, first + count)
+            reasons = np.full(count, why, dtype=np.int8)
             writer(F[rows], F_dot[rows], answer.stress, answer.status, reasons)
-            done += len(answer.status)
+            done += count
             report(done / total, f"{done} of {total} new samples")
     writer.flush()
     return len(harvest.F) + done
+
+
+def _true_answers(law: StressLaw, F: Array, F_dot: Array, first: int, count: int) -> StressResponse:
+    """The answers at points `first` to `first + count`."""
+    rows = slice(first, first + count)
+    return replace(law.respond(F[rows], F_dot[rows]), state=None)

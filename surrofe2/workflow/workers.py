@@ -1,0 +1,211 @@
+"""Pieces of work by this process, by several, or by whatever executor a user brings.
+
+A piece is a pure function of where it begins and how much it takes, so a piece whose worker is
+lost is done again, and results do not depend on who did what. Executors are those of
+`concurrent.futures`, as also mpi4py.futures, executorlib, Parsl and dask.distributed offer them.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing import get_context, parent_process
+from threading import Thread
+from typing import Any
+
+import numba
+
+from surrofe2.errors import InputError, SimulationError
+
+log = logging.getLogger(__name__)
+
+PIECE = 1.0
+"""Least seconds of work of a piece that is sent to a worker."""
+AHEAD = 2
+"""Pieces for each worker that are sent before the first of them is back."""
+MANY = 128
+"""Pieces on their way to an executor that does not say how many workers it has."""
+ATTEMPTS = 4
+"""How often a piece is sent before its workers are taken to be lost for a reason of its own."""
+
+Work = Callable[[int, int], Any]
+"""Result of the items `first` to `first + count`; it and its result can be sent to a process."""
+
+
+@dataclass(slots=True)
+class Processes:
+    """An executor of `workers` processes of this machine that replaces those it loses.
+
+    It is a `concurrent.futures.Executor` but for the class, since its pool may change. Kernels of
+    a worker take an equal share of this process's threads.
+    """
+
+    workers: int
+    _pool: ProcessPoolExecutor | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise InputError(f"workers: {self.workers}; it must be at least 1")
+
+    def submit(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Have `work(*arguments)` done by one of the processes."""
+        try:
+            return self._open().submit(work, *arguments)
+        except BrokenExecutor:  # a process was lost since the last piece was sent
+            self._pool = None
+            return self._open().submit(work, *arguments)
+
+    def close(self) -> None:
+        """End all processes at once, whatever they do."""
+        if self._pool is None:
+            return
+        processes = list((self._pool._processes or {}).values())
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.join()
+        self._pool = None
+
+    def _open(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            threads = max(1, numba.get_num_threads() // self.workers)
+            self._pool = ProcessPoolExecutor(
+                self.workers,
+                mp_context=get_context("spawn"),  # a forked process has none of the threads
+                initializer=_begin,
+                initargs=(threads,),
+            )
+        return self._pool
+
+
+def _begin(threads: int) -> None:
+    """The first that a process does: interrupts are for its parent, with which it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+
+
+@contextmanager
+def executor_of(workers: int = 0, scheduler: str | None = None) -> Iterator[Any]:
+    """The executor that a command asks for: processes, a Dask cluster, or None.
+
+    Args:
+        workers: number of processes; 0: none.
+        scheduler: address of a scheduler of dask.distributed, such as tcp://host:8786.
+
+    Raises:
+        InputError: both are given, dask.distributed is not installed, or no one answers.
+    """
+    if workers and scheduler:
+        raise InputError(f"--workers: {workers}; with --scheduler the cluster has the workers")
+    if workers:
+        processes = Processes(workers)
+        try:
+            yield processes
+        finally:
+            processes.close()
+    elif scheduler:
+        with _cluster(scheduler) as executor:
+            yield executor
+    else:
+        yield None
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            "--scheduler: dask.distributed is not installed; pip install 'surrofe2[cluster]'"
+        ) from None
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"--scheduler: {address}; no scheduler answers there: {error}") from None
+    with client:
+        if not client.ncores():
+            raise InputError(f"--scheduler: {address}; the scheduler has no workers")
+        with client.get_executor() as executor:
+            yield executor
+
+
+@dataclass(slots=True)
+class _Sent:
+    """A piece on its way."""
+
+    first: int
+    count: int
+    future: Future[Any]
+    attempt: int = 1
+
+
+def in_pieces(
+    work: Work, items: range, unit: int, executor: Any = None
+) -> Iterator[tuple[int, int, Any]]:
+    """(first, count, result) of pieces of `items`, in their order.
+
+    Pieces are of whole `unit`s but the last. Without an executor each is a unit and is done here.
+    With one, the first two units are done here as well: they load the kernels and say how many
+    units take a second.
+
+    Args:
+        executor: has `submit(work, *arguments)` that gives a future.
+
+    Raises:
+        SimulationError: a piece lost its worker several times.
+    """
+    at, seconds = items.start, 0.0
+    while at < items.stop and (executor is None or at < items.start + 2 * unit):
+        count, begin = min(unit, items.stop - at), time.perf_counter()
+        result = work(at, count)
+        seconds = time.perf_counter() - begin
+        yield at, count, result
+        at += count
+    if at >= items.stop:
+        return
+    size = unit * max(1, round(PIECE / max(seconds, 1e-6)))
+    firsts = iter(range(at, items.stop, size))
+    sent: deque[_Sent] = deque()
+    most = AHEAD * executor.workers if isinstance(executor, Processes) else MANY
+    while True:
+        while len(sent) < most and (first := next(firsts, None)) is not None:
+            count = min(size, items.stop - first)
+            sent.append(_Sent(first, count, executor.submit(work, first, count)))
+        if not sent:
+            return
+        try:
+            result = sent[0].future.result()
+        except BrokenExecutor as error:
+            _send_again(sent, work, executor, error)
+            continue
+        done = sent.popleft()
+        yield done.first, done.count, result
+
+
+def _send_again(sent: deque[_Sent], work: Work, executor: Any, error: BrokenExecutor) -> None:
+    """Send the pieces again that were lost with a worker."""
+    log.warning("a worker was lost; what it had is done again")
+    for piece in sent:
+        lost = piece.future.cancelled() or (
+            piece.future.done() and isinstance(piece.future.exception(), BrokenExecutor)
+        )
+        if not lost:
+            continue
+        if piece.attempt == ATTEMPTS:
+            raise SimulationError(
+                f"items {piece.first} to {piece.first + piece.count}: their worker was lost "
+                f"{ATTEMPTS} times ({error}); is there enough memory for each of the workers?"
+            ) from None
+        piece.future = executor.submit(work, piece.first, piece.count)
+        piece.attempt += 1

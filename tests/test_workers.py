@@ -1,0 +1,153 @@
+"""Work that several processes do is what one process does, also where some of them are lost."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from surrofe2 import RveLaw, load_recipe, sample_stress
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.io.data_sets import read_data_set
+from surrofe2.workflow import workers
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.workers import ATTEMPTS, Processes, executor_of, in_pieces
+from tests.conftest import RECIPE
+from tests.some_work import squares, squares_or_death
+
+ALL = range(5, 61)
+
+
+@pytest.fixture(autouse=True)
+def _short_pieces(monkeypatch):
+    monkeypatch.setattr(workers, "PIECE", 1e-9)
+
+
+def joined(work, executor=None, unit=3):
+    pieces = list(in_pieces(work, ALL, unit, executor))
+    assert [first for first, _, _ in pieces] == [*range(5, 61, unit)]
+    return [number for _, _, result in pieces for number in result]
+
+
+def test_without_an_executor_and_by_any_of_concurrent_futures():
+    assert joined(squares) == [k * k for k in ALL]
+    with ThreadPoolExecutor(3) as executor:
+        assert joined(squares, executor) == joined(squares)
+
+
+def test_pieces_take_about_a_second(monkeypatch):
+    monkeypatch.setattr(workers, "PIECE", 0.05)
+
+    def slow(first, count):
+        time.sleep(0.01)
+        return squares(first, count)
+
+    with ThreadPoolExecutor(2) as executor:
+        counts = [count for _, count, _ in in_pieces(slow, range(100), 2, executor)]
+    assert counts[:2] == [2, 2]
+    assert counts[2] % 2 == 0
+    assert 6 <= counts[2] <= 10
+    assert sum(counts) == 100
+
+
+def test_what_a_lost_process_had_is_done_again(tmp_path):
+    with executor_of(2) as executor:
+        assert joined(partial(squares_or_death, str(tmp_path), 2), executor) == joined(squares)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_work_that_kills_every_process_ends_with_a_sentence(tmp_path):
+    with executor_of(1) as executor, pytest.raises(SimulationError, match="their worker was lost"):
+        joined(partial(squares_or_death, str(tmp_path), 99), executor)
+    assert len(list(tmp_path.iterdir())) == ATTEMPTS
+
+
+def test_processes_end_with_what_started_them(tmp_path):
+    """Also where that is killed and can tell them nothing."""
+    code = (
+        "import time; from surrofe2.workflow.workers import Processes; import os\n"
+        "if __name__ == '__main__':\n"
+        "    pool = Processes(2); print(pool.submit(os.getpid).result(), flush=True)\n"
+        "    time.sleep(60)"
+    )
+    (tmp_path / "starts.py").write_text(code, encoding="utf-8")
+    command = [sys.executable, str(tmp_path / "starts.py")]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=quiet, text=True) as process:
+        worker = int(process.stdout.readline())
+        process.send_signal(signal.SIGKILL)
+    for _ in range(100):
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    pytest.fail("a process is left behind")
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    text = RECIPE.replace("count = 40", "count = 300")
+    assert "count = 300" in text
+    (tmp_path / "recipe.toml").write_text(text, encoding="utf-8")
+    return load_recipe(tmp_path / "recipe.toml")
+
+
+def test_a_data_set_is_the_same_from_one_process_and_from_several(recipe):
+    alone = replace(recipe, samples=replace(recipe.samples, file="alone.h5"))
+    generate_data_set(alone, chunk=64)
+    with executor_of(2) as executor:
+        made = generate_data_set(recipe, chunk=64, executor=executor)
+        law = RveLaw(recipe.cell, recipe.rve)
+        by_two = sample_stress(law, recipe.range, 1200, executor=executor, tangents=False)
+    assert made.count == 300
+    assert read_data_set(made.path).fingerprint == read_data_set(alone.data_path()).fingerprint
+    assert by_two.fingerprint == sample_stress(law, recipe.range, 1200, tangents=False).fingerprint
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ((2, "tcp://127.0.0.1:8786"), "--workers: 2; with --scheduler the cluster"),
+        ((0, "nonsense://127.0.0.1:1"), "--scheduler: nonsense://127.0.0.1:1; no scheduler"),
+    ],
+)
+def test_wrong_executors(arguments, sentence):
+    with pytest.raises(InputError, match=re.escape(sentence)), executor_of(*arguments):
+        pass
+
+
+def test_no_workers():
+    with pytest.raises(InputError, match="workers: 0; it must be at least 1"):
+        Processes(0)
+
+
+def test_a_cluster_of_dask_that_loses_a_worker(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
+        executor_of(0, cluster.scheduler_address) as executor,
+    ):
+        assert joined(partial(squares_or_death, str(tmp_path), 1), executor) == joined(squares)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_laws_can_be_sent_to_a_process(recipe):
+    import pickle
+
+    law = RveLaw(recipe.cell, recipe.rve)
+    again = pickle.loads(pickle.dumps(law))
+    F, F_dot = np.eye(2)[None] + 0.01, np.full((1, 2, 2), 1e-3)
+    assert np.array_equal(again.respond(F, F_dot).stress, law.respond(F, F_dot).stress)
+    assert again.reference is not law.reference
