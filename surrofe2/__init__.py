@@ -45,13 +45,13 @@ if TYPE_CHECKING:
     from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
     from surrofe2.macro.problem import Problem
     from surrofe2.macro.quasi_static import find_rest
-    from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody
     from surrofe2.macro.settings import MacroSettings
     from surrofe2.macro.simulation import MacroRun, simulate
     from surrofe2.plant_cell.parameters import CellParameters
     from surrofe2.problem_sections import load_mesh
     from surrofe2.recipe import load_recipe
     from surrofe2.regional_law import RegionalLaw
+    from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody
     from surrofe2.rve.rve_law import RveLaw
     from surrofe2.rve.settings import RveSettings
     from surrofe2.sampling import SamplingRange, sample

@@ -10,7 +10,7 @@ from surrofe2.amplitude import KINDS, Amplitude, Constant
 from surrofe2.errors import InputError, quoted
 from surrofe2.macro.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
 from surrofe2.macro.mesh import Box, Disc, HalfPlane, Part
-from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
+from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.settings import check_value, from_table, unknown
 from surrofe2.units import LENGTH
 

@@ -22,7 +22,6 @@ from surrofe2.macro.conditions import BodyForce, Condition, Foundation, Pressure
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.mesh import Mesh, Part
 from surrofe2.macro.problem import Problem, label
-from surrofe2.macro.rigid_bodies import RigidBody
 from surrofe2.problem_entries import (
     Point,
     body_of,
@@ -31,6 +30,7 @@ from surrofe2.problem_entries import (
     entries_of_part,
     parts_of,
 )
+from surrofe2.rigid_bodies import RigidBody
 from surrofe2.settings import check_settings, check_value, from_table, setting
 from surrofe2.units import LENGTH, TIME
 

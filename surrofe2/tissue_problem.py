@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cell_types import REST
 from surrofe2.errors import InputError
+from surrofe2.macro import conditions as stated_as
 from surrofe2.macro.conditions import (
     BodyForce,
     Condition,
@@ -20,12 +21,12 @@ from surrofe2.macro.conditions import (
 )
 from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.problem import label
-from surrofe2.macro.rigid_bodies import Circle, Plane, RigidBody
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import Recipe
 from surrofe2.tissue.problem import (
-    Body,
+    Foundation,
     Load,
+    Pressure,
     Support,
     TissueProblem,
     as_problem,
@@ -34,7 +35,7 @@ from surrofe2.tissue.problem import (
 )
 from surrofe2.tissue.simulation import cells_that_fill
 
-_TAKEN = (Fixed, Symmetry, PrescribedMotion, Traction, BodyForce, InitialVelocity)
+_LOADS = (BodyForce, Traction, stated_as.Pressure, stated_as.Foundation)
 _SUPPORTS = (Fixed, Symmetry, PrescribedMotion)
 
 
@@ -61,8 +62,6 @@ def problem_of_tissue(recipe: Recipe) -> TissueProblem:
                 "mesh.height"
             )
         boundaries = {**outline(width, height), **stated.boundaries}
-        for condition in stated.conditions:
-            _check(condition, boundaries)
         found = TissueProblem(
             width=width,
             height=height,
@@ -73,10 +72,8 @@ def problem_of_tissue(recipe: Recipe) -> TissueProblem:
                 for each in stated.conditions
                 if isinstance(each, _SUPPORTS)
             ),
-            loads=tuple(
-                _load(each) for each in stated.conditions if isinstance(each, (BodyForce, Traction))
-            ),
-            bodies=tuple(_body(each) for each in stated.bodies),
+            loads=tuple(_load(each) for each in stated.conditions if isinstance(each, _LOADS)),
+            bodies=stated.bodies,
             velocities=tuple(
                 (each.on, each.velocity)
                 for each in stated.conditions
@@ -90,15 +87,6 @@ def problem_of_tissue(recipe: Recipe) -> TissueProblem:
         return replace(found, kind=_kinds(recipe, counts) if recipe.types else None)
     except InputError as error:
         raise InputError(f"{recipe.path.name}: {error}") from None
-
-
-def _check(condition: Condition, boundaries: object) -> None:
-    where = f"conditions.{label(condition)}"
-    if not isinstance(condition, _TAKEN):
-        kinds = ", ".join(each.kind() for each in _TAKEN)
-        raise InputError(f"{where}.kind: {condition.kind()}; a full tissue takes {kinds}")
-    if isinstance(condition, _SUPPORTS) and condition.on not in boundaries:  # type: ignore[operator]
-        raise InputError(f"{where}.on: {condition.on}; a full tissue is held at boundaries only")
 
 
 def _support(condition: Condition, mesh: Mesh) -> Support:
@@ -123,41 +111,19 @@ def _support(condition: Condition, mesh: Mesh) -> Support:
     return Support(name=name, on=on, components=(across, not across))
 
 
-def _load(condition: BodyForce | Traction) -> Load:
-    name, on, amplitude = label(condition), condition.on, condition.amplitude
-    if isinstance(condition, Traction):
-        return Load(name=name, on=on, traction=condition.traction, amplitude=amplitude)
-    return Load(name=name, on=on, acceleration=condition.acceleration, amplitude=amplitude)
-
-
-def _body(body: RigidBody) -> Body:
-    where = f"bodies.{body.name}"
-    for name, value in (("friction", body.friction), ("damping", body.damping)):
-        if value:
-            raise InputError(
-                f"{where}.{name}: {value:g}; a full tissue touches without: leave it out"
-            )
-    match body.shape:
-        case Plane():
-            normal, radius = body.shape.normal, 0.0
-        case Circle():
-            normal, radius = (0.0, 0.0), body.shape.radius
-        case _:
-            raise InputError(f"{where}: a corner; a full tissue touches planes and circles")
-    return Body(
-        name=body.name,
-        on=body.on,
-        position=body.position,
-        normal=normal,
-        radius=radius,
-        displacement=body.displacement,
-        amplitude=body.amplitude,
-        mass=body.mass,
-        velocity=body.velocity,
-        acceleration=body.acceleration,
-        stiffness=body.stiffness,
-        smoothing=body.smoothing,
-    )
+def _load(condition: Condition) -> Load | Pressure | Foundation:
+    name = label(condition)
+    match condition:
+        case BodyForce(on=on, acceleration=g, amplitude=amplitude):
+            return Load(name=name, on=on, acceleration=g, amplitude=amplitude)
+        case Traction(on=on, traction=t, amplitude=amplitude):
+            return Load(name=name, on=on, traction=t, amplitude=amplitude)
+        case stated_as.Pressure(on=on, pressure=p, amplitude=amplitude):
+            return Pressure(name=name, on=on, pressure=p, amplitude=amplitude)
+        case stated_as.Foundation(on=on, stiffness=k, damping=c, components=both):
+            held = "x" in both, "y" in both
+            return Foundation(name=name, on=on, stiffness=k, damping=c, components=held)
+    raise AssertionError(condition)
 
 
 def _kinds(recipe: Recipe, counts: tuple[int, int]) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings, mesh, conditions, rigid_bodies, problem (what is computed);
+Reading order: settings, mesh, conditions, problem (what is computed);
 discretisation, internal_force (space); forces, contact, free_sides, surface_elements, supports,
 mass, system (what acts on it), posed; equations_of_motion, time_stepping, dormand_prince
 (explicit); tangents, generalised_alpha (implicit); history, simulation (a run). Without time:
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from surrofe2.macro.modes import Modes, find_modes
     from surrofe2.macro.problem import Problem
     from surrofe2.macro.quasi_static import Rest, find_rest
-    from surrofe2.macro.rigid_bodies import Circle, Corner, Plane, RigidBody
     from surrofe2.macro.settings import MacroSettings
     from surrofe2.macro.simulation import MacroRun, simulate
+    from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody
 
 __getattr__, __dir__ = public_names(__name__)

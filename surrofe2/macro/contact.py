@@ -1,20 +1,10 @@
 """Contact of a boundary with a rigid body: a smooth penalty, a dashpot and Coulomb friction.
 
-Contact acts at three points of each side, by unloaded length. With the depth d = −g of a point, g
-its gap, and x = min(d/δ, 1), a spring and a dashpot resist that it comes closer,
-
-    p = e + q (q ≥ 0),  e²/(e − q) (q < 0),
-    e = k (d − δ x + δ x²/2),   q = c x² (3 − 2 x) ḋ.
-
-The pressure has a continuous slope by d and by ḋ, and never pulls. The spring's part is the slope
-of an energy; without the dashpot the boundary's nodes would bounce off a stiff spring, for they
-have a mass and the true boundary has none (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440–445,
-have the form; a spring and a dashpot as the contact of finite elements with a rigid body).
-
-Friction is −µ p w/√(w² + s²) in the direction of the sliding velocity w, s being the slip speed: a
-force that follows Coulomb's law where sliding is fast and creeps where it is slow. Where nothing
-has a velocity it follows from the sliding Δ since the last equilibrium and the friction τ of that:
-τ + k Δ, at most µ p, so that a point sticks to the body by the spring k or slips by Coulomb's law.
+The law stands in `contact_law`; it acts at three points of each side. Without its dashpot the
+boundary's nodes would bounce off a stiff spring, for they have a mass and the true boundary has
+none. Where nothing has a velocity friction follows from the sliding Δ since the last equilibrium
+and the friction τ of that: τ + k Δ, at most µ p, so that a point sticks to the body by the spring k
+or slips by Coulomb's law.
 The body takes the opposite forces, so momentum is kept to rounding.
 """
 
@@ -26,9 +16,9 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where a body is touched
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2 import contact_law
 from surrofe2.macro.forces import Matrix, Slopes, side_points
-from surrofe2.macro.rigid_bodies import RigidBody, Shape
+from surrofe2.rigid_bodies import RigidBody, Shape, check_outside
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -139,21 +129,14 @@ class Contact:
         Raises:
             InputError: naming the place.
         """
+        allowed = _TOUCHING * float(self.lengths.sum()) / len(self.sides)
         points = self.points.reshape(-1, 2)
-        gap, _, _ = self.shape.gap(points - self.position)
-        deepest = int(gap.argmin())
-        if gap[deepest] < -_TOUCHING * float(self.lengths.sum()) / len(self.sides):
-            x, y = points[deepest]
-            raise InputError(
-                f"bodies.{self.name}.position: {self.position.tolist()}; the tissue begins "
-                f"{-gap[deepest]:.3g} µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside"
-            )
+        check_outside(self.name, self.shape, self.position, points, allowed)
 
     def energy(self, u: Array) -> float:
         """Energy stored in the springs, pJ."""
-        d, delta = np.maximum(-self._gaps(u)[0], 0.0), self.smoothing
-        far = 0.5 * d**2 - 0.5 * delta * d + delta**2 / 6.0
-        density = self.stiffness * np.where(d < delta, d**3 / (6.0 * delta), far)
+        depth = np.maximum(-self._gaps(u)[0], 0.0)
+        density = contact_law.stored(depth, self.stiffness, self.smoothing)
         return float(density @ self.lengths.ravel())
 
     def _gaps(self, u: Array) -> tuple[Array, Array, Array]:
@@ -167,20 +150,8 @@ class Contact:
 
     def _pressure(self, depth: Array, closing: Array) -> tuple[Array, Array, Array]:
         """Pressure and its slopes by the depth and by the speed of closing."""
-        d, delta, k = np.maximum(depth, 0.0), self.smoothing, self.stiffness
-        near = np.minimum(d / delta, 1.0)
-        spring = k * (d - delta * near * (1.0 - 0.5 * near))
-        by_spring, by_dashpot = np.ones(d.size), np.ones(d.size)
-        dashpot = self.damping * near**2 * (3.0 - 2.0 * near) * closing
-        pulled = np.flatnonzero(dashpot < 0.0)
-        pressure = spring + dashpot
-        s, total = spring[pulled], spring[pulled] - dashpot[pulled]
-        pressure[pulled] = s**2 / total
-        by_dashpot[pulled] = (s / total) ** 2
-        by_spring[pulled] = s / total * (2.0 - s / total)
-        growing = self.damping * closing * 6.0 * near * (1.0 - near) / delta
-        by_depth = by_spring * k * near + by_dashpot * growing
-        return pressure, by_depth, by_dashpot * self.damping * near**2 * (3.0 - 2.0 * near)
+        law = self.stiffness, self.smoothing, self.damping
+        return contact_law.pressure(np.maximum(depth, 0.0), closing, law)
 
     def _slid(self, u: Array, v: Array) -> Array:
         """(n, 2) velocity relative to the body, or displacement since the grip."""
@@ -194,9 +165,7 @@ class Contact:
             sticks = abs(tried) <= limit
             slips = np.where(sticks, 0.0, self.friction * np.sign(tried))
             return np.clip(tried, -limit, limit), slips, np.where(sticks, self.stiffness, 0.0)
-        size = np.hypot(sliding, self.slip_speed)
-        share = self.friction * sliding / size
-        return share * pressure, share, self.friction * pressure * self.slip_speed**2 / size**3
+        return contact_law.friction(pressure, sliding, (self.friction, self.slip_speed))
 
     def _assembled(self, blocks: Array, touching: Index, size: int) -> Matrix:
         """Σ L B ⊗ (N, −1) (N, −1)ᵀ over the points that touch, (size, size)."""

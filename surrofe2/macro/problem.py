@@ -21,7 +21,7 @@ from surrofe2.macro.conditions import (
     Surface,
 )
 from surrofe2.macro.mesh import Mesh
-from surrofe2.macro.rigid_bodies import RigidBody
+from surrofe2.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,9 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
 Reading order: settings, problem (what happens), layout (which particles there are), pair_kinds and
-pair_lists (who interacts), mixture (several types of plant cells), acting (prescribed motion, rigid
-bodies), kernels, dynamics (particles in motion), conditions (a problem made particles), relaxation
-(at rest without load), history, simulation (a run).
+pair_lists (who interacts), mixture (several types of plant cells), acting (prescribed motion, the
+outline), contact (rigid bodies), kernels, dynamics (particles in motion), conditions (a problem
+made particles), relaxation (at rest without load), history, simulation (a run).
 """
 
 from __future__ import annotations

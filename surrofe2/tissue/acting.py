@@ -1,14 +1,8 @@
-"""What moves particles besides their own forces: prescribed motion and rigid bodies, as kernels.
+"""What moves particles besides their own forces: prescribed motion and what acts on the outline.
 
-A body acts on particles i that may touch it, with the gap g to its outline, by the energy
-
-    E = k Σ L_i Φ(−g_i),   Φ′(d) = φ(d) = 0 (d ≤ 0),  d²/2δ (0 < d < δ),  d − δ/2 (d ≥ δ),
-
-L being the unloaded length of a particle's part of the boundary: the springs of FE², point by
-point, without dashpot and friction. A body with a mass moves by leapfrog as particles do; others,
-and particles that are driven, have in each step the mean velocity of their motion, so that they
-arrive where it leads. The work of what drives them is that of the force it takes, at the mean of
-the velocities before and after; at rest it is exact, else second order.
+Driven particles have in each step the mean velocity of their motion, so that they arrive where it
+leads. The work of what drives them is that of the force it takes, at the mean of the velocities
+before and after; at rest it is exact, else second order. Rigid bodies stand in `contact`.
 """
 
 from __future__ import annotations
@@ -54,38 +48,29 @@ class Drive(NamedTuple):
     work: Array
 
 
-class Plates(NamedTuple):
-    """Rigid planes and circles.
+class Edges(NamedTuple):
+    """Follower pressures and foundations: forces on particles e of the outline.
 
     Attributes:
-        starts: (b + 1,) where the particles begin that may touch each body.
-        at: (c, 3) tile, own particle, lane. length: (c,) of the boundary, µm.
-        offset: (c, 2) added to a particle's position, µm.
-        outline: (b, 3) unit normal out of a plane and 0, or for a circle 0, 0, radius.
-        stiffness: (b,) k, µN/µm²; smoothing: (b,) δ, µm.
-        x, v: (b, 2) position and velocity, µm and µm/µs.
-        force: (b, 2) on the tissue at the last step, µN; stored: (b,) energy, pJ; depth: (b,) µm.
-        per_mass: (b,) 1/ng, 0 where the motion is prescribed; pull: (b, 2) acceleration of others.
-        motion: (b,) which, −1 of one that rests or flies; largest: (b, 2) µm at amplitude 1.
-        work: (2,) so far: of what moves bodies, and of `pull`, pJ.
+        at: (e, 3) tile, own particle, lane. load: (e,) which of the loads.
+        pressure: (k,) µN/µm at amplitude 1, of the bond from particle 2k of them to 2k + 1, which
+            has the tissue on its left. offset: (2k, 2) added to their positions, µm.
+        home: (e − 2k, 2) where the springs of others are at rest, µm.
+        stiffness, damping: (e − 2k, 2) of both components, µN/µm and µN µs/µm.
+        force: (e, 2) at the last step, µN. before: (e, 2) velocity at that time, scratch.
+        total: (loads, 2) forces at the last step, µN. work: (loads,) so far, pJ.
     """
 
-    starts: Ints
     at: Ints
-    length: Array
+    load: Ints
+    pressure: Array
     offset: Array
-    outline: Array
+    home: Array
     stiffness: Array
-    smoothing: Array
-    x: Array
-    v: Array
+    damping: Array
     force: Array
-    stored: Array
-    depth: Array
-    per_mass: Array
-    pull: Array
-    motion: Ints
-    largest: Array
+    before: Array
+    total: Array
     work: Array
 
 
@@ -93,69 +78,11 @@ NO_DRIVE = Drive(
     np.zeros((0, 4), np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0),
     np.zeros(1),
 )  # fmt: skip
-NO_PLATES = Plates(
-    np.zeros(1, np.int64), np.zeros((0, 3), np.int64), np.zeros(0), np.zeros((0, 2)),
-    np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)),
-    np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)),
-    np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(2),
+NO_EDGES = Edges(
+    np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)),
+    np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)),
+    np.zeros((0, 2)), np.zeros(0),
 )  # fmt: skip
-
-
-@kernel
-def press(particles, plates):
-    """Add contact forces to f of own particles; set force, stored and depth of the bodies."""
-    x, f = particles.x, particles.f
-    for b in range(plates.starts.shape[0] - 1):
-        nx, ny, radius = plates.outline[b, 0], plates.outline[b, 1], plates.outline[b, 2]
-        delta = plates.smoothing[b]
-        sum_x, sum_y, stored, depth = 0.0, 0.0, 0.0, 0.0
-        for k in range(plates.starts[b], plates.starts[b + 1]):
-            t, i, lane = plates.at[k, 0], plates.at[k, 1], plates.at[k, 2]
-            px = x[t, 0, i, lane] + plates.offset[k, 0] - plates.x[b, 0]
-            py = x[t, 1, i, lane] + plates.offset[k, 1] - plates.x[b, 1]
-            if radius > 0.0:
-                distance = np.sqrt(px * px + py * py)
-                nx, ny = px / distance, py / distance
-                d = radius - distance
-            else:
-                d = -(px * nx + py * ny)
-            if not d > 0.0:
-                continue
-            weight = plates.stiffness[b] * plates.length[k]
-            if d < delta:
-                size, energy = d * d / (2.0 * delta), d * d * d / (6.0 * delta)
-            else:
-                size = d - 0.5 * delta
-                energy = 0.5 * d * d - 0.5 * delta * d + delta * delta / 6.0
-            f[t, 0, i, lane] += weight * size * nx
-            f[t, 1, i, lane] += weight * size * ny
-            sum_x += weight * size * nx
-            sum_y += weight * size * ny
-            stored += weight * energy
-            depth = max(depth, d)
-        plates.force[b, 0], plates.force[b, 1] = sum_x, sum_y
-        plates.stored[b], plates.depth[b] = stored, depth
-
-
-@kernel
-def move_bodies(plates, length, speed):
-    """A step of the bodies under `force`; length: (2,) kick and drift, speed: (motions,)."""
-    kick, drift = length[0], length[1]
-    for b in range(plates.x.shape[0]):
-        for axis in range(2):
-            before, force = plates.v[b, axis], plates.force[b, axis]
-            if plates.per_mass[b] > 0.0:
-                pull = plates.pull[b, axis]
-                now = before + kick * (pull - force * plates.per_mass[b])
-                mean = 0.5 * (before + now)
-                plates.work[1] += kick * mean * pull / plates.per_mass[b]
-            elif plates.motion[b] >= 0:
-                now = speed[plates.motion[b]] * plates.largest[b, axis]
-                plates.work[0] += kick * 0.5 * (before + now) * force
-            else:
-                now = 0.0
-            plates.v[b, axis] = now
-            plates.x[b, axis] += drift * now
 
 
 @kernel
@@ -182,3 +109,44 @@ def add_work(particles, loads, drive, kick, amplitude):
             force += amplitude[n] * loads[n, t, axis, i, lane]
         work += 0.5 * (before + now) * (drive.mass[k] * (now - before) - kick * force)
     drive.work[0] += work
+
+
+@kernel
+def push_edges(particles, edges, amplitude):
+    """Add forces on the outline to f of own particles; set force, before and total.
+
+    amplitude: (loads,).
+    """
+    x, v, f, at = particles.x, particles.v, particles.f, edges.at
+    edges.total[:] = 0.0
+    bonds = edges.pressure.shape[0]
+    for k in range(bonds):
+        size = 0.5 * amplitude[edges.load[2 * k]] * edges.pressure[k]
+        for axis in range(2):
+            along = edges.offset[2 * k + 1, axis] - edges.offset[2 * k, axis]
+            along += x[at[2 * k + 1, 0], axis, at[2 * k + 1, 1], at[2 * k + 1, 2]]
+            along -= x[at[2 * k, 0], axis, at[2 * k, 1], at[2 * k, 2]]
+            # The outward normal times length is (dy, −dx).
+            along *= size if axis == 0 else -size
+            edges.force[2 * k, 1 - axis] = edges.force[2 * k + 1, 1 - axis] = along
+    for e in range(at.shape[0]):
+        t, i, lane = at[e, 0], at[e, 1], at[e, 2]
+        for axis in range(2):
+            edges.before[e, axis] = v[t, axis, i, lane]
+            if e >= 2 * bonds:
+                away = x[t, axis, i, lane] - edges.home[e - 2 * bonds, axis]
+                held = edges.stiffness[e - 2 * bonds, axis] * away
+                held += edges.damping[e - 2 * bonds, axis] * v[t, axis, i, lane]
+                edges.force[e, axis] = -held
+            f[t, axis, i, lane] += edges.force[e, axis]
+            edges.total[edges.load[e], axis] += edges.force[e, axis]
+
+
+@kernel
+def add_edge_work(particles, edges, kick):
+    """Add the work that forces on the outline have done in a step."""
+    for e in range(edges.at.shape[0]):
+        t, i, lane = edges.at[e, 0], edges.at[e, 1], edges.at[e, 2]
+        for axis in range(2):
+            mean = 0.5 * (edges.before[e, axis] + particles.v[t, axis, i, lane])
+            edges.work[edges.load[e]] += kick * mean * edges.force[e, axis]

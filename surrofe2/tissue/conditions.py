@@ -12,17 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
+from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
 from surrofe2.simd import TILE
-from surrofe2.tissue.acting import NO_DRIVE, NO_PLATES, Drive, Plates
+from surrofe2.tissue.acting import NO_DRIVE, Drive, Edges
+from surrofe2.tissue.contact import CIRCLE, CORNER, NO_PLATES, PLANE, Plates
 from surrofe2.tissue.layout import Tissue, shares
 from surrofe2.tissue.pair_lists import bonded_particles
-from surrofe2.tissue.problem import Body, Load, Part, TissueProblem, middles_of
+from surrofe2.tissue.problem import Foundation, Load, Part, Pressure, TissueProblem, middles_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-STIFFNESS, SMOOTHING = 4.0, 0.002
+_NONE = np.zeros(0, dtype=np.int64)
+STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
-boundary holds its particles by; and of a spring's length, over which contact sets in."""
+boundary holds its particles by; of a spring's length, over which contact sets in; of the wave
+speed, the slip speed. There is no dashpot unless stated: a boundary of particles has its mass."""
+_TOUCHING = 0.01
+"""Of a plant cell: the depth at which a body may begin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +58,18 @@ class Conditions:
         ends: Array = np.bincount(pairs.ravel(), minlength=len(inside)).astype(np.float64)
         return half * ends[self.boundary(name)]
 
+    def supported(self, name: str) -> Index:
+        """Numbers of the particles of a boundary or a region, increasing."""
+        if name in self.problem.boundaries:
+            return self.boundary(name)
+        return np.flatnonzero(self._part_of(name) > 0.0)
+
     @property
     def held(self) -> NDArray[np.bool_]:
         """(particles, 2) components that supports take."""
         held = np.zeros((self.tissue.particles, 2), dtype=np.bool_)
         for support in self.problem.supports:
-            held[self.boundary(support.on)] |= np.array(support.components)
+            held[self.supported(support.on)] |= np.array(support.components)
         return held
 
     def components(self) -> list[tuple[Index, Index]]:
@@ -71,7 +83,7 @@ class Conditions:
         for support in self.problem.supports:
             mine = []
             for axis in (0, 1):
-                for i in self.boundary(support.on) if support.components[axis] else ():
+                for i in self.supported(support.on) if support.components[axis] else ():
                     claim = support.name, support.displacement[axis], support.amplitude
                     other = owner.setdefault((int(i), axis), claim)
                     if other is claim:
@@ -114,20 +126,21 @@ class Conditions:
         """
         bodies = self.problem.bodies
         if not bodies:
-            return NO_PLATES._replace(work=np.zeros(2))
+            return NO_PLATES._replace(work=np.zeros(3))
         touching = [self.boundary(body.on) for body in bodies]
         everyone = np.concatenate(touching)
         moves = np.array([body.moves for body in bodies])
         first = sum(support.moves for support in self.problem.supports)
-        stiffness, smoothing = zip(*map(self.penalty, bodies), strict=True)
+        kinds, outlines = zip(*(_outline(body.name, body.shape) for body in bodies), strict=True)
         return Plates(
             starts=np.cumsum([0, *map(len, touching)]),
             at=self._address(everyone),
             length=np.concatenate([self.lengths(body.on) for body in bodies]),
             offset=offset[everyone],
-            outline=np.array([_outline(body) for body in bodies]),
-            stiffness=np.array(stiffness),
-            smoothing=np.array(smoothing),
+            kind=np.array(kinds),
+            outline=np.array(outlines),
+            law=np.array([self.contact_law(body) for body in bodies]),
+            rubs=any(body.friction for body in bodies),
             x=np.array([body.position for body in bodies]),
             v=np.array([body.velocity if body.mass else (0.0, 0.0) for body in bodies]),
             force=np.zeros((len(bodies), 2)),
@@ -137,27 +150,93 @@ class Conditions:
             pull=np.array([body.acceleration for body in bodies]),
             motion=np.where(moves, first + np.cumsum(moves) - 1, -1),
             largest=np.array([body.displacement for body in bodies]),
-            work=np.zeros(2),
+            work=np.zeros(3),
+            pressed=np.zeros((len(everyone), 3)),
+            lost=np.zeros((len(everyone), 4)),
         )
 
-    def penalty(self, body: Body) -> tuple[float, float]:
-        """Stiffness in µN/µm² and smoothing in µm of a body's contact."""
-        cell, wall = self.tissue.cell, max(each.wall_stiffness for each in self.tissue.types)
-        usual = STIFFNESS * wall / cell.spring_length
+    def check_bodies(self) -> None:
+        """Refuse bodies that cannot act.
+
+        Raises:
+            InputError: one begins inside the tissue, or has an outline of its own.
+        """
+        allowed = _TOUCHING * self.tissue.cell.cell_side
+        for body in self.problem.bodies:
+            _outline(body.name, body.shape)
+            start, points = np.array(body.position), self.tissue.outline[self.boundary(body.on)]
+            check_outside(body.name, body.shape, start, points, allowed)
+
+    def contact_law(self, body: RigidBody) -> tuple[float, float, float, float, float]:
+        """Stiffness, smoothing, damping, friction and slip speed of a body's contact."""
+        cell = self.tissue.cell
+        walls = max(each.wall_stiffness for each in self.tissue.types)
+        # Waves in tissue: walls in a row, and what they enclose.
+        sound = max(each.sound_speed_squared for each in self.tissue.types)
+        wave = np.sqrt(walls * cell.spring_length / cell.cell_side / cell.density + sound)
+        usual = STIFFNESS * walls / cell.spring_length
         return (
             usual if body.stiffness is None else body.stiffness,
             SMOOTHING * cell.spring_length if body.smoothing is None else body.smoothing,
+            body.damping or 0.0,
+            body.friction,
+            float(SLIP * wave) if body.slip_speed is None else body.slip_speed,
         )
 
-    def largest_contact_frequency(self) -> float:
-        """Largest k L/m of a particle that touches bodies, 1/µs²; 0 without bodies."""
+    def stiffest(self) -> tuple[float, float]:
+        """Largest stiffness and damping by mass that act on a particle of the outline.
+
+        In 1/µs² and 1/µs, of contact and foundations; friction is implicit.
+        """
         mass = self.tissue.mass.reshape(-1)[self.tissue.where]
-        total = np.zeros(self.tissue.particles)
+        total = np.zeros((2, self.tissue.particles))
         for body in self.problem.bodies:
-            total[self.boundary(body.on)] += self.penalty(body)[0] * self.lengths(body.on)
+            lengths, (k, _, c, *_) = self.lengths(body.on), self.contact_law(body)
+            law = np.array([[k], [c]])
+            total[:, self.boundary(body.on)] += law * lengths
             if body.mass is not None:
-                total += self.penalty(body)[0] * self.lengths(body.on).sum() / body.mass * mass
-        return float((total / mass).max())
+                total += law * lengths.sum() / body.mass * mass
+        for base in self.problem.loads:
+            if isinstance(base, Foundation):
+                law = np.array([[base.stiffness], [base.damping]])
+                total[:, self.boundary(base.on)] += law * self.lengths(base.on)
+        stiffness, damping = (total / mass).max(axis=1)
+        return float(stiffness), float(damping)
+
+    def edges(self, relaxed: Array, offset: Array) -> Edges:
+        """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm."""
+        loads = self.problem.loads
+        pairs, sizes, numbers = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], [_NONE]
+        points, springs, owners = [_NONE], [np.zeros((0, 4))], [_NONE]
+        for n, load in enumerate(loads):
+            if isinstance(load, Pressure):
+                found = self._sides(load.on)
+                pairs.append(found)
+                sizes.append(np.full(len(found), load.pressure))
+                numbers.append(np.full(2 * len(found), n))
+            elif isinstance(load, Foundation):
+                i, lengths = self.boundary(load.on), self.lengths(load.on)
+                points.append(i)
+                both = [size * float(c) for size in (load.stiffness, load.damping)
+                        for c in load.components]  # fmt: skip
+                springs.append(np.outer(lengths, both))
+                owners.append(np.full(len(i), n))
+        bonded, based = np.concatenate(pairs).ravel(), np.concatenate(points)
+        everyone = np.concatenate([bonded, based])
+        spring = np.concatenate(springs)
+        return Edges(
+            at=self._address(everyone),
+            load=np.concatenate([*numbers, *owners]),
+            pressure=np.concatenate(sizes),
+            offset=offset[bonded],
+            home=relaxed[based],
+            stiffness=np.ascontiguousarray(spring[:, :2]),
+            damping=np.ascontiguousarray(spring[:, 2:]),
+            force=np.zeros((len(everyone), 2)),
+            before=np.zeros((len(everyone), 2)),
+            total=np.zeros((len(loads), 2)),
+            work=np.zeros(len(loads)),
+        )
 
     def velocity(self) -> Array:
         """(particles, 2) at t = 0, µm/µs, of what moves freely."""
@@ -168,7 +247,9 @@ class Conditions:
         v[self.held] = 0.0
         return v
 
-    def _load(self, load: Load) -> Array:
+    def _load(self, load: Load | Pressure | Foundation) -> Array:
+        if not isinstance(load, Load):
+            return np.zeros((self.tissue.particles, 2))
         if not any(load.traction):
             mass = self.tissue.mass.reshape(-1)[self.tissue.where]
             return (self._part_of(load.on) * mass)[:, None] * np.array(load.acceleration)
@@ -202,6 +283,25 @@ class Conditions:
         held[self._outer] = part.holds(self.tissue.outline[self._outer])
         return held
 
+    def _sides(self, name: str) -> Index:
+        """(k, 2) particles of the bonds along a boundary, the tissue on their left."""
+        inside = np.zeros(self.tissue.particles, dtype=np.bool_)
+        inside[self.boundary(name)] = True
+        pairs = self._bonds[inside[self._bonds].all(axis=1)]
+        ends = self.tissue.outline[pairs]
+        found = []
+        for axis, sign in ((0, -1.0), (1, 1.0)):
+            for side, value in ((sign, 0.0), (-sign, self._extent[axis])):
+                on = (abs(ends[:, :, axis] - value) < 1e-6).all(axis=1)
+                along = ends[on, 1, 1 - axis] - ends[on, 0, 1 - axis]
+                found.append(np.where((side * along > 0.0)[:, None], pairs[on], pairs[on, ::-1]))
+        return np.concatenate(found)
+
+    @property
+    def _extent(self) -> tuple[float, float]:
+        side, (n, m) = self.tissue.cell.cell_side, self.tissue.cells
+        return n * side, m * side
+
     @cached_property
     def _outer(self) -> NDArray[np.bool_]:
         """(particles,) which lie on the outline."""
@@ -218,7 +318,14 @@ class Conditions:
         return bonded_particles(self.tissue)
 
 
-def _outline(body: Body) -> tuple[float, float, float]:
-    size = float(np.hypot(*body.normal))
-    x, y = (body.normal[0] / size, body.normal[1] / size) if size else (0.0, 0.0)
-    return x, y, body.radius
+def _outline(name: str, shape: Shape) -> tuple[int, tuple[float, ...]]:
+    """Kind and numbers as of `Plates`."""
+    match shape:
+        case Plane():
+            x, y = np.array(shape.normal) / np.hypot(*shape.normal)
+            return PLANE, (float(x), float(y), 0.0, 0.0, 0.0)
+        case Circle():
+            return CIRCLE, (shape.radius, 0.0, 0.0, 0.0, 0.0)
+        case Corner():
+            return CORNER, shape.wedge
+    raise InputError(f"bodies.{name}: {shape!r}; a full tissue touches planes, circles and corners")

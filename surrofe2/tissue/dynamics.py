@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from surrofe2.errors import SimulationError
 from surrofe2.plant_cell.tiles import Constants
 from surrofe2.simd import TILE
-from surrofe2.tissue.acting import NO_DRIVE, NO_PLATES, Drive, Plates, Steps
-from surrofe2.tissue.kernels import Body, Fluid, Particles, Watch, elastic_energy, leap
+from surrofe2.tissue.acting import NO_DRIVE, NO_EDGES, Drive, Edges, Steps
+from surrofe2.tissue.contact import NO_PLATES, Plates
+from surrofe2.tissue.kernels import Acting, Body, Fluid, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
 from surrofe2.tissue.mixture import Mixture, MixtureMaker
 from surrofe2.tissue.pair_lists import PairLister
@@ -33,13 +34,15 @@ class TissueDynamics:
             none.
         load: (particles, 2) or (loads, particles, 2) force on each at amplitude 1, µN; None: none.
         drive: motion of some that are held.
-        plates: rigid bodies.
+
+    What acts on the outline, none at first, is `plates`, rigid bodies, and `edges`.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
         free: (particles, 2) which components move freely.
         mass: (particles,) ng; free_mass: 0 where both components are held.
-        loads: (loads, particles, 2). drive, plates: as above.
+        loads: (loads, particles, 2). drive: as above.
+        plates, edges: as above.
     """
 
     def __init__(
@@ -50,12 +53,13 @@ class TissueDynamics:
         held: NDArray[np.bool_] | None = None,
         load: Array | None = None,
         drive: Drive = NO_DRIVE,
-        plates: Plates = NO_PLATES,
     ) -> None:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
         self._lister = PairLister(tissue, skin)
-        self.drive, self.plates = drive, plates
+        self.drive = drive
+        self.plates: Plates = NO_PLATES
+        self.edges: Edges = NO_EDGES
         self.mass = tissue.mass.reshape(-1)[tissue.where]
         self.free = np.ones((tissue.particles, 2), dtype=np.bool_)
         if held is not None:
@@ -134,14 +138,14 @@ class TissueDynamics:
 
         Args:
             amplitudes: (steps,) or (steps, loads). speeds: (steps, motions); None: all zero.
-            pressed: whether rigid bodies act.
+            pressed: whether anything acts on the outline.
 
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
         c = self.tissue.constants if constants is None else constants
         body = self._body._replace(retained=retained)
-        plates = self.plates if pressed else NO_PLATES
+        acts = (self.plates, self.edges) if pressed else (NO_PLATES, NO_EDGES)
         count = len(kicks)
         if speeds is None:
             speeds = np.zeros((count, self._motions))
@@ -159,7 +163,7 @@ class TissueDynamics:
                     self._renew()
                 taken = leap(
                     self._particles, self._lists, self._lister.grid, self._fluid, c,
-                    self._mixture, body, self.drive, plates, self._watch, steps,
+                    self._mixture, body, Acting(self.drive, *acts), self._watch, steps,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
@@ -178,10 +182,17 @@ class TissueDynamics:
         """(particles, 2) forces of the last step, without the load, µN."""
         return self.tissue.to_particles(self._particles.f[:-1, :, : self.tissue.own])
 
-    def forces(self, constants: Constants | None = None, *, pressed: bool = True) -> Array:
-        """(particles, 2) forces without the load, µN."""
+    def forces(
+        self,
+        constants: Constants | None = None,
+        *,
+        pressed: bool = True,
+        factors: Array | None = None,
+    ) -> Array:
+        """(particles, 2) forces without dead loads, µN; factors: (loads,) of follower pressures."""
         nothing = np.zeros(1)
-        self.leap(nothing, nothing, nothing, constants=constants, pressed=pressed)
+        amplitudes = nothing if factors is None or not len(factors) else factors[None]
+        self.leap(nothing, nothing, amplitudes, constants=constants, pressed=pressed)
         return self.f
 
     def free_forces(self, constants: Constants | None = None) -> Array:
@@ -197,9 +208,9 @@ class TissueDynamics:
         )
         return -float(np.sum(self.v * self.forces(only_damping, pressed=False)))
 
-    def elastic_energy(self) -> float:
-        """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm²."""
-        self.forces()  # sets the images
+    def elastic_energy(self, factors: Array | None = None) -> float:
+        """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm². factors: as of `forces`."""
+        self.forces(factors=factors)  # sets the images
         energy = np.empty((self.tissue.tiles, TILE))
         elastic_energy(
             self._particles.x, self._lists, self._lister.grid, self._fluid, self.tissue.constants,

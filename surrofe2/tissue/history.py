@@ -35,7 +35,7 @@ class TissueState:
         history: (rows, c) the columns of `columns_of` at the output times passed.
         frame_t: (k,); frame_displacement, frame_velocity: (k, particles, 2).
         identity: numbers that a run to be resumed must share.
-        steps, force_evaluations, list_builds: counts. relaxation_time, run_time: s.
+        relaxation_time, run_time: s. steps, force_evaluations, list_builds: counts.
     """
 
     relaxed: Array
@@ -50,11 +50,11 @@ class TissueState:
     frame_displacement: Array
     frame_velocity: Array
     identity: Array
-    steps: int
-    force_evaluations: int
-    list_builds: int
     relaxation_time: float
-    run_time: float
+    steps: int = 0
+    force_evaluations: int = 0
+    list_builds: int = 0
+    run_time: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -99,9 +99,10 @@ class TissueRun:
             by name that of all.
         energies: by name, (m,) pJ at the output times: `kinetic`; `elastic`, since the unloaded
             equilibrium; the work of each load, and `motion`, that of what moves supports and
-            bodies; `contact`, stored; `dissipated` by dashpots and viscosity; `balance`, what all
-            work and the kinetic energy at the start exceed the others by, zero but for the error
-            of the time integration.
+            bodies; `contact`, stored, and `contact dissipated`, by dashpots and friction of bodies;
+            `dissipated` by dashpots and viscosity of the tissue; `balance`, what all work and the
+            kinetic energy at the start exceed the others by, zero but for the error of the time
+            integration.
         history: by name, (m,), as of a finite-element run: forces on the tissue in µN since the
             unloaded equilibrium, mean displacement of boundaries, position and penetration of
             bodies in µm.
@@ -126,6 +127,10 @@ class TissueRun:
     finished: bool
 
 
+_WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
+"""What `Recorder.record` is told besides the works of loads."""
+
+
 def columns_of(problem: TissueProblem) -> list[str]:
     """What a row of the history holds: vectors by component, then numbers."""
     vectors = [f"displacement {name}" for name in problem.watched]
@@ -134,8 +139,8 @@ def columns_of(problem: TissueProblem) -> list[str]:
     vectors += [f"position {body.name}" for body in problem.bodies]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     depths = [f"penetration {body.name}" for body in problem.bodies]
-    works = [each.name for each in problem.loads] + ["bodies", "motion"]
-    energies = ["kinetic", "elastic", *works, "contact", "dissipated"]
+    works = [*(each.name for each in problem.loads), *_WORKS]
+    energies = ["kinetic", "elastic", "contact", *works]
     return [*both, *depths, *(f"energy {name}" for name in energies)]
 
 
@@ -174,9 +179,9 @@ class Recorder:
         self._started = perf_counter()
         dynamics.counts.clear()
         elastic = dynamics.elastic_energy()
-        resting = self._forces(0.0, loaded=False)
-        works = np.zeros(len(self._conditions.problem.loads) + 3)
-        works[-2] = dynamics.start(velocity, rates)
+        resting = self._forces(0.0, np.zeros(len(self._conditions.problem.loads)))
+        works = np.zeros(len(self._conditions.problem.loads) + len(_WORKS))
+        works[-3] = dynamics.start(velocity, rates)
         v = dynamics.v
         state = TissueState(
             relaxed=relaxed,
@@ -191,11 +196,7 @@ class Recorder:
             frame_displacement=0.0 * relaxed[None],
             frame_velocity=v[None],
             identity=self._identity,
-            steps=0,
-            force_evaluations=0,
-            list_builds=0,
             relaxation_time=relaxation_time,
-            run_time=0.0,
         )
         row = self._row(0.0, state, works)
         self.state = replace(state, history=row[None], **self._counted())
@@ -216,8 +217,8 @@ class Recorder:
         """Record the next output time, `steps` after the last.
 
         Args:
-            works: (loads + 3,) since then, of the loads, of `acceleration` on bodies, of what moves
-                supports and bodies, and lost, pJ.
+            works: (loads + 4,) since then, of the loads, of `acceleration` on bodies, of what moves
+                supports and bodies, lost in contact and in the tissue, pJ.
         """
         dynamics, before = self._dynamics, self.state
         row, t = before.rows, self._t[before.rows]
@@ -255,38 +256,44 @@ class Recorder:
         """What `columns_of` lists; `works` as of `record`."""
         dynamics, plates = self._dynamics, self._dynamics.plates
         u = dynamics.x - before.relaxed
-        kinetic, elastic = dynamics.kinetic_energy(), dynamics.elastic_energy() - before.elastic
+        factors = self._factors(t)
+        kinetic = dynamics.kinetic_energy()
+        elastic = dynamics.elastic_energy(factors) - before.elastic
         free = plates.per_mass > 0.0
         kinetic += 0.5 * float(((plates.v[free] ** 2).sum(axis=1) / plates.per_mass[free]).sum())
         start = np.array([body.position for body in self._conditions.problem.bodies])
         vectors = [
             u[self._watched],
             np.array([length @ u[i] / length.sum() for i, length in self._means]),
-            self._forces(t) - before.resting,
+            self._forces(t, factors) - before.resting,
             plates.x - start.reshape(-1, 2),
         ]
-        at_start = before.history[-1, -len(works) - 1 : -2] if before.rows else 0.0 * works[:-1]
-        lost = before.history[-1, -1] if before.rows else 0.0
-        contact = plates.stored.sum()
-        energies = [kinetic, elastic, *(at_start + works[:-1]), contact, lost + works[-1]]
+        if before.rows:
+            works = before.history[-1, -len(works) :] + works
+        energies = [kinetic, elastic, plates.stored.sum(), *works]
         return np.concatenate([*(part.ravel() for part in vectors), plates.depth, energies])
 
-    def _forces(self, t: float, *, loaded: bool = True) -> Array:
+    def _factors(self, t: float) -> Array:
+        """(loads,) amplitudes."""
+        return np.array([each.amplitude.at(t, t)[0] for each in self._conditions.problem.loads])
+
+    def _forces(self, t: float, factors: Array) -> Array:
         """(k, 2) resultants on the tissue of supports, loads and bodies at the last forces, µN.
 
         Supports give what their particles need: M a − forces − loads.
         """
         dynamics, problem = self._dynamics, self._conditions.problem
-        factors = [each.amplitude.at(t, t)[0] if loaded else 0.0 for each in problem.loads]
-        loads = dynamics.loads[: len(factors)]
-        pull = np.array([factor * load for factor, load in zip(factors, loads, strict=True)])
-        needed = -dynamics.f - (pull.sum(axis=0) if factors else 0.0)
+        needed, pulled = -dynamics.f, dynamics.edges.total.copy()
+        for n, factor in enumerate(factors):
+            pull = factor * dynamics.loads[n]
+            needed -= pull
+            pulled[n] += pull.sum(axis=0)
         found = []
         for support, (i, axis) in zip(problem.supports, self._supports, strict=True):
             second = support.amplitude.at(t, t)[2] * np.array(support.displacement)
             force = needed[i, axis] + dynamics.mass[i] * second[axis]
             found.append(np.bincount(axis, force, 2))
-        return np.array([*found, *(each.sum(axis=0) for each in pull), *dynamics.plates.force])
+        return np.array([*found, *pulled, *dynamics.plates.force])
 
     def run(self, *, finished: bool) -> TissueRun:
         """The results so far."""
@@ -300,23 +307,19 @@ class Recorder:
             )
             for name in problem.watched
         }
-        energies = {
-            name.removeprefix("energy "): column
-            for name, column in columns.items()
-            if name.startswith("energy ")
-        }
-        stored = ("kinetic", "elastic", "contact", "dissipated")
-        works = [column for name, column in energies.items() if name not in stored]
-        balance = sum(works[1:], works[0]) - energies["kinetic"] - energies["elastic"]
-        balance -= energies["contact"] - energies["contact"][0]
-        balance -= energies["dissipated"]
+        own = [name for name in columns if name.startswith("energy ")]
+        energies = {name.removeprefix("energy "): columns[name] for name in own}
+        lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
+        balance = sum(column for name, column in energies.items() if name not in lost)
+        for name in lost:
+            balance = balance - energies[name]
         energies["balance"] = balance - balance[0]
         if not any(body.mass is not None for body in problem.bodies):
             del energies["bodies"]
         if not problem.motions:
             del energies["motion"]
         if not problem.bodies:
-            del energies["contact"]
+            del energies["contact"], energies["contact dissipated"]
         kept = ("mean displacement", "force", "position", "penetration")
         return TissueRun(
             curve=next(iter(curves.values())),

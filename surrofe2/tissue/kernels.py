@@ -1,7 +1,7 @@
 """Kernels of all particles of a tissue: its time step and its elastic energy.
 
-A step gathers images, sums forces, folds them back, kicks and drifts; in between rigid bodies press
-and driven particles get their velocity.
+A step gathers images, sums forces, folds them back, kicks and drifts; in between the outline is
+acted on and driven particles get their velocity.
 
 Arrays hold a tile after the other, and one more that stays as it is: there lie the images of
 cells that do not exist, at rest and far away, and there is the force that is always zero::
@@ -28,7 +28,21 @@ from surrofe2.plant_cell.forces import (
     add_fluid_forces,
 )
 from surrofe2.simd import TILE, load, spread, store, where_less
-from surrofe2.tissue.acting import add_work, drive_particles, move_bodies, press
+from surrofe2.tissue.acting import (
+    Drive,
+    Edges,
+    add_edge_work,
+    add_work,
+    drive_particles,
+    push_edges,
+)
+from surrofe2.tissue.contact import (
+    Plates,
+    add_contact_loss,
+    move_bodies,
+    press,
+    rub,
+)
 from surrofe2.tissue.mixture import (
     add_mixed_energy,
     add_mixed_fluid,
@@ -87,8 +101,16 @@ class Watch(NamedTuple):
     apart: Array
 
 
+class Acting(NamedTuple):
+    """What moves some particles, and what acts on the outline."""
+
+    drive: Drive
+    plates: Plates
+    edges: Edges
+
+
 @parallel_kernel
-def leap(particles, lists, grid, fluid, c, mixture, body, drive, plates, watch, steps):
+def leap(particles, lists, grid, fluid, c, mixture, body, acting, watch, steps):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
     A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
@@ -96,24 +118,31 @@ def leap(particles, lists, grid, fluid, c, mixture, body, drive, plates, watch, 
     c: `Constants`; steps: `Steps`; mixture: None of one type of plant cell.
     """
     tiles = particles.x.shape[0] - 1
+    drive, plates, edges = acting
     for n in range(len(steps.length)):
         for k in numba.prange(tiles):
             _sum_forces(lists.order[k], particles, lists, fluid, c, mixture)
             _measure_apart(lists.order[k], grid, watch)
         if not _largest_motion(watch) <= lists.skin:
             return n
-        kicked = steps.length[n, 0] != 0.0
+        kick, amplitude, speed = steps.length[n, 0], steps.amplitude[n], steps.speed[n]
         press(particles, plates)
-        if kicked:
-            move_bodies(plates, steps.length[n], steps.speed[n])
-            drive_particles(particles.v, drive, steps.speed[n])
+        push_edges(particles, edges, amplitude)
+        if kick != 0.0:
+            drive_particles(particles.v, drive, speed)
+        if plates.rubs:
+            for k in numba.prange(tiles):
+                _fold(lists.order[k], particles.f, lists)
+            rub(particles, body, plates, kick, amplitude, speed)
+        if kick != 0.0:
+            move_bodies(plates, steps.length[n], speed)
+        step = kick, steps.length[n, 1], plates.rubs
         for k in numba.prange(tiles):
-            _kick_and_drift(
-                lists.order[k], particles, lists, grid, body, watch,
-                steps.length[n], steps.amplitude[n],
-            )  # fmt: skip
-        if kicked:
-            add_work(particles, body.loads, drive, steps.length[n, 0], steps.amplitude[n])
+            _kick_and_drift(lists.order[k], particles, lists, grid, body, watch, amplitude, step)
+        if kick != 0.0:
+            add_work(particles, body.loads, drive, kick, amplitude)
+            add_contact_loss(particles, plates, kick)
+            add_edge_work(particles, edges, kick)
     return len(steps.length)
 
 
@@ -158,10 +187,8 @@ def _gather_images(x, t, own, start, end, source):
 
 
 @kernel
-def _kick_and_drift(t, particles, lists, grid, body, watch, length, amplitude):
-    """Fold image forces back to tile t's own particles, then v += kick a, x += drift v."""
-    x, v, f = particles.x, particles.v, particles.f
-    kick, drift = length[0], length[1]
+def _fold(t, f, lists):
+    """Fold image forces back to tile t's own particles."""
     flat = f.reshape(-1)
     y = f.shape[2] * TILE
     for k in range(lists.starts[t, 4], lists.starts[t + 1, 4]):
@@ -170,6 +197,15 @@ def _kick_and_drift(t, particles, lists, grid, body, watch, length, amplitude):
             s = lists.fold_source[k, lane]
             f[t, 0, i, lane] += flat[s]
             f[t, 1, i, lane] += flat[s + y]
+
+
+@kernel
+def _kick_and_drift(t, particles, lists, grid, body, watch, amplitude, step):
+    """v += kick a, x += drift v of tile t's own particles; step: kick, drift, is f folded."""
+    x, v, f = particles.x, particles.v, particles.f
+    kick, drift, folded = step
+    if not folded:
+        _fold(t, f, lists)
     mean_x, mean_y = spread(0.0), spread(0.0)
     for i in range(body.per_mass.shape[1]):
         pull_x = load(f, t, 0, i) + amplitude[0] * load(body.loads, 0, t, 0, i)

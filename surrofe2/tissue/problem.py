@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.amplitude import ONE, Amplitude, Table
 from surrofe2.load_case import LoadCase, output_times
+from surrofe2.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float]
@@ -38,9 +39,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Support:
-    """Wall particles of a boundary that are held, or follow `displacement` times an amplitude.
+    """Particles that are held, or follow `displacement` times an amplitude.
 
     Attributes:
+        on: a boundary, of which wall particles are held, or a region, of which all are.
         components: whether it takes x and y.
     """
 
@@ -72,34 +74,25 @@ class Load:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
-    """A rigid plane or circle that particles of a boundary may touch, without friction.
-
-    It moves freely if it has a mass (ng), under `acceleration` and from `velocity`; else it follows
-    `displacement` times the amplitude.
-
-    Attributes:
-        normal: of a plane, out of the body. radius: of a circle, µm; 0 for a plane.
-        stiffness: µN/µm²; smoothing: µm; by default `conditions.STIFFNESS` and `SMOOTHING`.
-    """
+class Pressure:
+    """A follower load: force per current length of a boundary, against the outward normal."""
 
     name: str
     on: str
-    position: Vector
-    normal: Vector = (0.0, 0.0)
-    radius: float = 0.0
-    displacement: Vector = (0.0, 0.0)
+    pressure: float
     amplitude: Amplitude = ONE
-    mass: float | None = None
-    velocity: Vector = (0.0, 0.0)
-    acceleration: Vector = (0.0, 0.0)
-    stiffness: float | None = None
-    smoothing: float | None = None
 
-    @property
-    def moves(self) -> bool:
-        """Whether it follows an amplitude, rather than resting or flying."""
-        return self.mass is None and any(self.displacement)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foundation:
+    """Springs (µN/µm²) and dashpots (µN µs/µm²) per unloaded length of a boundary to a base."""
+
+    name: str
+    on: str
+    stiffness: float = 0.0
+    damping: float = 0.0
+    components: tuple[bool, bool] = (True, True)
+    amplitude: Amplitude = ONE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,15 +112,15 @@ class TissueProblem:
     regions: Mapping[str, Part] = field(default_factory=dict)
     kind: NDArray[np.int64] | None = None
     supports: tuple[Support, ...] = ()
-    loads: tuple[Load, ...] = ()
-    bodies: tuple[Body, ...] = ()
+    loads: tuple[Load | Pressure | Foundation, ...] = ()
+    bodies: tuple[RigidBody, ...] = ()
     velocities: tuple[tuple[str | None, Vector], ...] = ()
     duration: float
     output_interval: float
     watched: Mapping[str, Vector]
 
     @property
-    def moved_bodies(self) -> tuple[Body, ...]:
+    def moved_bodies(self) -> tuple[RigidBody, ...]:
         """Those that follow an amplitude."""
         return tuple(each for each in self.bodies if each.moves)
 
@@ -145,8 +138,7 @@ class TissueProblem:
 
     def places(self) -> list[str]:
         """Boundaries that something acts on."""
-        acting: tuple[Support | Load | Body, ...] = (*self.supports, *self.loads, *self.bodies)
-        used = {each.on for each in acting}
+        used = {each.on for each in (*self.supports, *self.loads, *self.bodies)}
         return [name for name in self.boundaries if name in used]
 
     def output_times(self) -> Array:

@@ -140,15 +140,17 @@ def make_conditions(
             f"tissue: kinds {kind.shape} up to {kind.max()}; it has {cells[0]} × {cells[1]} plant "
             f"cells of {len(types)} types"
         )
-    return Conditions(problem, make_mixed_tissue(types, references, kind))
+    conditions = Conditions(problem, make_mixed_tissue(types, references, kind))
+    conditions.check_bodies()
+    return conditions
 
 
 def step_at_rest(conditions: Conditions, cell: Cells, reference: References) -> float:
-    """The longest step, µs, that each type of plant cell bears with the bodies at rest."""
+    """The longest step, µs, that each type of plant cell bears, with what acts on the outline."""
     types = [cell] if isinstance(cell, CellParameters) else cell
     references = [reference] if isinstance(reference, ReferenceState) else reference
-    contact = conditions.largest_contact_frequency()
-    return min(stable_step(*each, contact) for each in zip(types, references, strict=True))
+    outside = conditions.stiffest()
+    return min(stable_step(*each, outside) for each in zip(types, references, strict=True))
 
 
 def with_step(settings: TissueSettings, bears: float) -> TissueSettings:
@@ -193,7 +195,9 @@ def cells_that_fill(
     for name, extent in (("width", problem.width), ("height", problem.height)):
         count = round(extent / cell.cell_side)
         if count < 1 or abs(count * cell.cell_side - extent) > 1e-9 * extent:
-            hint = ": change it or give --cells N M" if section == "load" else ""
+            low = int(extent / cell.cell_side)
+            near = " or ".join(f"{n * cell.cell_side:g}" for n in (low, low + 1) if n)
+            hint = ": change it or give --cells N M" if section == "load" else f": take {near}"
             raise InputError(
                 f"{section}.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
                 f"{cell.cell_side:g} µm{hint}"
@@ -233,8 +237,10 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
 
 
 def meet_bodies(dynamics: TissueDynamics, conditions: Conditions, relaxed: Array) -> None:
-    """Let bodies act from now on; `relaxed` (particles, 2): where the outline is unloaded, µm."""
-    dynamics.plates = conditions.plates(conditions.tissue.outline - relaxed)
+    """Let all act on the outline; `relaxed` (particles, 2): where it is unloaded, µm."""
+    offset = conditions.tissue.outline - relaxed
+    dynamics.plates = conditions.plates(offset)
+    dynamics.edges = conditions.edges(relaxed, offset)
 
 
 def advance(
@@ -259,8 +265,10 @@ def advance(
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
     loads, motions = [each.amplitude for each in problem.loads], problem.motions
-    works = np.zeros(len(loads) + 3)
-    dynamics.drive.work[:], dynamics.plates.work[:] = 0.0, 0.0
+    drive, plates, edges = dynamics.drive, dynamics.plates, dynamics.edges
+    works = np.zeros(len(loads) + 4)
+    for each in (drive, plates, edges):
+        each.work[:] = 0.0
     x, rate = dynamics.x, dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
@@ -277,8 +285,9 @@ def advance(
             mean = 0.5 * (amplitudes[0, n] + amplitudes[-1, n])
             works[n] += mean * float(np.sum(dynamics.loads[n] * (x - x_before)))
         works[-1] += 0.5 * length * (rate_before + rate)
-    works[-2] = dynamics.drive.work[0] + dynamics.plates.work[0]
-    works[-3] = dynamics.plates.work[1]
+    works[: len(loads)] += edges.work
+    works[-4:-1] = plates.work
+    works[-3] += drive.work[0]
     if not np.isfinite(works).all():
         raise SimulationError("tissue: the motion is not finite")
     return samples * count, works

@@ -47,11 +47,14 @@ def rounded_step(limit: float) -> float:
     return float(f"{np.floor(wanted / unit) * unit:.2g}")
 
 
-def stable_step(cell: CellParameters, reference: ReferenceState, contact: float = 0.0) -> float:
+def stable_step(
+    cell: CellParameters, reference: ReferenceState, outside: tuple[float, float] = (0.0, 0.0)
+) -> float:
     """The longest stable step of two by two plant cells at rest, µs.
 
     Args:
-        contact: the largest stiffness by mass that rigid bodies add, 1/µs².
+        outside: the largest stiffness and damping by mass that what acts on the outline adds, 1/µs²
+            and 1/µs.
     """
     dynamics = TissueDynamics(make_tissue(cell, reference, (2, 2)))
     at_rest = dynamics.x
@@ -73,7 +76,7 @@ def stable_step(cell: CellParameters, reference: ReferenceState, contact: float 
 
     mass = dynamics.free_mass[:, None]
     kappa, c = (_largest(product, mass) for product in (stiffness, damping))
-    kappa += contact
+    kappa, c = kappa + outside[0], c + outside[1]
     return (sqrt(c * c + 4.0 * kappa) - c) / kappa
 
 

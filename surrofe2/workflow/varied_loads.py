@@ -11,7 +11,7 @@ import numpy as np
 from surrofe2.amplitude import Amplitude, Value
 from surrofe2.macro import Problem
 from surrofe2.macro.conditions import Condition, DrivenCondition, InitialVelocity
-from surrofe2.macro.rigid_bodies import RigidBody
+from surrofe2.rigid_bodies import RigidBody
 
 FACTOR = (0.25, 1.5)
 """Of an amplitude or a velocity, uniform between."""

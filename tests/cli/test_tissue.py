@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
+from surrofe2.io.columns import read_columns
 from surrofe2.io.run_folder import read_curve, read_history, read_record
 from surrofe2.recipe import load_recipe
 from tests.cli.finished_run import RUN_FILES
@@ -195,7 +196,10 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
     assert history["force plate y"][-1] < -10.0
     assert history["force base x"].tolist() == [0.0] * 11
     header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert header == "t_us,kinetic_pJ,elastic_pJ,motion_pJ,contact_pJ,dissipated_pJ,balance_pJ"
+    assert header == (
+        "t_us,kinetic_pJ,elastic_pJ,contact_pJ,motion_pJ,contact dissipated_pJ,dissipated_pJ,"
+        "balance_pJ"
+    )
     monkeypatch.setattr("surrofe2.rve.RveLaw", SoftLaw().of)
     rve, comparison = tmp_path / "rve", tmp_path / "comparison"
     runner = CliRunner()
@@ -211,19 +215,35 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
     assert again.exit_code == 0
 
 
+def test_all_conditions_and_bodies_of_a_recipe_act_on_a_tissue(stated, folder):
+    """A rough corner, a pressure, a foundation, and a region that moves as a whole."""
+    recipe = stated(
+        "plane = { normal = [0, -1] }", "corner = { axis = [0, 1], angle = 170, radius = 5 }",
+        "position = [0, 50]", "position = [25, 50]\nfriction = 0.3\ndamping = 2.0",
+        '"symmetry"\non = "bottom"', '"foundation"\non = "bottom"\nstiffness = 5.0\ndamping = 1.0',
+        'on = "left"', 'on = "upper"', "[watch]",
+        '[conditions.gas]\nkind = "pressure"\non = "right"\npressure = 3.0\n\n[watch]',
+    )  # fmt: skip
+    done = invoke(recipe, "--out", folder)
+    assert done.exit_code == 0, done.output
+    history, (names, table) = read_history(folder), read_columns(folder / "energies.csv")
+    energies = {
+        name.removesuffix("_pJ"): column for name, column in zip(names, table.T, strict=True)
+    }
+    assert history["force gas x"][0] == pytest.approx(-3.0 * 50.0)
+    assert history["force plate y"][-1] < -5.0
+    for name in ("base", "gas", "motion", "contact", "contact dissipated"):
+        assert abs(energies[name]).max() > 0.0
+    assert abs(energies["balance"]).max() < 0.02 * energies["motion"].max()
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         (("height = 50.0", "height = 60.0"),
-         "mesh.height: 60; a tissue needs a whole number of plant cells of 25 µm"),
-        (('"symmetry"', '"pressure"\npressure = 1.0'),
-         "conditions.base.kind: pressure; a full tissue takes fixed, symmetry, "),
-        (('on = "left"', 'on = "upper"'),
-         "conditions.grip.on: upper; a full tissue is held at boundaries only"),
-        (("displacement = [0, -0.5]", "displacement = [0, -0.5]\nfriction = 0.2"),
-         "bodies.plate.friction: 0.2; a full tissue touches without: leave it out"),
-        (("plane = { normal = [0, -1] }", "corner = { axis = [0, 1], angle = 60, radius = 5 }"),
-         "bodies.plate: a corner; a full tissue touches planes and circles"),
+         "mesh.height: 60; a tissue needs a whole number of plant cells of 25 µm: take 50 or 75"),
+        (("position = [0, 50]", "position = [0, 49]"),
+         "bodies.plate.position: [0.0, 49.0]; the tissue begins 1 µm inside it, at (0, 50) µm"),
         (("wall_stiffness = 5000.0", "repulsion_cutoff = 9.0"),
          "cell.repulsion_cutoff: 10 and 9; plant cells of one tissue must share it"),
         (("[0, 25, 50, 50]", "[0, 25, 40, 50]", "elements = [2, 2]", "elements = [5, 2]",

@@ -22,7 +22,7 @@ def made(case):
     factor = 1.0 if case.method == "tissue" else 1.0 / (1.0 - 0.48 / case.across)
     values = 1000.0 * factor * np.minimum(t / (0.75 * DURATION), 1.0)
     if case.problem == "skin over parenchyma":
-        period = 60.0 if case.method == "tissue" else 59.4
+        period = (60.0 if case.method == "tissue" else 59.4) * case.across / 8
         values = 5.0 * (np.exp(-1e-3 * t) * np.cos(2.0 * np.pi * t / period) - 1.0)
     axis = 0 if case.problem == "tensile strip" else 1
     both = np.zeros((t.size, 2))
@@ -33,10 +33,8 @@ def made(case):
 def test_what_the_surface_takes_is_read_off_the_forces():
     study = problems([made(case) for case in problem_cases(WATER)])
     rows = study.table.rows
-    assert [row.measure for row in rows] == ["force (µN)"] * 8 + [
-        "first minimum (µm)",
-        "period (µs)",
-    ]
+    skin = ["first minimum (µm)", "period (µs)"]
+    assert [row.measure for row in rows] == ["force (µN)"] * 8 + skin * 4
     for row in rows[:8]:
         assert row.c == pytest.approx(0.48)
         assert row.off == pytest.approx(100.0 / (row.case.across / 0.48 - 1.0))
@@ -46,10 +44,12 @@ def test_what_the_surface_takes_is_read_off_the_forces():
 
 
 def test_curves_are_kept_by_what_they_depend_on(tmp_path, monkeypatch):
-    cases = problem_cases(WATER, (2, 3))
+    cases = problem_cases(WATER, (3, 4))
     texts = {json.dumps(case.configuration(), sort_keys=True) for case in cases}
     assert len(texts) == len(cases) == 2 * (2 * 2 + 1)
     computed = []
+    skins = [case.recipe.stated for case in cases if "skin" in case.problem]
+    assert {(each.mesh.width, each.mesh.height) for each in skins} == {(200.0, 100.0)}
 
     def compute(case, progress=None):
         computed.append(case.name)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.amplitude import ONE, Amplitude
+from surrofe2.contact_law import circle, corner
 from surrofe2.errors import InputError
 from surrofe2.settings import check_settings, setting
 from surrofe2.units import ACCELERATION, LENGTH, MASS, NONE
@@ -56,8 +57,8 @@ class Circle:
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
         """As of `Shape`."""
-        distance = np.maximum(np.linalg.norm(p, axis=1), np.finfo(float).tiny)
-        return distance - self.radius, p / distance[:, None], 1.0 / distance
+        gap, x, y, curvature = circle(p[:, 0], p[:, 1], self.radius)
+        return gap, np.stack([x, y], axis=1), curvature
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,19 +75,16 @@ class Corner:
             raise InputError(f"corner.axis: {list(self.axis)}; it must not be zero")
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        """As of `Shape`: the distance from a sharp wedge, less the radius."""
-        axis = np.array(self.axis) / np.linalg.norm(self.axis)
-        across = np.array([-axis[1], axis[0]])
-        p = p - self.radius * axis
-        sign = np.where(p @ across >= 0.0, 1.0, -1.0)
+        """As of `Shape`."""
+        gap, x, y, curvature = corner(p[:, 0], p[:, 1], self.wedge)
+        return gap, np.stack([x, y], axis=1), curvature
+
+    @property
+    def wedge(self) -> tuple[float, float, float, float, float]:
+        """As `contact_law.corner` takes it."""
+        x, y = np.array(self.axis) / np.linalg.norm(self.axis)
         half = 0.5 * np.radians(self.angle)
-        along = np.cos(half) * axis + np.sin(half) * sign[:, None] * across
-        flank = -np.sin(half) * axis + np.cos(half) * sign[:, None] * across
-        distance = np.maximum(np.linalg.norm(p, axis=1), np.finfo(float).tiny)
-        at_tip = np.einsum("ni,ni->n", p, along) < 0.0
-        gap = np.where(at_tip, distance, np.einsum("ni,ni->n", p, flank)) - self.radius
-        normal = np.where(at_tip[:, None], p / distance[:, None], flank)
-        return gap, normal, np.where(at_tip, 1.0 / distance, 0.0)
+        return float(x), float(y), float(np.cos(half)), float(np.sin(half)), self.radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,3 +142,24 @@ class RigidBody:
                     f"bodies.{self.name}.{name}: {list(value)}; it is of a free body: give a mass, "
                     "or a displacement with its amplitude"
                 )
+
+    @property
+    def moves(self) -> bool:
+        """Whether it follows an amplitude, rather than resting or flying."""
+        return self.mass is None and any(self.displacement)
+
+
+def check_outside(body: str, shape: Shape, position: Array, points: Array, allowed: float) -> None:
+    """Refuse a body that begins with points (n, 2) of a tissue deeper inside it than `allowed`.
+
+    Raises:
+        InputError: naming the deepest place.
+    """
+    gap, _, _ = shape.gap(points - position)
+    deepest = int(gap.argmin())
+    if gap[deepest] < -allowed:
+        x, y = points[deepest]
+        raise InputError(
+            f"bodies.{body}.position: {position.tolist()}; the tissue begins {-gap[deepest]:.3g} "
+            f"µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside"
+        )

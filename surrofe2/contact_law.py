@@ -1,0 +1,113 @@
+"""The law of contact with a rigid body: formulas of whole arrays, and of numbers in kernels.
+
+Contact acts at points of a boundary, by unloaded length. With the depth d = −g of a point, g its
+gap, and x = min(d/δ, 1), a spring and a dashpot resist that it comes closer,
+
+    p = e + q (q ≥ 0),  e²/(e − q) (q < 0),
+    e = k (d − δ x + δ x²/2),   q = c x² (3 − 2 x) ḋ.
+
+The pressure has a continuous slope by d and by ḋ, and never pulls. The spring's part is the slope
+of an energy (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440–445, have the form; a spring and a
+dashpot as the contact of finite elements with a rigid body).
+
+Friction is −µ p w/√(w² + s²) in the direction of the sliding velocity w, s being the slip speed: a
+force that follows Coulomb's law where sliding is fast and creeps where it is slow.
+
+A gap comes with its gradient, the outward normal, and the curvature of its level line.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numba.extending import overload, register_jitable
+from numpy.typing import NDArray
+
+from surrofe2.compilation import OPTIONS
+
+Real = TypeVar("Real", float, NDArray[np.float64])
+formula = register_jitable(**OPTIONS)
+"""Kernels may call it, too."""
+TINY = float(np.finfo(float).tiny)
+
+
+def where(condition: Any, yes: Any, no: Any) -> Any:
+    """np.where; of numbers in a kernel, one of both."""
+    return np.where(condition, yes, no)
+
+
+@overload(where, jit_options=OPTIONS, strict=False)
+def _where(condition: Any, yes: Any, no: Any) -> Any:
+    return lambda condition, yes, no: yes if condition else no
+
+
+@formula
+def pressure(d: Real, closing: Real, law: tuple[float, float, float]) -> tuple[Real, Real, Real]:
+    """Pressure, and its slopes by the depth d ≥ 0 (µm) and by the speed of closing (µm/µs).
+
+    Args:
+        law: stiffness k, µN/µm²; smoothing δ, µm; damping c, µN µs/µm².
+    """
+    k, delta, c = law
+    near = np.minimum(d / delta, 1.0)
+    spring = k * (d - delta * near * (1.0 - 0.5 * near))
+    dashpot = c * near**2 * (3.0 - 2.0 * near) * closing
+    total = np.maximum(spring - np.minimum(dashpot, 0.0), TINY)
+    found = where(dashpot < 0.0, spring**2 / total, spring + dashpot)
+    share = spring / total
+    by_dashpot, by_spring = share**2, share * (2.0 - share)
+    growing = c * closing * 6.0 * near * (1.0 - near) / delta
+    by_depth = by_spring * k * near + by_dashpot * growing
+    return found, by_depth, by_dashpot * c * near**2 * (3.0 - 2.0 * near)
+
+
+@formula
+def stored(d: Real, k: float, delta: float) -> Real:
+    """Energy of the spring by length at the depth d ≥ 0, µN."""
+    far = 0.5 * d**2 - 0.5 * delta * d + delta**2 / 6.0
+    return k * where(d < delta, d**3 / (6.0 * delta), far)
+
+
+@formula
+def friction(pressed: Real, sliding: Real, law: tuple[float, float]) -> tuple[Real, Real, Real]:
+    """Friction against `sliding` (µm/µs), and its slopes by the pressure and by sliding.
+
+    Args:
+        law: Coulomb's coefficient µ; slip speed s, µm/µs.
+    """
+    coefficient, slip = law
+    size = np.hypot(sliding, slip)
+    share = coefficient * sliding / size
+    return share * pressed, share, coefficient * pressed * slip**2 / size**3
+
+
+@formula
+def circle(x: Real, y: Real, radius: float) -> tuple[Real, Real, Real, Real]:
+    """Gap, normal (two) and curvature at points relative to the middle of a disc."""
+    distance = np.maximum(np.sqrt(x * x + y * y), TINY)
+    return distance - radius, x / distance, y / distance, 1.0 / distance
+
+
+@formula
+def corner(
+    x: Real, y: Real, wedge: tuple[float, float, float, float, float]
+) -> tuple[Real, Real, Real, Real]:
+    """The same relative to the tip of a rounded wedge: distance from a sharp one, less the radius.
+
+    Args:
+        wedge: unit axis into the body (two), cosine and sine of half its angle, radius (µm).
+    """
+    axis_x, axis_y, cosine, sine, radius = wedge
+    x, y = x - radius * axis_x, y - radius * axis_y
+    side = where(axis_x * y - axis_y * x >= 0.0, 1.0, -1.0)
+    across_x, across_y = -side * axis_y, side * axis_x
+    at_tip = x * (cosine * axis_x + sine * across_x) + y * (cosine * axis_y + sine * across_y) < 0.0
+    flank_x, flank_y = cosine * across_x - sine * axis_x, cosine * across_y - sine * axis_y
+    gap, normal_x, normal_y, curvature = circle(x, y, radius)
+    return (
+        where(at_tip, gap, x * flank_x + y * flank_y - radius),
+        where(at_tip, normal_x, flank_x),
+        where(at_tip, normal_y, flank_y),
+        where(at_tip, curvature, 0.0),
+    )
