@@ -51,7 +51,7 @@ def pressure(d: Real, closing: Real, law: tuple[float, float, float]) -> tuple[R
     """
     k, delta, c = law
     near = np.minimum(d / delta, 1.0)
-    spring = k * (d - delta * near * (1.0 - 0.5 * near))
+    spring = np.maximum(k * (d - delta * near * (1.0 - 0.5 * near)), 0.0)  # rounding may pull
     dashpot = c * near**2 * (3.0 - 2.0 * near) * closing
     total = np.maximum(spring - np.minimum(dashpot, 0.0), TINY)
     found = where(dashpot < 0.0, spring**2 / total, spring + dashpot)
