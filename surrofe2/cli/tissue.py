@@ -37,11 +37,10 @@ def tissue(
 ) -> None:
     """Run the recipe's problem on all particles of the tissue: what FE² approximates.
 
-    The bar of \\[load], or a rectangle of one or several cells with supports, prescribed motion,
-    dead loads, and planes or circles that it touches. Walls at the free boundary are single. The
-    tissue is relaxed without load, then loaded. DIR receives run.json (configuration, costs),
-    curve.csv (t in µs, displacement of watched particles in µm), history.csv (forces in µN),
-    energies.csv (pJ) and fields.xdmf for ParaView.
+    The bar of \\[load], or a rectangle of one or several cells with the conditions and rigid bodies
+    of FE². Walls at the free boundary are single. The tissue is relaxed without load, then loaded.
+    DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of watched
+    particles in µm), history.csv (forces in µN), energies.csv (pJ) and fields.xdmf for ParaView.
 
     Example: [bold]surrofe2 tissue data/bending-bar.toml --out out/tissue[/bold]
 

@@ -265,6 +265,8 @@ class Conditions:
             return np.ones(tissue.particles)
         middles = middles_of(tissue.cells, tissue.cell.cell_side)
         inside = self.problem.regions[region].holds(middles).reshape(tissue.cells)
+        if not inside.any():
+            raise InputError(f"region {region}: it holds the middle of no plant cell")
         mine, whole = (
             shares(tissue.cell, filled, tissue.column, tissue.row)
             for filled in (inside, np.ones(tissue.cells, dtype=np.bool_))

@@ -33,7 +33,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
-from surrofe2.tissue.history import Recorder, TissueRun, TissueState
+from surrofe2.tissue.history import Recorder, TissueRun, TissueState, columns_of
 from surrofe2.tissue.layout import Tissue, make_mixed_tissue
 from surrofe2.tissue.problem import TissueProblem, as_problem
 from surrofe2.tissue.relaxation import relax
@@ -295,6 +295,6 @@ def advance(
 
 def identity(problem: TissueProblem, tissue: Tissue, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may go on where the other stopped."""
-    told = repr((replace(problem, kind=None), tissue.types, settings))
+    told = repr((replace(problem, kind=None), tissue.types, settings, columns_of(problem)))
     told += repr([tissue.mass.tobytes(), tissue.kind.tobytes()])
     return np.array(list(hashlib.sha256(told.encode()).digest()), dtype=np.float64)

@@ -369,6 +369,13 @@ def test_motion_that_jumps_is_named(reference):
         run(reference, replace(PRESSED, bodies=(wrong,)))
 
 
+def test_region_without_plant_cells_is_named(reference):
+    held = Support(name="held", on="seam")
+    problem = replace(PRESSED, bodies=(), supports=(held,), regions={"seam": Line(0, 25.0)})
+    with pytest.raises(InputError, match=r"^region seam: it holds the middle of no plant cell"):
+        run(reference, problem)
+
+
 def test_boundary_without_particles_is_named(reference):
     problem = replace(PRESSED, boundaries={**PRESSED.boundaries, "top": Line(1, 30.5)})
     with pytest.raises(InputError, match=r"^boundary top: it holds no wall particle"):
