@@ -89,10 +89,15 @@ class Processes:
 def _begin(threads: int) -> None:
     """The first that a process does: interrupts are for its parent, with which it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+
+
+def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
-        Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager
