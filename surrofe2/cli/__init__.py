@@ -28,6 +28,7 @@ COMMANDS = {
     "range": "Propose the range of (F, Ḟ) that the recipe's problem needs, by a dry run.",
     "generate": "Compute plant-cell stresses over a range of (F, Ḟ) into a data set.",
     "train": "Fit a surrogate of the plant-cell stress to the recipe's data set.",
+    "export": "A surrogate as C source, for other programs.",
     "run": "Run the recipe's load case by true, learnt or cached stresses.",
     "refine": "Teach the surrogate what the recipe's own run meets.",
     "tissue": "Run the recipe's load case on all particles of the tissue.",

@@ -52,6 +52,7 @@ class SurrogateLaw:
         domain: where the data are; None: all of `range`.
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
+        arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
 
     has_tangents, has_bound, learns = True, True, False
@@ -68,13 +69,13 @@ class SurrogateLaw:
     domain: Domain | None = None
     calibration: Calibration | None = None
     reference: ReferenceState | None = None
-    _arrays: NetworkArrays = field(init=False, repr=False)
-    _bounds: BoundArrays = field(init=False, repr=False)
+    arrays: NetworkArrays = field(init=False, repr=False)
+    bound_arrays: BoundArrays = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_arrays", NetworkArrays.of(self.network, self.range))
+        object.__setattr__(self, "arrays", NetworkArrays.of(self.network, self.range))
         calibration = self.calibration if self.is_calibrated else None
-        object.__setattr__(self, "_bounds", BoundArrays.of(self.domain, calibration))
+        object.__setattr__(self, "bound_arrays", BoundArrays.of(self.domain, calibration))
 
     @property
     def density(self) -> float:
@@ -170,7 +171,7 @@ class SurrogateLaw:
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        return lookup(F, F_dot, self._arrays, self._bounds, tolerance)
+        return lookup(F, F_dot, self.arrays, self.bound_arrays, tolerance)
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
@@ -179,7 +180,7 @@ class SurrogateLaw:
 
         That the network's answer is finite is not tested.
         """
-        return status_and_bound(F, F_dot, self._arrays, self._bounds, tolerance)
+        return status_and_bound(F, F_dot, self.arrays, self.bound_arrays, tolerance)
 
     def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
         """Nowhere."""
@@ -191,7 +192,7 @@ class SurrogateLaw:
         return to_cauchy(F, self._slopes(F, F_dot)[0])
 
     def _slopes(self, F: Array, F_dot: Array) -> tuple[Array, Array]:
-        return evaluate_slopes(F, F_dot, self._arrays, self._slope_polynomial)
+        return evaluate_slopes(F, F_dot, self.arrays, self._slope_polynomial)
 
     @cached_property
     def _slope_polynomial(self) -> Polynomial:

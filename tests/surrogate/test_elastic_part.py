@@ -4,34 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
-from surrofe2.surrogate import SurrogateLaw, TrainingSettings, train
-from surrofe2.surrogate.features import input_scale
-from surrofe2.surrogate.network import StressNetwork
+from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.piola import to_piola, to_slopes, to_tangents
 from tests.laws import CELL, RANGE, lattice_samples, lattice_stress
+from tests.surrogate.networks import make_law
 
 H = 1e-6
-
-
-def make_law(symmetry="D4", form="energy", **settings):
-    """A law of random weights, in the middle of whose range the tests stay."""
-    settings = TrainingSettings(
-        form=form, hidden=(6, 5), energy_hidden=(5, 4), baseline_degree=3, seed=2, **settings
-    )
-    network = StressNetwork(settings, symmetry)
-    generator = torch.Generator().manual_seed(4)
-    network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
-    network.coefficients.normal_(generator=generator)
-    network.energy_coefficients.normal_(0.0, 0.05, generator=generator)
-    network.energy_scale.fill_(0.05)
-    return SurrogateLaw(
-        network=network.to_parameters(), cell=CELL, initialisation="elastic", range=RANGE,
-        settings=settings, errors={}, data_fingerprint="",
-    )  # fmt: skip
 
 
 def turned_points(count):

@@ -7,33 +7,20 @@ import pytest
 
 from surrofe2.sampling import contains
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.calibration import fit_domain
 from surrofe2.surrogate.compiled_lookup import MANY
 from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import scaled_inputs
-from surrofe2.surrogate.error_bound import Calibration, local_scale, scale_table
+from surrofe2.surrogate.error_bound import local_scale
 from tests.laws import RANGE
 from tests.surrogate.domain_twin import within
-from tests.surrogate.failing_samples import G, buckles, samples_that_fail
+from tests.surrogate.failing_samples import G
+from tests.surrogate.networks import with_bound
 
 
 @pytest.fixture(scope="module")
 def trusted(law):
     """The analytic law's surrogate with a domain that has a cliff and an arbitrary bound."""
-    scale = np.random.default_rng(0).uniform(0.0, 1.0, len(scale_table()))
-    scale[3:9] = 0.0
-    calibration = Calibration(
-        scale=scale,
-        quantile=0.7,
-        share=0.01,
-        kinds={},
-        stress_spread=10.0,
-        data_fingerprint=law.data_fingerprint,
-        subject=law.network.fingerprint(law.range),
-        settings={},
-    )
-    domain = fit_domain(samples_that_fail(buckles, 2000))
-    return replace(law, domain=domain, calibration=calibration)
+    return with_bound(law)
 
 
 def turned(count, seed=1):

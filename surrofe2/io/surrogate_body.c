@@ -1,0 +1,331 @@
+/* The formulas; the numbers above are of one surrogate. Dual numbers carry a value and its
+ * derivatives by the scaled inputs, x[0] value, x[1 + k] derivative: 7 of them, or none. */
+
+#define INPUTS 7
+#define ONE 7
+#define BIOT 4
+#define COMPONENTS 7
+#define STRETCH 3
+
+typedef double dual[1 + INPUTS];
+
+static void multiply(const double *a, const double *b, double *product, int n)
+{
+    const double value = a[0] * b[0];
+    for (int k = n; k >= 1; k--)
+        product[k] = a[k] * b[0] + a[0] * b[k];
+    product[0] = value;
+}
+
+static void add_times(double factor, const double *a, double *sum, int n)
+{
+    for (int k = 0; k <= n; k++)
+        sum[k] += factor * a[k];
+}
+
+/* a, a value alone, times the dual b, added to sum */
+static void product_of_three(dual *rows, const int *which, double *product, int n)
+{
+    multiply(rows[which[0]], rows[which[1]], product, n);
+    multiply(product, rows[which[2]], product, n);
+}
+
+/* units of the layers `first` to `last` from those before; the last of all has no tanh */
+static int forward(const int *sizes, int layers, int all, const double *weights,
+                   const double *biases, dual *units, int n)
+{
+    int begin = 0;
+    for (int layer = 1; layer < layers; layer++) {
+        const int rows = sizes[layer], columns = sizes[layer - 1];
+        dual *source = units + begin, *target = units + begin + columns;
+        for (int i = 0; i < rows; i++) {
+            double *unit = target[i];
+            for (int k = 0; k <= n; k++)
+                unit[k] = 0.0;
+            unit[0] = biases[i];
+            for (int j = 0; j < columns; j++)
+                add_times(weights[i * columns + j], source[j], unit, n);
+            if (layer != all - 1) {
+                unit[0] = tanh(unit[0]);
+                for (int k = 1; k <= n; k++)
+                    unit[k] *= 1.0 - unit[0] * unit[0];
+            }
+        }
+        weights += rows * columns;
+        biases += rows;
+        begin += columns;
+    }
+    return begin;
+}
+
+static void add_polynomial(dual *x, dual *y, int n)
+{
+    dual rows[ONE + 1 + MADE + 1], inner, whole;
+    memcpy(rows, x, (ONE + 1) * sizeof(dual));
+    for (int k = 0; k < MADE; k++)
+        multiply(rows[made[k][0]], rows[made[k][1]], rows[ONE + 1 + k], n);
+    for (int four = 0; four < FOURS; four++)
+        for (int j = 0; j < 4; j++) {
+            const int *head = heads[4 * four + j];
+            memset(inner, 0, sizeof inner);
+            for (int k = begins[four]; k < begins[four + 1]; k++)
+                add_times(tail_coefficients[k][j], rows[tails[k]], inner, n);
+            multiply(inner, rows[head[0]], whole, n);
+            add_times(1.0, whole, y[head[1]], n);
+        }
+}
+
+static void add_terms(dual *x, dual *y, int n)
+{
+    static const int last = FACTOR_LAYERS - 1;
+    dual units[FACTOR_UNITS], product;
+    memset(units, 0, sizes[0] * sizeof(dual));
+    for (int i = 0; i < INVARIANTS; i++)
+        product_of_three(x, invariants[i], units[i], n);
+    dual *factors = units + forward(sizes, last + 1, last + 1, weights, biases, units, n);
+    for (int term = 0; term < TERMS; term++) {
+        product_of_three(x, terms[term], product, n);
+        factors[term][0] -= at_rest[term];
+        multiply(factors[term], product, product, n);
+        add_times(output_factor[terms[term][3]], product, y[terms[term][3]], n);
+    }
+}
+
+#if ENERGY_LAYERS > 1
+/* 2 dW/d(s, d, g) by the energy network forward and back, and the spin that makes the Cauchy
+ * stress of it symmetric */
+static void add_elastic(dual *x, dual *y, int n)
+{
+    static const int last = ENERGY_LAYERS - 1;
+    dual hidden[ENERGY_UNITS], back[ENERGY_WIDEST], next[ENERGY_WIDEST], inner, change;
+    memset(hidden, 0, energy_sizes[0] * sizeof(dual));
+    for (int k = 0; k < STRETCH; k++)
+        multiply(x[k], powers[k] == 2 ? x[k] : x[ONE], hidden[k], n);
+    int begin = forward(energy_sizes, last, ENERGY_LAYERS, energy_weights, energy_biases, hidden, n);
+    const double *weight = energy_weights;
+    for (int layer = 1; layer < last; layer++)
+        weight += energy_sizes[layer] * energy_sizes[layer - 1];
+    memset(back, 0, sizeof back);
+    for (int row = 0; row < energy_sizes[last - 1]; row++)
+        back[row][0] = weight[row];
+    for (int layer = last - 1; layer > 0; layer--) {
+        const int rows = energy_sizes[layer], columns = energy_sizes[layer - 1];
+        for (int row = 0; row < rows; row++) {
+            const double *h = hidden[begin + row];
+            change[0] = 1.0 - h[0] * h[0];
+            for (int k = 1; k <= n; k++)
+                change[k] = -2.0 * h[0] * h[k];
+            multiply(back[row], change, back[row], n);
+        }
+        weight -= rows * columns;
+        memset(next, 0, sizeof next);
+        for (int row = 0; row < rows; row++)
+            for (int j = 0; j < columns; j++)
+                add_times(weight[row * columns + j], back[row], next[j], n);
+        memcpy(back, next, sizeof back);
+        begin -= columns;
+    }
+    for (int k = 0; k < STRETCH; k++) {
+        memset(inner, 0, sizeof inner);
+        add_times(energy_factor[k] * (powers[k] == 2 ? 2.0 : 1.0), powers[k] == 2 ? x[k] : x[ONE],
+                  inner, n);
+        back[k][0] -= energy_at_rest[k];
+        multiply(back[k], inner, change, n);
+        add_times(1.0, change, y[BIOT + k], n);
+    }
+    dual d = {0}, g = {0}, per_n = {0}, spin = {0};
+    const double trace = 2.0 + x[0][0] / input_factor[0];
+    per_n[0] = 1.0 / trace;
+    add_times(1.0 / input_factor[1], x[1], d, n);
+    add_times(1.0 / input_factor[2], x[2], g, n);
+    for (int k = 1; k <= n; k++)
+        per_n[k] = -x[0][k] / (input_factor[0] * trace * trace);
+    multiply(y[BIOT + 1], g, spin, n);
+    multiply(y[BIOT + 2], d, change, n);
+    add_times(-1.0, change, spin, n);
+    multiply(spin, per_n, spin, n);
+    add_times(1.0, spin, y[3], n);
+    for (int k = 0; k < STRETCH; k++)
+        add_times(1.0, y[BIOT + k], y[k], n);
+}
+#endif
+
+static double sum_of_products(const int (*table)[4], const double *coefficients, int count,
+                              const double *x)
+{
+    double total = 0.0;
+    for (int k = 0; k < count; k++)
+        total += coefficients[k] * (x[table[k][0]] * x[table[k][1]])
+                 * (x[table[k][2]] * x[table[k][3]]);
+    return total;
+}
+
+/* Whether a point is where the data are, and the bound of the error there, in uN/um. */
+static int domain_and_bound(const double *inputs, double tolerance, double *bound)
+{
+    double x[10], features[19] = {0.0}, mean = 0.0;
+    for (int k = 0; k < INPUTS; k++)
+        x[k] = inputs[k] * domain_factor[k];
+    x[ONE] = 1.0;
+    *bound = HUGE_VAL;
+    if (CLIFF && !(sum_of_products(cliff_table, cliff, CLIFF, x) <= 0.0))
+        return SURROFE2_OUT_OF_RANGE;
+    for (int k = 0; k < 9; k++) {
+        double one = k < INPUTS ? x[k] : x[k - 6] * x[k - 3], other = -one;
+        if (SQUARE && k < INPUTS && k != 0 && k != 3)
+            one = fabs(one);
+        features[k] = one;
+        features[9 + k] = other;
+    }
+    for (int k = 0; k < SIDES; k++)
+        if (!(features[sides[k][0]] + features[sides[k][1]] - limits[k] <= 0.0))
+            return SURROFE2_OUT_OF_RANGE;
+    const double low = x[0] < 0.0 ? x[0] : 0.0;
+    for (int k = 0; k < INPUTS; k++) {
+        x[k] *= x[k];
+        mean += x[k] / INPUTS;
+    }
+    x[8] = low * low;
+    x[9] = mean;
+    if (BOUND)
+        *bound = sum_of_products(bound_table, bound_coefficients, BOUND, x);
+    return *bound <= tolerance ? SURROFE2_OK : SURROFE2_NOT_TRUSTED;
+}
+
+static void components(const double *T, double *c)
+{
+    c[0] = T[0] + T[3];
+    c[1] = T[0] - T[3];
+    c[2] = T[1] + T[2];
+    c[3] = T[2] - T[1];
+}
+
+static void from_components(const double *c, double *T)
+{
+    T[0] = 0.5 * (c[0] + c[1]);
+    T[1] = 0.5 * (c[2] - c[3]);
+    T[2] = 0.5 * (c[2] + c[3]);
+    T[3] = 0.5 * (c[0] - c[1]);
+}
+
+/* E T, E the turn by 90 degrees, times a */
+static void turned(double a, const double *T, double *ET)
+{
+    ET[0] = -a * T[2];
+    ET[1] = -a * T[3];
+    ET[2] = a * T[0];
+    ET[3] = a * T[1];
+}
+
+/* R T of the rotation with this cosine and sine */
+static void rotated(double c, double s, const double *T, double *RT)
+{
+    const double a = T[0], b = T[1];
+    RT[0] = c * a - s * T[2];
+    RT[1] = c * b - s * T[3];
+    RT[2] = s * a + c * T[2];
+    RT[3] = s * b + c * T[3];
+}
+
+/* dP/dF and dP/dF' from the components of R'P and their slopes by the inputs */
+static void tangents(double c, double s, const double *U, const double *A, const double *P_hat,
+                     double slopes[4][INPUTS], double *by_F, double *by_rate)
+{
+    double P[4];
+    from_components(P_hat, P);
+    for (int k = 0; k < 4; k++) {
+        double unit[4] = {0.0}, B[4], EU[4], EA[4], EP[4], change[8], sum[4], all[4], along[4];
+        unit[k] = 1.0;
+        rotated(c, -s, unit, B);
+        const double angle = (B[2] - B[1]) / (U[0] + U[3]);
+        turned(-angle, U, EU);
+        turned(-angle, A, EA);
+        turned(angle, P, EP);
+        for (int i = 0; i < 4; i++)
+            EU[i] += B[i];
+        components(EU, change);
+        components(EA, change + 3);
+        for (int i = 0; i < 4; i++) {
+            sum[i] = 0.0;
+            for (int j = 0; j < INPUTS; j++)
+                sum[i] += slopes[i][j] * change[j];
+        }
+        from_components(sum, all);
+        for (int i = 0; i < 4; i++)
+            all[i] += EP[i];
+        rotated(c, s, all, along);
+        for (int i = 0; i < 4; i++)
+            by_F[4 * i + k] = along[i];
+        components(B, change);
+        for (int i = 0; i < 4; i++) {
+            sum[i] = 0.0;
+            for (int j = 0; j < 4; j++)
+                sum[i] += slopes[i][3 + j] * change[j];
+        }
+        from_components(sum, all);
+        rotated(c, s, all, along);
+        for (int i = 0; i < 4; i++)
+            by_rate[4 * i + k] = along[i];
+    }
+}
+
+int surrofe2_stress(const double *F, const double *F_rate, double tolerance, double *stress,
+                    double *bound, double *P_by_F, double *P_by_F_rate)
+{
+    const int n = P_by_F && P_by_F_rate ? INPUTS : 0;
+    const double cosine = F[0] + F[3], sine = F[2] - F[1];
+    const double length = sqrt(cosine * cosine + sine * sine);
+    const double c = cosine / length, s = sine / length;
+    double U[4], A[4], inputs[INPUTS + 1], P_hat[4], P[4], slopes[4][INPUTS];
+    dual x[INPUTS + 1], y[COMPONENTS];
+
+    *bound = HUGE_VAL;
+    for (int k = 0; k < 4; k++)
+        stress[k] = NAN;
+    rotated(c, -s, F, U);
+    rotated(c, -s, F_rate, A);
+    int within = range[0] < U[0] && U[0] < range[1] && range[0] < U[3] && U[3] < range[1]
+                 && fabs(U[1]) < range[2];
+    for (int k = 0; k < 4; k++)
+        within = within && fabs(A[k]) < range[3];
+    if (!within || !(F[0] * F[3] - F[1] * F[2] > 0.0))
+        return SURROFE2_OUT_OF_RANGE;
+    components(U, inputs);
+    inputs[0] = (U[0] - 1.0) + (U[3] - 1.0);
+    components(A, inputs + 3);
+    const int status = domain_and_bound(inputs, tolerance, bound);
+    if (status != SURROFE2_OK)
+        return status;
+
+    memset(x, 0, sizeof x);
+    memset(y, 0, sizeof y);
+    for (int k = 0; k < INPUTS; k++) {
+        x[k][0] = inputs[k] * input_factor[k];
+        x[k][1 + k] = 1.0;
+    }
+    x[ONE][0] = 1.0;
+    add_terms(x, y, n);
+    add_polynomial(x, y, n);
+#if ENERGY_LAYERS > 1
+    add_elastic(x, y, n);
+#endif
+    for (int i = 0; i < 4; i++) {
+        P_hat[i] = y[i][0];
+        for (int k = 0; k < n; k++)
+            slopes[i][k] = y[i][1 + k] * input_factor[k];
+    }
+    from_components(P_hat, P);
+    rotated(c, s, P, P);
+    const double J = F[0] * F[3] - F[1] * F[2];
+    const double sigma[4] = {
+        (P[0] * F[0] + P[1] * F[1]) / J, (P[0] * F[2] + P[1] * F[3]) / J,
+        (P[2] * F[0] + P[3] * F[1]) / J, (P[2] * F[2] + P[3] * F[3]) / J,
+    };
+    for (int k = 0; k < 4; k++)
+        if (!isfinite(sigma[k]))
+            return SURROFE2_NOT_FINITE;
+    memcpy(stress, sigma, sizeof sigma);
+    if (n)
+        tangents(c, s, U, A, P_hat, slopes, P_by_F, P_by_F_rate);
+    return SURROFE2_OK;
+}

@@ -1,0 +1,41 @@
+"""`surrofe2 export`."""
+
+from __future__ import annotations
+
+import pytest
+
+from surrofe2.io.surrogates import write_surrogate
+from tests.surrogate.networks import make_law
+
+
+@pytest.fixture
+def surrogate(tmp_path):
+    write_surrogate(make_law(), tmp_path / "law.safetensors")
+    return tmp_path / "law.safetensors"
+
+
+def test_the_source_lies_beside_the_surrogate(surrogate, invoke):
+    done = invoke("export", surrogate, "--to", "c")
+    assert done.exit_code == 0, done.output
+    source = surrogate.with_suffix(".c")
+    lines = source.read_text(encoding="utf-8").count("\n")
+    assert f"{source}: {lines} lines of C, " in done.output
+
+
+def test_what_is_there_stays(surrogate, invoke):
+    source = surrogate.with_suffix(".c")
+    source.write_text("mine", encoding="utf-8")
+    done = invoke("export", surrogate)
+    assert done.exit_code == 1
+    assert "there already; --fresh" in done.output
+    assert source.read_text(encoding="utf-8") == "mine"
+    assert invoke("export", surrogate, "--fresh").exit_code == 0
+    assert source.read_text(encoding="utf-8").startswith("/*")
+
+
+def test_what_is_no_surrogate(tmp_path, invoke):
+    (tmp_path / "law.safetensors").write_bytes(b"none")
+    done = invoke("export", tmp_path / "law.safetensors")
+    assert done.exit_code == 1
+    assert "not a surrofe2 surrogate" in done.output
+    assert not (tmp_path / "law.c").exists()

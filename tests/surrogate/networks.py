@@ -1,0 +1,51 @@
+"""Surrogates of random weights, and what random weights may know of their data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from surrofe2.surrogate import SurrogateLaw, TrainingSettings
+from surrofe2.surrogate.calibration import fit_domain
+from surrofe2.surrogate.error_bound import Calibration, scale_table
+from surrofe2.surrogate.features import input_scale
+from surrofe2.surrogate.network import StressNetwork
+from tests.laws import CELL, RANGE
+from tests.surrogate.failing_samples import buckles, samples_that_fail
+
+
+def make_law(symmetry="D4", form="energy", **settings):
+    """A law of random weights, in the middle of whose range the tests stay."""
+    settings = TrainingSettings(
+        form=form, hidden=(6, 5), energy_hidden=(5, 4), baseline_degree=3, seed=2, **settings
+    )
+    network = StressNetwork(settings, symmetry)
+    generator = torch.Generator().manual_seed(4)
+    network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
+    network.coefficients.normal_(generator=generator)
+    network.energy_coefficients.normal_(0.0, 0.05, generator=generator)
+    network.energy_scale.fill_(0.05)
+    return SurrogateLaw(
+        network=network.to_parameters(), cell=CELL, initialisation="elastic", range=RANGE,
+        settings=settings, errors={}, data_fingerprint="",
+    )  # fmt: skip
+
+
+def with_bound(law, quantile=0.7):
+    """The law with a domain that has a cliff and an arbitrary bound."""
+    scale = np.random.default_rng(0).uniform(0.0, 1.0, len(scale_table()))
+    scale[3:9] = 0.0
+    calibration = Calibration(
+        scale=scale,
+        quantile=quantile,
+        share=0.01,
+        kinds={},
+        stress_spread=10.0,
+        data_fingerprint=law.data_fingerprint,
+        subject=law.network.fingerprint(law.range),
+        settings={},
+    )
+    domain = fit_domain(samples_that_fail(buckles, 2000))
+    return replace(law, domain=domain, calibration=calibration)
