@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -152,6 +153,14 @@ class Recipe:
             )
         return self.range
 
+    @contextmanager
+    def named(self, *kinds: type[FileError | InputError]) -> Iterator[None]:
+        """Errors of these kinds in what the recipe states begin with the name of its file."""
+        try:
+            yield
+        except kinds as error:
+            raise type(error)(f"{self.path.name}: {error}") from None
+
     def problem(self) -> Problem:
         """What a run computes.
 
@@ -159,15 +168,13 @@ class Recipe:
             FileError: the mesh file cannot be read.
             InputError: the mesh is none, or has not what the recipe names.
         """
-        try:
-            if self.stated is None:
-                return bar(self.bar_load(), self.macro.elements)
+        if self.stated is None:
+            return bar(self.bar_load(), self.macro.elements)
+        with self.named(FileError, InputError):
             problem = self.stated.problem(self.path.parent)
             if self.types:
                 self.points_of_cells(problem.mesh)
             return problem
-        except (FileError, InputError) as error:
-            raise type(error)(f"{self.path.name}: {error}") from None
 
     def bar_load(self) -> LoadCase:
         """The load of the paper's bar, for what computes no other problem.

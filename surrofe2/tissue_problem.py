@@ -62,6 +62,7 @@ def problem_of_tissue(recipe: Recipe) -> TissueProblem:
                 "mesh.height"
             )
         boundaries = {**outline(width, height), **stated.boundaries}
+        problem.check_course()
         found = TissueProblem(
             width=width,
             height=height,

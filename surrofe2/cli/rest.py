@@ -29,8 +29,9 @@ def rest(
     """Find the tissue at rest under the recipe's loads, by true FE², without time.
 
     The load goes on in steps, Newton's method with line search solves each. DIR receives run.json
-    (configuration, costs), path.csv (factor of the load, displacement of the watched point in µm)
-    and fields.xdmf for ParaView, where the factor stands for the time.
+    (configuration, costs), path.csv (factor of the load, displacement of the watched point in µm),
+    history.csv and energies.csv (forces and works over the factor) and fields.xdmf for ParaView,
+    where the factor stands for the time.
 
     Example: [bold]surrofe2 rest data/bending-bar.toml --out out/rest[/bold]
 

@@ -302,9 +302,11 @@ def read_history(folder: Path) -> dict[str, np.ndarray]:
     return {name.rpartition("_")[0]: column for name, column in columns}
 
 
-def write_energies(folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray]) -> None:
-    """Write energies.csv: each energy (m,) in pJ over t (m,) in µs."""
-    header = ["t_us", *(f"{name}_pJ" for name in energies)]
+def write_energies(
+    folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray], clock: str = "t_us"
+) -> None:
+    """Write energies.csv: each energy (m,) in pJ over t (m,) in µs; clock as of `write_history`."""
+    header = [clock, *(f"{name}_pJ" for name in energies)]
     write_columns(folder / "energies.csv", header, [t, *energies.values()])
 
 

@@ -14,6 +14,7 @@ from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, No
 from surrofe2.macro.extremes import NO_EXTREMES
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.frames import Frames
+from surrofe2.macro.path_work import acting, energies_along
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.tangents import Assembly, factorised
@@ -38,7 +39,8 @@ class Rest:
         stiffness, damping: (m, m) of the free unknowns, as of `Assembly.tangents`.
         forces: (k, 2) forces on the tissue, of `System.force_names`, µN.
         path: (steps + 1, 3) factor and displacement of the first watched point at each load step,
-            from (0, 0, 0) on.
+            from factor 0 on.
+        acts: (steps + 1, k + 3, n, 2) what acted there, as of `acting`.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
         counts: load steps, halvings, Newton iterations.
         next_step: factor of the next load step.
@@ -56,6 +58,7 @@ class Rest:
     damping: Matrix
     forces: Array
     path: Array
+    acts: Array
     residuals: tuple[float, ...]
     counts: dict[str, int]
     next_step: float
@@ -77,7 +80,15 @@ class Rest:
         drags = {f"drag {name}": drag for name, drag in self.drags.items()}
         if self.system.rest is not None:
             tensors["rest"] = self.system.rest
-        return arrays | tensors | {"path": self.path} | drags
+        return arrays | tensors | {"path": self.path, "acts": self.acts} | drags
+
+    @property
+    def energies(self) -> dict[str, Array]:
+        """By name, (steps + 1,) pJ: `internal` and the work of each force and of `motion` along
+        the path, `contact` and `contact dissipated`, and `balance`, the other works − internal,
+        zero to Newton's tolerance. Their order is that of `works_along`.
+        """
+        return energies_along(self.system, self.path[:, 0], self.acts)
 
     @property
     def watched(self) -> Array:
@@ -94,8 +105,8 @@ class Newton:
     assembly: Assembly
     settings: MacroSettings
 
-    def rest_at(self, factor: float, u: Array, path: Array) -> Rest | NoStress:
-        """The equilibrium at `factor` by Newton from u; the law commits it.
+    def rest_at(self, factor: float, u: Array, last: Rest | None = None) -> Rest | NoStress:
+        """The equilibrium at `factor` by Newton from u, after the last; the law commits it.
 
         Newton begins anew as long as points leave their branch of the law.
         """
@@ -106,8 +117,11 @@ class Newton:
         if isinstance(found, NoStress):
             return found
         self.equations.tally.counts["load_steps"] += factor != 0.0
-        here = np.append(factor, self.equations.system.at_watched_points(found[0].u)[0])
-        return self._rest(*found, np.vstack([path, here]) if factor != path[-1, 0] else path)
+        here = np.append(factor, self.equations.system.at_watched_points(found[0].u)[0])[None]
+        acts = acting(self.equations, found[0])[None]
+        if last is not None:
+            here, acts = np.concatenate([last.path, here]), np.concatenate([last.acts, acts])
+        return self._rest(*found, here, acts)
 
     def known(self, there: Mapping[str, Array], law_state: Any) -> Rest | NoStress | Switched:
         """An equilibrium that was found before, as of `Rest.to_arrays`."""
@@ -120,9 +134,12 @@ class Newton:
             return again
         for name in _COUNTS:
             equations.tally.counts[name] = int(there[name])
-        return self._rest(start, [], self.assembly.tangents(again), there["path"])
+        slopes = self.assembly.tangents(again)
+        return self._rest(start, [], slopes, there["path"], there["acts"])
 
-    def _rest(self, now: Evaluation, residuals: list[float], slopes: Slopes, path: Array) -> Rest:
+    def _rest(
+        self, now: Evaluation, residuals: list[float], slopes: Slopes, path: Array, acts: Array
+    ) -> Rest:
         equations = self.equations
         return Rest(
             system=equations.system,
@@ -134,6 +151,7 @@ class Newton:
             damping=slopes[1],
             forces=equations.system.resultants(now.forces, equations.reaction(now)),
             path=path,
+            acts=acts,
             residuals=tuple(residuals),
             counts=self.counts(),
             next_step=0.0,

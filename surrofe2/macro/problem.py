@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.amplitude import ONE, Amplitude, Table
+from surrofe2.amplitude import ONE, Amplitude, Constant, Table
 from surrofe2.errors import InputError, quoted
 from surrofe2.load_case import LoadCase, output_times
 from surrofe2.macro.conditions import (
@@ -18,6 +19,7 @@ from surrofe2.macro.conditions import (
     DrivenCondition,
     Fixed,
     InitialVelocity,
+    PrescribedMotion,
     Surface,
 )
 from surrofe2.macro.mesh import Mesh
@@ -108,6 +110,41 @@ class Problem:
             if isinstance(condition, DrivenCondition):
                 yield condition.amplitude
         yield from (body.amplitude for body in self.bodies)
+
+    def check_course(self) -> None:
+        """Refuse amplitudes that no run can follow, or that are zero all of it but not constant.
+
+        Raises:
+            InputError: a prescribed motion does not begin at 0 or jumps, or a load or a motion is
+                zero from the start of the run to its end.
+        """
+        corners = self.corners().tolist()
+        pieces = [*pairwise(corners)]
+        driven = [each for each in self.conditions if isinstance(each, DrivenCondition)]
+        moved = [body for body in self.bodies if any(body.displacement)]
+        for name, amplitude, moves in (
+            *((label(each), each.amplitude, isinstance(each, PrescribedMotion)) for each in driven),
+            *((body.name, body.amplitude, True) for body in moved),
+        ):
+            left = 0.0
+            for begin, end in pieces if moves else ():
+                right = amplitude.at(begin, 0.5 * (begin + end))[0]
+                if abs(right - left) > 1e-9:
+                    raise InputError(
+                        f"{name}.amplitude: jumps from {left:g} to {right:g} at t = {begin:g} µs; "
+                        "a prescribed motion must begin at 0 and must not jump"
+                    )
+                left = amplitude.at(end, 0.5 * (begin + end))[0]
+            values = (
+                amplitude.at(begin + part * (end - begin), 0.5 * (begin + end))[0]
+                for begin, end in pieces
+                for part in (0.13, 0.51, 0.77)
+            )
+            if not isinstance(amplitude, Constant) and not any(values):
+                raise InputError(
+                    f"{name}.amplitude: zero during the whole run of {self.duration:g} µs; it must "
+                    "act before the end, or be left out"
+                )
 
     def places(self) -> Iterator[str | None]:
         """Boundaries and regions that conditions and bodies act on."""

@@ -78,7 +78,7 @@ def find_rest(
     if resume is None:
         step, met = factor / load_steps, NO_EXTREMES
         newton = newton.gripping(np.zeros((system.n_rows, 2)), {})
-        found = newton.rest_at(0.0, np.zeros(system.free.size), np.zeros((1, 3)))
+        found = newton.rest_at(0.0, np.zeros(system.free.size))
     else:
         if resume["u"].shape != (system.n_rows, 2):
             raise MismatchError("resume: the mesh is not that of the state; start anew")
@@ -95,7 +95,7 @@ def find_rest(
         left = factor - rest.factor
         target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
         newton = newton.gripping(rest.u, rest.drags)
-        found = newton.rest_at(target, system.pick(rest.u), rest.path)
+        found = newton.rest_at(target, system.pick(rest.u), rest)
         if isinstance(found, NoStress):
             equations.tally.counts["halvings"] += 1
             step, failed = 0.5 * (target - rest.factor), True
@@ -140,7 +140,7 @@ def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tal
     equations = EquationsOfMotion(system, law, clock="before the load")
     equations.tally = tally
     newton = Newton(equations, make_assembly(system), settings)
-    found = newton.rest_at(0.0, np.zeros(system.free.size), np.zeros((1, 3)))
+    found = newton.rest_at(0.0, np.zeros(system.free.size))
     if not isinstance(found, Rest):
         raise SimulationError(f"no rest under the surface tension: {found.message}")
     u = np.zeros((system.n_rows + len(problem.bodies), 2))

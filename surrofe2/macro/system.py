@@ -20,7 +20,7 @@ from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
 from surrofe2.macro.mass import make_mass, mass_solver
-from surrofe2.macro.problem import SURFACE, Problem
+from surrofe2.macro.problem import SURFACE, Problem, label
 from surrofe2.macro.supports import Support, make_supports
 from surrofe2.macro.surface_elements import SurfaceForce, make_surface
 
@@ -122,14 +122,9 @@ class System:
         """y at t = 0, and the work (1 + forces + 2,) of what sets supports into motion.
 
         Raises:
-            InputError: a prescribed displacement is not zero at t = 0.
+            InputError: as of `Problem.check_course`.
         """
-        for support in self.moving:
-            if abs(support.amplitude.at(0.0, within)[0]) > 1e-12:
-                raise InputError(
-                    f"{support.name}.amplitude: {support.amplitude.at(0.0, within)[0]:g} at t = 0; "
-                    "a prescribed motion must begin at 0"
-                )
+        self.problem.check_course()
         velocity = self.pick(self.initial_velocity)
         y = np.concatenate([np.zeros(self.free.size), velocity])
         return self._driven(y, self.initial_velocity, 0.0, within)
@@ -142,17 +137,7 @@ class System:
 
         Args:
             before, after: times within the pieces on both sides.
-
-        Raises:
-            InputError: a prescribed displacement jumps.
         """
-        for support in self.moving:
-            left, right = (support.amplitude.at(t, side)[0] for side in (before, after))
-            if abs(right - left) > 1e-9:
-                raise InputError(
-                    f"{support.name}.amplitude: jumps from {left:g} to {right:g} at t = {t:g} µs; "
-                    "a prescribed motion must not jump"
-                )
         return self._driven(y, self.spread(y, t, before)[1], t, after)
 
     def _driven(self, y: Array, v: Array, t: float, after: float) -> tuple[Array, Array]:
@@ -318,12 +303,24 @@ def _boundary_weights(problem: Problem) -> dict[str, Array]:
 
 
 def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -> Array:
-    """(n, 2) velocities at t = 0; what is held has none."""
-    velocity = np.zeros((n, 2))
+    """(n, 2) velocities at t = 0; what is held has none.
+
+    Raises:
+        InputError: one is given to nothing but what supports hold or move.
+    """
+    velocity, held = np.zeros((n, 2)), np.zeros(2 * n, dtype=bool)
+    for support in supports:
+        held[support.unknowns] = True
     for condition in problem.conditions:
         if isinstance(condition, InitialVelocity):
             nodes = problem.mesh.nodes_of(condition.on, "initial_velocity.on")
             velocity[nodes] = condition.velocity
+            given = np.array(condition.velocity) != 0.0
+            if given.any() and held.reshape(n, 2)[nodes][:, given].all():
+                raise InputError(
+                    f"{label(condition)}.on: {condition.on}; supports hold or move all of it, so "
+                    "it can have no initial velocity"
+                )
     for k, body in enumerate(problem.bodies):
         if body.mass is not None:
             velocity[len(problem.mesh.nodes) + k] = body.velocity

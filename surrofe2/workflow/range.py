@@ -41,7 +41,8 @@ def met_by_quadratic_law(recipe: Recipe, *, report: Report = untold) -> dict[str
     law = law_by_region(recipe, problem.mesh, watched)
     settings = replace(recipe.macro, record_dissipation=False, frames=2)
     try:
-        simulate(problem, law, settings, progress=lambda t, duration: report(t, ""))
+        with recipe.named(InputError):
+            simulate(problem, law, settings, progress=lambda t, duration: report(t, ""))
     except SimulationError as error:
         raise SimulationError(f"range: the run by the quadratic law: {error}") from error
     return {name: MetRange.of(met) for name, met in extremes.items()}

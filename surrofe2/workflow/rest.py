@@ -14,8 +14,9 @@ import numpy as np
 
 from surrofe2.cache.branches import part_of, within
 from surrofe2.checkpoint_clock import CheckpointClock
+from surrofe2.errors import InputError
 from surrofe2.io.fields import write_fields
-from surrofe2.io.run_folder import RunRecord, write_history, write_load_path
+from surrofe2.io.run_folder import RunRecord, write_energies, write_history, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
@@ -70,6 +71,7 @@ def rest_study(
         _, frames, forces = found
         write_load_path(folder, last.path)
         write_history(folder, last.path[:, 0], _by_name(last, forces), "factor")
+        write_energies(folder, last.path[:, 0], last.energies, "factor")
         space = last.system.discretisation
         cell = cell_of_elements(chosen.law, len(space.elements))
         write_fields(folder, space.nodes, space.elements, frames, cell)
@@ -106,16 +108,17 @@ def rest_study(
             current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | more)
 
         try:
-            return find_rest(
-                problem,
-                chosen.law,
-                recipe.macro,
-                factor=factor,
-                load_steps=load_steps,
-                reached=reached,
-                resume=arrays,
-                law_state=law_state(chosen.law, part_of(arrays or {}, "law")),
-            )
+            with recipe.named(InputError):
+                return find_rest(
+                    problem,
+                    chosen.law,
+                    recipe.macro,
+                    factor=factor,
+                    load_steps=load_steps,
+                    reached=reached,
+                    resume=arrays,
+                    law_state=law_state(chosen.law, part_of(arrays or {}, "law")),
+                )
         except KeyboardInterrupt:
             if found is not None and found[0] is not None:
                 current.partial = found[0]
@@ -167,7 +170,8 @@ def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[st
         replace(recipe, rve=replace(recipe.rve, initialisation=method)),
     )
     law = choose_laws(study, "rve", problem.mesh).law
-    rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
+    with recipe.named(InputError):
+        rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {
         "watched": rest.watched,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.cache.branches import part_of, within
+from surrofe2.errors import InputError
 from surrofe2.io.run_folder import RunRecord, caches_of
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.macro.discretisation import n_points_of
@@ -90,15 +91,16 @@ def run_study(
         report(0.0, "loading kernels")
         compilation = warm_up(chosen.parts, recipe.macro, chosen.tables.values(), points=points)
         try:
-            return simulate(
-                problem,
-                chosen.law,
-                recipe.macro,
-                progress=lambda t, duration: report(t, ""),
-                checkpoint=checkpoint,
-                checkpoint_interval=CHECKPOINT_INTERVAL,
-                resume=state,
-            )
+            with recipe.named(InputError):
+                return simulate(
+                    problem,
+                    chosen.law,
+                    recipe.macro,
+                    progress=lambda t, duration: report(t, ""),
+                    checkpoint=checkpoint,
+                    checkpoint_interval=CHECKPOINT_INTERVAL,
+                    resume=state,
+                )
         except KeyboardInterrupt:
             outputs.store(chosen.tables)
             raise

@@ -72,6 +72,15 @@ frames = 3
 )
 
 
+TWICE = """
+[conditions.again]
+kind = "prescribed_motion"
+on = "left"
+displacement = [1.0, 0.0]
+amplitude = { kind = "ramp", end = 4.0 }
+"""
+
+
 @pytest.fixture
 def written(tmp_path):
     def write(name, text):
@@ -145,6 +154,13 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     assert f"{found['scale']:.4g}" in table
     assert f"{100.0 * shares[0]:.3g} %" in table
     assert f"{100.0 * shares[1]:+.2g} %" in table
+
+
+def test_errors_found_where_a_run_starts_name_the_recipe(invoke, written, tmp_path):
+    path = written("twice.toml", BAR + TWICE)
+    failed = run(invoke, path, tmp_path / "run")
+    assert failed.exit_code == 1
+    assert failed.stderr.startswith("error: twice.toml: again: component x of the node at (")
 
 
 def test_a_changed_problem_or_mesh_is_refused(invoke, written, tmp_path):

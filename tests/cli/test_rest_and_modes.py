@@ -33,6 +33,12 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
     np.testing.assert_array_equal(table[:, 0], [0.0, 0.25, 0.5, 0.75, 1.0])
     np.testing.assert_allclose(table, expected.path, rtol=0, atol=1e-9)
+    lines = (out / "energies.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "factor,internal_pJ,load_pJ,balance_pJ"
+    found = np.loadtxt(lines[1:], delimiter=",")
+    np.testing.assert_array_equal(found[:, 0], table[:, 0])
+    np.testing.assert_allclose(found[:, 1:].T, [*expected.energies.values()], rtol=0, atol=1e-9)
+    assert abs(found[:, 3]).max() < 1e-6 * found[-1, 2]
     record = read_record(out)
     assert (record.status, record.law) == ("finished", "rve")
     assert record.recipe["rest"] == {"factor": 1.0, "load_steps": 4}
@@ -96,10 +102,10 @@ def test_rest_interrupted_goes_on_from_its_last_load_step(recipe_path, tmp_path,
     told = []
     record = rest_study(load_recipe(recipe_path), out, report=lambda f, _: told.append(f))
     assert told == list(np.loadtxt(whole / "path.csv", delimiter=",", skiprows=1)[len(begun) :, 0])
-    for name in ("path.csv", "fields.h5"):
-        assert (out / name).exists()
-    paths = [np.loadtxt(each / "path.csv", delimiter=",", skiprows=1) for each in (whole, out)]
-    np.testing.assert_allclose(paths[1], paths[0], rtol=0, atol=1e-6 * abs(paths[0]).max())
+    assert (out / "fields.h5").exists()
+    for name in ("path.csv", "energies.csv"):
+        paths = [np.loadtxt(each / name, delimiter=",", skiprows=1) for each in (whole, out)]
+        np.testing.assert_allclose(paths[1], paths[0], rtol=0, atol=1e-6 * abs(paths[0]).max())
     expected = read_record(whole)
     assert record.counts["load_steps"] == expected.counts["load_steps"] == 10
     assert record.status == "finished"

@@ -9,19 +9,24 @@ from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import (
     Fixed,
+    Foundation,
     MacroSettings,
     Mesh,
     Plane,
+    PrescribedMotion,
+    Pressure,
     Problem,
     Rest,
     RigidBody,
     find_rest,
     simulate,
 )
+from surrofe2.macro.path_work import works_along
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
-from tests.laws import DryFriction, Fibres, KelvinVoigt
+from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
+from tests.macro.meshes import plate
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0))
 SETTINGS = MacroSettings(elements=(2, 2), newton_tolerance=1e-10)
@@ -166,3 +171,74 @@ def test_arguments_out_of_range_are_refused(change, name):
 def test_law_without_tangents_is_named():
     with pytest.raises(InputError, match="rest: DryFriction has no tangents"):
         find_rest(LOAD_CASE, DryFriction(), SETTINGS)
+
+
+def test_works_along_a_path_are_of_fourth_order():
+    """∫ f du of u = sin 3λ, f = exp λ; exact for cubics from four steps on, however long each."""
+    errors = []
+    for steps in (8, 16, 32):
+        factors = np.linspace(0.0, 1.0, steps + 1) ** 1.2
+        acts = np.stack([np.sin(3.0 * factors), np.exp(factors)], axis=1)[:, :, None, None]
+        exact = np.exp(factors) * (0.3 * np.cos(3.0 * factors) + 0.9 * np.sin(3.0 * factors)) - 0.3
+        errors.append(abs(works_along(factors, acts)[:, 0] - exact).max())
+    assert (np.log2(np.divide(errors[:-1], errors[1:])) > 3.7).all()
+    factors = np.array([0.0, 0.1, 0.4, -0.2, 1.0])[[3, 0, 1, 2, 4]]
+    acts = np.stack([factors**3, 1.0 - factors**2], axis=1)[:, :, None, None]
+    exact = factors**3 - 0.6 * factors**5
+    np.testing.assert_allclose(works_along(factors, acts)[:, 0], exact - exact[0], atol=1e-14)
+    np.testing.assert_allclose(
+        works_along(np.array([0.0, 2.0]), acts[:2])[:, 0],
+        [0.0, 0.5 * (acts[0, 1] + acts[1, 1]).item() * (acts[1, 0] - acts[0, 0]).item()],
+    )
+
+
+def test_internal_work_is_the_energy_stored(rng):
+    """½ (F − I) : C : (F − I) over the triangles, of a law that has it, at every load step."""
+    law, frames = LinearFirstPiola(shear_modulus=5.0, lame=3.0), []
+    pressed = Problem(
+        mesh=plate("triangles", rng),
+        conditions=(
+            Fixed(on="left"),
+            PrescribedMotion(on="right", displacement=(4.0, -1.0)),
+            Pressure(on="top", pressure=1.0),
+            Foundation(on="bottom", stiffness=0.2),
+        ),
+    )
+    rest = find_rest(pressed, law, SETTINGS, load_steps=10, reached=lambda at: frames.append(at))
+    space, energies = rest.system.discretisation, rest.energies
+    stored = []
+    for at in frames:
+        H = at.F - np.eye(2)
+        strain = 0.5 * (H + H.swapaxes(1, 2))
+        trace = np.trace(H, axis1=1, axis2=2)
+        density = law.shear_modulus * np.einsum("nij,nij->n", strain, strain)
+        stored.append(space.weights.ravel() @ (density + 0.5 * law.lame * trace**2))
+    np.testing.assert_allclose(energies["internal"], stored, atol=1e-6 * stored[-1])
+    u = np.array([at.u for at in frames])
+    foundation = next(each for each in rest.system.forces if each.name == "foundation bottom")
+    spring = 0.5 * np.einsum(
+        "sm,sm->s", u.reshape(len(u), -1) @ foundation.stiffness, u.reshape(len(u), -1)
+    )
+    np.testing.assert_allclose(energies["foundation bottom"], -spring, atol=1e-6 * stored[-1])
+    assert abs(energies["motion"][-1]) > 0.5 * stored[-1]
+    assert abs(energies["balance"]).max() < 1e-7 * stored[-1]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_energies_of_a_plate_that_presses_and_drags(friction):
+    """The balance closes; what the plate does is stored in tissue and contact, or rubbed away."""
+    _, rest = dragged(3.0, friction, load_steps=20)
+    energies = rest.energies
+    largest = abs(energies["motion"]).max()
+    assert abs(energies["balance"]).max() < 1e-6 * largest
+    np.testing.assert_allclose(
+        energies["motion"],
+        energies["internal"] + energies["contact"] + energies["contact dissipated"],
+        atol=1e-6 * largest,
+    )
+    assert energies["contact"][-1] > 0.0
+    lost = energies["contact dissipated"]
+    if friction:
+        assert lost[-1] > 0.05 * largest
+    else:
+        assert abs(lost).max() < 2e-3 * largest

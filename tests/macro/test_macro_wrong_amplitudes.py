@@ -3,10 +3,13 @@
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.amplitude import Constant, Pulse, Ramp, Table
 from surrofe2.errors import InputError
-from surrofe2.macro.conditions import BodyForce
+from surrofe2.macro import MacroSettings, Plane, RigidBody, simulate
+from surrofe2.macro.conditions import BodyForce, Fixed, InitialVelocity, PrescribedMotion
 from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.problem import Problem
+from tests.laws import KelvinVoigt
 
 
 def points():
@@ -26,3 +29,58 @@ def test_generators_and_functions_are_no_amplitudes(wrong):
 def test_nor_are_they_of_a_load_case(wrong):
     with pytest.raises(InputError, match=r"load.amplitude: .*; it must be"):
         LoadCase(amplitude=wrong)
+
+
+LATE = Ramp(begin=2.0, end=3.0)
+SQUARE = Mesh.rectangle(10.0, 10.0, (2, 2))
+
+
+def ran(*conditions, bodies=()):
+    problem = Problem(
+        mesh=SQUARE,
+        conditions=(Fixed(on="left"), *conditions),
+        bodies=bodies,
+        duration=1.0,
+        output_interval=0.5,
+    )
+    return simulate(problem, KelvinVoigt(), MacroSettings(record_dissipation=False, frames=2))
+
+
+@pytest.mark.parametrize(
+    "late", [LATE, Pulse(begin=1.0, length=2.0), Table(points=((0, 0), (9, 0)))]
+)
+def test_what_is_zero_during_the_whole_run_is_refused(late):
+    """The same that acts at its end, or is a constant 0, is not."""
+    push = BodyForce(acceleration=(0.1, 0.0), amplitude=late)
+    with pytest.raises(
+        InputError, match=r"body_force.amplitude: zero during the whole run of 1 µs"
+    ):
+        ran(push)
+    pull = PrescribedMotion(on="right", displacement=(1.0, None), amplitude=late)
+    with pytest.raises(InputError, match=r"prescribed_motion right.amplitude: zero during"):
+        ran(pull)
+    plate = RigidBody(
+        name="plate", shape=Plane(normal=(-1.0, 0.0)), on="right", position=(11.0, 0.0),
+        displacement=(-1.0, 0.0), amplitude=late,
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"plate.amplitude: zero during"):
+        ran(bodies=(plate,))
+
+
+def test_what_acts_late_or_is_a_constant_zero_is_taken():
+    for amplitude in (Ramp(begin=0.9, end=3.0), Pulse(begin=0.7, length=0.1), Constant(value=0.0)):
+        assert ran(BodyForce(acceleration=(0.1, 0.0), amplitude=amplitude)).finished
+
+
+@pytest.mark.parametrize("velocity", [(0.3, 0.0), (0.3, -0.1)])
+def test_a_velocity_of_nothing_but_what_is_held_is_refused(velocity):
+    with pytest.raises(InputError, match=r"initial_velocity left.on: left; supports hold or move"):
+        ran(InitialVelocity(on="left", velocity=velocity))
+    pull = PrescribedMotion(on="right", displacement=(1.0, None), amplitude=Ramp(end=1.0))
+    thrown = InitialVelocity(on="right", velocity=velocity)
+    if velocity[1] == 0.0:
+        with pytest.raises(InputError, match=r"initial_velocity right.on: right; supports hold"):
+            ran(pull, thrown)
+    else:
+        assert ran(pull, thrown).finished
+    assert ran(InitialVelocity(on="top", velocity=velocity)).finished
