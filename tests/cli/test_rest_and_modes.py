@@ -165,7 +165,7 @@ class _Troubled:
 def test_laws_without_tangents_are_refused(invoke, recipe_path, tmp_path):
     refused = invoke("rest", recipe_path, "--out", tmp_path / "rest", law=SoftLaw())
     assert refused.exit_code == 1
-    assert refused.stderr.startswith("error: rest: SoftLaw has no tangents")
+    assert refused.stderr.startswith("error: recipe.toml: rest: SoftLaw has no tangents")
 
 
 def test_modes_about_both_states(recipe, recipe_path, tmp_path):
