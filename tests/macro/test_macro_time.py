@@ -108,8 +108,9 @@ def cached(request):
 def test_displacement_of_cached_runs_is_within_three_tolerances(load, cached):
     """Against a cached run at 1e-8: the integration in time is judged, not the surrogate.
 
-    The pulse in the middle of 10 ms is left out: plant cells ring on for some hundred periods after
-    it, over which the phase of implicit steps goes astray by 11 tolerances (3 after 600 µs).
+    The pulse in the middle of 10 ms is left out: plant cells ring on for a hundred periods after it,
+    over which the phase of implicit steps goes astray by 11 tolerances (3 after 1 ms); docs/theory.md
+    has why. Explicit steps are within a tenth of one.
     """
     problem = under(load, Mesh.rectangle(400.0, 400.0, (1, 1)))
     cached.reset_counts()
