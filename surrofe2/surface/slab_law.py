@@ -29,6 +29,14 @@ ROWS = 8
 _LIMIT, _RESTING = 30, 1e-12
 
 
+def rows_across(cells: float) -> int:
+    """Rows of the slab for a tissue of so many plant cells across: its sides are as near.
+
+    Thin tissue thus has the law of its own thickness, and all from `ROWS` on has the same.
+    """
+    return min(max(1, round(cells)), ROWS)
+
+
 @dataclass(frozen=True, slots=True)
 class SlabPoint:
     """A slab and the bulk beside it at n points.
@@ -53,7 +61,8 @@ class SlabLaw:
         cell: one square plant cell.
         settings: initialisation and tolerance; solver direct.
         initialisation: instead of that of the settings.
-        rows: plant cells across the slab; from 6 on the law does not depend on it.
+        rows: plant cells across the slab; from 6 on the law does not depend on it, see
+            `rows_across`.
         reference: the cell's settled reference state; None: it is settled here.
 
     Raises:

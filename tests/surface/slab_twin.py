@@ -54,9 +54,12 @@ class SlabTwin(Twin):
         return "bond" if np.abs(second - first).sum() == 1 else "contact", share
 
     def forces(self, x, v, stretch, rate):
-        """f (n, 2) at x and v, and the force that neighbouring columns pull each other with."""
+        """f (n, 2) at x and v, the force that neighbouring columns pull each other with, and its
+        moment by the distance from the middle of the slab: the forces of both halves added up.
+        """
         c, side = self.cell, self.cell.cell_side
-        f, resultant, density = np.zeros_like(x), 0.0, np.zeros(len(x))
+        f, resultant, moment, density = np.zeros_like(x), 0.0, 0.0, np.zeros(len(x))
+        middle = 0.5 * (x[:, 1].min() + x[:, 1].max())
         for i in np.flatnonzero(~self.is_wall):
             mine = [j for j in np.flatnonzero(~self.is_wall) if self._row(j) == self._row(i)]
             r = np.linalg.norm(x[mine] - x[i], axis=1)
@@ -71,4 +74,6 @@ class SlabTwin(Twin):
             f[i] += force
             f[j] -= force
             resultant += a * force[0]
-        return f, resultant
+            apart = abs(x[i, 1] + 0.5 * r[1] - middle)
+            moment += force[0] * r[0] * apart / (stretch * side)
+        return f, resultant, moment

@@ -15,6 +15,7 @@ from surrofe2.rve.particle_state import stored_energy
 from surrofe2.surface import SlabLaw
 from surrofe2.surface.side_free import side_free
 from surrofe2.surface.slab import GAP, make_slab
+from surrofe2.surface.slab_law import rows_across
 from surrofe2.tissue import TissueDynamics, make_tissue, relax
 from tests.surface.slab_twin import SlabTwin
 
@@ -50,9 +51,23 @@ def moving(law, stretch, rate):
 def test_columns_pull_each_other_with_the_resultant_and_every_particle_is_in_balance(outer_wall):
     law = slab(rows=2, outer_wall=outer_wall)
     x, v, resultant = moving(law, 0.985, 0.004)
-    f, pull = SlabTwin(law.cell, law.law.rest_length, starts(law), 2).forces(x, v, 0.985, 0.004)
+    f, pull, _ = SlabTwin(law.cell, law.law.rest_length, starts(law), 2).forces(x, v, 0.985, 0.004)
     assert np.hypot(*f.T).max() < 1e-6
     assert resultant == pytest.approx(pull, rel=1e-9)
+
+
+@pytest.mark.parametrize(("preset", "depth"), [("water", 4.79), ("printed", 13.52)])
+def test_what_a_side_lacks_of_stiffness_lies_within_the_outer_plant_cell(preset, depth):
+    law, moments, d = slab(preset, rows=6), [], 1e-4
+    half, twin = 0.5 * law.thickness, SlabTwin(law.cell, law.law.rest_length, starts(law), 6)
+    for stretch in (1.0 - d, 1.0 + d):
+        x, v, _ = moving(law, stretch, 0.0)
+        bulk = side_free(law.law, np.array([stretch]), np.zeros(1))
+        moment = twin.forces(x, v, stretch, 0.0)[2] / bulk.F[0, 1, 1]
+        moments.append(moment - half**2 * bulk.P[0])
+    by_stretch = law.respond(np.ones(1), np.zeros(1), tangents=True).tangent[0]
+    arm = np.diff(moments)[0] / (2.0 * d) / (2.0 * by_stretch)
+    assert half - arm == pytest.approx(depth, abs=0.02)
 
 
 @pytest.mark.parametrize("outer_wall", [1.0, 1.7])
@@ -175,6 +190,13 @@ def test_plant_cells_that_a_strip_of_four_lacks_are_those_of_its_period():
     # c = n (1 − FE²/tissue) of strips of four plant cells, from squared ratios of periods
     assert slab(rows=8).missing_cells(4) == pytest.approx(0.48, rel=0.05)
     assert slab("printed", rows=8).missing_cells(4) == pytest.approx(0.21, rel=0.05)
+
+
+def test_the_sides_of_two_plant_cells_feel_each_other():
+    # c of strips of two plant cells from squared ratios of periods: 0.47 and 0.22
+    assert slab(rows=rows_across(2.0)).missing_cells(2) == pytest.approx(0.47, rel=0.05)
+    assert slab(rows=8).missing_cells(2) > 0.6
+    assert [rows_across(n) for n in (0.5, 2.0, 3.4, 8.0, 40.0)] == [1, 2, 3, 8, 8]
 
 
 def test_an_outer_wall_weighs_in_tissue_and_surface_alike():
