@@ -1,0 +1,107 @@
+"""A stress law as the material of FElupe's `SolidBody`, in the plane.
+
+FElupe gives F at all points at once and keeps a state of each, here F − 1 at the end of the last
+substep. Over a substep of `dt` the rate is that of backward differences::
+
+    Ḟ = (F − F_old)/dt,    ∂P/∂F (whole) = ∂P/∂F + ∂P/∂Ḟ/dt
+
+With `dt` infinite, as it is at first, the material is at rest: quasi-static without rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.stress_law import StressLaw, StressResponse, describe
+from surrofe2.tensors import cofactor
+
+Array = NDArray[np.float64]
+
+
+class FelupeMaterial:
+    """`umat` of `felupe.SolidBody(umat, field)` for fields in the plane.
+
+    A material belongs to one body, for it keeps warm starts of its points.
+
+    Args:
+        law: gives stress and tangents; RVEs, a surrogate, or a law of one's own.
+
+    Attributes:
+        dt: length of the substep, µs. `Substeps` sets it.
+        x: shapes of F and of the state, as FElupe asks for them.
+
+    Raises:
+        InputError: the law has no tangents.
+    """
+
+    def __init__(self, law: StressLaw) -> None:
+        if not law.has_tangents:
+            raise InputError("law: it has no tangents, which FElupe's Newton method needs")
+        self.law, self.dt = law, np.inf
+        self.x: list[Array] = [np.eye(2), np.zeros(4)]
+        self._state: Any = None
+
+    def gradient(self, x: Sequence[Array]) -> list[Array]:
+        """[P (2, 2, q, c) in µN/µm, the state at the end of the substep (4, q, c)]."""
+        F, _, answer = self._answer(x)
+        P = answer.stress @ cofactor(F)
+        trailing = x[0].shape[2:]
+        return [_last(P, trailing), _last((F - np.eye(2)).reshape(-1, 4), trailing)]
+
+    def hessian(self, x: Sequence[Array]) -> list[Array]:
+        """[∂P/∂F (2, 2, 2, 2, q, c) over the substep, µN/µm]."""
+        _, _, answer = self._answer(x, tangents=True)
+        assert answer.tangents is not None
+        whole = answer.tangents.P_by_F + answer.tangents.P_by_F_dot / self.dt
+        return [_last(whole, x[0].shape[2:])]
+
+    def _answer(
+        self, x: Sequence[Array], *, tangents: bool = False
+    ) -> tuple[Array, Array, StressResponse]:
+        F, before = _first(x[0], (2, 2)), _first(x[-1], (4,)).reshape(-1, 2, 2)
+        F_dot = (F - np.eye(2) - before) / self.dt
+        answer = self.law.respond(F, F_dot, self._state, tangents=tangents)
+        failed = np.flatnonzero(answer.status)
+        if failed.size:
+            why = describe(answer.status[failed[0]])
+            raise SimulationError(f"point {failed[0]} of {len(F)}: {why}")
+        self._state = answer.state
+        return F, F_dot, answer
+
+
+class Substeps:
+    """A plugin of `felupe.Job` that gives materials the length of each substep.
+
+    Args:
+        times: µs, of the begin and of the end of every substep of the job.
+    """
+
+    def __init__(self, times: Sequence[float], *materials: FelupeMaterial) -> None:
+        steps = np.diff(times)
+        if not len(steps) or not (steps > 0.0).all():
+            raise InputError("times: they must rise, from the begin of the job on")
+        self._steps, self._materials, self._done = steps, materials, 0
+
+    def before_substep(self, context: Any, state: Any) -> None:
+        """Called by FElupe before it solves a substep."""
+        if self._done == len(self._steps):
+            raise InputError(f"times: {self._done + 1} of them, but the job has more substeps")
+        for material in self._materials:
+            material.dt = float(self._steps[self._done])
+        self._done += 1
+
+
+def _first(values: Array, shape: tuple[int, ...]) -> Array:
+    """(n, …) from (…, q, c)."""
+    return np.ascontiguousarray(np.moveaxis(values.reshape(*shape, -1), -1, 0))
+
+
+def _last(values: Array, trailing: tuple[int, ...]) -> Array:
+    """(…, q, c) from (n, …)."""
+    moved = np.moveaxis(values, 0, -1)
+    return np.ascontiguousarray(moved.reshape(*moved.shape[:-1], *trailing))
