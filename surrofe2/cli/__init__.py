@@ -129,16 +129,17 @@ class Commands(TyperGroup):
             print_error(f"error: {shortened(f'{error.filename}: {error.strerror}')}")
             raise typer.Exit(1) from None
         except InterruptedWork as work:
-            print_error(f"interrupted: {work}; go on with: {_again(ctx)}")
+            print_error(f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}")
             raise typer.Exit(exit_code()) from None
         except KeyboardInterrupt:
             print_error("interrupted: nothing was changed")
             raise typer.Exit(exit_code()) from None
 
 
-def _again(ctx: Any) -> str:
+def _again(ctx: Any, has_begun: bool) -> str:
     """The command that goes on where this one was interrupted."""
-    return shlex.join(["surrofe2", *(a for a in ctx.meta["arguments"] if a != "--fresh")])
+    arguments = ctx.meta["arguments"]
+    return shlex.join(["surrofe2", *(a for a in arguments if a != "--fresh" or not has_begun)])
 
 
 def _flowing(docstring: str | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
@@ -32,7 +32,15 @@ Report = Callable[[float, str], None]
 
 
 class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
-    """Ctrl-C; the message says what was kept."""
+    """Ctrl-C; the message says what was kept.
+
+    Attributes:
+        has_begun: whether work is there to go on from; else --fresh is as needed as before.
+    """
+
+    def __init__(self, what: str, has_begun: bool) -> None:
+        super().__init__(what)
+        self.has_begun = has_begun
 
 
 def print_error(sentence: str) -> None:
@@ -58,22 +66,38 @@ def show_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
 
 
 @contextmanager
-def on_interrupt(what: str) -> Iterator[None]:
+def on_interrupt(what: str, begun: Sequence[Path] = ()) -> Iterator[None]:
     """Say what was kept where Ctrl-C ends the block; how to go on is said after it.
+
+    Args:
+        begun: files of which the block writes one anew as soon as something is kept.
 
     Raises:
         InterruptedWork: Ctrl-C.
     """
+    before = [_stamp(path) for path in begun]
     try:
         yield
     except KeyboardInterrupt:
-        raise InterruptedWork(what) from None
+        now = [_stamp(path) for path in begun]
+        changed = any(a is not None and a != b for a, b in zip(now, before, strict=True))
+        raise InterruptedWork(what, changed or not begun) from None
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """What another file of that name does not have; None where there is no file."""
+    if not path.exists():
+        return None
+    status = path.stat()
+    return status.st_ino, status.st_mtime_ns
 
 
 @contextmanager
-def working(what: str, total: float, unit: str, kept: str) -> Iterator[Report]:
-    """Show the progress of work, and say what was kept where Ctrl-C ends it."""
-    with on_interrupt(kept), progress(what, total, unit) as report:
+def working(
+    what: str, total: float, unit: str, kept: str, begun: Sequence[Path] = ()
+) -> Iterator[Report]:
+    """Show the progress of work, and say what was kept where Ctrl-C ends it; see `on_interrupt`."""
+    with on_interrupt(kept, begun), progress(what, total, unit) as report:
         yield report
 
 

@@ -38,7 +38,8 @@ def generate(
         for name, part in study.parts(cell).items():
             begin, kept = time.perf_counter(), "the samples so far are kept"
             what = f"generate {name}".rstrip()
-            with console.working(what, part.samples.count, "samples", kept) as report:
+            begun = (part.data_path(),)
+            with console.working(what, part.samples.count, "samples", kept, begun) as report:
                 made = generate_data_set(part, fresh=fresh, executor=executor, report=report)
             taken = time_text(time.perf_counter() - begin)
             console.print_line(f"{made.path}: {data_summary(made)}, {taken}")

@@ -39,7 +39,8 @@ def rest(
     """
     study = open_study(recipe, threads)
     study = replace(study, rve=changed(study.rve, initialisation=initialisation))
-    with console.working("rest", 1.0, "loads", f"{out} keeps the load steps up to here") as report:
+    kept, begun = f"{out} keeps the load steps up to here", (out / "run.json",)
+    with console.working("rest", 1.0, "loads", kept, begun) as report:
         record = rest_study(
             study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )

@@ -86,7 +86,8 @@ def run(
         macro=changed(study.macro, integrator=integrator),
     )
     kept = console.KEPT_RUN.format(out)
-    with console.working(f"run by {law}", study.duration, "µs", kept) as report:
+    begun = (out / "run.json",)
+    with console.working(f"run by {law}", study.duration, "µs", kept, begun) as report:
         record = run_study(
             study,
             law,

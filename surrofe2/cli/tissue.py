@@ -51,6 +51,7 @@ def tissue(
     if cells is not None:
         study = resized(study, cells)
     kept = console.KEPT_RUN.format(out)
-    with console.working("full tissue", study.duration, "µs", kept) as report:
+    begun = (out / "run.json",)
+    with console.working("full tissue", study.duration, "µs", kept, begun) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
     console.print_line(f"{out}: {tissue_summary(record)}")

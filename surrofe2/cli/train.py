@@ -18,7 +18,12 @@ from surrofe2.workflow.refinement import refine_surrogate
 from surrofe2.workflow.rounds import QUANTITIES, SURROGATE, Round
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.run_outputs import of_cell
-from surrofe2.workflow.train import STRESSES, train_surrogate, training_summary
+from surrofe2.workflow.train import (
+    STRESSES,
+    train_surrogate,
+    training_summary,
+    unfinished_training,
+)
 from surrofe2.workflow.workers import executor_of
 
 
@@ -58,7 +63,8 @@ def train(
 
 def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     begin = time.perf_counter()
-    with console.on_interrupt("the iterations so far are kept"):
+    begun = (unfinished_training(study), study.training_path())
+    with console.on_interrupt("the iterations so far are kept", begun):
         trained = train_surrogate(study, fresh=fresh, add=add, stage=console.progress)
     errors = trained.surrogate.errors
     quantities: list[Quantity[str]] = [

@@ -315,11 +315,6 @@ def write_load_path(folder: Path, path: np.ndarray) -> None:
     write_columns(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
 
 
-def write_named(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write a CSV file of columns (m,) by name."""
-    write_columns(path, list(columns), list(columns.values()))
-
-
 def read_run(folder: str | Path) -> StoredRun:
     """A finished run.
 

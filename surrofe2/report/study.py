@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json, write_text
+from surrofe2.io.lock import locked_file
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.report.figures import Panel, write_figure
@@ -108,15 +109,17 @@ def keep_study(
 
     Raises:
         MismatchError: it is there by other settings, and not `fresh`.
+        FileError: another process makes it.
     """
     stem, known = f"{name}-{of.name}", of.identity(asked)
     png, csv, md, json = paths = [out / f"{stem}.{kind}" for kind in ("png", "csv", "md", "json")]
     if not fresh and is_there(json, known):
         return None, paths
-    study = make()
-    write_text(md, study.table.to_markdown())
-    write_text(csv, study.to_csv())
-    write_figure(png, f"{study.title}, {of}", study.panels, study.columns)
-    made = {"study": stem, **study.to_record()}
-    write_json(json, made | known | {"fingerprint": of.cell.fingerprint})
+    with locked_file(json):
+        study = make()
+        write_text(md, study.table.to_markdown())
+        write_text(csv, study.to_csv())
+        write_figure(png, f"{study.title}, {of}", study.panels, study.columns)
+        made = {"study": stem, **study.to_record()}
+        write_json(json, made | known | {"fingerprint": of.cell.fingerprint})
     return study, paths

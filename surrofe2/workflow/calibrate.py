@@ -43,7 +43,6 @@ _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrat
 
 log = logging.getLogger(__name__)
 
-NO_BOUND = "bound: none"
 Runs = Callable[[int, int], Iterator[list[State]]]
 """What so many runs by a seed meet, one after the other."""
 
@@ -106,9 +105,9 @@ def calibrate(
     law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
     settings = settings or CalibrationSettings()
     surrogate = _calibrated(surrogate, samples, law, settings, runs, report)
-    found = bound_summary(surrogate, samples)
-    if found.startswith(NO_BOUND):
-        log.warning("%s", found)
+    why = _unbounded(surrogate)
+    if why:
+        log.warning("bound: none, because %s", why)
     return surrogate
 
 
@@ -229,21 +228,33 @@ def _ask(paths: DeformationPaths, law: StressLaw, progress: Callable[[int], None
     return Truth(paths, *true_stress(paths, law, progress))
 
 
-def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
-    """What the calibration found, in a line."""
+def _unbounded(surrogate: SurrogateLaw) -> str:
+    """Why the bound is infinite even at rest; empty where it is not."""
     calibration = surrogate.calibration
     if calibration is None or not np.isfinite(calibration.quantile):
         return (
-            f"{NO_BOUND}, because the RVE has no stress on too many paths within the domain; "
+            "the RVE has no stress on too many paths within the domain; "
             "narrow [range] or generate more samples"
         )
-    at_rest = surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0]
+    if np.isfinite(_at_rest(surrogate)):
+        return ""
+    return (
+        "the samples that failed or left a bifurcation leave no domain even at rest, "
+        "and every point of a cached run would go to its RVE; narrow [range]"
+    )
+
+
+def _at_rest(surrogate: SurrogateLaw) -> float:
+    return float(surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
+
+
+def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
+    """What the calibration found, in a line."""
+    why, calibration = _unbounded(surrogate), surrogate.calibration
+    if why or calibration is None:
+        return f"bound: none, because {why}"
+    at_rest = _at_rest(surrogate)
     everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
-    if not np.isfinite(at_rest):
-        return (
-            f"{NO_BOUND}, because the samples that failed or left a bifurcation leave no domain "
-            "even at rest, and every point of a cached run would go to its RVE; narrow [range]"
-        )
     edge = everywhere[np.isfinite(everywhere)].max(initial=at_rest)
     centre, edge = (100.0 * bound / calibration.stress_spread for bound in (at_rest, edge))
     paths = sum(kind["paths"] for kind in calibration.kinds.values())

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.fields import ElementMotion, add_to_elements, read_element_motion
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import RunRecord, read_record
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import Recipe, make_recipe
@@ -72,15 +73,17 @@ def add_cell_fields(folder: Path) -> int:
     Raises:
         FileError: the folder has no run with fields of elements.
     """
-    recipes, motion = recipes_of(read_record(folder)), read_element_motion(folder)
-    numbers = cell_numbers(motion, recipes)
-    values: dict[str, Array] = {}
-    for k, recipe in enumerate(recipes.values()):
-        own = numbers == k
-        found = extremes_of(true_law(recipe), motion.F[:, own], motion.F_dot[:, own])
-        for name, of_cell in found.items():
-            values.setdefault(name, np.full(motion.F.shape[:2], np.nan))[:, own] = of_cell
-    add_to_elements(folder, values)
+    recipes = recipes_of(read_record(folder))
+    with locked_folder(folder):
+        motion = read_element_motion(folder)
+        numbers = cell_numbers(motion, recipes)
+        values: dict[str, Array] = {}
+        for k, recipe in enumerate(recipes.values()):
+            own = numbers == k
+            found = extremes_of(true_law(recipe), motion.F[:, own], motion.F_dot[:, own])
+            for name, of_cell in found.items():
+                values.setdefault(name, np.full(motion.F.shape[:2], np.nan))[:, own] = of_cell
+        add_to_elements(folder, values)
     return int(motion.F.size) // 4
 
 

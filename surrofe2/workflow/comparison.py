@@ -32,8 +32,9 @@ def compare_runs(
     of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}
     path = out / COMPARISON_FILES[0]
     if fresh or not is_there(path, {"of": of}):
-        write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
-        write_json(path, {**result.to_dict(), "of": of})
+        with locked_folder(out):
+            write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
+            write_json(path, {**result.to_dict(), "of": of})
     return result
 
 

@@ -15,6 +15,7 @@ from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.io.files import check_same
 from surrofe2.io.harvest import HarvestWriter
+from surrofe2.io.lock import locked_file
 from surrofe2.io.provenance import Origin
 from surrofe2.io.run_folder import file_fingerprint
 from surrofe2.io.tables import check_table, read_table, stored, write_table
@@ -106,5 +107,6 @@ def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> in
         check_table(path, more, first.cell, first.initialisation)
         records = merged(records, more.records, tolerance, images)
     sources = {"merged": [each.recipe for each in tables], **of}
-    write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
+    with locked_file(out):
+        write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
     return len(records.centre)

@@ -65,7 +65,7 @@ def train_surrogate(
     _check_data(recipe, samples, source)
     samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
     surrogate = None
-    if path.exists() and not fresh and not _unfinished(recipe).exists():
+    if path.exists() and not fresh and not unfinished_training(recipe).exists():
         surrogate = read_surrogate(path)
         _check_surrogate(recipe, surrogate, samples)
         if surrogate.is_calibrated:
@@ -82,14 +82,14 @@ def train_surrogate(
     return Trained(path, surrogate, False, bound_summary(surrogate, samples))
 
 
-def _unfinished(recipe: Recipe) -> Path:
+def unfinished_training(recipe: Recipe) -> Path:
     """What a training leaves to go on from; where it is there, no surrogate is finished."""
     return recipe.training_path().with_suffix(".unfinished.safetensors")
 
 
 def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) -> SurrogateLaw:
     """A surrogate without a bound, in the recipe's file."""
-    path, unfinished = recipe.training_path(), _unfinished(recipe)
+    path, unfinished = recipe.training_path(), unfinished_training(recipe)
     if fresh:
         remove(unfinished)
     state = TrainingState(*read_training(unfinished)) if unfinished.exists() else None

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
+from surrofe2.io.columns import write_columns
 from surrofe2.io.fields import ElementMotion, read_element_motion
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.particles import write_extended_xyz, write_rve_fields
-from surrofe2.io.run_folder import RunRecord, read_record, write_named
+from surrofe2.io.run_folder import RunRecord, read_record
 from surrofe2.macro.discretisation import find_element
 from surrofe2.report.particle_plot import write_particle_animation, write_particle_picture
 from surrofe2.rve import RveLaw
@@ -90,9 +92,10 @@ def write_zoom(found: Zoom, out: str | Path) -> None:
     x, y = found.centre
     of = found.cell and f"{found.cell}, "
     title = f"RVE of {of}element {found.element} about ({x:.4g}, {y:.4g}) µm"
-    write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
-    write_particle_animation(out / "zoom.gif", title, found.seen, found.t, clock)
     columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
-    write_named(out / "zoom.csv", columns)
-    write_extended_xyz(out / "zoom.xyz", found.seen, found.t)
-    write_rve_fields(out, found.seen, found.t)
+    with locked_folder(out):
+        write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
+        write_particle_animation(out / "zoom.gif", title, found.seen, found.t, clock)
+        write_columns(out / "zoom.csv", list(columns), list(columns.values()))
+        write_extended_xyz(out / "zoom.xyz", found.seen, found.t)
+        write_rve_fields(out, found.seen, found.t)

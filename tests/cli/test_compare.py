@@ -5,6 +5,7 @@ from shutil import copytree
 
 import pytest
 
+from surrofe2.io.lock import locked_folder
 from tests.laws import SoftLaw
 
 
@@ -28,6 +29,15 @@ def test_comparison(invoke, runs, tmp_path):
     assert 0.0 < run["difference"]["rms"] < run["difference"]["largest"] < 0.05
     assert run["speed_up"]["wall_time"] > 0.0
     assert (out / "comparison.png").stat().st_size > 10_000
+
+
+def test_a_comparison_waits_for_who_is_at_work_there(invoke, runs, tmp_path):
+    out = tmp_path / "comparison"
+    with locked_folder(out):
+        refused = invoke("compare", *runs, "--out", out)
+    assert refused.exit_code == 1
+    assert refused.stderr == f"error: {out}: in use by another call of this process\n"
+    assert list(out.iterdir()) == []
 
 
 def test_a_comparison_is_kept_and_one_of_other_runs_refused(invoke, runs, tmp_path):

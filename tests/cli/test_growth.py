@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2.io.harvest import read_harvest
+from surrofe2.io.lock import locked_file
 from surrofe2.io.run_folder import read_record
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import read_table
@@ -56,6 +57,10 @@ def test_tables_merge(invoke, first, recipe_path, changed_recipe, tmp_path):
     run(invoke, recipe_path, tmp_path / "second", "--law", "table")
     files = [first / "table.h5", tmp_path / "second" / "table.h5"]
     merged = tmp_path / "merged.h5"
+    with locked_file(merged):
+        refused = invoke("table", "merge", *files, "--out", merged)
+    assert f"error: {merged}: in use by" in refused.stderr
+    assert not merged.exists()
     done = invoke("table", "merge", *files, "--out", merged)
     assert done.exit_code == 0, done.output
     sizes = [len(read_table(path).records.centre) for path in (*files, merged)]

@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.io.files import read_json, write_json
+from surrofe2.io.lock import locked_file
 
 
 def invoke(*arguments):
@@ -22,6 +23,9 @@ def test_reproduce_writes_figure_table_and_numbers(tmp_path):
     assert record["preset"] == "water"
     assert record["cell"]["fluid_particle_mass"] == 0.27
     assert record["units"]["largest_difference"] == "µN/µm"
+    with locked_file(tmp_path / "fig5-water.json"):
+        refused = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path, "--fresh")
+    assert f"error: {tmp_path / 'fig5-water.json'}: in use by" in refused.stderr
     kept = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
     assert kept.exit_code == 0
     assert f"{tmp_path / 'fig5-water.png'}: there already" in kept.stdout

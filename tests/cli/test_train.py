@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -86,6 +87,34 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
     assert done.exit_code == 0, done.output
     assert len(rounds) == 3
     assert not unfinished.exists()
+
+
+@pytest.mark.usefixtures("_data_set")
+@pytest.mark.parametrize("left", ["a surrogate", "a training"])
+def test_a_new_training_that_ends_at_once_goes_on(
+    invoke, recipe_path, changed_recipe, surrogate_path, monkeypatch, left
+):
+    """The command that it names works, though what is there is of other settings."""
+    unfinished = surrogate_path.with_suffix(".unfinished.safetensors")
+    assert invoke("train", recipe_path).exit_code == 0
+    if left == "a training":
+        unfinished.write_bytes(b"of another training")
+    changed_recipe("hidden = [4]", "hidden = [5]")
+    before = surrogate_path.read_bytes()
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("surrofe2.workflow.train.train", interrupted)
+        stopped = invoke("train", recipe_path, "--fresh")
+    assert stopped.exit_code == 130
+    assert surrogate_path.read_bytes() == before
+    told = stopped.stderr.splitlines()[-1].split("go on with: surrofe2 ")[1]
+    assert told == f"train {recipe_path} --fresh"
+    done = invoke(*shlex.split(told))
+    assert done.exit_code == 0, done.output
+    assert read_surrogate(surrogate_path).settings.hidden == (5,)
 
 
 @pytest.mark.usefixtures("_data_set")

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from surrofe2.cli import app
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.fields import read_element_motion
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import read_record
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
@@ -131,6 +132,9 @@ def test_cell_fields_of_a_run_that_is_finished(study, tmp_path):
     name = "largest_wall_stretch.4"
     with h5py.File(tmp_path / "run" / "fields.h5") as file:
         assert name not in file
+    with locked_folder(tmp_path / "run"):
+        refused = call(*command, "--cell-fields")
+    assert refused.exit_code == 1
     done = call(*command, "--cell-fields")
     assert "cell fields of 20 RVEs in " in done.stdout
     with h5py.File(tmp_path / "run" / "fields.h5") as file, h5py.File(with_them / "fields.h5") as b:
