@@ -229,6 +229,22 @@ def test_a_point_without_tangents_gets_no_record():
     assert table.lookup(F, F_dot)[1][0] == Status.OUT_OF_RANGE
 
 
+def test_what_is_kept_of_a_table_is_known_to_the_last_byte(monkeypatch):
+    """Memory that nothing was written to may hold anything, the seal of another file too."""
+    kept = [taught(*states(40)).to_arrays()]  # which compiles the kernels, too
+    for content in (1.0, 2.0):
+
+        def used(shape, dtype=float, content=content):
+            return np.full(shape, content, dtype)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(np, "empty", used)
+            kept.append(taught(*states(40)).to_arrays())
+    for name, array in kept[0].items():
+        np.testing.assert_array_equal(array, kept[1][name], err_msg=name)
+        np.testing.assert_array_equal(array, kept[2][name], err_msg=name)
+
+
 def test_a_full_table_takes_no_more_records():
     table = taught(*states(300), make(most_records=7))
     assert table.size == 7

@@ -61,8 +61,8 @@ def make_tree(centre: Array, extent: Array, tolerance: float, room: int = 0) -> 
     room = max(room, records)
     nodes = 4 * room + 2 * LEAF
     tree = Tree(
-        low=np.empty((nodes, INPUTS)),
-        high=np.empty((nodes, INPUTS)),
+        low=np.zeros((nodes, INPUTS)),  # all of it goes into checkpoints, the room too
+        high=np.zeros((nodes, INPUTS)),
         child=np.full(nodes, -1, dtype=np.int32),
         parent=np.full(nodes, -1, dtype=np.int32),
         size=np.zeros(nodes, dtype=np.int32),
