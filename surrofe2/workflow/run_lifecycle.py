@@ -16,7 +16,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from surrofe2.errors import FileError, SimulationError
+from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.io.files import remove
 from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.io.lock import folder_lock, locked_folder
@@ -59,6 +59,7 @@ class Recording:
         earlier: the record that an earlier call left, if this run goes on from there.
         partial: what to store where the run ends early and its error carries nothing.
         cache: what a cached law reported of itself at the last checkpoint.
+        goes_on: whether the run goes on from a checkpoint.
     """
 
     folder: Path
@@ -67,12 +68,13 @@ class Recording:
     store: Store
     partial: Any = None
     cache: Mapping[str, Any] | None = None
+    goes_on: bool = False
 
     def last_state(self) -> dict[str, np.ndarray] | None:
         """The arrays of the last checkpoint; None where the run starts at its beginning."""
         path = self._checkpoint_path()
-        known = self.earlier is not None and path.exists()
-        return read_checkpoint(path, self._kind()) if known else None
+        self.goes_on = self.earlier is not None and path.exists()
+        return read_checkpoint(path, self._kind()) if self.goes_on else None
 
     def checkpoint(
         self, arrays: Mapping[str, np.ndarray], cache: Mapping[str, Any] | None = None
@@ -80,6 +82,24 @@ class Recording:
         """Write a state to go on from; `cache` is what a cached law reports of itself there."""
         write_checkpoint(self._checkpoint_path(), arrays, self._kind())
         self.cache = cache
+
+    def whole(self, compute: Callable[[Recording], Any]) -> None:
+        """Compute and store a whole result.
+
+        Raises:
+            FileError: there is no going on from the checkpoint, whatever that shows itself by.
+        """
+        try:
+            self.finish(compute(self))
+        except (SimulationError, FileError, MismatchError):
+            raise
+        except Exception as error:
+            if not self.goes_on:
+                raise
+            why = error if isinstance(error, InputError) else type(error).__name__
+            path = self._checkpoint_path()
+            sentence = f"{path}: the run cannot go on from it ({why}); start over with --fresh"
+            raise FileError(sentence) from error
 
     def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
@@ -136,7 +156,7 @@ def _recorded(
         current.earlier = open_run_folder(folder, record, fresh=fresh)
         if current.earlier is not None:
             write_record(folder, record)
-        current.finish(compute(current))
+        current.whole(compute)
     except SimulationError as error:
         partial = current.partial if error.partial is None else error.partial
         current.end("failed", partial, str(error))
