@@ -91,10 +91,12 @@ def test_a_plate_sticks_or_slips_by_coulombs_law():
 def test_friction_at_rest_goes_on_from_where_it_was():
     """A rest resumed at half of the load is that of the run that went on."""
     reached = []
-    _, whole = dragged(0.3, 0.2, steps_on={"reached": reached.append})
+    _, whole = dragged(1.0, 0.2, steps_on={"reached": reached.append})
     state = reached[2].to_arrays()
     assert abs(state["drag plate"]).max() > 0.1
-    _, resumed = dragged(0.3, 0.2, steps_on={"resume": state})
+    _, resumed = dragged(1.0, 0.2, steps_on={"resume": state})
+    for name, works in whole.energies.items():
+        np.testing.assert_array_equal(resumed.energies[name], works, err_msg=name)
     np.testing.assert_array_equal(resumed.u, whole.u)
     np.testing.assert_array_equal(resumed.forces, whole.forces)
 
