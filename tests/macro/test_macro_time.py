@@ -104,17 +104,18 @@ def cached(request):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", [*LOADS, "ramp of 10 ms, held to 15 ms", "smooth ramp of 10 ms"])
+@pytest.mark.parametrize("load", [*LOADS, *LONG_LOADS])
 def test_displacement_of_cached_runs_is_within_three_tolerances(load, cached):
     """Against a cached run at 1e-8: the integration in time is judged, not the surrogate.
 
-    The pulse in the middle of 10 ms is left out: plant cells ring on for a hundred periods after it,
-    over which the phase of implicit steps goes astray by 11 tolerances (3 after 1 ms); docs/theory.md
-    has why. Explicit steps are within a tenth of one.
+    After the pulse in the middle of 10 ms plant cells ring on for a hundred periods, over which the
+    phase of implicit steps goes astray by 11 tolerances; docs/theory.md has why.
     """
     problem = under(load, Mesh.rectangle(400.0, 400.0, (1, 1)))
     cached.reset_counts()
-    errors = [*errors_in_tolerances(problem, cached, ["explicit", "implicit"])]
+    rings = load == "pulse in the middle of 10 ms"
+    integrators = ["explicit"] if rings else ["explicit", "implicit"]
+    errors = [*errors_in_tolerances(problem, cached, integrators)]
     assert max(errors) < 3.0
     assert cached.counts["hits"] > 10 * cached.counts["fallbacks"]
 
