@@ -23,9 +23,10 @@ from surrofe2.cell_types import CellType, SampleSettings, cell_types, points_of_
 from surrofe2.errors import FileError, InputError, quoted, shortened
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.conditions import FREE
 from surrofe2.macro.mesh import Mesh
 from surrofe2.macro.problem import Problem, bar
-from surrofe2.macro.settings import MacroSettings
+from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
 from surrofe2.problem_sections import StatedProblem, stated_problem
@@ -65,6 +66,7 @@ class Recipe:
     macro: MacroSettings
     tissue: TissueSettings
     table: TableSettings
+    surface: SurfaceSettings | None = None
     cache: CacheSettings = field(default_factory=CacheSettings)
     training_file: str | None = None
     stated: StatedProblem | None = None
@@ -162,18 +164,22 @@ class Recipe:
             raise type(error)(f"{self.path.name}: {error}") from None
 
     def problem(self) -> Problem:
-        """What a run computes.
+        """What a run computes, but for the surface law of [surface].
 
         Raises:
             FileError: the mesh file cannot be read.
             InputError: the mesh is none, or has not what the recipe names.
         """
-        if self.stated is None:
-            return bar(self.bar_load(), self.macro.elements)
         with self.named(FileError, InputError):
-            problem = self.stated.problem(self.path.parent)
+            if self.stated is None:
+                problem = bar(self.bar_load(), self.macro.elements)
+            else:
+                problem = self.stated.problem(self.path.parent)
             if self.types:
                 self.points_of_cells(problem.mesh)
+            if self.surface is not None and self.surface.on != FREE:
+                for name in self.surface.on:
+                    problem.mesh.boundary(name, "surface.on")
             return problem
 
     def bar_load(self) -> LoadCase:
@@ -248,7 +254,7 @@ SECTIONS: dict[str, type] = {
     and kind is not StatedProblem
 }
 """The fields of a recipe that are settings, by name."""
-_NOT_NEEDED = ("range",)
+_NOT_NEEDED = ("range", "surface")
 """Sections that a recipe may do without; each other one has a default for all it must have."""
 _EXTRA_KEYS: dict[str, tuple[str, Any, Any]] = {
     "cell": ("preset", str, "printed"),

@@ -83,7 +83,7 @@ def test_unknown_section(changed_recipe):
     assert message(InputError, path) == (
         "recipe.toml: lood: unknown section; did you mean load? "
         "known are bodies, cache, calibration, cell, cells, conditions, load, macro, mesh, range, "
-        "rve, samples, table, time, tissue, training, watch"
+        "rve, samples, surface, table, time, tissue, training, watch"
     )
 
 

@@ -18,6 +18,7 @@ from surrofe2.workflow.comparison import (
     COMPARISON_FILES,
     SWEEP_FILES,
     compare_runs,
+    missing_notes,
     parse_tolerances,
     run_sweep,
 )
@@ -40,6 +41,8 @@ def compare(
     """
     result = compare_runs(runs, out, fresh=fresh)
     show_comparison(result)
+    for sentence in missing_notes(runs):
+        console.print_line(sentence)
     console.print_line(f"{out}: {' and '.join(COMPARISON_FILES)}")
 
 

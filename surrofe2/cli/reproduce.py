@@ -19,7 +19,12 @@ from surrofe2.cli.console import (
 from surrofe2.report.study import NamedCell
 from surrofe2.workflow.reproduce import CURVES, Bars, reproduce_figure
 
-Figure = Literal["fig5", "fig6", "fig8", "rates", "scales", "damping", "stability", "problems"]
+Figure = Literal[
+    "fig5", "fig6", "fig8", "rates", "scales", "damping", "stability", "problems", "thin"
+]
+
+
+MESHES = {"fig8": "4,8", "thin": "16"}
 
 
 def reproduce(
@@ -30,8 +35,8 @@ def reproduce(
         str | None,
         typer.Option(
             metavar="N,…",
-            help="fig8, scales, damping: elements a side of each mesh; default 4,8 for fig8, "
-            "else 4,8,16.",
+            help="fig8, scales, damping, thin: elements a side of each mesh; default 4,8 for fig8, "
+            "16 for thin, else 4,8,16. thin: an element for each plant cell of its bars.",
         ),
     ] = None,
     sizes: Annotated[
@@ -39,7 +44,7 @@ def reproduce(
         typer.Option(
             metavar="N,…",
             help="scales: plant cells a side of each bar, default 8,16,32. problems: across strip "
-            "and block, default 4,8,16,24.",
+            "and block, default 4,8,16,24. thin: across the strips, default 2,4,8.",
         ),
     ] = None,
     tissue: Annotated[
@@ -58,8 +63,9 @@ def reproduce(
     initialisation against micro-integration as the rate goes down. scales: slow manifold against
     full tissues of 8 x 8, 16 x 16 and 32 x 32 plant cells. damping: decrements over mesh,
     tolerances, micro step and ways to fit. stability: where the plant cell has a stable
-    equilibrium. problems: strip, block between plates and skin against full tissues. The last five
-    are not in the paper; fig8, scales, damping and problems keep each run's curve in DIR/curves.
+    equilibrium. problems: strip, block between plates and skin against full tissues. thin: strips,
+    a cantilever and bars with and without the surface law. The last six are not in the paper;
+    fig8, scales, damping, problems and thin keep each run's curve in DIR/curves.
 
     Example: [bold]surrofe2 reproduce fig5 --cell water --out out/paper[/bold]
 
@@ -67,7 +73,7 @@ def reproduce(
     """
     of = NamedCell.of(cell)
     bars = Bars(
-        meshes=integers("--meshes", meshes or ("4,8" if figure == "fig8" else "4,8,16")),
+        meshes=integers("--meshes", meshes or MESHES.get(figure, "4,8,16")),
         sizes=None if sizes is None else integers("--sizes", sizes),
         tissue=tissue,
         duration=duration,

@@ -11,6 +11,7 @@ from surrofe2.cli import console
 from surrofe2.recipe import changed
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.rest import rest_study, rest_summary
+from surrofe2.workflow.surfaces import surface_notes
 
 
 def rest(
@@ -45,3 +46,5 @@ def rest(
             study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )
     console.print_line(f"{out}: {rest_summary(record)}")
+    for sentence, is_warning in surface_notes(record, study):
+        (console.print_error if is_warning else console.print_line)(sentence)

@@ -16,6 +16,7 @@ from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run import cache_notes, contact_notes, run_study, run_summary
 from surrofe2.workflow.run_lifecycle import time_text
+from surrofe2.workflow.surfaces import surface_notes
 
 
 def run(
@@ -104,5 +105,6 @@ def run(
         count = add_cell_fields(out)
         seconds = time.perf_counter() - begin
         console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
-    for sentence, is_warning in (*contact_notes(record), *cache_notes(record)):
+    notes = (*contact_notes(record), *surface_notes(record, study), *cache_notes(record))
+    for sentence, is_warning in notes:
         (console.print_error if is_warning else console.print_line)(sentence)

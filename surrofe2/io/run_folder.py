@@ -37,7 +37,8 @@ FILES = (
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
-_SECTIONS = ("cell", "rve", "load", "mesh", *_NAMED_ENTRIES, "time", "macro", "tissue", "rest")
+_STATED = ("time", "macro", "tissue", "rest", "surface")
+_SECTIONS = ("cell", "rve", "load", "mesh", *_NAMED_ENTRIES, *_STATED)
 _OF_TRAINING = ("range", "samples", "training")
 """Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")

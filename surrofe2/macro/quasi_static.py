@@ -23,6 +23,7 @@ from surrofe2.stress_law import StressLaw, require_tangents
 Array = NDArray[np.float64]
 
 MAX_HALVINGS = 10
+_SMALLEST_SHARE = 1.0 / 16.0
 
 
 def find_rest(
@@ -126,7 +127,8 @@ class Settled:
 def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tally) -> Settled:
     """The rest of a problem with free sides before anything moves it, its bodies away.
 
-    Supports hold what they hold, so that all displacements can count from there.
+    Supports hold what they hold, so that all displacements can count from there. Where Newton's
+    method does not come to it at once, the tension grows in steps.
 
     Args:
         tally: takes in what it costs.
@@ -138,14 +140,21 @@ def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tal
     require_tangents(law, "surface")
     system = system_of(replace(problem, bodies=()), law, proportional=True)
     equations = EquationsOfMotion(system, law, clock="before the load")
-    equations.tally = tally
-    newton = Newton(equations, make_assembly(system), settings)
-    found = newton.rest_at(0.0, np.zeros(system.free.size))
-    if not isinstance(found, Rest):
-        raise SimulationError(f"no rest under the surface tension: {found.message}")
-    u = np.zeros((system.n_rows + len(problem.bodies), 2))
-    u[: system.n_rows] = found.u
-    return Settled(u, found.law_state)
+    equations.tally, assembly = tally, make_assembly(system)
+    u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
+    while share < 1.0:
+        equations.system = system.with_share(share + step)
+        found = Newton(equations, replace(assembly, system=equations.system), settings).rest_at(
+            0.0, system.pick(u)
+        )
+        if isinstance(found, Rest):
+            u, share = found.u, share + step
+            continue
+        step *= 0.5
+        if step < _SMALLEST_SHARE:
+            raise SimulationError(f"no rest under the surface tension: {found.message}")
+    away = np.zeros((len(problem.bodies), 2))
+    return Settled(np.concatenate([u, away]), equations.law_state)
 
 
 def _on_the_way(found: Rest, met: Array, next_step: float) -> Rest:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from surrofe2.macro.conditions import FREE, checked_sides
 from surrofe2.settings import check_settings, setting
 from surrofe2.units import TIME
 
@@ -47,6 +48,16 @@ class MacroSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "macro")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceSettings:
+    """Which sides of the tissue have the surface law of their plant cells."""
+
+    on: tuple[str, ...] | Literal["free"] = FREE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", checked_sides(self.on))
 
 
 SECTION_6_2 = MacroSettings()

@@ -91,6 +91,14 @@ class System:
         )
         return replace(self, forces=forces, rest=rest)
 
+    def with_share(self, share: float) -> System:
+        """The same with a share of the surface tension."""
+        forces = tuple(
+            replace(force, share=share) if isinstance(force, SurfaceForce) else force
+            for force in self.forces
+        )
+        return replace(self, forces=forces)
+
     def from_mesh(self, u: Array) -> Array:
         """(n, 2) displacement of the mesh itself where all else knows u."""
         return u if self.rest is None else u + self.rest
@@ -247,7 +255,7 @@ def make_system(
     mesh, space = problem.mesh, make_discretisation(problem.mesh)
     per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
     n_nodes, n = len(mesh.nodes), len(mesh.nodes) + len(problem.bodies)
-    surface = [] if problem.surface is None else [make_surface(problem)]
+    surface = [] if problem.surface is None else [make_surface(problem, space)]
 
     def mass_of(share: Array) -> tuple[Array, Index, Index]:
         """Entries, rows and columns of the mass of a share of each element, its sides included."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from surrofe2.errors import InputError, quoted
@@ -14,9 +16,12 @@ from surrofe2.recipe import Recipe
 from surrofe2.report.comparison import Comparison, write_comparison_plot
 from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.sweep import Sweep, make_sweep, write_sweep_plot
+from surrofe2.workflow.cell_fields import recipes_of
 from surrofe2.workflow.cell_laws import NO_FILES
+from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.surfaces import missing_sentence
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
 SWEEP_FILES = ("sweep.json", "sweep.png")
@@ -36,6 +41,20 @@ def compare_runs(
             write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
             write_json(path, {**result.to_dict(), "of": of})
     return result
+
+
+def missing_notes(folders: Sequence[str | Path]) -> list[str]:
+    """What FE² without a surface law is expected to miss, beside a full tissue."""
+    records = [read_run(folder).record for folder in folders]
+    if all(record.law != "tissue" for record in records):
+        return []
+    found = []
+    for folder, record in zip(folders, records, strict=True):
+        with suppress(InputError):  # a law without plant cells
+            for recipe in recipes_of(record).values():
+                sentence = missing_sentence(record, recipe, partial(kept_reference, recipe))
+                found += [] if sentence is None else [f"{Path(folder).name}: {sentence}"]
+    return found
 
 
 def run_sweep(

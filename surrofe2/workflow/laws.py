@@ -28,7 +28,7 @@ from surrofe2.io.run_folder import file_fingerprint
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro import MacroSettings, Problem, Surface, simulate
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.problem import bar
 from surrofe2.plant_cell.parameters import CellParameters
@@ -203,6 +203,7 @@ def warm_up(
     tables: Iterable[StressTable] = (),
     *,
     points: int | None = None,
+    surface: Surface | None = None,
 ) -> float:
     """Load or compile all that a run with these settings calls, outside its clock; seconds it took.
 
@@ -211,6 +212,7 @@ def warm_up(
 
     Args:
         points: that the run has; left out: those of a bar with the elements of the settings.
+        surface: of its problem.
     """
     begin = time.perf_counter()
     if points is None:
@@ -226,10 +228,17 @@ def warm_up(
     small = replace(settings, elements=(min(nx, 2), min(ny, 2)))
     for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
-            simulate(_INSTANT, law, small)
+            simulate(_INSTANT if surface is None else _with_sides(small, surface), law, small)
     for table in tables:
         table.warm_up()
     return time.perf_counter() - begin
+
+
+def _with_sides(settings: MacroSettings, surface: Surface) -> Problem:
+    """The small bar with a law of its free sides."""
+    laws = surface.law
+    first = next(iter(laws.values())) if isinstance(laws, Mapping) else laws
+    return replace(bar(_INSTANT, settings.elements), surface=Surface(law=first))
 
 
 def open_study(path: Path, threads: int | None) -> Recipe:

@@ -14,6 +14,7 @@ from surrofe2.studies import (
     initialisations,
     relaxation,
     stability,
+    thin_tissue,
     tissue_problems,
 )
 from surrofe2.studies.bar_comparison import Bars
@@ -47,7 +48,7 @@ OF_AN_RVE: Mapping[str, Callable[[CellParameters, Progress], Study]] = {
     "rates": _rates,
     "stability": _stability,
 }
-PROBLEMS = "problems"
+PROBLEMS, THIN = "problems", "thin"
 Cases = Callable[[NamedCell, Bars], list[BarCase]]
 OF_BARS: Mapping[str, tuple[Cases, Callable[[Sequence[BarRun]], Study], tuple[str, ...]]] = {
     "fig8": (bar_comparison.figure_8_cases, bar_comparison.figure_8, ("tissue",)),
@@ -86,6 +87,15 @@ def reproduce_figure(
             return tissue_problems.problems(compute_all(cases, KeptCurves(out / CURVES), stage))
 
         return keep_study(out, figure, of, {"sizes": sizes}, compare, fresh=fresh)
+    if figure == THIN:
+        across = thin_tissue.SIZES if bars.sizes is None else bars.sizes
+        told = {"sizes": across, "bars": bars.meshes}
+
+        def thin() -> Study:
+            cases = thin_tissue.thin_cases(of, across, bars.meshes)
+            return thin_tissue.thin_tissue(compute_all(cases, KeptCurves(out / CURVES), stage))
+
+        return keep_study(out, figure, of, told, thin, fresh=fresh)
     cases, describe, depends = OF_BARS[figure]
     names = {"meshes", "duration", *depends}
     asked = {name: value for name, value in asdict(bars).items() if name in names}

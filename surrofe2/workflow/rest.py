@@ -21,7 +21,7 @@ from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
-from surrofe2.workflow.laws import warm_up
+from surrofe2.workflow.laws import kept_reference, warm_up
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
     Recording,
@@ -34,7 +34,8 @@ from surrofe2.workflow.run_lifecycle import (
     time_text,
     untold,
 )
-from surrofe2.workflow.saved_run import problem_record
+from surrofe2.workflow.saved_run import problem_record, with_rest
+from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
@@ -63,6 +64,7 @@ def rest_study(
     """
     problem = recipe.problem()
     chosen = choose_laws(recipe, "rve", problem.mesh)
+    problem = with_surface(recipe, problem, kept_reference)
     found: tuple[Rest | None, Frames, np.ndarray] | None = None  # replaced whole, so never torn
     begin = compilation = 0.0
 
@@ -77,11 +79,13 @@ def rest_study(
         write_fields(folder, space.nodes, space.elements, frames, cell)
         wall = {"total": time.perf_counter() - begin, "compilation": compilation}
         met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
+        record = with_rest(record, last.system.rest)
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
     def compute(current: Recording) -> Rest:
         nonlocal found, begin, compilation
-        compilation = warm_up(chosen.parts, recipe.macro, points=n_points_of(problem.mesh))
+        points, surface = n_points_of(problem.mesh), problem.surface
+        compilation = warm_up(chosen.parts, recipe.macro, points=points, surface=surface)
         begin = time.perf_counter()
         arrays = current.last_state()
         if arrays is not None:
@@ -171,6 +175,7 @@ def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[st
     )
     law = choose_laws(study, "rve", problem.mesh).law
     with recipe.named(InputError):
+        problem = with_surface(study, problem, kept_reference)
         rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {

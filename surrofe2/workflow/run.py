@@ -21,7 +21,7 @@ from surrofe2.workflow.cell_laws import (
     law_arrays,
     law_state,
 )
-from surrofe2.workflow.laws import warm_up
+from surrofe2.workflow.laws import kept_reference, warm_up
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
     Recording,
@@ -33,6 +33,7 @@ from surrofe2.workflow.run_lifecycle import (
 )
 from surrofe2.workflow.run_outputs import RunOutputs, counts_of
 from surrofe2.workflow.saved_run import problem_record, with_results, write_results
+from surrofe2.workflow.surfaces import with_surface
 
 
 def run_study(
@@ -60,6 +61,7 @@ def run_study(
     problem = recipe.problem()
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
+    problem = with_surface(recipe, problem, kept_reference)
     compilation = 0.0
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
@@ -89,7 +91,13 @@ def run_study(
 
         points = n_points_of(problem.mesh)
         report(0.0, "loading kernels")
-        compilation = warm_up(chosen.parts, recipe.macro, chosen.tables.values(), points=points)
+        compilation = warm_up(
+            chosen.parts,
+            recipe.macro,
+            chosen.tables.values(),
+            points=points,
+            surface=problem.surface,
+        )
         try:
             with recipe.named(InputError):
                 return simulate(

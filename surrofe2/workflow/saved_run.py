@@ -35,6 +35,7 @@ from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.cell_laws import cache_report, cell_of_elements, surrogate_record
 from surrofe2.workflow.run_lifecycle import describe_origin
+from surrofe2.workflow.surfaces import surface_record
 
 
 def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRecord:
@@ -71,15 +72,24 @@ def write_results(folder: Path, run: MacroRun) -> None:
 
 def with_results(record: RunRecord, run: MacroRun) -> RunRecord:
     """The record with what a run, whole or not, met and cost."""
+    told = replace(record, problem={**record.problem, "penetration": penetrations(run)})
     return replace(
-        record,
+        with_rest(told, run.rest),
         wall_time=run.wall_time,
         counts={**run.counts, **run.effort},
-        problem={**record.problem, "penetration": penetrations(run)},
         cache=cache_report(run.law, whole=run.finished),
         met=run.met.to_dict(),
         threads=run.threads,
     )
+
+
+def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
+    """The record with how far free sides moved a tissue before the run, `System.rest`, µm."""
+    surface = record.problem.get("surface")
+    if not surface or rest is None:
+        return record
+    moved = float(np.linalg.norm(rest, axis=1).max(initial=0.0))
+    return replace(record, problem={**record.problem, "surface": {**surface, "rest": moved}})
 
 
 def penetrations(run: MacroRun) -> dict[str, float]:
@@ -106,6 +116,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "conditions": [label(condition) for condition in problem.conditions],
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
+        **({"surface": surface_record(problem)} if problem.surface is not None else {}),
     }
 
 
@@ -191,4 +202,5 @@ def _stated_problem(problem: Problem | LoadCase) -> dict[str, Any]:
     mesh = {"file": None, "width": width, "height": height, "elements": elements}
     acts = sections_of(problem.conditions, problem.bodies, problem.watched)
     time = {"duration": problem.duration, "output_interval": problem.output_interval}
-    return {"mesh": {**mesh, "sha256": digest.hexdigest()}, **acts, "time": time}
+    sides = {} if problem.surface is None else {"surface": {"on": problem.surface.on}}
+    return {"mesh": {**mesh, "sha256": digest.hexdigest()}, **acts, "time": time, **sides}

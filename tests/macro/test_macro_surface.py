@@ -27,7 +27,7 @@ from surrofe2.macro.free_sides import free_sides
 from surrofe2.macro.history import MacroState
 from surrofe2.macro.system import make_system
 from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
-from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, with_middles
+from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, quadrature, with_middles
 from tests.macro.test_macro_force_tangents import assert_slopes
 
 LAW = KelvinVoigt()
@@ -46,18 +46,19 @@ def clamped(surface, mesh=None, **more):
 
 
 def twin_force(mesh, sides, law, u, v):
-    """Side by side, point by point."""
-    force = np.zeros_like(u)
-    k = sides.shape[1]
+    """Side by side: −∂/∂u of L P_s λ(F̄ T), F̄ the mean of the element by a fine quadrature."""
+    force, (_, weights, _, gradients) = np.zeros_like(u), quadrature(mesh)
     for nodes in sides:
-        for s, w in zip(*np.polynomial.legendre.leggauss(k - 1), strict=True):
-            by_s = np.array([-0.5, 0.5] if k == 2 else [s - 0.5, s + 0.5, -2.0 * s])
-            length = np.linalg.norm(by_s @ mesh.nodes[nodes])
-            g = by_s @ (mesh.nodes + u)[nodes] / length
-            stretch = np.linalg.norm(g)
-            rate = g @ (by_s @ v[nodes]) / length / stretch
-            pull = law.respond(np.array([stretch]), np.array([rate])).tension[0]
-            force[nodes] -= w * pull * np.outer(by_s, g / stretch)
+        (e,) = np.flatnonzero(np.isin(mesh.elements, nodes[:2]).sum(axis=1) == 2)
+        own, (start, end) = mesh.elements[e], mesh.nodes[nodes[:2]]
+        length = np.linalg.norm(end - start)
+        mean = np.einsum("q,qaj->aj", weights[e], gradients[e]) / weights[e].sum()
+        slope = mean @ (end - start) / length
+        g = (end - start) / length + slope @ u[own]
+        stretch = np.linalg.norm(g)
+        rate = g @ (slope @ v[own]) / stretch
+        pull = law.respond(np.array([stretch]), np.array([rate])).tension[0]
+        force[own] -= length * pull * np.outer(slope, g / stretch)
     return force
 
 
@@ -69,9 +70,9 @@ def test_force_is_that_of_plain_numpy_and_slopes_are_its_derivatives(kind, rng):
     u, v = rng.uniform(-0.5, 0.5, (2, system.n_rows, 2))
     sides = np.concatenate([mesh.boundaries[name] for name in surface.on])
     force = system.surface.at(0.0, 0.0, u, v)
-    np.testing.assert_allclose(force, twin_force(mesh, sides, SKIN, u, v), rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(force, twin_force(mesh, sides, SKIN, u, v), rtol=1e-9, atol=1e-9)
     slopes = assert_slopes(system.surface, u, v)
-    assert abs(slopes[0] - slopes[0].T).max() > 0.1  # the rate's part is not symmetric
+    assert abs(slopes[0] - slopes[0].T).max() > 0.02  # the rate's part is not symmetric
     moved = system.surface.from_rest(u)
     np.testing.assert_allclose(moved.at(0.0, 0.0, 0.0 * u, v), force, rtol=1e-12, atol=1e-11)
 
@@ -102,7 +103,7 @@ def test_power_balance_and_what_the_surface_stores_and_dissipates():
     stored = []
     for u in (run.frames.displacement[0], run.frames.displacement[-1]):
         _, stretch, _ = system.surface._stretches(u, 0.0 * u)
-        stored.append(system.surface.weights.ravel() @ SKIN.energy(stretch))
+        stored.append(system.surface.lengths @ SKIN.energy(stretch))
     dissipated = [run.energies[f"dissipated surface {name}"] for name in ("top", "right")]
     assert min(each.min() for each in dissipated) >= 0.0
     assert dissipated[0][-1] > 1e-3 * scale
@@ -180,22 +181,22 @@ def test_a_rectangle_under_constant_tension_shrinks():
 
 
 def test_laplace_pressure_in_a_disc():
-    """Constant tension T on a disc of radius r makes a pressure T/r, its mean of fourth order."""
-    tension, off = 150.0, []
-    for n in (2, 4):
+    """Constant tension T on a disc of radius r makes a pressure T/r at its middle; the outermost
+    elements, of thickness h, bear the tension, which errs by h/2r or less.
+    """
+    tension, off = 15.0, []
+    for n in (4, 8):
         mesh, surface = disc(n), Surface(law=Skin(a=tension), on=("rim",))
         problem = Problem(mesh=mesh, conditions=MIRRORS, surface=surface)
         rest = find_rest(problem, LAW, TIGHT, factor=0.0)
         moved = mesh.nodes + rest.system.rest
         radius = np.linalg.norm(moved[np.unique(mesh.boundaries["rim"])], axis=1)
-        assert np.ptp(radius) < 0.02 / n**4 * RADIUS
-        assert radius.mean() < 0.95 * RADIUS
+        assert radius.mean() < 0.997 * RADIUS
         pressure = -0.5 * np.trace(rest.stress, axis1=1, axis2=2) * radius.mean() / tension
-        assert abs(pressure - 1.0).max() < 0.03 / n**2
-        weights = rest.system.discretisation.weights.ravel()
-        off.append(weights @ pressure / weights.sum() - 1.0)
-    assert off[0] < 3e-4
-    assert off[0] > 10.0 * off[1] > 0.0
+        inner = np.linalg.norm(rest.system.discretisation.point_positions(), axis=1) < 3.0
+        off.append(abs(pressure[inner] - 1.0).max())
+    assert 0.0 < off[0] < 0.15
+    assert off[1] < 0.4 * off[0]
 
 
 def test_newton_is_quadratic():
@@ -275,15 +276,14 @@ def test_each_side_takes_the_law_of_its_element():
     u, v = np.random.default_rng(3).uniform(-0.3, 0.3, (2, system.n_rows, 2))
     top = mesh.boundaries["top"]
     near = (mesh.nodes[top, 0] <= 15.0).all(axis=1)
-    expected = twin_force(mesh, top[near], SKIN, u, v) + twin_force(
-        mesh, top[~near], laws["far"], u, v
-    )
-    np.testing.assert_allclose(system.surface.at(0, 0, u, v), expected, rtol=1e-12, atol=1e-12)
+    parts = (top[near], SKIN), (top[~near], laws["far"])
+    expected = sum(twin_force(mesh, sides, law, u, v) for sides, law in parts)
+    np.testing.assert_allclose(system.surface.at(0, 0, u, v), expected, rtol=1e-9, atol=1e-9)
     assert_slopes(system.surface, u, v)
     regions = {"a": mesh.regions["near"], "b": mesh.regions["far"]}
     named = Surface(law={"a": SKIN, "b": laws["far"]}, on=("top",), regions=regions)
     same = make_system(replace(problem, surface=named), 0.08)
-    np.testing.assert_allclose(same.surface.at(0, 0, u, v), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(same.surface.at(0, 0, u, v), expected, rtol=1e-9, atol=1e-9)
     with pytest.raises(InputError, match=r"surface.law: the element at \(18.75, .* in 0 of near"):
         make_system(replace(problem, surface=Surface(law={"near": SKIN}, on=("top",))), 0.08)
 

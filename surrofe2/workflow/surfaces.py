@@ -1,0 +1,233 @@
+"""The surface law of a recipe's plant cells: tabulated once, kept, given to a problem.
+
+What a run without it misses follows from the same slab: a strip of n plant cells is c of them
+softer than as much bulk, so FE² makes it too stiff by c/(n − c).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surrofe2.compilation import cache_folder
+from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.io.kept import read_kept, write_kept
+from surrofe2.io.run_folder import RunRecord
+from surrofe2.io.surfaces import check_surface, read_surface, write_surface
+from surrofe2.macro import Problem, Surface
+from surrofe2.macro.free_sides import free_sides
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.recipe import Recipe
+from surrofe2.surface.cell_surface import CellSurface, table_within
+from surrofe2.surface.slab_law import ROWS, SlabLaw, rows_across
+from surrofe2.surface.tabulated import TabulatedSurface
+from surrofe2.surface_law import SurfaceLaw
+
+STRETCH, RATE = (0.94, 1.04), 0.01
+"""Range of a table where the recipe has none; rate in 1/µs."""
+_MARGIN, _FASTER = 0.01, 1.5
+_THICK = 16
+"""Plant cells of a thick strip; c hardly depends on them."""
+
+
+def with_surface(
+    recipe: Recipe, problem: Problem, reference: Callable[[Recipe], ReferenceState]
+) -> Problem:
+    """The problem with the surface law of its plant cells, if the recipe has a [surface].
+
+    Args:
+        reference: gives the settled reference state of a recipe of one cell.
+
+    Raises:
+        InputError: a cell has no surface law.
+    """
+    if recipe.surface is None:
+        return problem
+    laws: dict[str, SurfaceLaw] = {
+        name: cell_surface(part, cells_across(problem, part.cell), reference)
+        for name, part in recipe.parts().items()
+    }
+    if not recipe.types:
+        return replace(problem, surface=Surface(law=laws[""], on=recipe.surface.on))
+    share = len(problem.mesh.elements)
+    points = recipe.points_of_cells(problem.mesh)
+    n_q = sum(map(len, points.values())) // share
+    elements = {name: np.unique(own // n_q) for name, own in points.items()}
+    return replace(problem, surface=Surface(law=laws, on=recipe.surface.on, regions=elements))
+
+
+def cells_across(problem: Problem, cell: CellParameters) -> float:
+    """Plant cells across the tissue where its extent is smaller."""
+    low, high = problem.mesh.extent
+    return float((high - low).min() / cell.cell_side)
+
+
+def cell_surface(
+    recipe: Recipe, across: float, reference: Callable[[Recipe], ReferenceState]
+) -> CellSurface:
+    """The surface law of a recipe's only cell: its table from the cache folder, or made.
+
+    Args:
+        across: plant cells across the tissue.
+    """
+    cell, method, (stretch, rate) = recipe.cell, recipe.rve.initialisation, _bounds(recipe)
+    rows = rows_across(across)
+    low, high = stretch
+    path = _folder() / f"{_stem(cell, method)}-{rows}-{low:.6g}-{high:.6g}-{rate:.6g}.h5"
+    table = None
+    if path.exists():
+        with suppress(FileError, MismatchError):
+            table = read_surface(path)
+            check_surface(path, table, cell, method)
+    if table is None:
+        slab = _slab(cell, method, reference(recipe), rows)
+        table = table_within(slab, stretch, rate)
+        with suppress(FileError):  # a folder that cannot be written keeps nothing
+            write_surface(path, table, recipe.to_dict())
+        _tell(cell, method, rows, slab.missing_cells(_across_of(rows)))
+    return CellSurface(table, rows, lambda: _slab(cell, method, reference(recipe), rows))
+
+
+def missing_cells(
+    cell: CellParameters,
+    method: str,
+    across: float,
+    reference: Callable[[], ReferenceState] | None = None,
+) -> float | None:
+    """c: by how many plant cells a strip is softer than as much bulk; None where it is not known.
+
+    Args:
+        across: plant cells across the strip.
+        reference: gives the settled reference state, to find c where it is not kept.
+    """
+    if not cell.is_one_square:
+        return None
+    rows = rows_across(across)
+    with suppress(FileError):
+        known = read_kept(_told(cell, method, rows), _of(cell, method))
+        if known is not None:
+            return float(known["cells"])
+    if reference is None:
+        return None
+    try:
+        found = _slab(cell, method, reference(), rows).missing_cells(_across_of(rows))
+    except InputError:
+        return None
+    _tell(cell, method, rows, found)
+    return found
+
+
+def missing_sentence(
+    record: RunRecord, recipe: Recipe, reference: Callable[[], ReferenceState] | None = None
+) -> str | None:
+    """What FE² without a surface law is expected to miss; None where that is not known."""
+    if recipe.types or record.law == "tissue" or record.problem.get("surface"):
+        return None
+    (x0, y0), (x1, y1) = record.problem["extent"]
+    across = min(x1 - x0, y1 - y0) / recipe.cell.cell_side
+    c = missing_cells(recipe.cell, recipe.rve.initialisation, across, reference)
+    if c is None or not 0.0 < c < across:
+        return None
+    return (
+        f"surface: none; strip of {across:.3g} plant cells: about {100.0 * c / (across - c):.2g} % "
+        'too stiff; section [surface] with on = "free" gives its sides a law'
+    )
+
+
+def surface_record(problem: Problem) -> dict[str, Any]:
+    """The free sides of a problem and whose law they have; empty where it has none."""
+    if problem.surface is None:
+        return {}
+    sides = free_sides(problem)
+    law = problem.surface.law
+    laws = law if isinstance(law, Mapping) else {"": law}
+    return {
+        "on": problem.surface.on,
+        "sides": len(sides.nodes),
+        "oblique": int((sides.oblique > 0.0).sum()),
+        "largest_angle": float(sides.oblique.max()),
+        "laws": {name: _law_record(each) for name, each in laws.items()},
+    }
+
+
+def _law_record(law: SurfaceLaw) -> dict[str, Any]:
+    if not isinstance(law, CellSurface | TabulatedSurface | SlabLaw):
+        return {"kind": type(law).__name__}
+    of = law.table if isinstance(law, CellSurface) else law
+    told: dict[str, Any] = {
+        "kind": "slab" if isinstance(of, SlabLaw) else "table",
+        "cell_fingerprint": of.cell.fingerprint,
+        "outer_wall": of.cell.outer_wall,
+        "initialisation": of.initialisation,
+    }
+    if isinstance(law, CellSurface):
+        told["rows"] = law.rows
+    if isinstance(of, TabulatedSurface):
+        told |= {"stretch": of.stretch, "rate": of.rate, "error": of.error, "spread": of.spread}
+    return told
+
+
+def surface_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """Sentences on the free sides of a run, each with whether it is a warning.
+
+    Of one without a surface law what it misses, where that was computed before.
+    """
+    found = record.problem.get("surface")
+    if not found:
+        missing = missing_sentence(record, recipe)
+        if missing is not None:
+            yield missing, False
+        return
+    on = found["on"] if isinstance(found["on"], str) else ", ".join(found["on"])
+    yield f"surface: {found['sides']} sides ({on}); at rest moved by {found['rest']:.2g} µm", False
+    if found["oblique"]:
+        yield (
+            f"surface: {found['oblique']} sides are oblique to the rows of plant cells, by up to "
+            f"{found['largest_angle']:.3g}°; they take the law of the nearer direction",
+            True,
+        )
+
+
+def _bounds(recipe: Recipe) -> tuple[tuple[float, float], float]:
+    """Range of a table: that of the recipe's samples, and more."""
+    if recipe.range is None:
+        return STRETCH, RATE
+    low, high = recipe.range.stretch
+    longest = float(np.hypot(high, recipe.range.shear))
+    return (low - _MARGIN, longest + _MARGIN), _FASTER * max(recipe.range.rate, 1e-4)
+
+
+def _slab(cell: CellParameters, method: str, reference: ReferenceState, rows: int) -> SlabLaw:
+    return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
+
+
+def _across_of(rows: int) -> int:
+    """Plant cells across the strip by which c is told: as thin as the slab, or thick."""
+    return rows if rows < ROWS else _THICK
+
+
+def _of(cell: CellParameters, method: str) -> dict[str, Any]:
+    return {"cell": cell.to_dict(), "initialisation": method}
+
+
+def _folder() -> Path:
+    return cache_folder() / "surfaces"
+
+
+def _stem(cell: CellParameters, method: str) -> str:
+    return f"{cell.fingerprint}-{cell.outer_wall:g}-{method}"
+
+
+def _told(cell: CellParameters, method: str, rows: int) -> Path:
+    return _folder() / f"{_stem(cell, method)}-{rows}-missing.json"
+
+
+def _tell(cell: CellParameters, method: str, rows: int, cells: float) -> None:
+    with suppress(FileError):
+        write_kept(_told(cell, method, rows), _of(cell, method), {"cells": cells})
