@@ -47,7 +47,7 @@ METHODS = (TISSUE, FE2, SURFACE)
 STRIP, CANTILEVER, BAR = "strip, pulled", "cantilever", "bar"
 PULL, WEIGHT = 0.05, 0.005
 """µm/µs²: along the strips, and across the cantilever."""
-PULLED, BENDING = 100.0, 800.0
+PULLED, BENDING = 100.0, 400.0
 """µs."""
 FREE_SIDES = ("top", "bottom", "right")
 STRETCH, RATE = (0.96, 1.04), 0.016
