@@ -116,14 +116,14 @@ def test_one_thread_gives_the_bits_of_two(laws):
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["printed", "water"])
 def test_an_extreme_state_is_answered_or_refused_soon(laws, preset):
-    """It takes 100 ms on an idle core; here the limit is the number of solves, for any machine."""
+    """Here the limit is the number of solves, on any machine; docs/reliability.md has times."""
     rng, law, solves = np.random.default_rng(4), laws[preset, "slow-manifold"], []
     while len(solves) < 100:
         F = np.eye(2) + 10.0 ** rng.uniform(-1.2, 0.7) * rng.uniform(-1, 1, size=(2, 2))
         if np.linalg.det(F) > 1e-3:
             F_dot = 10.0 ** rng.uniform(-3, 2) * rng.uniform(-1, 1, size=(2, 2))
             solves.append(law.respond(F[None], F_dot[None]).effort["newton_solves"])
-    assert 20 < max(solves) <= 3 * (EFFORT + 2)  # with each of the lists of contacts
+    assert 20 < max(solves) <= EFFORT / 10  # most of which take four iterations or more
 
 
 @pytest.mark.slow

@@ -48,14 +48,14 @@ from surrofe2.simd import TILE, load, store
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-CHORD_LIMIT, NEWTON_LIMIT = 10, 40
+CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor."""
 LONGEST_STEP = 0.4
 """Longest Newton step of a particle, µm; contacts stiffen over r/7."""
 
-SKIP, CHECK, RENEW, SOLVE = 0, 1, 2, 3
-"""What `newton` does with a tile; each does what the one before does, too."""
+SKIP, CHECK, RENEW, SOLVE, SEEK = 0, 1, 2, 3, 4
+"""What `newton` does with a tile; each up to SOLVE does what the one before does, too."""
 
 
 class Stop(NamedTuple):
@@ -192,16 +192,16 @@ def set_elastic_jacobian(work, F, topology, c, matrix, columns):
 
 
 @kernel
-def newton_loop(work, matrices, drive, is_affine, topology, c, tolerance, answer):
+def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
     """Newton's method with limited steps from work.z, in lanes with iterations ≤ 0.
 
     Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
     """
     sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
-    iterations, stop = answer.iterations, Stop(tolerance, np.inf, NEWTON_LIMIT)
+    iterations = answer.iterations
     for k in range(TILE):
         iterations[k] = max(iterations[k], 0)
-    for count in range(1, NEWTON_LIMIT + 1):
+    for count in range(1, stop.limit + 1):
         evaluate(work, drive, is_affine, topology, c, sigma, residual)
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
@@ -259,6 +259,7 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
     """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
 
     - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
+    - SEEK: the same in at most `SEEK_LIMIT` evaluations, and CHECK where it finds something.
     - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
     - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
     """
@@ -277,10 +278,14 @@ def newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
     work, matrices = make_workspace(topology), make_matrices(topology)
     copy_particles(z, work.z)
     if task >= SOLVE:
-        newton_loop(work, matrices, drive, True, topology, c, tolerance, answer)
+        limit = SEEK_LIMIT if task == SEEK else NEWTON_LIMIT
+        stop = Stop(tolerance, np.inf, limit)
+        newton_loop(work, matrices, drive, True, topology, c, stop, answer)
         copy_particles(work.z, z)
+        if task == SEEK and answer.iterations.max() < 0:
+            return
     set_images(work.z, topology)
-    if task >= RENEW:
+    if RENEW <= task <= SOLVE:
         lu, slopes = kept_factors(factors, topology)
         _refactorise(work, matrices, drive, topology, c, lu, slopes)
     check_stable(work, matrices, drive.F, topology, c, answer.stable)

@@ -33,6 +33,7 @@ from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import COLUMNS, has_negative_pivots, make_matrices, solve_columns
 from surrofe2.rve.equilibrium_modes import along, equilibrium_modes, set_velocities, unit_velocities
 from surrofe2.rve.newton import (
+    NEWTON_LIMIT,
     Stop,
     add_slopes,
     change,
@@ -172,7 +173,8 @@ def _newton_tile(drive, moving, topology, c, tolerance, answer):
     place(work, moving.elastic, drive.F, topology)
     y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
     set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
-    newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, tolerance, answer)
+    stop = Stop(tolerance, np.inf, NEWTON_LIMIT)
+    newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, stop, answer)
     set_fluctuation(work.v, work.z, drive.rate, beyond)
     for k in range(TILE):
         if wanted[k] and answer.iterations[k] > 0:

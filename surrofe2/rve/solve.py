@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.continuation import Walked, Walker, has_room, is_far
+from surrofe2.rve.continuation import Walked, Walker, Way, has_room, is_far
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles
 from surrofe2.rve.particle_state import Drive, empty_answer, list_covers, pairs_apart, stress_at
 from surrofe2.rve.rve_state import RveState, with_copies
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
-from surrofe2.rve.unit_cell import UnitCell
+from surrofe2.rve.unit_cell import UnitCell, relax
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Array, Status, Tangents
 from surrofe2.threads import one_blas_thread
 
 _NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a cold start
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
+
+
+Ways = tuple[NDArray[np.intp], Way] | None
+"""Points, and how far they have come."""
 
 
 def dashpot_rate(initialisation: str, F_dot: Array) -> Array:
@@ -55,6 +60,7 @@ def solve_rves(
     before: RveState,
     cold: bool,
     level: int = 0,
+    earlier: Ways = None,
 ) -> Solution:
     """Initialise every RVE; where the list of contacts was too short, again with a longer.
 
@@ -62,10 +68,12 @@ def solve_rves(
         drive: F and Ḟ in tiles.
         before: where to start from; it is not touched. `cold`: it is the state at rest.
         level: which of the unit's lists of contacts to take first.
+        earlier: how far points have come by shorter lists.
     """
-    solution = Solution(unit, settings, drive, before, cold, level)
+    solution = Solution(unit, settings, drive, before, cold, level, earlier)
     solution.solve()
-    covered = covered_by(unit, level, drive.F, solution.state.z) & ~solution.held_up
+    covered = covered_by(unit, level, drive.F, solution.state.z) | solution.lost
+    covered &= ~solution.held_up
     if covered.all():
         return solution
     if level == len(unit.patches) - 1:
@@ -73,7 +81,8 @@ def solve_rves(
         return solution
     index = np.flatnonzero(~unpack(covered, before.points))
     part_drive = Drive(*(pack(unpack(tensor, before.points)[index]) for tensor in drive))
-    part = solve_rves(unit, settings, part_drive, before.take(index), cold, level + 1)
+    ways = solution.ways_of(index)
+    part = solve_rves(unit, settings, part_drive, before.take(index), cold, level + 1, ways)
     if len(index) == before.points:
         part.newton_solves += solution.newton_solves
         return part
@@ -89,6 +98,7 @@ class Solution:
         status: (tiles, TILE) codes of `Status`.
         state: the warm start for the next call.
         held_up: (tiles, TILE) points that need a longer list of contacts to go on.
+        lost: (tiles, TILE) points whose way ended without a stress, whatever the list.
         newton_solves: how many points needed Newton's method.
     """
 
@@ -100,15 +110,17 @@ class Solution:
         before: RveState,
         cold: bool,
         level: int,
+        earlier: Ways,
     ) -> None:
         self.unit, self.settings, self.initialisation = unit, settings, settings.initialisation
         self.given = drive
         self.drive = Drive(drive.F, dashpot_rate(self.initialisation, drive.rate))
-        self.before, self.cold, self.level = before, cold, level
+        self.before, self.cold, self.level, self.ways = before, cold, level, earlier
         self.law = unit.patches[level].topology, unit.constants
         self.answer = empty_answer(len(drive.F))
         self.status = np.zeros(self.answer.iterations.shape, dtype=np.int8)
         self.held_up = np.zeros_like(self.status, dtype=np.bool_)
+        self.lost = np.zeros_like(self.held_up)
         self.newton_solves = 0
         self.state = replace(
             before,
@@ -117,6 +129,14 @@ class Solution:
             iterations=self.answer.iterations,
             is_checked=cold,
         )
+
+    def ways_of(self, index: NDArray[np.intp]) -> Ways:
+        """How far the points `index` have come, numbered by their places in it."""
+        if self.ways is None:
+            return None
+        walked, way = self.ways
+        _, place, row = np.intersect1d(index, walked, return_indices=True)
+        return place, way.take(row)
 
     def put(self, index: NDArray[np.intp], part: Solution) -> None:
         """Replace what was found at the points `index`; tangents are then by the longer list."""
@@ -198,10 +218,13 @@ class Solution:
             self.status[(iterations < 0) & (self.status == _OK)] = Status.NOT_CONVERGED
 
     def _newton_where_open(self, z: Array, z_before: Array) -> None:
-        self._newton(z, renewed=self.cold)
-        astray = (self.answer.iterations < 0) | (self.status == Status.UNSTABLE)
+        iterations, far = self.answer.iterations, np.zeros_like(self.held_up)
         if self.cold:
-            astray |= is_far(self.drive.F)
+            far = is_far(self.drive.F)
+        iterations[far] = 1  # not to be solved from here
+        self._newton(z, renewed=self.cold)
+        iterations[far] = -1
+        astray = (iterations < 0) | (self.status == Status.UNSTABLE)
         if astray.any():
             self._walk(z, z_before, astray)
 
@@ -273,31 +296,43 @@ class Solution:
         index = np.flatnonzero(unpack(astray & ~self.held_up, points))
         if not len(index):
             return
-        start, end, z = (unpack(values, points)[index] for values in (self.before.F, F, z_before))
-        walker = Walker(self.unit, self.law[0], self.settings.tolerance)
+        way = Way.between(*(unpack(each, points)[index] for each in (self.before.F, F, z_before)))
+        if self.ways is not None:
+            _, here, there = np.intersect1d(index, self.ways[0], return_indices=True)
+            way.put(here, self.ways[1].take(there))
+        self.ways = index, way
+        is_last = self.level == len(self.unit.patches) - 1
+        covers = None if is_last else partial(covered_by, self.unit, self.level)
+        walker = Walker(self.unit, self.level, self.settings.tolerance, covers)
         with one_blas_thread():
-            walked = walker.walk(start, end, z)
+            walked = walker.walk(way)
         self.newton_solves += walked.newton_solves
-        self._take_over(index, walked, z_found)
+        self._take_over(index, way, walked, z_found)
         self._at_rate(index, z_found)
 
-    def _take_over(self, index: NDArray[np.intp], walked: Walked, z_found: Array) -> None:
+    def _take_over(self, index: NDArray[np.intp], way: Way, walked: Walked, z_found: Array) -> None:
         """Replace what was found at the points `index`, and the copies that fill up a tile."""
-        index, row = with_copies(index, self.before.points)
-        lost = np.where(walked.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
-        for mine, new in (
-            (z_found, walked.solved.z),
-            (self.answer.stress, walked.solved.stress),
-            (self.answer.iterations, np.where(walked.arrived, walked.solved.iterations, -1)),
-            (self.status, np.where(walked.arrived, _OK, lost)),
-        ):
-            put_points(mine, index, pack(new[row]))
-        factors = self.state.factors.put(index, walked.solved.factors.take(row))
-        self.state = replace(self.state, factors=factors)
-        if walked.left.any():
+        arrived = walked.arrived
+        codes = np.where(walked.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
+        points, row = with_copies(index, self.before.points)
+        put_points(self.answer.iterations, points, pack(np.where(arrived, 1, -1)[row]))
+        put_points(self.status, points, pack(np.where(arrived, _OK, codes)[row]))
+        put_points(self.held_up, points, pack(walked.paused[row]))
+        put_points(self.lost, points, pack((~arrived & ~walked.paused)[row]))
+        if way.left.any():
             left = unpack(self.state.left, self.status.size).copy()
-            left[index] |= walked.left[row]
+            left[points] |= way.left[row]
             self.state = replace(self.state, left=pack(left))
+        there = np.flatnonzero(arrived)
+        if not len(there):
+            return
+        solved = relax(*self.law, way.z[there], way.end[there], self.settings.tolerance)
+        points, row = with_copies(index[there], self.before.points)
+        put_points(z_found, points, pack(solved.z[row]))
+        put_points(self.answer.stress, points, pack(solved.stress[row]))
+        put_points(self.answer.iterations, points, pack(solved.iterations[row]))
+        factors = self.state.factors.put(points, solved.factors.take(row))
+        self.state = replace(self.state, factors=factors)
 
     def _at_rate(self, index: NDArray[np.intp], z: Array) -> None:
         """From elastic equilibria at the points `index` to those with dashpots on.

@@ -11,7 +11,7 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import RveLaw
-from surrofe2.rve.continuation import Landscape, descend
+from surrofe2.rve.descent import Landscape, descend
 from surrofe2.stress_law import Status, describe
 from tests.rve.curvature_twin import Curvatures
 
@@ -142,7 +142,7 @@ def test_the_way_down_only_goes_down():
     unit = this.unit_cell
     landscape = Landscape(F, unit.topologies[-1], unit.constants)
     start = np.repeat(unit.position.T[None], len(F), axis=0)
-    end, found = descend(landscape, start)
+    end, found, _ = descend(landscape, start)
     assert found.all()
     assert (landscape.energy(end) < landscape.energy(start)).all()
 
