@@ -1,13 +1,18 @@
 """Commands on short recipes over laws without cells, each with all that it leaves in its folder.
 
-`python -m tests.commands NAME FOLDER` is a process to kill, which says "at work" when its work
-begins; as in `checkpointed`, a checkpoint follows every step.
+`python -m tests.commands` starts processes and kills them: of each line NAME FOLDER SECONDS that
+it reads once it is "ready" it makes one, kills it after so long, and tells its exit code when it
+has ended. As in `checkpointed`, a checkpoint follows every step.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
+import time
+import traceback
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest import mock
@@ -153,7 +158,35 @@ def assert_same(folder, wanted):
         assert found[file] == values, file
 
 
-if __name__ == "__main__":
-    sys.stdout.write("at work\n")
+def _has_ended(process):
+    how = os.WEXITED | os.WNOHANG | os.WNOWAIT
+    return os.waitid(os.P_PID, process, how) is not None
+
+
+def serve():
+    """Start processes as the docstring of this file says; all is imported once, before them."""
+    from surrofe2.workflow import refinement  # noqa: F401 - torch too
+
+    sys.stdout.write("ready\n")
     sys.stdout.flush()
-    execute(sys.argv[1], Path(sys.argv[2]))
+    for line in sys.stdin:
+        name, folder, seconds = line.rstrip("\n").split("\t")
+        process = os.fork()
+        if process == 0:
+            try:
+                execute(name, Path(folder))
+            except BaseException:
+                traceback.print_exc()
+                os._exit(1)
+            os._exit(0)
+        until = time.perf_counter() + float(seconds)
+        while time.perf_counter() < until and not _has_ended(process):
+            time.sleep(0.002)
+        os.kill(process, signal.SIGKILL)  # nobody else has its number until it is waited for
+        _, status = os.waitpid(process, 0)
+        sys.stdout.write(f"{os.waitstatus_to_exitcode(status)}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,6 +1,6 @@
 """Processes that are killed at random instants, and go on to what they would have given.
 
-`SURROFE2_KILLS` is how many kills of each command the long tests make; default: 5.
+`SURROFE2_KILLS` is how many kills of each command the long tests make; default: 50.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pytest
 
 from tests import commands
 
-KILLS = int(os.environ.get("SURROFE2_KILLS", "5"))
+KILLS = int(os.environ.get("SURROFE2_KILLS", "50"))
 ROOT = Path(__file__).parents[1]
 
 
@@ -31,52 +31,50 @@ def learnt(tmp_path_factory):
     return folder
 
 
-def start(name, folder):
-    """A process whose work begins now."""
+@pytest.fixture(scope="module")
+def server():
+    """Starts processes to kill, without importing anything again."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.commands", name, folder],
+        [sys.executable, "-m", "tests.commands"],
         cwd=ROOT,
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout.readline() == "at work\n", process.stderr.read()
-    return process
+    assert process.stdout.readline() == "ready\n"
+    yield process
+    process.stdin.close()
+    process.wait()
+    process.stdout.close()
 
 
-def check(name, kills, folders, learnt):
-    """Kill a command at instants from the beginning to the end of its work."""
-    whole = folders / "whole"
-    commands.prepare(name, whole, learnt)
-    process = start(name, whole)
+def run(server, name, folder, seconds=600.0):
+    """(exit code, s) of a command in its folder, killed after so many seconds."""
     begin = time.perf_counter()
-    _, said = process.communicate()
-    assert process.returncode == 0, said
-    lasts = time.perf_counter() - begin
+    server.stdin.write(f"{name}\t{folder}\t{seconds}\n")
+    server.stdin.flush()
+    code = int(server.stdout.readline())
+    return code, time.perf_counter() - begin
+
+
+@pytest.mark.parametrize("kills", [5, pytest.param(KILLS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", commands.COMMANDS)
+def test_a_killed_command_goes_on_to_the_bit(name, kills, tmp_path, learnt, server):
+    """Killed once at random in each of as many equal parts of its work as there are kills."""
+    whole, folder = tmp_path / "whole", tmp_path / "killed"
+    commands.prepare(name, whole, learnt)
+    code, lasts = run(server, name, whole)
+    assert code == 0
     wanted = commands.left_in(whole)
     struck = 0
-    # One instant at random in each of as many equal parts of the work as there are kills.
     shares = (np.arange(kills) + np.random.default_rng(kills).uniform(size=kills)) / kills
     for share in shares:
-        folder = folders / "killed"
         commands.prepare(name, folder, learnt)
-        process = start(name, folder)
-        time.sleep(share * lasts)
-        process.kill()
-        _, said = process.communicate()
-        assert process.returncode in (0, -signal.SIGKILL), said
-        struck += process.returncode != 0
+        code, took = run(server, name, folder, share * lasts)
+        assert code in (0, -signal.SIGKILL)
+        struck += code != 0
+        lasts = took if code == 0 else lasts  # the first may have been busy with kernels
         commands.execute(name, folder)
         commands.assert_same(folder, wanted)
         shutil.rmtree(folder)
     assert struck
-
-
-def test_a_killed_run_goes_on_to_the_bit(tmp_path, learnt):
-    check("cached", 2, tmp_path, learnt)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", commands.COMMANDS)
-def test_every_command_goes_on_to_the_bit(name, tmp_path, learnt):
-    check(name, KILLS, tmp_path, learnt)

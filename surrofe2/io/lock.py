@@ -70,7 +70,15 @@ def _locked(lock: Path, output: Path) -> Iterator[None]:
         _held.discard(lock)
         with suppress(OSError):  # where it cannot be removed, the next process takes it over
             if lock.read_bytes() == mine:
-                disk.remove(lock)
+                _let_go(lock)
+
+
+def _let_go(lock: Path) -> None:
+    """Remove a lock; once more if the disk fails, for nobody may come back to its folder."""
+    try:
+        disk.remove(lock)
+    except OSError:
+        disk.remove(lock)
 
 
 def _take(lock: Path, output: Path, mine: bytes) -> None:
