@@ -140,7 +140,7 @@ def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
     assert refused.stderr == (
         "error: recipe.toml: sell: unknown section; did you mean cell? "
         "known are bodies, cache, calibration, cell, cells, conditions, load, macro, mesh, range, "
-        "rve, samples, table, time, tissue, training, watch\n"
+        "rve, samples, surface, table, time, tissue, training, watch\n"
     )
     for wanted in (
         invoke("--traceback", "generate", path),
