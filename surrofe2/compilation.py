@@ -25,6 +25,8 @@ os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 
 import numba
 
+from surrofe2.machine_code import own_code
+
 # numba looks for SciPy's BLAS as it starts, only to choose an inner product for np.convolve and
 # the like: that look takes as long as all of h5py. Kernels that need BLAS find it all the same.
 _BLAS = "scipy.linalg.cython_blas"
@@ -89,7 +91,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         folder = _writable_folder() if options["cache"] else None
         if folder is None:
-            return numba.njit(**options | {"cache": False})(function)
+            return _own(numba.njit(**options | {"cache": False})(function))
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
         try:
@@ -97,9 +99,21 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         finally:
             numba.config.CACHE_DIR = before
         made._cache.save_overload = _saving(made._cache.save_overload, folder)
-        return made
+        return _own(made)
 
     return decorate
+
+
+def _own(dispatcher: Any) -> Any:
+    """The same kernel, whose machine code depends on no other kernel of the process."""
+    compile_or_load = dispatcher.compile
+
+    def own(signature: Any) -> Any:
+        with own_code(dispatcher.targetctx.codegen()):
+            return compile_or_load(signature)
+
+    dispatcher.compile = own
+    return dispatcher
 
 
 def _saving(save: Callable[..., None], folder: Path) -> Callable[..., None]:
