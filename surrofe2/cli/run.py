@@ -14,7 +14,7 @@ from surrofe2.recipe import changed
 from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.run import cache_notes, contact_notes, run_study, run_summary
+from surrofe2.workflow.run import cache_notes, contact_notes, run_study, run_summary, step_notes
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.surfaces import surface_notes
 
@@ -105,6 +105,11 @@ def run(
         count = add_cell_fields(out)
         seconds = time.perf_counter() - begin
         console.print_line(f"{out}: cell fields of {count} RVEs in {time_text(seconds)}")
-    notes = (*contact_notes(record), *surface_notes(record, study), *cache_notes(record))
+    notes = (
+        *step_notes(record, study),
+        *contact_notes(record),
+        *surface_notes(record, study),
+        *cache_notes(record),
+    )
     for sentence, is_warning in notes:
         (console.print_error if is_warning else console.print_line)(sentence)

@@ -35,6 +35,9 @@ from surrofe2.workflow.run_outputs import RunOutputs, counts_of
 from surrofe2.workflow.saved_run import problem_record, with_results, write_results
 from surrofe2.workflow.surfaces import with_surface
 
+MOST_IMPLICIT_STEPS = 3000
+"""Of a tissue that rings; after as many the phase was three tolerances off (docs/theory.md)."""
+
 
 def run_study(
     recipe: Recipe,
@@ -133,6 +136,17 @@ def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
             yield f"contact: {name} penetrates by {depth:.2g} µm{wish}", True
         elif depth > 0.0:
             yield f"contact: {name} penetrates by {depth:.2g} µm", False
+
+
+def step_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
+    """A warning where so many implicit steps were taken that their errors of phase may count."""
+    steps = record.counts["steps"]
+    if recipe.macro.integrator == "implicit" and steps > MOST_IMPLICIT_STEPS:
+        yield (
+            f"implicit: {steps} steps; where tissue rings so long, their errors of phase may add "
+            "up to more than three tolerances, and explicit steps are more accurate and fewer",
+            True,
+        )
 
 
 def run_summary(record: RunRecord) -> str:

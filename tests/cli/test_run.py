@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from surrofe2.io.run_folder import read_curve, read_record
+from surrofe2.workflow.run import step_notes
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw
+from tests.run_records import finished_record
 
 
 @pytest.fixture
@@ -156,3 +159,13 @@ def test_a_run_with_another_integrator_is_refused(invoke, recipe_path, folder):
         f"error: {folder}: macro.integrator: this call has implicit, what is there "
         "explicit; change it back, write elsewhere or start over with --fresh\n"
     )
+
+
+def test_many_implicit_steps_are_told(recipe):
+    """Their errors of phase add up; explicit steps are bounded by the period anyway."""
+    implicit = replace(recipe, macro=replace(recipe.macro, integrator="implicit"))
+    few, many = (finished_record(recipe, "rve", {}, {"steps": n}) for n in (3000, 3001))
+    assert not [*step_notes(few, implicit), *step_notes(many, recipe)]
+    ((sentence, is_warning),) = step_notes(many, implicit)
+    assert is_warning
+    assert sentence.startswith("implicit: 3001 steps; ")
