@@ -2,7 +2,8 @@
 
 While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
 KeyboardInterrupt, so that work stores what it has. Where a library swallows that, as callbacks of
-compilers do, it is raised anew, unless it is being dealt with.
+compilers do, it is raised anew, unless it is being dealt with. Where machine code has called Python
+for a class that it needs, and would take the interruption for an error of its own, it is put off.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from types import FrameType
 from typing import Any
 
 _AGAIN = 0.25
-"""s until an interruption that was swallowed is raised anew."""
+"""s until an interruption that was swallowed or put off is raised anew."""
+_OF_MACHINE_CODE = "_numba_unpickle"
+"""The function that numba's machine code calls in Python."""
 
 
 @dataclass(slots=True)
@@ -60,10 +63,14 @@ def _take(number: int, frame: FrameType | None) -> None:
         sys.unraisablehook = _untold
         signal.signal(signal.SIGALRM, _raise_anew)
         signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
-        raise KeyboardInterrupt
+        _raise_anew(number, frame)
 
 
 def _raise_anew(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_name == _OF_MACHINE_CODE:
+            return
+        frame = frame.f_back
     error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
