@@ -7,7 +7,7 @@ import json
 
 
 def main() -> None:
-    """Run the bar of so many plant cells a side; where the motion breaks, say why."""
+    """Run the bar of so many plant cells a side; where the step is refused or breaks, say why."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--preset", required=True)
     parser.add_argument("--cells", type=int, required=True)
@@ -16,7 +16,7 @@ def main() -> None:
     given = parser.parse_args()
 
     from surrofe2 import CellParameters, LoadCase, RveLaw
-    from surrofe2.errors import SimulationError
+    from surrofe2.errors import InputError, SimulationError
     from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, simulate_tissue
 
     side = 25.0 * given.cells
@@ -28,7 +28,7 @@ def main() -> None:
     settings = TissueSettings(micro_step=given.micro_step, frames=2)
     try:
         done = simulate_tissue(load, cell, settings, reference=reference)
-    except (SimulationError, FloatingPointError) as error:
+    except (InputError, SimulationError, FloatingPointError) as error:
         print(json.dumps({"failure": str(error)}))
         return
     print(

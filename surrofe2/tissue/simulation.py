@@ -166,7 +166,8 @@ def with_step(settings: TissueSettings, bears: float) -> TissueSettings:
     if step > longest * (1.0 + 1e-9):
         raise InputError(
             f"tissue.micro_step: {step:.4g} µs; at most {longest:.4g}, as the limit of stability "
-            f"at rest is {bears:.4g} µs with bodies; leave it out or take {rounded_step(bears):g}"
+            f"at rest is {bears:.4g} µs with all that acts; leave it out or take "
+            f"{rounded_step(bears):g}"
         )
     return settings
 
