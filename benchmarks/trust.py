@@ -108,7 +108,7 @@ def run(setting: Setting) -> list[Row]:
                 rows += found
                 reports.append(report)
     outcome = Outcome("trust", TITLE, rows)
-    write_json(setting.out / "trust.json", reports)
+    write_json(setting.out / "trust.json", {"cases": reports})
     if not setting.quick:
         report = make_report([outcome], quick=False, load=0.0)
         write_text(ROOT / "docs" / "trust.md", to_page(report, outcome, reports))
