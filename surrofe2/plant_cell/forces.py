@@ -22,7 +22,7 @@ from surrofe2.plant_cell.contact import (
 )
 from surrofe2.plant_cell.fluid import fluid_coefficients
 from surrofe2.plant_cell.sph_kernel import spline, spline_slope
-from surrofe2.plant_cell.tiles import outer_constants
+from surrofe2.plant_cell.tiles import central_pairs, outer_constants
 from surrofe2.plant_cell.wall import wall_energy, wall_force
 from surrofe2.simd import TILE, inverse_root, load, spread, store
 
@@ -179,11 +179,10 @@ def fluid_specific_volume(x, topology, c, slope, volume):
 def local_forces(work, topology, c):
     """work.f at work.x and work.v: forces on own particles and, not yet folded, on images."""
     work.f[:] = 0.0
-    add_central_forces(work.x, work.v, work.f, topology.bonds, None, True, c)
-    add_central_forces(work.x, work.v, work.f, topology.contacts, None, False, c)
-    outer = outer_constants(topology, c)
-    add_central_forces(work.x, work.v, work.f, topology.outer_bonds, None, True, outer)
-    add_central_forces(work.x, work.v, work.f, topology.outer_contacts, None, False, outer)
+    for outer in range(2):
+        bonds, contacts, own = central_pairs(topology, c, outer)
+        add_central_forces(work.x, work.v, work.f, bonds, None, True, own)
+        add_central_forces(work.x, work.v, work.f, contacts, None, False, own)
     add_fluid_forces(work.x, work.v, work.f, topology, c, work.slope, work.volume)
 
 

@@ -22,7 +22,7 @@ from surrofe2.compilation import kernel, pair_law
 from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import central_slopes, difference, fluid_specific_volume, pair_at
 from surrofe2.plant_cell.sph_kernel import spline_bend
-from surrofe2.plant_cell.tiles import outer_constants
+from surrofe2.plant_cell.tiles import central_pairs
 from surrofe2.simd import TILE, load, spread, store
 
 
@@ -207,11 +207,10 @@ def force_jacobian(work, L, topology, c, matrix, columns):
     """
     matrix[:] = 0.0
     columns[:] = 0.0
-    _add_central(work, L, topology.bonds, True, topology, c, matrix, columns)
-    _add_central(work, L, topology.contacts, False, topology, c, matrix, columns)
-    outer = outer_constants(topology, c)
-    _add_central(work, L, topology.outer_bonds, True, topology, outer, matrix, columns)
-    _add_central(work, L, topology.outer_contacts, False, topology, outer, matrix, columns)
+    for outer in range(2):  # one place in the machine code that is made of it
+        bonds, contacts, own = central_pairs(topology, c, outer)
+        _add_central(work, L, bonds, True, topology, own, matrix, columns)
+        _add_central(work, L, contacts, False, topology, own, matrix, columns)
     fluid_specific_volume(work.x, topology, c, work.slope, work.volume)
     for cell in range(topology.fluid_start.shape[0] - 1):
         _add_fluid(cell, work, L, topology, c, matrix, columns)

@@ -141,6 +141,16 @@ def outer_constants(topology, c):
     )
 
 
+@pair_law
+def central_pairs(topology, c, outer):
+    """Bonds, contacts and their constants, along a slab's outer walls or everywhere else."""
+    bonds, contacts, own = topology.bonds, topology.contacts, c
+    if outer:
+        bonds, contacts = topology.outer_bonds, topology.outer_contacts
+        own = outer_constants(topology, c)
+    return bonds, contacts, own
+
+
 def tiles_for(points: int) -> int:
     """Number of tiles that hold `points` cells."""
     return -(-points // TILE)
