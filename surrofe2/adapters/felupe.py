@@ -48,21 +48,21 @@ class FelupeMaterial:
 
     def gradient(self, x: Sequence[Array]) -> list[Array]:
         """[P (2, 2, q, c) in µN/µm, the state at the end of the substep (4, q, c)]."""
-        F, _, answer = self._answer(x)
+        F, answer = self._answer(x)
         P = answer.stress @ cofactor(F)
         trailing = x[0].shape[2:]
         return [_last(P, trailing), _last((F - np.eye(2)).reshape(-1, 4), trailing)]
 
     def hessian(self, x: Sequence[Array]) -> list[Array]:
         """[∂P/∂F (2, 2, 2, 2, q, c) over the substep, µN/µm]."""
-        _, _, answer = self._answer(x, tangents=True)
+        _, answer = self._answer(x, tangents=True)
         assert answer.tangents is not None
         whole = answer.tangents.P_by_F + answer.tangents.P_by_F_dot / self.dt
         return [_last(whole, x[0].shape[2:])]
 
     def _answer(
         self, x: Sequence[Array], *, tangents: bool = False
-    ) -> tuple[Array, Array, StressResponse]:
+    ) -> tuple[Array, StressResponse]:
         F, before = _first(x[0], (2, 2)), _first(x[-1], (4,)).reshape(-1, 2, 2)
         F_dot = (F - np.eye(2) - before) / self.dt
         answer = self.law.respond(F, F_dot, self._state, tangents=tangents)
@@ -71,7 +71,7 @@ class FelupeMaterial:
             why = describe(answer.status[failed[0]])
             raise SimulationError(f"point {failed[0]} of {len(F)}: {why}")
         self._state = answer.state
-        return F, F_dot, answer
+        return F, answer
 
 
 class Substeps:

@@ -9,7 +9,8 @@ import typer
 
 from surrofe2.cli.console import Fresh, print_line
 from surrofe2.errors import InputError
-from surrofe2.io.c_source import write_c_source
+from surrofe2.io.c_source import c_source
+from surrofe2.io.files import read_bytes, write_text
 from surrofe2.io.surrogates import read_surrogate
 
 
@@ -26,13 +27,13 @@ def export(
 ) -> None:
     """Write a surrogate as C source: stress, tangents, domain and bound of the error.
 
-    The source needs the standard library alone; its head says how to call it. Examples:
-    examples/umat.c calls it as a material routine of a finite-element program would.
+    The source needs the standard library alone; its head says how to call it, and examples/umat.c
+    calls it as a material routine of a finite-element program.
 
     Example: [bold]surrofe2 export training/bending-bar.safetensors --to c[/bold]
     """
-    path = out or surrogate.with_suffix(f".{to}")
-    if path.exists() and not fresh:
-        raise InputError(f"{path}: there already; --fresh writes it anew")
-    lines = write_c_source(read_surrogate(surrogate), path)
-    print_line(f"{path}: {lines} lines of C, {path.stat().st_size / 1e3:.0f} kB")
+    path, text = out or surrogate.with_suffix(f".{to}"), c_source(read_surrogate(surrogate))
+    if path.exists() and not fresh and read_bytes(path) != text.encode("utf-8"):
+        raise InputError(f"{path}: another source is there; --fresh writes this one in its place")
+    write_text(path, text)
+    print_line(f"{path}: {len(text.splitlines())} lines of C, {len(text.encode()) / 1e3:.0f} kB")

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.files import write_bytes
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 
@@ -41,17 +39,6 @@ _HEAD = """\
 #include <string.h>
 
 """
-
-
-def write_c_source(law: SurrogateLaw, path: str | Path) -> int:
-    """Write a surrogate as C source, whole or not at all; how many lines.
-
-    Raises:
-        FileError: it cannot be written.
-    """
-    text = c_source(law)
-    write_bytes(Path(path), text.encode("utf-8"))
-    return text.count("\n")
 
 
 def c_source(law: SurrogateLaw) -> str:

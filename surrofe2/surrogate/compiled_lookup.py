@@ -104,7 +104,7 @@ def _lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, tolerance, answer
 ):
     frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((BOUND_ROWS, TILES, TILE))
-    room = make_room(network, network, 0)
+    room = make_room(network, network, np.int64(0))  # one signature for all numbers of inputs
     for start in range(begin, end, BLOCK):
         read_points(start, F, F_dot, frame)
         take_rotation_out(frame)
@@ -155,7 +155,7 @@ def _test_some(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ign
 @kernel
 def _slopes(F, F_dot, network, slope_polynomial, P, slopes):  # type: ignore[no-untyped-def]
     frame = np.empty((FRAME_ROWS, TILES, TILE))
-    room = make_room(network, slope_polynomial, INPUTS)
+    room = make_room(network, slope_polynomial, np.int64(INPUTS))
     for start in range(0, F.shape[0], BLOCK):
         read_points(start, F, F_dot, frame)
         take_rotation_out(frame)

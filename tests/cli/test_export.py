@@ -27,9 +27,10 @@ def test_what_is_there_stays(surrogate, invoke):
     source.write_text("mine", encoding="utf-8")
     done = invoke("export", surrogate)
     assert done.exit_code == 1
-    assert "there already; --fresh" in done.output
+    assert "another source is there; --fresh" in done.output
     assert source.read_text(encoding="utf-8") == "mine"
     assert invoke("export", surrogate, "--fresh").exit_code == 0
+    assert invoke("export", surrogate).exit_code == 0  # the same, so nothing is lost
     assert source.read_text(encoding="utf-8").startswith("/*")
 
 

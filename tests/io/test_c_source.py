@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2.io.c_source import c_source, write_c_source
+from surrofe2.io.c_source import c_source
 from surrofe2.stress_law import Status
 from tests.surrogate.networks import make_law, with_bound
 
@@ -30,7 +30,7 @@ LAWS = {
 def compiled(law, folder):
     """The function in C, of points (n, 2, 2): stress, status, bound and tangents."""
     source, library = folder / "law.c", folder / "law.so"
-    write_c_source(law, source)
+    source.write_text(c_source(law), encoding="utf-8")
     strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
     subprocess.run(
         [COMPILER, *strict, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"], check=True
@@ -119,7 +119,7 @@ def test_the_source_says_whose_it_is():
 def test_the_example_of_a_material_routine(tmp_path):
     """Its stresses are the surrogate's, its slope that of a step by backward differences."""
     law = make_law()
-    write_c_source(law, tmp_path / "law.c")
+    (tmp_path / "law.c").write_text(c_source(law), encoding="utf-8")
     example = Path(__file__).parents[2] / "examples" / "umat.c"
     command = [COMPILER, "-std=c99", "-Wall", "-Werror", str(example), str(tmp_path / "law.c")]
     subprocess.run([*command, "-o", str(tmp_path / "umat"), "-lm"], check=True)
