@@ -150,6 +150,7 @@ def _draw_table(axes: Axes, table: Table[Any]) -> None:
     drawn = axes.table(rows, colLabels=headings, loc="center", cellLoc="center", edges="horizontal")
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(8)
+    drawn.auto_set_column_width(range(len(headings)))
     drawn.scale(1.0, 1.25)
     for entry in drawn.get_celld().values():
         entry.set_linewidth(0.5)
