@@ -75,6 +75,16 @@ def test_moduli_from_loops_are_those_of_the_tangents():
     np.testing.assert_allclose(found, script["tangent_moduli"](law, frequency), rtol=0.005)
 
 
+def test_a_grid_search_over_true_stresses_prefers_the_larger_network():
+    """The Python example on few rows and sizes."""
+    script = runpy.run_path(str(FOLDER / "network_size.py"))
+    sizes = {"hidden": [(1,), (6,)], "baseline_degree": [1]}
+    cell = CellParameters.preset("water")
+    search = script["search_of"](cell, 200, sizes, iterations=60, seed=1)
+    assert search.best_params_["hidden"] == (6,)
+    assert search.best_score_ > 0.999
+
+
 def whole(name):
     recipe = load_recipe(FOLDER / f"{name}.toml")
     return recipe, run_of(recipe, recipe.problem())

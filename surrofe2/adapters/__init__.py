@@ -1,4 +1,5 @@
-"""surrofe2 in other programs; each module is for one of them and imports none of it.
+"""surrofe2 in other programs, each of which has a module of its own here.
 
-felupe    a stress law as the material of a FElupe solid body
+felupe        a stress law as the material of a FElupe solid body
+scikit_learn  a surrogate as a regressor
 """
