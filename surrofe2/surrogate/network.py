@@ -21,7 +21,9 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from surrofe2.surrogate.features import STRETCH, Product, differentiated, make_features
 from surrofe2.surrogate.network_arrays import NetworkParameters
@@ -70,12 +72,12 @@ class TanhNetwork(torch.nn.ModuleList):
 class Shapes(NamedTuple):
     """What the parts of a network are functions of; fixed in training.
 
-    invariants (n, i); terms (n, t), their products; stretch (n, 3), scaled s, d, g.
+    x (n, 7), scaled inputs; invariants (n, i); terms (n, t), their products.
     """
 
+    x: torch.Tensor
     invariants: torch.Tensor
     terms: torch.Tensor
-    stretch: torch.Tensor
 
 
 class StressNetwork(torch.nn.Module):
@@ -119,8 +121,13 @@ class StressNetwork(torch.nn.Module):
         self.register_buffer("component_of", component_of.double(), persistent=False)
 
     def to_parameters(self) -> NetworkParameters:
-        """All that the network is, as arrays; `load_state_dict` takes them back."""
+        """All that the network is, as arrays; the baseline takes away `rest_slopes`."""
         arrays = {name: values.numpy().copy() for name, values in self.state_dict().items()}
+        with torch.no_grad():
+            linear = np.nan_to_num(self.rest_coefficients(self.rest_slopes().T))
+        cut = len(self.energy_coefficients)
+        arrays["energy_coefficients"] -= linear[:cut]
+        arrays["coefficients"] -= linear[cut:]
         settings = self.settings
         return NetworkParameters(settings.form, self.symmetry, settings.baseline_degree, arrays)
 
@@ -133,18 +140,38 @@ class StressNetwork(torch.nn.Module):
         """All that `correction` needs of scaled inputs (n, 7)."""
         f = self.features
         terms = [product for product, _ in f.terms]
-        return Shapes(products(x, f.invariants), products(x, terms), x[:, :STRETCH])
+        return Shapes(x, products(x, f.invariants), products(x, terms))
 
     def correction(self, shapes: Shapes) -> torch.Tensor:
-        """What the networks add to the baseline (n, 4), µN/µm."""
+        """What the networks add to the baseline (n, 4), µN/µm: of second order at rest."""
+        found, slopes = self._from_networks(shapes), self.rest_slopes()
+        if self.energy is None:
+            return found - shapes.x @ slopes
+        stretch, widths = shapes.x[:, :STRETCH], self.input_scale[:STRETCH]
+        elastic = self.elastic(stretch @ (0.5 * slopes[:STRETCH, :STRETCH] * widths), stretch)
+        return found - elastic - shapes.x[:, STRETCH:] @ slopes[STRETCH:]
+
+    def rest_slopes(self) -> torch.Tensor:
+        """(7, 4) slopes at rest of what the networks give, for the baseline to take away.
+
+        0 where there is no baseline: then they stay.
+        """
+        if not self.features.monomials:
+            return self.input_scale.new_zeros(INPUTS, 4)
+        rest = self.input_scale.new_zeros(INPUTS, INPUTS)
+        directions = torch.eye(INPUTS, dtype=rest.dtype)
+        return along(lambda x: self._from_networks(self.shapes(x)), (rest,), (directions,))[1]
+
+    def _from_networks(self, shapes: Shapes) -> torch.Tensor:
+        stretch = shapes.x[:, :STRETCH]
         factors = self.factors(shapes.invariants)
         if self.at_rest.any():
             rest = self.at_rest.new_zeros(1, len(self.features.invariants))
             factors = factors - self.at_rest * self.factors(rest)
         P = factors * shapes.terms @ self.component_of * self.output_scale
         if self.energy is not None:
-            slope = self._energy_slope(self.energy, shapes.stretch)
-            P = P + self.elastic(self.energy_scale * slope, shapes.stretch)
+            slope = self._energy_slope(self.energy, stretch)
+            P = P + self.elastic(self.energy_scale * slope, stretch)
         return P
 
     def elastic(self, slope: torch.Tensor, stretch: torch.Tensor) -> torch.Tensor:
@@ -193,6 +220,24 @@ class StressNetwork(torch.nn.Module):
             component = torch.nn.functional.one_hot(torch.tensor([k for _, k in f.monomials]), 4)
             rest = component * products(x, [product for product, _ in f.monomials])[:, :, None]
         return torch.cat([elastic, rest], dim=1).transpose(1, 2)
+
+    def rest_coefficients(self, slopes: torch.Tensor) -> NDArray[np.float64]:
+        """Coefficients that give the baseline these slopes (4, 7) at rest; NaN: of higher order.
+
+        Those of the energy come first, as in `baseline_columns`.
+        """
+        f, P = self.features, slopes.numpy()
+        by_x = 0.5 * self.input_scale[:STRETCH, None].numpy() * P[:STRETCH, :STRETCH]
+        hessian = 0.5 * (by_x + by_x.T)  # of the energy
+        elastic = [
+            hessian[product] / (1 + (product[0] == product[1])) if len(product) == 2 else np.nan
+            for product in f.energy_monomials
+        ]
+        linear = [
+            P[component, product[0]] if len(product) == 1 else np.nan
+            for product, component in f.monomials
+        ]
+        return np.array(elastic + linear)
 
     def _energy_derivatives(
         self, x: torch.Tensor

@@ -29,16 +29,20 @@ _LEAST_EIGENVALUE = 1e-13
 
 @dataclass(frozen=True)
 class Data:
-    """Scaled inputs (n, 7), P̂ (n, 4) and, where the samples have tangents, its slopes by x."""
+    """Scaled inputs (n, 7), P̂ (n, 4) and, where the samples have tangents, its slopes by x.
+
+    rest: (4, 7) the slopes at rest, which hold exactly; None where no sample is at rest.
+    """
 
     x: torch.Tensor
     target: torch.Tensor
     slopes: torch.Tensor | None
+    rest: torch.Tensor | None
 
     def at(self, chosen: NDArray[np.int64]) -> Data:
         """Those of the samples with these numbers."""
         slopes = None if self.slopes is None else self.slopes[chosen]
-        return Data(self.x[chosen], self.target[chosen], slopes)
+        return Data(self.x[chosen], self.target[chosen], slopes, self.rest)
 
 
 def read_data(samples: StressSamples, settings: TrainingSettings) -> Data:
@@ -47,10 +51,13 @@ def read_data(samples: StressSamples, settings: TrainingSettings) -> Data:
     scale = input_scale(samples.range)
     target = torch.from_numpy(to_piola(samples.F, samples.stress))
     by_F, by_rate = samples.P_by_F, samples.P_by_F_dot
-    slopes = None
-    if settings.tangent_weight > 0.0 and by_F is not None and by_rate is not None:
-        slopes = torch.from_numpy(to_slopes(samples.F, by_F, by_rate) * scale)
-    return Data(torch.from_numpy(inputs / scale), target, slopes)
+    slopes = rest = None
+    if by_F is not None and by_rate is not None:
+        known = torch.from_numpy(to_slopes(samples.F, by_F, by_rate) * scale)
+        at_rest = np.flatnonzero((inputs == 0.0).all(axis=1))
+        rest = known[at_rest[0]] if len(at_rest) else None
+        slopes = known if settings.tangent_weight > 0.0 else None
+    return Data(torch.from_numpy(inputs / scale), target, slopes, rest)
 
 
 @dataclass(frozen=True)
@@ -113,7 +120,12 @@ def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings)
                 A = matrix[:, k, own].numpy()
                 gram[np.ix_(own, own)] += float(weight[k]) * (A.T @ A)
                 right[own] += float(weight[k]) * (A.T @ values[:, k].numpy())
-    solution = torch.from_numpy(_solve(gram, right))
+    fixed = np.full(size, np.nan) if data.rest is None else network.rest_coefficients(data.rest)
+    known = np.isfinite(fixed)
+    right -= gram[:, known] @ fixed[known]
+    free = np.flatnonzero(~known)
+    fixed[free] = _solve(gram[np.ix_(free, free)], right[free])
+    solution = torch.from_numpy(fixed)
     network.energy_coefficients.copy_(solution[:cut])
     network.coefficients.copy_(solution[cut:])
 

@@ -103,8 +103,13 @@ def generate_data_set(
 def _sampled(
     law: StressLaw, wanted: SamplingRange, seed: int, tangents: bool, first: int, count: int
 ) -> tuple[Array, Array, StressResponse]:
-    """Points `first` to `first + count` of a sequence, F and Ḟ, and the answers there."""
+    """Points `first` to `first + count` of a sequence, F and Ḟ, and the answers there.
+
+    The very first is at rest, so that a surrogate can have the moduli there exactly.
+    """
     F, F_dot = sample(wanted, count, seed, start=first)
+    if first == 0:
+        F[:1], F_dot[:1] = np.eye(2), 0.0
     answer = law.respond(F, F_dot, tangents=tangents)
     return F, F_dot, replace(answer, state=None)  # a warm start takes 20 kB a sample
 

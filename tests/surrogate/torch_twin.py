@@ -21,6 +21,11 @@ def network_of(parameters, settings):
     network = StressNetwork(settings, parameters.symmetry)
     tensors = {name: torch.from_numpy(values) for name, values in parameters.tensors.items()}
     network.load_state_dict(tensors)
+    with torch.no_grad():  # the baseline has taken away what the network takes away itself
+        linear = np.nan_to_num(network.rest_coefficients(network.rest_slopes().T))
+        cut = len(network.energy_coefficients)
+        network.energy_coefficients += torch.from_numpy(linear[:cut])
+        network.coefficients += torch.from_numpy(linear[cut:])
     return network
 
 
