@@ -39,7 +39,7 @@ from surrofe2.workflow.rounds import SURROGATE, Round, open_rounds, write_rounds
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
-from surrofe2.workflow.train import train_surrogate, training_note, with_harvests
+from surrofe2.workflow.train import STRESSES, train_surrogate, training_note, with_harvests
 from surrofe2.workflow.workers import in_pieces
 
 Array = NDArray[np.float64]
@@ -152,7 +152,7 @@ def _row(
         hits=counts["hits"] / max(1, counts["hits"] + counts["fallbacks"]),
         unknown=len(unknown),
         samples=len(samples.valid.F),
-        held_out=max(surrogate.errors["rms"].values()),
+        held_out=max(surrogate.errors["rms"][name] for name in STRESSES),
         audit=None if audit is None else audit / spread,
         tolerance=tolerance,
         range=asdict(surrogate.range),
