@@ -1,0 +1,190 @@
+"""RVEs as micro simulations of preCICE's Micro Manager 0.12, one for each point of the macro mesh.
+
+preCICE knows vectors of the mesh's two dimensions, so tensors travel by rows::
+
+    read     F-1, F-2, F-dot-1, F-dot-2         rows of F, and of Ḟ in 1/µs
+    written  Stress-1, Stress-2                 rows of the Cauchy stress, µN/µm
+             P-ab-by-F-c, P-ab-by-F-dot-c       ∂P_ab/∂F_c1, ∂P_ab/∂F_c2; a, b, c from 1 to 2
+
+`SURROFE2_RECIPE` names the recipe, else it is recipe.toml in the working folder. With model
+switching, `surrofe2.adapters.micro_manager_surrogate` is the first model, stateless, this module
+the second and the one with the switching function, which asks the bound of the surrogate's error.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+from micro_manager import MicroSimulationInterface
+from numpy.typing import NDArray
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.recipe import Recipe, load_recipe
+from surrofe2.rve import RveLaw
+from surrofe2.simd import TILE
+from surrofe2.stress_law import StressLaw, StressResponse, describe, require_tangents
+from surrofe2.surrogate import SurrogateLaw
+from surrofe2.workflow.laws import choose_law, true_law
+
+Array = NDArray[np.float64]
+
+RECIPE = "SURROFE2_RECIPE"
+_ROWS = (1, 2)
+_left_at: dict[bytes, float] = {}
+"""By location, begin of the time window in which the surrogate was left last."""
+
+
+@cache
+def the_recipe() -> Recipe:
+    """The recipe of this process."""
+    return load_recipe(os.environ.get(RECIPE, "recipe.toml"))
+
+
+@cache
+def the_rve() -> RveLaw:
+    """Its RVEs."""
+    law = true_law(the_recipe())
+    require_tangents(law, "micro_manager")
+    return law
+
+
+@cache
+def the_surrogate() -> SurrogateLaw:
+    """Its surrogate."""
+    (law,) = choose_law(the_recipe(), "surrogate").parts
+    assert isinstance(law, SurrogateLaw)
+    return law
+
+
+class PointSimulation(MicroSimulationInterface):
+    """A stress law at one point.
+
+    What was solved is kept, by `accept`, when the next solve or a checkpoint comes, and forgotten
+    when a checkpoint is put back: then the time window is solved again.
+
+    Args:
+        law: with tangents. A law without states of its points may serve all points at once.
+    """
+
+    def __init__(self, sim_id: int, law: StressLaw) -> None:
+        self._id, self._law = sim_id, law
+        self._state: Any = None
+        self._solved: tuple[Array, Array, StressResponse] | None = None
+
+    def solve(self, micro_sim_input: Mapping[str, Any], dt: float) -> dict[str, Array]:
+        """Stress and tangents by name from F and Ḟ by name.
+
+        Raises:
+            InputError: an entry is missing or no vector of the plane, or det F ≤ 0.
+            SimulationError: the point has no stress.
+        """
+        F, F_dot = deformation_of(micro_sim_input)
+        self._keep()
+        answer = self._law.respond(F, F_dot, self._state, tangents=True)
+        _check(answer.status, answer.reasons)
+        self._solved = F, F_dot, answer
+        return written(answer)
+
+    def get_state(self) -> dict[str, NDArray[Any]] | None:
+        """Arrays that another simulation of the same recipe may be given; None: at rest."""
+        self._keep()
+        if self._state is None:
+            return None
+        arrays = self._state.to_arrays()  # a point fills all lanes of its tile with copies
+        return {name: a[..., :1].copy() if a.ndim > 1 else a for name, a in arrays.items()}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]] | None) -> None:
+        """Go on from what `get_state` gave."""
+        self._solved = None
+        self._state = None
+        if state is not None:
+            tiles = {k: np.repeat(a, TILE, -1) if a.ndim > 1 else a for k, a in state.items()}
+            self._state = the_rve().state_from_arrays(tiles)
+
+    def get_global_id(self) -> int:
+        """Number among all simulations."""
+        return self._id
+
+    def set_global_id(self, global_id: int) -> None:
+        """Become another number."""
+        self._id = global_id
+
+    def _keep(self) -> None:
+        if self._solved is None:
+            return
+        F, F_dot, answer = self._solved
+        accepted = self._law.accept(F, F_dot, answer)
+        _check(accepted.status, {})
+        self._state, self._solved = accepted.state, None
+
+
+class MicroSimulation(PointSimulation):
+    """The RVE of one point."""
+
+    def __init__(self, sim_id: int) -> None:
+        super().__init__(sim_id, the_rve())
+
+
+def switching_function(
+    resolution: int, location: Any, t: float, input: Mapping[str, Any], prev_output: Any
+) -> int:
+    """+1 from the surrogate to the RVE where the bound of its error exceeds the recipe's tolerance.
+
+    Back, −1, where it does not, but in a later time window: within one a point changes once, so
+    that its iterations converge.
+    """
+    surrogate = the_surrogate()
+    tolerance = the_recipe().cache.tolerance * surrogate.stress_spread
+    status, _ = surrogate.status_and_bound(*deformation_of(input), tolerance)
+    here = np.asarray(location, dtype=np.float64).tobytes()
+    if resolution == 0 and status[0]:
+        _left_at[here] = t
+        return 1
+    return -1 if resolution == 1 and not status[0] and _left_at.get(here) != t else 0
+
+
+def deformation_of(data: Mapping[str, Any]) -> tuple[Array, Array]:
+    """F and Ḟ (1, 2, 2) from their rows by name.
+
+    Raises:
+        InputError: an entry is missing or no vector of the plane.
+    """
+    F, F_dot = (
+        np.array([[_vector(data, f"{name}-{row}") for row in _ROWS]]) for name in ("F", "F-dot")
+    )
+    return F, F_dot
+
+
+def _vector(data: Mapping[str, Any], name: str) -> Array:
+    if name not in data:
+        known = ", ".join(map(str, data))
+        raise InputError(f"read_data: {name} is missing among {known}; it must be a row of F or Ḟ")
+    vector = np.asarray(data[name], dtype=np.float64)
+    if vector.shape != (2,) or not np.isfinite(vector).all():
+        raise InputError(f"{name}: {vector.tolist()}; it must be a finite vector of two components")
+    return vector
+
+
+def written(answer: StressResponse) -> dict[str, Array]:
+    """Stress and tangents of the only point by name."""
+    tangents = answer.tangents
+    assert tangents is not None
+    found = {f"Stress-{a}": answer.stress[0, a - 1] for a in _ROWS}
+    for name, slope in (("F", tangents.P_by_F), ("F-dot", tangents.P_by_F_dot)):
+        found |= {
+            f"P-{a}{b}-by-{name}-{c}": slope[0, a - 1, b - 1, c - 1]
+            for a in _ROWS
+            for b in _ROWS
+            for c in _ROWS
+        }
+    return found
+
+
+def _check(status: NDArray[np.int8], reasons: Mapping[int, str]) -> None:
+    if status[0]:
+        more = f": {reasons[0]}" if 0 in reasons else ""
+        raise SimulationError(f"{describe(status[0])}{more}")
