@@ -3,7 +3,8 @@
 While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
 KeyboardInterrupt, so that work stores what it has. Where a library swallows that, as callbacks of
 compilers do, it is raised anew, unless it is being dealt with. Where machine code has called Python
-for a class that it needs, and would take the interruption for an error of its own, it is put off.
+for a class that it needs, and would take the interruption for an error of its own, it is put off;
+so it is while ranks exchange messages.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
@@ -25,6 +28,7 @@ _OF_MACHINE_CODE = "_numba_unpickle"
 class _State:
     is_working: bool = False
     number: int = 0
+    held: int = 0
 
 
 _state = _State()
@@ -49,6 +53,16 @@ def end_work() -> None:
             signal.signal(number, signal.SIG_IGN)
 
 
+@contextmanager
+def held() -> Iterator[None]:
+    """An interruption waits until the block is over, and a moment longer."""
+    _state.held += 1
+    try:
+        yield
+    finally:
+        _state.held -= 1
+
+
 def exit_code() -> int:
     """128 and the number of the signal, as shells have it."""
     return 128 + (_state.number or signal.SIGINT)
@@ -67,6 +81,8 @@ def _take(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_anew(number: int, frame: FrameType | None) -> None:
+    if _state.held:
+        return
     while frame is not None:
         if frame.f_code.co_name == _OF_MACHINE_CODE:
             return

@@ -27,7 +27,7 @@ from tests.source_contract import (
 )
 
 MOST_LINES, MOST_ARGUMENTS = 350, 8
-HEAVY = ("torch", "matplotlib", "meshio", "distributed")
+HEAVY = ("torch", "matplotlib", "meshio", "distributed", "mpi4py")
 """What a function may import."""
 
 CIRCLES: tuple[set[str], ...] = ()

@@ -74,7 +74,7 @@ class CachedLaw:
         self.fallback = fallback
         self.density = fallback.density
         self.settings = settings or CacheSettings()
-        self._on_true_answer = on_true_answer
+        self.on_true_answer = on_true_answer
         self.reset_counts()
 
     @property
@@ -91,7 +91,7 @@ class CachedLaw:
 
     def reset_counts(self) -> None:
         """Begin as if nothing had been asked: counts, audits, trust and stopwatch."""
-        self._monitor = Monitor(self.surrogate, self.fallback, self.settings, self._on_true_answer)
+        self._monitor = Monitor(self.surrogate, self.fallback, self.settings, self.on_true_answer)
 
     def history(self) -> dict[str, Any]:
         """How the cache has done so far, as plain values for run.json."""

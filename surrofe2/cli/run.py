@@ -10,11 +10,19 @@ from typing import Annotated, Literal
 import typer
 
 from surrofe2.cli import console
+from surrofe2.cli.ranks import all_ranks
 from surrofe2.recipe import changed
 from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.run import cache_notes, contact_notes, run_study, run_summary, step_notes
+from surrofe2.workflow.run import (
+    cache_notes,
+    contact_notes,
+    rank_notes,
+    run_study,
+    run_summary,
+    step_notes,
+)
 from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.surfaces import surface_notes
 
@@ -75,30 +83,33 @@ def run(
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
     ParaView; with --law table the table, with --law cached or table the harvest of true stresses.
 
+    mpiexec -n N before the command deals the points to N ranks (needs surrofe2[mpi]).
+
     Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
 
     Next: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
     """
-    study = open_study(recipe, threads)
-    study = replace(
-        study,
-        rve=changed(study.rve, initialisation=initialisation, solver=solver),
-        cache=changed(study.cache, tolerance=tolerance, audit=audit),
-        macro=changed(study.macro, integrator=integrator),
-    )
     kept = console.KEPT_RUN.format(out)
-    begun = (out / "run.json",)
-    with console.working(f"run by {law}", study.duration, "µs", kept, begun) as report:
-        record = run_study(
+    with all_ranks(threads, kept) as threads:
+        study = open_study(recipe, threads)
+        study = replace(
             study,
-            law,
-            out,
-            surrogates=files_by_cell(study, surrogate or ()),
-            tables=table or (),
-            harvest=harvest,
-            fresh=fresh,
-            report=report,
+            rve=changed(study.rve, initialisation=initialisation, solver=solver),
+            cache=changed(study.cache, tolerance=tolerance, audit=audit),
+            macro=changed(study.macro, integrator=integrator),
         )
+        begun = (out / "run.json",)
+        with console.working(f"run by {law}", study.duration, "µs", kept, begun) as report:
+            record = run_study(
+                study,
+                law,
+                out,
+                surrogates=files_by_cell(study, surrogate or ()),
+                tables=table or (),
+                harvest=harvest,
+                fresh=fresh,
+                report=report,
+            )
     console.print_line(f"{out}: {run_summary(record)}")
     if cell_fields:
         begin = time.perf_counter()
@@ -110,6 +121,7 @@ def run(
         *contact_notes(record),
         *surface_notes(record, study),
         *cache_notes(record),
+        *rank_notes(record),
     )
     for sentence, is_warning in notes:
         (console.print_error if is_warning else console.print_line)(sentence)

@@ -67,6 +67,9 @@ class RunRecord:
             came to.
         problem: counts of the mesh, its names, conditions, bodies and watched points; of a
             run also the largest `penetration` of each body, µm.
+        ranks: of a run on several: how many and of how many threads each, what travelled, and the
+            seconds of the law that the slowest rank computed, that messages took, and that ranks
+            were idle; since the run last went on.
         files: SHA-256 of each CSV file in the folder, as it was when this was written.
     """
 
@@ -88,6 +91,7 @@ class RunRecord:
     met: Mapping[str, Any] = field(default_factory=dict)
     problem: Mapping[str, Any] = field(default_factory=dict)
     platform: Mapping[str, str] = field(default_factory=dict)
+    ranks: Mapping[str, Any] | None = None
     files: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(
         default_factory=lambda: {

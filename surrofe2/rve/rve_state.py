@@ -13,7 +13,7 @@ for as long as any state refers to it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -235,6 +235,23 @@ class RveState:
         if self.elastic is not None or other.elastic is not None:
             tiles["elastic"] = self.relaxed
         return tiles
+
+
+def joined_arrays(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """The arrays of one state from those of states of its points in their order, each of whole
+    tiles but the last.
+    """
+    first = np.cumsum([0, *(len(part["blocks"]) for part in parts)])
+    block_of = [part["block_of"] + k for part, k in zip(parts, first, strict=False)]
+    names = [name for name in _TILES if any(name in part for part in parts)]
+    tiles = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return {
+        "points": np.array(sum(int(part["points"]) for part in parts)),
+        "is_checked": np.array(all(bool(part["is_checked"]) for part in parts)),
+        **tiles,
+        "blocks": np.concatenate([part["blocks"] for part in parts]),
+        "block_of": np.concatenate(block_of),
+    }
 
 
 def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

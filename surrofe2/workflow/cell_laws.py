@@ -20,6 +20,7 @@ from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import StoredTable, read_table
 from surrofe2.macro.mesh import Mesh
+from surrofe2.ranks.distributed_law import DistributedLaw
 from surrofe2.recipe import Recipe
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
@@ -143,7 +144,7 @@ def law_arrays(law: StressLaw, state: Any) -> dict[str, NDArray]:
     """What a law must know to go on from the committed `state`, to the bit."""
     if isinstance(law, CachedLaw):
         return law.to_arrays(state)
-    if isinstance(law, RveLaw) and state is not None:
+    if isinstance(law, RveLaw | DistributedLaw) and state is not None:
         arrays: dict[str, NDArray] = state.to_arrays()
         return arrays
     if not isinstance(law, RegionalLaw):
@@ -159,7 +160,7 @@ def law_state(law: StressLaw, arrays: Mapping[str, NDArray]) -> Any:
     """The committed state whose `law_arrays` these are; None of a law that keeps none."""
     if isinstance(law, CachedLaw):
         return law.from_arrays(arrays)
-    if isinstance(law, RveLaw) and arrays:
+    if isinstance(law, RveLaw | DistributedLaw) and arrays:
         return law.state_from_arrays(arrays)
     if not isinstance(law, RegionalLaw):
         return None

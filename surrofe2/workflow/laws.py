@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,10 @@ from surrofe2.macro.discretisation import n_points_of
 from surrofe2.macro.problem import bar
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.ranks.crew import crew_at_work
+from surrofe2.ranks.distributed_law import DistributedLaw
+from surrofe2.ranks.distributed_surrogate import DistributedSurrogate
+from surrofe2.ranks.shared import shared
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
@@ -111,6 +116,8 @@ def choose_law(
 ) -> ChosenLaw:
     """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
 
+    RVEs and lookups are those of all ranks where a crew is at work.
+
     Args:
         tables: files of tables to start from.
         on_true_answer: is given true answers at accepted steps, see `CachedLaw`.
@@ -122,10 +129,10 @@ def choose_law(
     if tables and kind not in ("cached", "table"):
         raise InputError(f"--table: not with --law {kind}; it must be cached or table")
     if kind == "rve":
-        rve = true_law(recipe)
+        rve = shared(true_law(recipe))
         return ChosenLaw(rve, (rve,))
     if kind == "table":
-        rve = true_law(recipe)
+        rve = shared(true_law(recipe))
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, on_true_answer)
         return ChosenLaw(law, (rve,), _record_of(tables), {recipe.cell_name or "": table})
@@ -137,16 +144,17 @@ def choose_law(
         "errors": surrogate.errors,
     }
     _check_surrogate(recipe, surrogate, path)
+    learnt = shared(surrogate)
     if kind == "surrogate":
-        return ChosenLaw(surrogate, (surrogate,), record)
-    rve = true_law(recipe, surrogate)
+        return ChosenLaw(learnt, (learnt,), record)
+    rve = shared(true_law(recipe, surrogate))
     if not (recipe.table.enabled or tables):
-        law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
-        return ChosenLaw(law, (surrogate, rve), record)
+        law = CachedLaw(learnt, rve, recipe.cache, on_true_answer)
+        return ChosenLaw(law, (learnt, rve), record)
     table = make_table(recipe, rve, tables, surrogate.stress_spread)
     record |= {"tables": _record_of(tables)}
-    law = CachedLaw(ChainedSurrogate(surrogate, table), rve, recipe.cache, on_true_answer)
-    return ChosenLaw(law, (surrogate, rve), record, {recipe.cell_name or "": table})
+    law = CachedLaw(ChainedSurrogate(learnt, table), rve, recipe.cache, on_true_answer)
+    return ChosenLaw(law, (learnt, rve), record, {recipe.cell_name or "": table})
 
 
 def make_table(
@@ -218,20 +226,32 @@ def warm_up(
     if points is None:
         points = n_points_of(bar(_INSTANT, settings.elements).mesh)
     most, (nx, ny) = min(points, _MANY_POINTS), settings.elements
+    counts = (1, most) if len(laws) > 1 else (most,)
     for law in laws:
-        for count in (1, most) if len(laws) > 1 else (most,):
-            F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
-            answer = law.respond(F, 0.0 * F)
-            law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
-            if isinstance(law, SurrogateLaw):
-                law.status_and_bound(F, 0.0 * F)
+        if isinstance(law, DistributedLaw | DistributedSurrogate):
+            law.everywhere(partial(_ask_all, counts=counts))
+        else:
+            _ask_all(law, counts)
     small = replace(settings, elements=(min(nx, 2), min(ny, 2)))
     for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
             simulate(_INSTANT if surface is None else _with_sides(small, surface), law, small)
     for table in tables:
         table.warm_up()
+    crew = crew_at_work()
+    if crew is not None:
+        crew.reset_counts()
     return time.perf_counter() - begin
+
+
+def _ask_all(law: StressLaw, counts: tuple[int, ...]) -> None:
+    """Ask a law for so many points whatever a run asks."""
+    for count in counts:
+        F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
+        answer = law.respond(F, 0.0 * F)
+        law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
+        if isinstance(law, SurrogateLaw):
+            law.status_and_bound(F, 0.0 * F)
 
 
 def _with_sides(settings: MacroSettings, surface: Surface) -> Problem:

@@ -149,6 +149,26 @@ def step_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
         )
 
 
+def rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """What share of a run on several ranks rank 0 took for itself: it bounds what more can do."""
+    if record.ranks is None:
+        return
+    wall, of = record.wall_time, record.ranks
+    total, away = wall["total"], of["computing"] + of["messages"]
+    shares = {
+        "assembly and time stepping on rank 0": wall["macro"],
+        "what the law decides there": max(0.0, wall["law"] - away),
+        "computing on all ranks": of["computing"],
+        "messages": of["messages"],
+    }
+    parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
+    yield (
+        f"ranks: {of['ranks']} of {of['threads']} threads; {parts} of {time_text(total)}; "
+        f"{of['bytes'] / 1e6:.3g} MB in {of['tasks']} exchanges",
+        False,
+    )
+
+
 def run_summary(record: RunRecord) -> str:
     """What a finished run did and what it cost."""
     wall, counts = record.wall_time, record.counts

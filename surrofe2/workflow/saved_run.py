@@ -29,6 +29,8 @@ from surrofe2.macro.problem import label
 from surrofe2.macro.simulation import as_problem
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
 from surrofe2.problem_sections import sections_of
+from surrofe2.ranks.crew import crew_at_work
+from surrofe2.ranks.shared import own_part
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import StressLaw
@@ -72,9 +74,11 @@ def write_results(folder: Path, run: MacroRun) -> None:
 
 def with_results(record: RunRecord, run: MacroRun) -> RunRecord:
     """The record with what a run, whole or not, met and cost."""
+    crew = crew_at_work()
     told = replace(record, problem={**record.problem, "penetration": penetrations(run)})
     return replace(
         with_rest(told, run.rest),
+        ranks=None if crew is None else crew.report(),
         wall_time=run.wall_time,
         counts={**run.counts, **run.effort},
         cache=cache_report(run.law, whole=run.finished),
@@ -162,6 +166,7 @@ class _Asked:
     @classmethod
     def of(cls, law: StressLaw) -> _Asked:
         """Those of ours; another is told by the name of its class."""
+        law = own_part(law)
         match law:
             case RveLaw():
                 rve = asdict(law.settings)
@@ -177,9 +182,10 @@ class _Asked:
                 return cls("surrogate", _entries(law.cell), rve, {}, learnt, prints)
             case CachedLaw():
                 true, cache = cls.of(law.fallback), asdict(law.settings)
-                if not isinstance(law.surrogate, SurrogateLaw):
+                known = own_part(law.surrogate)
+                if not isinstance(known, SurrogateLaw):
                     return replace(true, kind="table", cache=cache)
-                learnt = cls.of(law.surrogate).surrogate
+                learnt = cls.of(known).surrogate
                 return replace(true, kind="cached", cache=cache, surrogate=learnt)
         return cls(type(law).__name__)
 

@@ -1,0 +1,45 @@
+"""Points dealt to ranks in blocks of whole tiles, by what the blocks cost."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.plant_cell.tiles import tiles_for
+from surrofe2.simd import TILE
+
+Index = NDArray[np.int64]
+Array = NDArray[np.float64]
+
+UNEVEN = 1.1
+"""Seconds of the slowest rank by the mean from which points are dealt anew."""
+
+
+def deal(points: int, shares: Array) -> Index:
+    """(ranks + 1,) first points of the blocks of all ranks, and `points`.
+
+    Blocks begin with tiles, so that the same RVEs share a tile by any number of ranks.
+
+    Args:
+        shares: (ranks,) of the points, in any unit.
+    """
+    ends = np.concatenate([[0.0], np.cumsum(shares)]) / shares.sum()
+    cuts: Index = np.minimum(np.rint(ends * tiles_for(points)).astype(np.int64) * TILE, points)
+    return cuts
+
+
+def redeal(cuts: Index, seconds: Array) -> Index:
+    """Blocks that would have taken all ranks equally long, had each point of a block of `cuts`
+    taken as long as the others of it: (ranks,) seconds in all.
+    """
+    passed = np.concatenate([[0.0], np.cumsum(seconds)])
+    wanted = np.linspace(0.0, passed[-1], len(cuts))
+    tiles = np.interp(wanted, passed, -(-cuts // TILE))
+    new: Index = np.minimum(np.rint(tiles).astype(np.int64) * TILE, cuts[-1])
+    return new
+
+
+def is_uneven(seconds: Array) -> bool:
+    """Whether the slowest rank takes so much longer than the mean that dealing anew pays."""
+    mean = float(seconds.mean())
+    return mean > 0.0 and float(seconds.max()) > UNEVEN * mean

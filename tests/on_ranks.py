@@ -1,0 +1,47 @@
+"""Runs by all ranks that mpiexec starts of `python -m tests.on_ranks HOME OUT CASE…`.
+
+A case is a name of `tests.test_going_on`; after `stop:` it is interrupted after three steps, after
+`go:` it goes on. Few points are shared too, and dealt anew after every step.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+from surrofe2.ranks import Crew, dealing, distributed_law, distributed_surrogate, serve
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow.run import run_study
+from tests import test_going_on as cases
+
+
+def recipe_of(home, name):
+    """The recipe of a case, and its law; an own file for each, as several processes read them."""
+    law, text = (cases.CASES | cases.LONG_CASES)[name]
+    path = home / f"{name}.toml"
+    if not path.exists():
+        path.write_text(text, encoding="utf-8")
+    return load_recipe(path), law
+
+
+def main():
+    home, out, *names = sys.argv[1:]
+    for entry in names:
+        how, _, name = entry.rpartition(":")
+        recipe, law = recipe_of(Path(home), name)
+        if how == "stop":
+            cases.interrupted(recipe, law, Path(out) / name, 3)
+        else:
+            run_study(recipe, law, Path(out) / name)
+
+
+if __name__ == "__main__":
+    distributed_surrogate.LEAST = distributed_law.PATIENCE = 1
+    dealing.UNEVEN = 0.0
+    if MPI.COMM_WORLD.rank:
+        serve(MPI.COMM_WORLD)
+    else:
+        with Crew(MPI.COMM_WORLD):
+            main()

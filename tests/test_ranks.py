@@ -1,0 +1,205 @@
+"""A run by several MPI ranks is the run by one, to the bit, wherever it stopped and went on."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surrofe2.io.run_folder import read_record
+from surrofe2.ranks.dealing import deal, is_uneven, redeal
+from surrofe2.workflow.run import run_study
+from tests.conftest import RECIPE
+from tests.on_ranks import recipe_of
+from tests.test_going_on import home, interrupted, numbers  # noqa: F401 - a fixture
+
+MPIEXEC = Path(sys.executable).with_name("mpiexec")
+FAST = ("rve", "rve implicit", "cached")
+LONG = ("slow-manifold", "iterated", "cached implicit", "cached and table", "table", "cells by rve")
+OF_RANKS = ("ranks", "threads")
+
+
+def on_ranks(ranks, *arguments, module="tests.on_ranks", **settings):
+    return subprocess.Popen(
+        [MPIEXEC, "-n", str(ranks), sys.executable, "-m", module, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **settings,
+    )
+
+
+def done(process):
+    out, error = process.communicate(timeout=300)
+    assert process.returncode == 0, error
+    return out
+
+
+def results(folder):
+    found = numbers(folder)
+    for name in OF_RANKS:
+        del found["run.json"][name]
+    return found
+
+
+def assert_same(folder, whole):
+    mine, theirs = results(folder), results(whole)
+    assert list(mine) == list(theirs)
+    for name, values in theirs.items():
+        if isinstance(values, dict):
+            for key, value in values.items():
+                assert mine[name].get(key) == value, (name, key)
+        assert mine[name] == values, name
+
+
+@pytest.fixture(scope="module")
+def by_one(home, tmp_path_factory):  # noqa: F811
+    """by_one(case): the folder of the run by this process alone."""
+    folder = tmp_path_factory.mktemp("one")
+
+    def run(name):
+        run_study(*recipe_of(home, name), folder / name)
+        return folder / name
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def by_two(home, tmp_path_factory):  # noqa: F811
+    """The folder of runs by two ranks."""
+    folder = tmp_path_factory.mktemp("two")
+    done(on_ranks(2, home, folder, *FAST))
+    return folder
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_two_ranks_leave_what_one_leaves(name, by_one, by_two):
+    assert_same(by_two / name, by_one(name))
+    ranks = read_record(by_two / name).ranks
+    assert ranks["ranks"] == 2
+    assert ranks["bytes"] > 0
+
+
+def test_the_cached_run_has_hits_fallbacks_and_audits(by_two):
+    record = read_record(by_two / "cached")
+    assert record.counts["hits"] > 100
+    assert record.counts["fallbacks"] > 100
+    assert record.cache["audit"]["audited"] > 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_all_kinds_of_runs_are_the_same_by_several_ranks(name, ranks, by_one, home, tmp_path):  # noqa: F811
+    done(on_ranks(ranks, home, tmp_path, name))
+    assert_same(tmp_path / name, by_one(name))
+
+
+def test_a_run_goes_on_with_another_number_of_ranks(by_one, home, tmp_path):  # noqa: F811
+    done(on_ranks(2, home, tmp_path, "stop:cached"))
+    assert read_record(tmp_path / "cached").status == "interrupted"
+    recipe, law = recipe_of(home, "cached")
+    run_study(recipe, law, tmp_path / "cached")
+    assert_same(tmp_path / "cached", by_one("cached"))
+    interrupted(recipe, law, tmp_path / "again" / "cached", 4)
+    done(on_ranks(3, home, tmp_path / "again", "go:cached"))
+    assert_same(tmp_path / "again" / "cached", by_one("cached"))
+
+
+@pytest.fixture
+def long_run(tmp_path):
+    """The arguments of a command that takes longer than any test."""
+    path = tmp_path / "recipe.toml"
+    path.write_text(RECIPE.replace("duration = 4.0", "duration = 1e5") + "frames = 2\n")
+    return ["run", path, "--law", "rve", "--out", tmp_path / "out"]
+
+
+def begun(process, folder):
+    """Wait until a run has reached its first output beyond the start; the pids of its ranks."""
+    until = time.monotonic() + 120.0
+    while time.monotonic() < until:
+        assert process.poll() is None, process.communicate()[1]
+        if (folder / "checkpoint.h5").exists():
+            return ranks_of(folder)
+        time.sleep(0.05)
+    pytest.fail("no checkpoint")
+
+
+def ranks_of(folder):
+    """Process numbers by rank of the command that writes into a folder."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (path / "cmdline").read_bytes().split(b"\0")
+            entries = (path / "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        rank = [entry[9:] for entry in entries if entry.startswith(b"PMI_RANK=")]
+        if str(folder).encode() in words and b"surrofe2" in words and rank:
+            found[int(rank[0])] = int(path.name)
+    return found
+
+
+def test_a_rank_that_dies_ends_the_run_with_a_sentence_and_a_checkpoint(long_run, tmp_path):
+    process = on_ranks(2, *long_run, module="surrofe2")
+    os.kill(begun(process, tmp_path / "out")[1], signal.SIGKILL)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode != 0
+    told = next(line for line in said.splitlines() if line.startswith("error: a rank died"))
+    assert f"{tmp_path / 'out'} keeps the run" in told
+    assert "any number of ranks goes on with: surrofe2 run" in told
+    assert "Traceback" not in said
+    record = read_record(tmp_path / "out")
+    assert record.status == "running"
+    interrupt_later(long_run, tmp_path / "out")
+
+
+def interrupt_later(arguments, folder):
+    """The command goes on from the checkpoint, and Ctrl-C ends it with a sentence."""
+    stamp = (folder / "checkpoint.h5").stat().st_mtime_ns
+    process = on_ranks(3, *arguments, module="surrofe2")
+    until = time.monotonic() + 120.0
+    while (folder / "checkpoint.h5").stat().st_mtime_ns == stamp and time.monotonic() < until:
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert f"interrupted: {folder} keeps the run" in said
+    assert "Traceback" not in said
+    assert read_record(folder).status == "interrupted"
+
+
+def test_only_rank_0_speaks(tmp_path):
+    process = on_ranks(3, "run", "none.toml", "--law", "rve", "--out", tmp_path, module="surrofe2")
+    out, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert (out + said).split("\n") == [
+        "error: none.toml: cannot be read: No such file or directory",
+        "",
+    ]
+
+
+def test_blocks_are_whole_tiles_by_their_shares():
+    np.testing.assert_array_equal(deal(100, np.ones(3)), [0, 32, 72, 100])
+    np.testing.assert_array_equal(deal(5, np.ones(3)), [0, 0, 5, 5])
+    np.testing.assert_array_equal(deal(800, np.array([1.0, 3.0])), [0, 200, 800])
+
+
+def test_points_move_from_the_rank_that_takes_longest():
+    cuts = deal(1600, np.ones(4))
+    cost = np.repeat([1.0, 20.0, 1.0, 1.0], 400)  # a fallback costs twenty hits
+    for _ in range(8):
+        seconds = np.array([cost[i:j].sum() for i, j in itertools.pairwise(cuts)])
+        if not is_uneven(seconds):
+            break
+        cuts = redeal(cuts, seconds)
+    assert seconds.max() < 1.1 * cost.sum() / 4
+    assert (np.diff(cuts) % 8 == 0).all()
