@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import unpack
 from surrofe2.ranks.crew import Crew
 from surrofe2.ranks.dealing import deal, is_uneven, redeal
 from surrofe2.ranks.desk import Told, dense
@@ -75,8 +76,9 @@ class DistributedLaw:
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
         """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""
-        left = self.law.state_from_arrays(arrays).left_points
-        state = self._new_state(deal(int(arrays["points"]), self._evenly()), left)
+        points = int(arrays["points"])
+        left = unpack(arrays["left"], points)
+        state = self._new_state(deal(points, self._evenly()), left)
         self.crew.do(Place(state.number, self._number, state.cuts), arrays)
         return state
 

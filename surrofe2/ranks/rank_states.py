@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.ranks.crew import Crew
 from surrofe2.ranks.dealing import Index, deal
 from surrofe2.ranks.desk import Desk
-from surrofe2.rve.rve_state import RveState, joined_arrays
+from surrofe2.rve.rve_state import MANY_BYTES, RveState, cut_arrays, joined_arrays
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -176,7 +176,8 @@ class Collect:
     def run(self, desk: Desk, given: tuple[Any, ...] | None) -> dict[str, NDArray] | None:
         """On rank 0."""
         state = desk.states.get(self.number)
-        own = None if state is None else state.to_arrays()
+        size = sum(desk.comm.allgather(0 if state is None else state.factors.nbytes))
+        own = None if state is None else state.to_arrays(factors=size < MANY_BYTES)
         if desk.rank:
             desk.comm.send(own, 0)
             return None
@@ -198,10 +199,9 @@ class Place:
         if given is None:
             arrays = desk.comm.recv(source=0)
         else:
-            whole = law.state_from_arrays(given[0])
             for rank in range(desk.ranks - 1, -1, -1):
-                points = np.arange(self.cuts[rank], self.cuts[rank + 1])
-                arrays = whole.take(points).to_arrays() if len(points) else None
+                points = slice(int(self.cuts[rank]), int(self.cuts[rank + 1]))
+                arrays = cut_arrays(given[0], points) if points.stop > points.start else None
                 if rank:
                     desk.comm.send(arrays, rank)
         if arrays is not None:

@@ -138,8 +138,14 @@ class RveLaw:
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
-        """The state whose `to_arrays` gave these, to the bit."""
-        return RveState.from_arrays(arrays, self._name)
+        """The state whose `to_arrays` gave these, to the bit; factors that they do without are
+        made anew where the state is now.
+        """
+        if "blocks" in arrays:
+            return RveState.from_arrays(arrays, self._name)
+        factors = self.unit_cell.factors.repeated(len(arrays["z"]))
+        state = RveState.from_arrays(arrays, self._name, factors)
+        return self._renewed(state, np.ones(len(arrays["z"]), dtype=np.bool_))[0]
 
     def respond(
         self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False
@@ -195,20 +201,25 @@ class RveLaw:
         if unchecked or state.is_checked:
             return Acceptance(response.status, state)
         limit = _RENEW_AFTER.get(self.initialisation, _RENEW_AFTER_ELSE)
-        stale = (state.iterations > limit).any(axis=1)
-        factors = state.factors.renewed(stale)
-        law = self._covering_topology(state), self.unit_cell.constants
-        if self.initialisation == "slow-manifold":
-            stable = np.empty((len(stale), TILE), dtype=np.bool_)
-            renew_slow(state.F, state.relaxed, factors.address, stale, *law, stable)
-        else:
-            drive = Drive(state.F, dashpot_rate(self.initialisation, state.F_dot))
-            stable = renew(drive, state.z, factors, stale, *law)
-        state = replace(state, factors=factors)
+        state, stable = self._renewed(state, (state.iterations > limit).any(axis=1))
         lost = ~unpack(stable, state.points) & (response.status == Status.OK)
         if not lost.any():
             return Acceptance(response.status, state)
         return self._leave(replace(response, state=state), np.flatnonzero(lost))
+
+    def _renewed(
+        self, state: RveState, tiles: NDArray[np.bool_]
+    ) -> tuple[RveState, NDArray[np.bool_]]:
+        """The state with new factors of these tiles, and (tiles, TILE) which RVEs are stable."""
+        factors = state.factors.renewed(tiles)
+        law = self._covering_topology(state), self.unit_cell.constants
+        if self.initialisation == "slow-manifold":
+            stable = np.empty((len(tiles), TILE), dtype=np.bool_)
+            renew_slow(state.F, state.relaxed, factors.address, tiles, *law, stable)
+        else:
+            drive = Drive(state.F, dashpot_rate(self.initialisation, state.F_dot))
+            stable = renew(drive, state.z, factors, tiles, *law)
+        return replace(state, factors=factors), stable
 
     def _leave(self, response: StressResponse, index: NDArray[np.intp]) -> Acceptance:
         """The answer with the points `index` in stable states, where there are any.

@@ -31,6 +31,8 @@ from surrofe2.simd import TILE, load, store
 Reals = NDArray[np.float64]
 
 SLOPES = 8
+MANY_BYTES = 1 << 30
+"""Of factors, from which on checkpoints do without them: 45,000 points of the paper's cell."""
 _TILES = ("z", "F", "F_dot", "iterations", "left", "fluctuation", "elastic")
 _BYTES = 4
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
@@ -59,6 +61,11 @@ class Factors:
         """Uninitialised factors of `tiles` tiles."""
         rows = topology.size + (2 * topology.particles - 2) * SLOPES
         return cls.of([np.empty((rows, TILE), dtype=np.float32) for _ in range(tiles)])
+
+    @property
+    def nbytes(self) -> int:
+        """Of all blocks, each counted once."""
+        return len(np.unique(self.address)) * self.blocks[0].nbytes
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Each block once, and which is whose, for `from_arrays`."""
@@ -183,21 +190,30 @@ class RveState:
         """(points,) `left`."""
         return unpack(self.left, self.points)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it, for `from_arrays`; shared blocks of factors once."""
+    def to_arrays(self, *, factors: bool | None = None) -> dict[str, NDArray[Any]]:
+        """All of it, for `from_arrays`; shared blocks of factors once.
+
+        factors: whether with them; None: unless they are `MANY_BYTES`, which a law can make anew.
+        """
         own: dict[str, Any] = {
             "points": np.array(self.points),
             "is_checked": np.array(self.is_checked),
         }
-        return own | self._tiles(self) | self.factors.to_arrays()
+        kept = self.factors.nbytes < MANY_BYTES if factors is None else factors
+        return own | self._tiles(self) | (self.factors.to_arrays() if kept else {})
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], of: str) -> RveState:
-        """The state whose `to_arrays` gave these, to the bit, of the same law."""
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[Any]], of: str, factors: Factors | None = None
+    ) -> RveState:
+        """The state whose `to_arrays` gave these, to the bit, of the same law.
+
+        factors: where the arrays have none.
+        """
         return cls(
             of=of,
             points=int(arrays["points"]),
-            factors=Factors.from_arrays(arrays),
+            factors=factors or Factors.from_arrays(arrays),
             is_checked=bool(arrays["is_checked"]),
             **{name: arrays[name] for name in _TILES if name in arrays},
         )
@@ -241,17 +257,27 @@ def joined_arrays(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDAr
     """The arrays of one state from those of states of its points in their order, each of whole
     tiles but the last.
     """
-    first = np.cumsum([0, *(len(part["blocks"]) for part in parts)])
-    block_of = [part["block_of"] + k for part, k in zip(parts, first, strict=False)]
-    names = [name for name in _TILES if any(name in part for part in parts)]
-    tiles = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    return {
+    names = [name for name in (*_TILES, "blocks") if any(name in part for part in parts)]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    if "blocks" in joined:
+        first = np.cumsum([0, *(len(part["blocks"]) for part in parts)])
+        block_of = [part["block_of"] + k for part, k in zip(parts, first, strict=False)]
+        joined["block_of"] = np.concatenate(block_of)
+    return joined | {
         "points": np.array(sum(int(part["points"]) for part in parts)),
         "is_checked": np.array(all(bool(part["is_checked"]) for part in parts)),
-        **tiles,
-        "blocks": np.concatenate([part["blocks"] for part in parts]),
-        "block_of": np.concatenate(block_of),
     }
+
+
+def cut_arrays(arrays: Mapping[str, NDArray[Any]], points: slice) -> dict[str, NDArray[Any]]:
+    """Those of the state of some points alone, of whole tiles but the last."""
+    tiles = slice(points.start // TILE, tiles_for(points.stop))
+    part = {name: arrays[name][tiles] for name in _TILES if name in arrays}
+    if "blocks" in arrays:
+        blocks, block_of = np.unique(arrays["block_of"][tiles], return_inverse=True)
+        part |= {"blocks": arrays["blocks"][blocks], "block_of": block_of}
+    count = np.array(points.stop - points.start)
+    return part | {"points": count, "is_checked": arrays["is_checked"]}
 
 
 def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
