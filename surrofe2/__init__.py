@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from surrofe2.workflow.calibrate import calibrate
     from surrofe2.workflow.comparison import compare_runs
     from surrofe2.workflow.generate import sample_stress
+    from surrofe2.workflow.grid import run_grid
     from surrofe2.workflow.range import proposed_range
     from surrofe2.workflow.saved_run import save_run
     from surrofe2.workflow.zoom import write_zoom, zoom_into

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -30,6 +31,7 @@ from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
 from surrofe2.problem_sections import StatedProblem, stated_problem
+from surrofe2.recipe_entries import with_changes
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_value, from_table, hints_of, unknown
@@ -263,8 +265,12 @@ _EXTRA_KEYS: dict[str, tuple[str, Any, Any]] = {
 """Keys besides the fields of the sections: name, type and default."""
 
 
-def load_recipe(path: str | Path) -> Recipe:
+def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType({})) -> Recipe:
     """Read and check a study recipe.
+
+    Args:
+        changes: values by dotted name of the entry, {"cell.wall_stiffness": 3000.0}, in the place
+            of those in the file.
 
     Raises:
         FileError: the file is not there or cannot be read.
@@ -278,7 +284,7 @@ def load_recipe(path: str | Path) -> Recipe:
     except (ValueError, RecursionError) as error:  # an integer may have too many digits, too
         raise InputError(f"{path.name}: not TOML: {shortened(str(error), 150)}") from None
     try:
-        return make_recipe(table, path)
+        return make_recipe(with_changes(table, changes), path)
     except (FileError, InputError) as error:
         raise type(error)(f"{path.name}: {error}") from None
 

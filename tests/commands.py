@@ -62,10 +62,11 @@ def refine(recipe, folder):
     refine_surrogate(recipe, folder / "out")
 
 
-def sweep(recipe, folder):
-    from surrofe2.workflow.comparison import run_sweep
+def grid(recipe, folder):
+    from surrofe2.workflow.grid import run_grid
 
-    run_sweep(recipe, folder / "out", (0.5, 0.1))
+    values = {"cell.wall_stiffness": (3000.0,), "cache.tolerance": (0.5, 0.1)}
+    run_grid(recipe.path, values, folder / "out", laws=("rve", "cached"))
 
 
 COMMANDS = {
@@ -79,10 +80,11 @@ COMMANDS = {
     "implicit": (SHORT + 'integrator = "implicit"\n', by("rve")),
     "tissue": (TISSUE, lambda recipe, folder: run_tissue(recipe, folder / "out")),
     "refine": (LEAVING, refine),
-    "sweep": (CACHED, sweep),
+    "grid": (CACHED, grid),
 }
 """By name: recipe, and the command on it in a folder."""
-NEED_NO_SURROGATE = ("generate", "train", "rve", "table", "implicit", "tissue", "refine")
+NEED_NO_SURROGATE = ("generate", "train", "rve", "table", "implicit", "tissue", "refine",
+                     "grid")  # fmt: skip
 NEED_TANGENTS = ("cached and table", "table", "implicit")
 
 
@@ -138,7 +140,7 @@ def _numbers(path):
         entries = json.loads(path.read_text(encoding="utf-8"))
         assert all("cost" in cache for cache in caches_of(entries.get("cache")).values())
         return _lasting(entries)
-    return None if path.suffix == ".png" else path.read_bytes()
+    return None if path.suffix == ".png" or path.name == "grid.csv" else path.read_bytes()
 
 
 def _lasting(value):

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import time
+from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
 
 def squares(first: int, count: int) -> list[int]:
@@ -19,3 +23,18 @@ def squares_or_death(folder: str, deaths: int, first: int, count: int) -> list[i
             (Path(folder) / str(died)).touch()
             os.kill(os.getpid(), signal.SIGKILL)
     return squares(first, count)
+
+
+def killed_once(folder: str, pattern: str, work: Callable[..., Any], *arguments: Any) -> Any:
+    """What work gives; the first process that does some dies once files of a pattern are there."""
+    dead = Path(folder) / "dead"
+    if not dead.exists():
+        dead.touch()
+        Thread(target=_die, args=(Path(folder), pattern), daemon=True).start()
+    return work(*arguments)
+
+
+def _die(folder: Path, pattern: str) -> None:
+    while not any(folder.glob(pattern)):
+        time.sleep(0.005)
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -33,7 +33,7 @@ COMMANDS = {
     "refine": "Teach the surrogate what the recipe's own run meets.",
     "tissue": "Run the recipe's load case on all particles of the tissue.",
     "compare": "Compare displacement curves and costs of runs of one load case.",
-    "sweep": "Run the load case at several stress tolerances: what a tolerance buys.",
+    "grid": "Run the recipe with all combinations of values: a parameter study.",
     "zoom": "Look into the plant cells of a run: the RVE at a point over time.",
     "rest": "Find the tissue at rest under the recipe's loads.",
     "modes": "Period and damping of the bar's small oscillations.",
@@ -44,7 +44,7 @@ COMMANDS = {
     "table": "Show and merge the tables that runs by --law table leave behind.",
 }
 
-MODULES = {"refine": "train", "sweep": "compare"}
+MODULES = {"refine": "train"}
 
 _HELP = """
 FE² for plant tissue, true or through a learnt stress cache.
@@ -69,8 +69,8 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
   difference and speed-up
 [bold]surrofe2 zoom out/cached --point X,Y[/bold]
   the plant cells at a point over time: picture, animation, table, particles
-[bold]surrofe2 sweep RECIPE --out out/sweep[/bold]
-  what a stress tolerance buys: error, hits and speed over tolerances
+[bold]surrofe2 grid RECIPE --set cell.wall_stiffness=3000:5000:8[/bold]
+  a parameter study: the recipe with other entries, one table and one picture
 
 Called again, a command keeps what is finished and goes on with what was interrupted;
 [bold]--fresh[/bold] starts over. [bold]surrofe2 demo[/bold] does the main steps in one go.

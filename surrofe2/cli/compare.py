@@ -1,9 +1,8 @@
-"""`surrofe2 compare` and `surrofe2 sweep`: runs against each other."""
+"""`surrofe2 compare`: runs against each other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,18 +10,12 @@ import typer
 
 from surrofe2.cli import console
 from surrofe2.io.run_folder import caches_of
-from surrofe2.recipe import changed
 from surrofe2.report.comparison import Comparison
-from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.comparison import (
     COMPARISON_FILES,
-    SWEEP_FILES,
     compare_runs,
     missing_notes,
-    parse_tolerances,
-    run_sweep,
 )
-from surrofe2.workflow.laws import open_study
 
 
 def compare(
@@ -44,45 +37,6 @@ def compare(
     for sentence in missing_notes(runs):
         console.print_line(sentence)
     console.print_line(f"{out}: {' and '.join(COMPARISON_FILES)}")
-
-
-def sweep(
-    recipe: console.RecipeFile,
-    out: console.OutFolder,
-    tolerances: Annotated[
-        str, typer.Option(metavar="X,…", help="Stress tolerances, shares of the spread of stress.")
-    ] = "1e-1,3e-2,1e-2,3e-3,1e-3,3e-4,1e-4",
-    audit: console.Audit = None,
-    surrogate: console.SurrogateFiles = None,
-    threads: console.Threads = None,
-    fresh: console.Fresh = False,
-) -> None:
-    """Run the load case at several stress tolerances: what a tolerance buys.
-
-    DIR receives a run folder for true FE² and for each tolerance, sweep.json and sweep.png: error
-    of stress and displacement, hits and speed-up over tolerance.
-
-    Example: [bold]surrofe2 sweep data/bending-bar.toml --out out/sweep[/bold]
-    """
-    study = open_study(recipe, threads)
-    study = replace(study, cache=changed(study.cache, audit=audit))
-    numbers = parse_tolerances(tolerances)
-    with console.on_interrupt(f"{out} keeps what is finished"):
-        result = run_sweep(
-            study,
-            out,
-            numbers,
-            surrogates=files_by_cell(study, surrogate or ()),
-            fresh=fresh,
-            stage=console.progress,
-        )
-    title = f"Against true FE² of {result.reference.wall_time:.3g} s"
-    console.show_table(title, *result.table.for_people())
-    console.print_line(
-        "stress error: what 99 % of the audited answers keep, and how many were above the "
-        "tolerance; right-hand sides: of those of true FE²"
-    )
-    console.print_line(f"{out}: {' and '.join(SWEEP_FILES)} written")
 
 
 def show_comparison(result: Comparison, of: str = "") -> None:

@@ -54,15 +54,27 @@ def print_line(sentence: str) -> None:
     typer.echo(sentence)
 
 
-def show_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """A table on stdout; the first column names, the others are figures."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
-    for k, column in enumerate(columns):
-        widest = max(len(word) for word in column.split())
-        table.add_column(column, justify="right" if k else "left", min_width=widest)
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+def show_table(title: str, columns: list[str], rows: list[list[str]], names: int = 1) -> None:
+    """A table on stdout; the first columns, so many, name, the others are figures.
+
+    Where it is wider than the terminal, further tables have the figures that are left.
+    """
+    console = Console()
+    heads = [max(map(len, column.split())) for column in columns]
+    widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
+    parts: list[list[int]] = [[]]
+    for k in range(names, len(columns)):
+        if parts[-1] and sum(widths[j] for j in (*range(names), *parts[-1], k)) >= console.width:
+            parts.append([])
+        parts[-1].append(k)
+    for part in parts:
+        shown = [*range(names), *part]
+        table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
+        for k in shown:
+            table.add_column(columns[k], justify="right" if k else "left", min_width=heads[k])
+        for row in rows:
+            table.add_row(*(row[k] for k in shown))
+        console.print(table)
 
 
 @contextmanager

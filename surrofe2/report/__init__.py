@@ -5,5 +5,5 @@ figures          panels of curves in one style, as PNG
 study            what a study hands over, and its files
 damped_fit       period and decrement of a displacement curve
 comparison       runs against a reference, with their picture
-sweep            cached runs over stress tolerances
+grid             a parameter study
 """

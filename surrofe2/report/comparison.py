@@ -151,7 +151,7 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
                     f"{run.folder}: {key} is {here.get(key)}, in {reference.folder} "
                     f"{load.get(key)}; compare runs of one load case"
                 )
-    compared = (_compared(run, reference) for run in (reference, *others))
+    compared = (compared_run(run, reference) for run in (reference, *others))
     return Comparison(reference.folder.name, load, next(compared), tuple(compared))
 
 
@@ -176,7 +176,8 @@ def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
     }
 
 
-def _compared(run: StoredRun, reference: StoredRun) -> ComparedRun:
+def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
+    """Difference and speed-up of a run against another of its load case."""
     there = force_curves(reference)
     return ComparedRun(
         name=run.folder.name,

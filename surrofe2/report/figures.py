@@ -95,6 +95,7 @@ class Panel:
 
     Attributes:
         x_ticks: where x is marked, by these numbers; empty: wherever it suits.
+        x_names: what stands there in the place of the numbers.
         zero: whether the line y = 0 is drawn and in sight.
         height: of the panel, relative to the usual.
     """
@@ -106,6 +107,7 @@ class Panel:
     log_x: bool = False
     log_y: bool = False
     x_ticks: tuple[float, ...] = ()
+    x_names: tuple[str, ...] = ()
     zero: bool = False
     height: float = 1.0
 
@@ -188,7 +190,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     if panel.log_y:
         axes.set_yscale("log")
     if panel.x_ticks:
-        axes.set_xticks(panel.x_ticks, [f"{x:g}" for x in panel.x_ticks])
+        axes.set_xticks(panel.x_ticks, panel.x_names or [f"{x:g}" for x in panel.x_ticks])
         axes.set_xticks([], minor=True)
     if panel.zero:
         axes.axhline(0.0, color="black", linewidth=0.8)

@@ -15,7 +15,8 @@ In reading order:
     train          a surrogate from it and from true answers of runs
     calibrate      the bound of its error
     refinement     rounds of cached run, sampling and training
-    comparison     runs against each other: compare, sweep over tolerances
+    comparison     runs against each other
+    grid           parameter studies; grid_tasks: what their processes are given
     demo           all of it: data set, surrogate, and two bars by true and cached FE²
     reproduce      studies of many bars, each curve kept
 

@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -37,6 +37,8 @@ ATTEMPTS = 4
 
 Work = Callable[[int, int], Any]
 """Result of the items `first` to `first + count`; it and its result can be sent to a process."""
+Call = tuple[str, Callable[..., Any], tuple[Any, ...]]
+"""What is called, for a sentence; the function, and its arguments."""
 
 
 @dataclass(slots=True)
@@ -58,8 +60,8 @@ class Processes:
         """Have `work(*arguments)` done by one of the processes."""
         try:
             return self._open().submit(work, *arguments)
-        except BrokenExecutor:  # a process was lost since the last piece was sent
-            self._pool = None
+        except BrokenExecutor:  # a process was lost, and what the others had is lost with it
+            self.close()
             return self._open().submit(work, *arguments)
 
     def close(self) -> None:
@@ -147,10 +149,9 @@ def _cluster(address: str) -> Iterator[Any]:
 
 @dataclass(slots=True)
 class _Sent:
-    """A piece on its way."""
+    """A call on its way."""
 
-    first: int
-    count: int
+    call: Call
     future: Future[Any]
     attempt: int = 1
 
@@ -177,40 +178,52 @@ def in_pieces(
         seconds = time.perf_counter() - begin
         yield at, count, result
         at += count
-    if at >= items.stop:
-        return
     size = unit * max(1, round(PIECE / max(seconds, 1e-6)))
-    firsts = iter(range(at, items.stop, size))
-    sent: deque[_Sent] = deque()
+    pieces = [(first, min(size, items.stop - first)) for first in range(at, items.stop, size)]
+    calls = ((f"items {k} to {k + count}", work, (k, count)) for k, count in pieces)
     most = AHEAD * executor.workers if isinstance(executor, Processes) else MANY
+    for (first, count), result in zip(pieces, results_of(calls, executor, most), strict=True):
+        yield first, count, result
+
+
+def results_of(calls: Iterable[Call], executor: Any, most: int = MANY) -> Iterator[Any]:
+    """What each of the calls gives by the workers of an executor, in their order.
+
+    Args:
+        most: how many calls are on their way at once.
+
+    Raises:
+        SimulationError: a call lost its worker several times.
+    """
+    waiting, sent = iter(calls), deque[_Sent]()
     while True:
-        while len(sent) < most and (first := next(firsts, None)) is not None:
-            count = min(size, items.stop - first)
-            sent.append(_Sent(first, count, executor.submit(work, first, count)))
+        while len(sent) < most and (call := next(waiting, None)) is not None:
+            sent.append(_Sent(call, executor.submit(call[1], *call[2])))
         if not sent:
             return
         try:
             result = sent[0].future.result()
         except BrokenExecutor as error:
-            _send_again(sent, work, executor, error)
+            _send_again(sent, executor, error)
             continue
-        done = sent.popleft()
-        yield done.first, done.count, result
+        sent.popleft()
+        yield result
 
 
-def _send_again(sent: deque[_Sent], work: Work, executor: Any, error: BrokenExecutor) -> None:
-    """Send the pieces again that were lost with a worker."""
+def _send_again(sent: deque[_Sent], executor: Any, error: BrokenExecutor) -> None:
+    """Send the calls again that were lost with a worker."""
     log.warning("a worker was lost; what it had is done again")
-    for piece in sent:
-        lost = piece.future.cancelled() or (
-            piece.future.done() and isinstance(piece.future.exception(), BrokenExecutor)
+    for each in sent:
+        lost = each.future.cancelled() or (
+            each.future.done() and isinstance(each.future.exception(), BrokenExecutor)
         )
         if not lost:
             continue
-        if piece.attempt == ATTEMPTS:
+        name, work, arguments = each.call
+        if each.attempt == ATTEMPTS:
             raise SimulationError(
-                f"items {piece.first} to {piece.first + piece.count}: their worker was lost "
-                f"{ATTEMPTS} times ({error}); is there enough memory for each of the workers?"
+                f"{name}: their worker was lost {ATTEMPTS} times ({error}); is there enough memory "
+                "for each of the workers?"
             ) from None
-        piece.future = executor.submit(work, piece.first, piece.count)
-        piece.attempt += 1
+        each.future = executor.submit(work, *arguments)
+        each.attempt += 1

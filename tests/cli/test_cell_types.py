@@ -202,19 +202,35 @@ def trained(invoke, written):
     return path
 
 
-def test_a_sweep_tells_the_worst_cell(invoke, trained, tmp_path):
-    out = tmp_path / "sweep"
-    done = invoke("sweep", trained, "--out", out, "--tolerances", "1e-1,1e-3", "--audit", "1.0")
+def test_a_grid_tells_the_worst_cell(invoke, trained, tmp_path):
+    out = tmp_path / "grid"
+    tolerances, audit = "cache.tolerance=1e-1,1e-3", "cache.audit=1.0"
+    done = invoke("grid", trained, "--out", out, "--law", "rve,cached", "--set", tolerances,
+                  "--set", audit)  # fmt: skip
     assert done.exit_code == 0, done.output
-    rows = json.loads((out / "sweep.json").read_text(encoding="utf-8"))["rows"]
+    rows = json.loads((out / "grid.json").read_text(encoding="utf-8"))["rows"][1:]
     for row in rows:
-        cells = read_record(out / f"tolerance-{row['tolerance']:g}").cache["cells"].values()
+        cells = read_record(out / row["run"]).cache["cells"].values()
         audits = [cell["audit"] for cell in cells]
         assert row["above"] == f"0 of {sum(audit['audited'] for audit in audits)}"
         largest = [cell["audit"]["largest"] / cell["tolerance"]["spread"] for cell in cells]
         assert row["largest_stress_error"] == pytest.approx(max(largest))
     assert rows[0]["hits"] > 0.9
     assert rows[0]["displacement_error"] < 1e-3
+
+
+def test_a_grid_learns_the_cells_that_it_changes(invoke, trained, tmp_path):
+    out = tmp_path / "grid"
+    done = invoke("grid", trained, "--out", out, "--law", "cached", "--set",
+                  "cells.skin.wall_stiffness=8000,9000")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert [path.name for path in out.glob("*.safetensors")] == [
+        "cells.skin.wall_stiffness=9000-skin.safetensors"
+    ]
+    records = [read_record(each.parent) for each in sorted(out.glob("*/run.json"))]
+    used = [record.surrogate["fingerprint"].split() for record in records]
+    names = [*records[0].recipe["cells"]]
+    assert [a == b for a, b in zip(*used, strict=True)] == [name != "skin" for name in names]
 
 
 def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_path):

@@ -1,0 +1,187 @@
+"""Parameter studies, over a law without cells."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from surrofe2.cli import console
+from surrofe2.io.run_folder import read_record, read_run
+from surrofe2.stress_law import Status
+from surrofe2.surrogate import SurrogateLaw
+from tests.laws import SoftLaw
+
+WALLS = "cell.wall_stiffness=3000,4000"
+
+
+def read_rows(out):
+    return json.loads((out / "grid.json").read_text(encoding="utf-8"))["rows"]
+
+
+@pytest.fixture
+def grid(invoke, recipe_path, tmp_path):
+    """grid(*options): a grid of the small recipe in `out`."""
+
+    def run(*options, **settings):
+        return invoke("grid", recipe_path, "--out", tmp_path / "out", *options, **settings)
+
+    run.out = tmp_path / "out"
+    return run
+
+
+class StifferLaw(SoftLaw):
+    """Stiffer with stiffer walls."""
+
+    def of(self, cell, settings=None):
+        self.a = cell.wall_stiffness / 80.0
+        return super().of(cell, settings)
+
+
+def test_each_member_is_a_run_with_changed_entries(grid):
+    done = grid("--set", "cell.wall_stiffness=3000:5000:3", "--set", "load.body_force.1=-0.1,-0.2",
+                law=StifferLaw())  # fmt: skip
+    assert done.exit_code == 0, done.output
+    rows = read_rows(grid.out)
+    assert [(row["wall_stiffness"], row["body_force_1"]) for row in rows] == [
+        (wall, force) for wall in (3000, 4000, 5000) for force in (-0.1, -0.2)
+    ]
+    for row in rows:
+        record = read_record(grid.out / row["run"])
+        assert record.recipe["cell"]["wall_stiffness"] == row["wall_stiffness"]
+        assert record.recipe["load"]["body_force"] == [0.0, row["body_force_1"]]
+        curve = read_run(grid.out / row["run"]).curve
+        largest = np.linalg.norm(curve.displacement, axis=1).max()
+        assert row["largest_displacement"] == pytest.approx(largest)
+    largest = np.array([row["largest_displacement"] for row in rows]).reshape(3, 2)
+    assert (np.diff(largest, axis=0) < 0.0).all()
+    assert largest[:, 1] == pytest.approx(2.0 * largest[:, 0], rel=0.02)
+    with (grid.out / "grid.csv").open(encoding="utf-8") as file:
+        table = [*csv.DictReader(file)]
+    assert [float(row["wall_stiffness (µN/µm)"]) for row in table[::2]] == [3000, 4000, 5000]
+    assert [float(row["largest displacement (µm)"]) for row in table] == [*largest.flat]
+    assert (grid.out / "grid.png").stat().st_size > 20_000
+    assert max(map(len, done.stdout.splitlines()[:-1])) <= 80
+
+
+def test_a_member_that_is_finished_is_not_done_again_and_a_grid_may_grow(grid):
+    first = SoftLaw()
+    assert grid("--set", WALLS, law=first).exit_code == 0
+    law = SoftLaw()
+    again = grid("--set", WALLS, law=law)
+    assert again.exit_code == 0
+    assert law.calls == 0
+    assert "rve,cell.wall_stiffness=4000: finished before" in again.stdout
+    law = SoftLaw()
+    assert grid("--set", "cell.wall_stiffness=3000,4000,5000", law=law).exit_code == 0
+    assert law.calls == pytest.approx(first.calls / 2, rel=0.1)
+    assert len(read_rows(grid.out)) == 3
+    law = SoftLaw()
+    assert grid("--set", WALLS, "--fresh", law=law).exit_code == 0
+    assert law.calls == first.calls
+
+
+def test_surrogates_are_made_where_what_they_learn_changes(grid, recipe_path):
+    done = grid("--set", "cell.wall_stiffness=4000,5000", "--set", "load.duration=2.0,3.0",
+                "--law", "rve,cached")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    made = sorted(path.name for path in grid.out.glob("*.safetensors"))
+    assert made == ["cell.wall_stiffness=5000.safetensors"]
+    assert recipe_path.with_name("cells.safetensors").exists()  # with 4000, as the preset has it
+    rows = read_rows(grid.out)
+    assert [row["law"] for row in rows] == ["rve", "cached"] * 4
+    used = [read_record(grid.out / row["run"]).surrogate for row in rows[1::2]]
+    assert [each["file"] for each in used] == ["cells.safetensors"] * 2 + made * 2
+    for true, cached in zip(rows[::2], rows[1::2], strict=True):
+        assert true["displacement_error"] is None
+        assert true["largest_displacement"] == pytest.approx(
+            cached["largest_displacement"], rel=0.1
+        )
+        assert cached["speed_up"] == pytest.approx(true["wall_time"] / cached["wall_time"])
+        assert 0.0 <= cached["displacement_error"] < 0.1
+
+
+def test_a_run_that_fails_is_a_row_and_the_others_go_on(grid):
+    options = ("--set", "load.body_force.0=0.1,90.0", "--set", "macro.frames=2")
+    done = grid(*options, law=SoftLaw(fails_above=1.02))
+    assert done.exit_code == 1
+    assert "1 of 2 runs failed, rve,load.body_force.0=90,macro.frames=2 first:" in done.stderr
+    rows = read_rows(grid.out)
+    assert [row["error"] is None for row in rows] == [True, False]
+    assert rows[0]["largest_displacement"] > 0.0
+    assert rows[1]["largest_displacement"] is None
+    assert "failed" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--set", "cell.wal_stiffness=1,2"), "wal_stiffness: unknown key; did you mean wall_"),
+        (("--set", "cell.wall_stiffness=1,-2"), "cell.wall_stiffness: -2; it must be positive"),
+        (("--set", "load.watched.0=50.0,900.0"), "watch"),
+        (("--set", "nothing"), "--set: 'nothing'; it must be KEY=VALUES"),
+        (("--set", WALLS, "--set", WALLS), f"--set: '{WALLS}'; it is there twice"),
+        (("--set", WALLS, "--law", "rve,cache"), "unknown law; did you mean cached?"),
+        (("--set", "cell.wall_stiffness=1:9:200", "--set", "cell.wall_damping=1:9:100"),
+         "cell.wall_damping: 20,000 runs; a grid has 1 to 10,000"),
+    ],
+)  # fmt: skip
+def test_what_is_no_grid_is_refused_before_anything_runs(grid, options, message):
+    law = SoftLaw()
+    refused = grid(*options, law=law)
+    assert refused.exit_code == 1
+    assert message in refused.stderr
+    assert law.calls == 0
+    assert not grid.out.exists()
+
+
+def test_a_table_is_no_wider_than_the_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    columns = ["stiffness (µN/µm)", "law", *(f"quantity {k}" for k in range(9))]
+    rows = [["3000", "cached", *(f"{k}.{k}{k}{k}" for k in range(9))]] * 2
+    console.show_table("Many", columns, rows, names=2)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 60
+    text = "\n".join(lines)
+    for k in range(9):
+        assert text.count(f"{k}.{k}{k}{k}") == 2
+    assert text.count("3000") == text.count("cached") > 2
+
+
+def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch):
+    """A trained surrogate, off by up to half of a bound that grows with the shear."""
+    assert invoke("generate", recipe_path).exit_code == 0
+    assert invoke("train", recipe_path).exit_code == 0
+    plain = SurrogateLaw.lookup
+
+    def lookup(self, F, F_dot, tolerance=np.inf):
+        stress, status, _ = plain(self, F, F_dot)
+        bound = 0.004 + 4.0 * abs(F[:, 1, 0])
+        stress += 0.5 * (bound - 0.004)[:, None, None] * np.array([[0.8, 0.0], [0.0, -0.6]])
+        status[(status == 0) & ~(bound <= tolerance)] = Status.NOT_TRUSTED
+        stress[status != 0] = np.nan
+        return stress, status, bound
+
+    monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
+    monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
+    monkeypatch.setattr(SurrogateLaw, "stress_spread", 2.0, raising=False)
+    options = ("--law", "rve,cached", "--set", "cache.audit=1.0")
+    done = grid("--set", "cache.tolerance=1e-1,1e-2,3e-3", *options)
+    assert done.exit_code == 0, done.output
+    true, *rows = read_rows(grid.out)
+    assert true["run"] == "rve"
+    assert true["tolerance"] is None
+    assert [row["tolerance"] for row in rows] == [1e-1, 1e-2, 3e-3]
+    hits = [row["hits"] for row in rows]
+    assert 1.0 >= hits[0] > hits[1] > hits[2]
+    for row in rows:
+        assert row["above"].startswith("0 of ")
+        assert row["stress_error"] <= row["largest_stress_error"] <= row["tolerance"]
+        assert row["right_hand_sides"] == pytest.approx(1.0, abs=0.2)  # a step of 6 is 0.16
+        assert row["displacement_error"] < 0.05
+        record = read_record(grid.out / row["run"])
+        assert record.recipe["cache"]["tolerance"] == row["tolerance"]
+        assert row["above"] == f"0 of {record.cache['audit']['audited']}"
+    assert rows[0]["displacement_error"] > rows[2]["displacement_error"]

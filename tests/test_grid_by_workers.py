@@ -1,0 +1,115 @@
+"""A parameter study by several processes is that by one, also where some of them are lost."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from surrofe2.workflow.grid import run_grid
+from surrofe2.workflow.workers import executor_of
+from tests import commands
+from tests.conftest import RECIPE
+from tests.some_work import killed_once
+
+ROOT = Path(__file__).parents[1]
+BOTH = ("rve", "cached")
+SHORT = RECIPE.replace("count = 40", "count = 60").replace("duration = 4.0", "duration = 1.0")
+VALUES = {"cell.wall_stiffness": (3000, 5000)}
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """alone(laws): the folder of a recipe, with a grid by this process."""
+
+    @cache
+    def made(laws):
+        folder = tmp_path_factory.mktemp("alone")
+        (folder / "recipe.toml").write_text(SHORT, encoding="utf-8")
+        run_grid(folder / "recipe.toml", VALUES, folder / "out", laws=laws, threads=1)
+        return folder
+
+    return made
+
+
+class Killing:
+    """An executor whose first process that runs is killed."""
+
+    def __init__(self, inner, folder):
+        self.inner, self.folder = inner, folder
+
+    def submit(self, work, *arguments):
+        told = str(self.folder), "out/rve*/run.json", work
+        return self.inner.submit(killed_once, *told, *arguments)
+
+
+def check_killed(executor, folder, alone, laws):
+    """Two workers, of whom one is killed in a run, leave what one process leaves."""
+    (folder / "recipe.toml").write_text(SHORT, encoding="utf-8")
+    killing = Killing(executor, folder)
+    out = folder / "out"
+    run_grid(folder / "recipe.toml", VALUES, out, laws=laws, threads=1, executor=killing)
+    assert (folder / "dead").exists()
+    check(out, alone, laws)
+
+
+def check(out, alone, laws):
+    assert len([*out.glob("*/run.json")]) == 2 * len(laws)
+    commands.assert_same(out, commands.left_in(alone(laws) / "out"))
+
+
+@pytest.mark.parametrize("laws", [("rve",), pytest.param(BOTH, marks=pytest.mark.slow)])
+def test_two_processes_of_which_one_is_killed_give_the_bits_of_one(laws, tmp_path, alone, caplog):
+    with executor_of(2) as executor:
+        check_killed(executor, tmp_path, alone, laws)
+    assert "a worker was lost" in caplog.text
+
+
+@pytest.mark.slow
+def test_a_cluster_of_dask_that_loses_a_worker(tmp_path, alone):
+    distributed = pytest.importorskip("distributed")
+    one = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with (
+        distributed.LocalCluster(**one) as cluster,
+        executor_of(0, cluster.scheduler_address) as executor,
+    ):
+        check_killed(executor, tmp_path, alone, BOTH)
+
+
+BY_MPI = """
+from mpi4py.futures import MPIPoolExecutor
+from surrofe2.workflow.grid import run_grid
+from surrofe2.workflow.workers import in_pieces
+from tests.some_work import squares
+if __name__ == "__main__":
+    with MPIPoolExecutor() as executor:
+        assert executor.num_workers == 2
+        parts = [part for _, _, part in in_pieces(squares, range(5, 61), 3, executor)]
+        assert sum(parts, []) == [k * k for k in range(5, 61)]
+        run_grid("recipe.toml", {values}, "out", laws={laws}, threads=1, executor=executor)
+"""
+
+
+@pytest.mark.slow
+def test_ranks_of_mpi(tmp_path, alone):
+    pytest.importorskip("mpi4py")
+    mpiexec = Path(sys.executable).with_name("mpiexec")
+    if not mpiexec.exists():
+        pytest.skip("no mpiexec beside this Python")
+    (tmp_path / "recipe.toml").write_text(SHORT, encoding="utf-8")
+    script = tmp_path / "by_mpi.py"
+    script.write_text(BY_MPI.format(values=VALUES, laws=BOTH), encoding="utf-8")
+    done = subprocess.run(
+        [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    check(tmp_path / "out", alone, BOTH)
