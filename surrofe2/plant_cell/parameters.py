@@ -21,8 +21,8 @@ FEWEST_VORONOI = 4
 _ARRANGEMENT = ("arrangement", "cells", "arrangement_seed")
 
 
-def _constant(default: Any, unit: str, source: str, **bounds: Any) -> Any:
-    return setting(default, unit=unit, source=source, **(bounds or {"above": 0.0}))
+def _constant(default: Any, unit: str, about: str, source: str = "", **bounds: Any) -> Any:
+    return setting(default, about, unit, source=source or about, **(bounds or {"above": 0.0}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,41 +33,75 @@ class CellParameters:
     them: it follows from zero stress at F = I.
     """
 
-    cell_side: float = _constant(25.0, LENGTH, f"{_PAPER}, section 6")
+    cell_side: float = _constant(
+        25.0, LENGTH, "side of a square of a plant cell's area", f"{_PAPER}, section 6"
+    )
     wall_springs_per_side: int = _constant(
-        10, NONE, f"{_PAPER}, section 6: 11 particles a side", least=4
+        10, NONE, "wall springs on a side", f"{_PAPER}, section 6: 11 particles a side", least=4
     )
     fluid_particles_per_side: int = _constant(
-        4, NONE, f"{_PAPER}, section 6: 16 SPH particles", least=1
+        4,
+        NONE,
+        "its square is the fluid particles of a plant cell",
+        f"{_PAPER}, section 6: 16 SPH particles",
+        least=1,
     )
     fluid_particle_mass: float = _constant(
-        2.7, MASS, f"{_PAPER}, section 6, as printed; water fills 0.27 (preset `water`)"
+        2.7,
+        MASS,
+        "mass of a fluid particle",
+        f"{_PAPER}, section 6, as printed; water fills 0.27 (preset `water`)",
     )
-    wall_particle_mass: float = _constant(0.5, MASS, f"{_PAPER}, section 6")
-    wall_stiffness: float = _constant(4000.0, STIFFNESS, f"{_PAPER}, section 6 (eq. 1)")
-    repulsion_strength: float = _constant(5e5, f"{FORCE} {LENGTH}⁶", f"{_PAPER}, section 6 (eq. 2)")
-    repulsion_cutoff: float = _constant(10.0, LENGTH, f"{_PAPER}, section 6 (eq. 2)")
-    smoothing_length: float = _constant(5.5, LENGTH, f"{_PAPER}, section 6 (eq. 5)")
+    wall_particle_mass: float = _constant(
+        0.5, MASS, "mass of a wall particle", f"{_PAPER}, section 6"
+    )
+    wall_stiffness: float = _constant(
+        4000.0, STIFFNESS, "of a wall spring", f"{_PAPER}, section 6 (eq. 1)"
+    )
+    repulsion_strength: float = _constant(
+        5e5,
+        f"{FORCE} {LENGTH}⁶",
+        "of contacts between walls, and of walls with fluid",
+        f"{_PAPER}, section 6 (eq. 2)",
+    )
+    repulsion_cutoff: float = _constant(
+        10.0, LENGTH, "contacts reach so far", f"{_PAPER}, section 6 (eq. 2)"
+    )
+    smoothing_length: float = _constant(
+        5.5, LENGTH, "h of the SPH kernel, whose support is 2 h", f"{_PAPER}, section 6 (eq. 5)"
+    )
     sound_speed: float = _constant(
-        50.0, VELOCITY, f"{_PAPER}, section 6 (eq. 9), where it is printed in µm/s"
+        50.0,
+        VELOCITY,
+        "of the fluid",
+        f"{_PAPER}, section 6 (eq. 9), where it is printed in µm/s",
     )
     viscosity: float = _constant(
         0.1,
         f"{MASS}/{TIME}",
+        "of the fluid in the plane, dynamic",
         f"{_PAPER}, section 6: 1e-2 Pa s times 10 µm (eq. 8)",
         least=0.0,
     )
     wall_damping_ratio: float = _constant(
-        1.0, NONE, f"{_PAPER}, section 6: critical (eq. 1)", least=0.0
+        1.0,
+        NONE,
+        "of the wall's dashpots, over critical damping",
+        f"{_PAPER}, section 6: critical (eq. 1)",
+        least=0.0,
     )
     contact_damping_ratio: float = _constant(
-        1.0, NONE, f"{_PAPER}, section 2.1: critical (eq. 2)", least=0.0
+        1.0,
+        NONE,
+        "of the contacts' dashpots, over critical damping",
+        f"{_PAPER}, section 2.1: critical (eq. 2)",
+        least=0.0,
     )
     outer_wall: float = _constant(
         1.0, NONE, "of a tissue's outer walls (stiffness, damping, mass), over half an inner wall"
     )
     tissue_thickness: float = _constant(
-        10.0, LENGTH, f"{_PAPER}, section 6; turns 2D stress into MPa"
+        10.0, LENGTH, "turns 2D stress into MPa", f"{_PAPER}, section 6"
     )
     arrangement: str = _constant(
         "square", NONE, "of an RVE's plant cells", one_of=tuple(SYMMETRIES)
@@ -186,7 +220,7 @@ class LivingTissue:
     turgor: float = setting(unit="MPa", about="pressure that the walls carry at rest", above=0)
     wall_modulus: float = setting(unit="MPa", about="of a wall stretched by the turgor", above=0)
     wall_thickness: float = setting(unit=LENGTH, about="of one plant cell's own wall", above=0)
-    sap_viscosity: float = setting(unit="mPa s", above=0)
+    sap_viscosity: float = setting(unit="mPa s", about="of the fluid in a plant cell", above=0)
     density: float = setting(unit="kg/m³", about="of the tissue", above=0)
 
     def __post_init__(self) -> None:
