@@ -24,6 +24,15 @@ class DisplacementCurve:
                 f"{self.displacement.shape}; they must be (m,) and (m, 2)"
             )
 
+    def __repr__(self) -> str:
+        if not self.t.size:
+            return "<DisplacementCurve: no times>"
+        largest = np.linalg.norm(self.displacement, axis=1).max()
+        return (
+            f"<DisplacementCurve: {self.t.size} times, {self.t[0]:g} to {self.t[-1]:g} µs, "
+            f"largest displacement {largest:.4g} µm>"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class CurveDifference:

@@ -130,6 +130,12 @@ class StressResponse:
     reasons: Mapping[int, str] = field(default_factory=dict)
     sources: Callable[[], Sources] | None = None
 
+    def __repr__(self) -> str:
+        count, lost = len(self.status), int((self.status != 0).sum())
+        told = ", with tangents" if self.tangents is not None else ""
+        told += f", {lost} without stress" if lost else ""
+        return f"<StressResponse: {count} point{'s' * (count != 1)}{told}>"
+
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:

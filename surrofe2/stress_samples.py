@@ -74,6 +74,14 @@ class StressSamples:
             if not np.isfinite(array[self.status == 0]).all():
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
 
+    def __repr__(self) -> str:
+        lost = int((np.asarray(self.status) != 0).sum())
+        with_tangents = "" if self.P_by_F is None else ", with tangents"
+        return (
+            f"<StressSamples: {len(self.F)}, {lost} of them failed{with_tangents}; "
+            f"cell {self.cell.fingerprint}, {self.initialisation}>"
+        )
+
     @property
     def _float_arrays(self) -> dict[str, Array]:
         """The arrays of numbers that the samples have, by name."""

@@ -77,6 +77,9 @@ class CachedLaw:
         self.on_true_answer = on_true_answer
         self.reset_counts()
 
+    def __repr__(self) -> str:
+        return f"<CachedLaw: {self.counts['hits']} hits; {self.surrogate}, else {self.fallback}>"
+
     @property
     def has_tangents(self) -> bool:
         """Whether both parts give tangents."""

@@ -102,6 +102,13 @@ class Mesh:
         _check_orientation(self.nodes, self.elements)
         _check_pieces(self.nodes, self.elements)
 
+    def __repr__(self) -> str:
+        kind = "quadrilaterals" if self.elements.shape[1] == 4 else "triangles"
+        return (
+            f"<Mesh: {len(self.elements)} {kind}, {len(self.nodes)} nodes; boundaries "
+            f"{', '.join(self.boundaries) or 'none'}; regions {', '.join(self.regions) or 'none'}>"
+        )
+
     @classmethod
     def rectangle(cls, width: float, height: float, elements: tuple[int, int]) -> Mesh:
         """[0, width] × [0, height] µm in equal quadrilaterals, numbered along y, then x.

@@ -92,6 +92,13 @@ class MacroRun:
     law: StressLaw
     settings: MacroSettings
 
+    def __repr__(self) -> str:
+        end = "finished" if self.finished else "unfinished"
+        return (
+            f"<MacroRun: {len(self.elements)} elements, {self.counts['steps']} steps in "
+            f"{self.wall_time['total']:.3g} s, {end}; {self.curve!r}>"
+        )
+
 
 def simulate(
     problem: Problem | LoadCase,

@@ -87,6 +87,11 @@ class RveLaw:
         """What another process makes the same law of; the reference is not settled again."""
         return _same_law, (self.cell, self.settings, self.reference)
 
+    def __repr__(self) -> str:
+        cell = self.cell
+        of = f"{cell.cells} {cell.arrangement} cell{'s' * (cell.cells != 1)} {cell.fingerprint}"
+        return f"<RveLaw: {of}, {self.initialisation}, solver {self.settings.solver}>"
+
     @property
     def reference(self) -> ReferenceState:
         """The settled reference state, to be kept and handed to another law of this cell."""

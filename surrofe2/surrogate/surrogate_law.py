@@ -77,6 +77,13 @@ class SurrogateLaw:
         calibration = self.calibration if self.is_calibrated else None
         object.__setattr__(self, "bound_arrays", BoundArrays.of(self.domain, calibration))
 
+    def __repr__(self) -> str:
+        bound = "bound calibrated" if self.is_calibrated else "no bound"
+        return (
+            f"<SurrogateLaw: cell {self.cell.fingerprint}, {self.initialisation}, "
+            f"{self.network.form}, {self.network.symmetry}, {bound}; {self.range}>"
+        )
+
     @property
     def density(self) -> float:
         """Mass per reference area, ng/µm²."""
