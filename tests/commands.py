@@ -1,15 +1,14 @@
 """Commands on short recipes over laws without cells, each with all that it leaves in its folder.
 
-`python -m tests.commands` starts processes and kills them: of each line NAME FOLDER SECONDS that
-it reads once it is "ready" it makes one, kills it after so long, and tells its exit code when it
-has ended. As in `checkpointed`, a checkpoint follows every step.
+`python -m tests.commands` starts processes and ends them: of each line NAME FOLDER SECONDS SIGNAL
+that it reads once it is "ready" it makes one, sends it the signal after so long, and tells its exit
+code when it has ended. As in `checkpointed`, a checkpoint follows every step.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import time
 import traceback
@@ -19,10 +18,13 @@ from unittest import mock
 
 import numba
 
+from surrofe2.interruption import begin_work, exit_code, watch
 from surrofe2.io import data_sets
+from surrofe2.io.files import write_bytes
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.seal import SEAL
 from surrofe2.recipe import load_recipe
+from surrofe2.report import figures
 from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
@@ -36,7 +38,9 @@ CACHED = SHORT + "[cache]\ntolerance = 0.5\naudit = 0.3\n[table]\ntolerance = 1e
 BOTH = CACHED.replace("[table]\n", "[table]\nenabled = true\n")
 SMALL = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0, 25.0]")
 TISSUE = SMALL.replace("duration = 4.0", "duration = 0.3\noutput_interval = 0.1")
-LEAVING = RECIPE.replace("-0.1]", "-1.0]")
+LEAVING = RECIPE.replace("-0.1]", "-8.0]").replace("duration = 4.0", "duration = 0.5")
+LEAVING = LEAVING.replace("runs = 9", "runs = 0")
+BRIEF = CACHED.replace("duration = 2.0", "duration = 0.3").replace("runs = 9", "runs = 0")
 OF_TIME = {
     "created", "wall_time", "true_wall_time", "speed_up", "seconds", "cost", "sha256", "of", SEAL,
 }  # fmt: skip
@@ -80,7 +84,7 @@ COMMANDS = {
     "implicit": (SHORT + 'integrator = "implicit"\n', by("rve")),
     "tissue": (TISSUE, lambda recipe, folder: run_tissue(recipe, folder / "out")),
     "refine": (LEAVING, refine),
-    "grid": (CACHED, grid),
+    "grid": (BRIEF, grid),
 }
 """By name: recipe, and the command on it in a folder."""
 NEED_NO_SURROGATE = ("generate", "train", "rve", "table", "implicit", "tissue", "refine",
@@ -90,7 +94,7 @@ NEED_TANGENTS = ("cached and table", "table", "implicit")
 
 @contextmanager
 def checkpointed(name):
-    """Laws stand in for RVEs, and a checkpoint follows every step."""
+    """Laws stand in for RVEs, a checkpoint follows every step, and pictures are not drawn."""
     soft = SquareLaw() if name in NEED_TANGENTS else SoftLaw()
     with ExitStack() as patches:
 
@@ -101,6 +105,7 @@ def checkpointed(name):
         for module in (run, rest, tissue):
             patch(module, "CHECKPOINT_INTERVAL", 0.0)
         patch(data_sets, "INTERVAL", 0.0)
+        patch(figures, "write_png", lambda path, figure: write_bytes(path, b"drawn"))
         yield
 
 
@@ -172,11 +177,15 @@ def serve():
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for line in sys.stdin:
-        name, folder, seconds = line.rstrip("\n").split("\t")
+        name, folder, seconds, number = line.rstrip("\n").split("\t")
         process = os.fork()
         if process == 0:
             try:
+                watch()
+                begin_work()
                 execute(name, Path(folder))
+            except KeyboardInterrupt:
+                os._exit(exit_code())
             except BaseException:
                 traceback.print_exc()
                 os._exit(1)
@@ -184,7 +193,7 @@ def serve():
         until = time.perf_counter() + float(seconds)
         while time.perf_counter() < until and not _has_ended(process):
             time.sleep(0.002)
-        os.kill(process, signal.SIGKILL)  # nobody else has its number until it is waited for
+        os.kill(process, int(number))  # nobody else has its number until it is waited for
         _, status = os.waitpid(process, 0)
         sys.stdout.write(f"{os.waitstatus_to_exitcode(status)}\n")
         sys.stdout.flush()

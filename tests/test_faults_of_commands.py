@@ -14,6 +14,7 @@ import pytest
 from surrofe2.errors import MismatchError
 from surrofe2.io.run_folder import read_record
 from surrofe2.recipe import load_recipe
+from surrofe2.workflow import run_lifecycle
 from surrofe2.workflow.run import run_study
 from tests import commands
 from tests.faults import KINDS, each_fault
@@ -56,6 +57,28 @@ def check(name, kind, folders, learnt, stride=1):
 @pytest.mark.parametrize("name", ["cached", "table"])
 def test_a_killed_run_goes_on_to_the_bit(name, tmp_path, learnt):
     assert check(name, "killed", tmp_path, learnt, stride=23) >= 4
+
+
+def test_a_finished_run_stays_so_when_interrupted(tmp_path, monkeypatch):
+    commands.prepare("rve", tmp_path / "study", None)
+    out = tmp_path / "study" / "out"
+    remove = run_lifecycle.remove
+
+    def interrupted(path):
+        if read_record(out).status == "finished":
+            raise KeyboardInterrupt
+        remove(path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run_lifecycle, "remove", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            commands.execute("rve", tmp_path / "study")
+    before = (out / "run.json").read_bytes()
+    assert read_record(out).status == "finished"
+    assert (out / "checkpoint.h5").exists()
+    commands.execute("rve", tmp_path / "study")
+    assert (out / "run.json").read_bytes() == before
+    assert not (out / "checkpoint.h5").exists()
 
 
 def test_a_run_whose_disk_failed_says_so_and_goes_on_to_the_bit(tmp_path, learnt):

@@ -1,6 +1,6 @@
-"""Processes that are killed at random instants, and go on to what they would have given.
+"""Processes that are ended at random instants, and go on to what they would have given.
 
-`SURROFE2_KILLS` is how many kills of each command the long tests make; default: 50.
+`SURROFE2_KILLS` is how often the long tests kill each command, and interrupt it; default: 50.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surrofe2.io.run_folder import read_record
 from tests import commands
 
 KILLS = int(os.environ.get("SURROFE2_KILLS", "50"))
@@ -48,33 +49,60 @@ def server():
     process.stdout.close()
 
 
-def run(server, name, folder, seconds=600.0):
-    """(exit code, s) of a command in its folder, killed after so many seconds."""
+def run(server, name, folder, seconds=600.0, number=signal.SIGKILL):
+    """(exit code, s) of a command in its folder, ended by a signal after so many seconds."""
     begin = time.perf_counter()
-    server.stdin.write(f"{name}\t{folder}\t{seconds}\n")
+    server.stdin.write(f"{name}\t{folder}\t{seconds}\t{int(number)}\n")
     server.stdin.flush()
     code = int(server.stdout.readline())
     return code, time.perf_counter() - begin
 
 
-@pytest.mark.parametrize("kills", [5, pytest.param(KILLS, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module")
+def wanted(tmp_path_factory, learnt, server):
+    """What a whole command leaves, and how long it took last, by its name."""
+    known = {}
+
+    def of(name):
+        if name not in known:
+            whole = tmp_path_factory.mktemp("whole") / "folder"
+            commands.prepare(name, whole, learnt)
+            code, lasts = run(server, name, whole)
+            assert code == 0
+            known[name] = [commands.left_in(whole), lasts]
+        return known[name]
+
+    return of
+
+
+ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGINT, 130)}
+"""Signal and exit code."""
+FEW = {"killed": 4, "interrupted": 1}
+TIMES = [
+    *FEW.items(),
+    *(pytest.param(how, KILLS, marks=pytest.mark.slow) for how in FEW),
+]
+
+
+@pytest.mark.parametrize(("how", "times"), TIMES)
 @pytest.mark.parametrize("name", commands.COMMANDS)
-def test_a_killed_command_goes_on_to_the_bit(name, kills, tmp_path, learnt, server):
-    """Killed once at random in each of as many equal parts of its work as there are kills."""
-    whole, folder = tmp_path / "whole", tmp_path / "killed"
-    commands.prepare(name, whole, learnt)
-    code, lasts = run(server, name, whole)
-    assert code == 0
-    wanted = commands.left_in(whole)
-    struck = 0
-    shares = (np.arange(kills) + np.random.default_rng(kills).uniform(size=kills)) / kills
-    for share in shares:
+def test_an_ended_command_goes_on_to_the_bit(name, how, times, tmp_path, learnt, server, wanted):
+    """Ended once at random in each of as many equal parts of its work as it is ended."""
+    folder, struck, known = tmp_path / "ended", 0, wanted(name)
+    number, code_of_ended = ENDS[how]
+    random = np.random.default_rng(times)
+    for share in (np.arange(times) + random.uniform(size=times)) / times:
         commands.prepare(name, folder, learnt)
-        code, took = run(server, name, folder, share * lasts)
-        assert code in (0, -signal.SIGKILL)
+        code, took = run(server, name, folder, share * known[1], number)
+        assert code in (0, code_of_ended)
         struck += code != 0
-        lasts = took if code == 0 else lasts  # the first may have been busy with kernels
+        if code == 0:  # the first may have been busy with kernels
+            known[1] = took
+        if how == "interrupted":
+            assert not [*folder.rglob("*.lock"), *folder.rglob("*.partial")]
+            for path in folder.rglob("run.json"):
+                assert read_record(path.parent).status in ("interrupted", "finished")
         commands.execute(name, folder)
-        commands.assert_same(folder, wanted)
+        commands.assert_same(folder, known[0])
         shutil.rmtree(folder)
     assert struck

@@ -10,9 +10,7 @@ import atexit
 import errno
 import gc
 import logging
-import os
 import shlex
-import sys
 from importlib import import_module
 from importlib.metadata import version
 from typing import Annotated, Any
@@ -21,6 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from surrofe2.cli.console import InterruptedWork, PrintHandler, print_error
+from surrofe2.cli.streams import leave, note_errors
 from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
@@ -195,10 +194,8 @@ def main() -> None:
     """
     gc.set_threshold(500_000)
     code: list[Any] = [1]
-    atexit.register(lambda: _leave(code[0]))  # the first to register is the last to be called
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
+    atexit.register(lambda: leave(code[0] or 0))  # the first to register is the last to be called
+    note_errors()
     try:
         app()
     except SystemExit as end:
@@ -206,13 +203,3 @@ def main() -> None:
         raise
     finally:
         end_work()
-
-
-def _leave(code: int) -> None:
-    """End the process without taking its objects apart."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:
-            code = code or 1
-    os._exit(code or 0)

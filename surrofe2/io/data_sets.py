@@ -93,14 +93,14 @@ class DataSetWriter:
         self, path: Path, header: DataSetHeader, rows: Mapping[str, np.ndarray], is_finished: bool
     ) -> None:
         self.path, self.header, self.is_finished = path, header, is_finished
-        self._parts = {name: [values] for name, values in rows.items()}
+        self._parts = [dict(rows)] if rows else []
         self._clock = CheckpointClock(INTERVAL)
         self._is_stored = bool(rows)
 
     @property
     def completed(self) -> int:
         """How many rows there are."""
-        return sum(map(len, self._parts.get("F", ())))
+        return sum(len(part["F"]) for part in self._parts)
 
     def append(
         self, F: NDArray[np.float64], F_dot: NDArray[np.float64], answer: StressResponse
@@ -112,9 +112,8 @@ class DataSetWriter:
         rows[LEFT] = np.zeros(len(F), np.int8) if left is None else left.astype(np.int8)
         if answer.tangents is not None and self.header.tangents:
             rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
-        for name, values in rows.items():
-            self._parts.setdefault(name, []).append(np.array(values))
         self._is_stored = False
+        self._parts.append({name: np.array(values) for name, values in rows.items()})
         if self._clock.is_due():
             self._clock.write(self.store)
 
@@ -153,9 +152,11 @@ class DataSetWriter:
 
     def _rows(self) -> dict[str, np.ndarray]:
         """One array for each column."""
-        for parts in self._parts.values():
-            parts[:] = [np.concatenate(parts)]
-        return {name: parts[0] for name, parts in self._parts.items()}
+        if len(self._parts) > 1:
+            names = self._parts[0]
+            whole = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
+            self._parts = [whole]
+        return self._parts[0] if self._parts else {}
 
     def _write(self, status: str, failed: Mapping[str, Any]) -> None:
         with writing_hdf5(self.path) as file:

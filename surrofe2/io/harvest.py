@@ -53,27 +53,29 @@ class HarvestWriter:
 
     def __init__(self, path: Path, origin: Origin) -> None:
         self.path, self.origin = path, origin
-        self._parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+        self._parts: list[dict[str, NDArray[Any]]] = []
         self._is_stored = True
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
     ) -> None:
         """Take answers, (n, 2, 2) and (n,)."""
-        for parts, part in zip(self._parts.values(), (F, F_dot, stress, status, why), strict=True):
-            parts.append(np.array(part))
+        taken = zip(_COLUMNS, map(np.array, (F, F_dot, stress, status, why)), strict=True)
         self._is_stored = self._is_stored and not len(F)
+        self._parts.append(dict(taken))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """All answers so far, for `restore`."""
-        for parts, column in zip(self._parts.values(), _COLUMNS.values(), strict=True):
-            none: NDArray[Any] = np.empty((0, *column.shape), column.kind)
-            parts[:] = [np.concatenate(parts) if parts else none]
-        return {name: parts[0] for name, parts in self._parts.items()}
+        none: dict[str, NDArray[Any]] = {
+            name: np.empty((0, *each.shape), each.kind) for name, each in _COLUMNS.items()
+        }
+        parts = self._parts or [none]
+        self._parts = [{name: np.concatenate([part[name] for part in parts]) for name in _COLUMNS}]
+        return self._parts[0]
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Hold these answers and no others."""
-        self._parts = {name: [arrays[name]] for name in _COLUMNS}
+        self._parts = [{name: arrays[name] for name in _COLUMNS}]
         self._is_stored = not len(arrays["why"])
 
     def flush(self) -> None:

@@ -154,13 +154,17 @@ def _is_at_work(holder: dict[str, Any], output: Path, lock: Path) -> bool:
     mine, number = _myself(), holder["process"]
     if number == mine["process"]:
         return holder["start"] == mine["start"] and lock in _held
+    is_hidden = False
     try:
         os.kill(number, 0)
     except PermissionError:
-        pass  # it is another user's
+        is_hidden = True  # it is another user's, of whom a system may tell nothing more
     except (OSError, OverflowError, TypeError, ValueError):
         return False
-    return holder["start"] in (None, _start_of(number))  # else the number is another's now
+    start = _start_of(number)
+    if start is None and is_hidden:
+        return True
+    return holder["start"] in (None, start)  # else the number is another's now
 
 
 def _described(holder: dict[str, Any]) -> str:
@@ -181,9 +185,11 @@ def _myself() -> dict[str, Any]:
 
 
 def _start_of(process: int) -> int | None:
-    """When a process began, in ticks since the machine did; None where that cannot be told."""
+    """When a process began, in ticks since the machine did; None where that cannot be told, 0 of
+    one that was killed and nobody has waited for."""
     try:
         line = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    return int(line.rpartition(")")[2].split()[19])
+    state, *figures = line.rpartition(")")[2].split()
+    return 0 if state in "ZX" else int(figures[18])

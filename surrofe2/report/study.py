@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json, write_text
-from surrofe2.io.lock import locked_file
+from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.report.figures import Panel, write_figure
@@ -113,9 +113,11 @@ def keep_study(
     """
     stem, known = f"{name}-{of.name}", of.identity(asked)
     png, csv, md, json = paths = [out / f"{stem}.{kind}" for kind in ("png", "csv", "md", "json")]
-    if not fresh and is_there(json, known):
+    if not (fresh or file_lock(json).exists()) and is_there(json, known):
         return None, paths
     with locked_file(json):
+        if not fresh and is_there(json, known):
+            return None, paths
         study = make()
         write_text(md, study.table.to_markdown())
         write_text(csv, study.to_csv())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json
-from surrofe2.io.lock import locked_folder
+from surrofe2.io.lock import folder_lock, locked_folder
 from surrofe2.io.run_folder import file_fingerprint, read_run
 from surrofe2.report.comparison import Comparison, write_comparison_plot
 from surrofe2.report.comparison import compare as compare_stored
@@ -29,10 +29,11 @@ def compare_runs(
     result = compare_stored(runs)
     of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}
     path = out / COMPARISON_FILES[0]
-    if fresh or not is_there(path, {"of": of}):
+    if fresh or folder_lock(out).exists() or not is_there(path, {"of": of}):
         with locked_folder(out):
-            write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
-            write_json(path, {**result.to_dict(), "of": of})
+            if fresh or not is_there(path, {"of": of}):
+                write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
+                write_json(path, {**result.to_dict(), "of": of})
     return result
 
 

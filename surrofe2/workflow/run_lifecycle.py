@@ -60,6 +60,7 @@ class Recording:
         partial: what to store where the run ends early and its error carries nothing.
         cache: what a cached law reported of itself at the last checkpoint.
         goes_on: whether the run goes on from a checkpoint.
+        is_whole: whether run.json says that it is finished, as then it stays.
     """
 
     folder: Path
@@ -69,6 +70,7 @@ class Recording:
     partial: Any = None
     cache: Mapping[str, Any] | None = None
     goes_on: bool = False
+    is_whole: bool = False
 
     def last_state(self) -> dict[str, np.ndarray] | None:
         """The arrays of the last checkpoint; None where the run starts at its beginning."""
@@ -104,6 +106,7 @@ class Recording:
     def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
         self.end("finished", result)
+        self.is_whole = True
         remove(self._checkpoint_path())
 
     def end(self, status: str, result: Any = None, error: str | None = None) -> None:
@@ -137,7 +140,7 @@ def record_run(
     if earlier is None or earlier.status != "finished":
         with locked_folder(folder):
             return _recorded(folder, record, compute, store, fresh)
-    if folder_lock(folder).exists():  # a process was killed after its last file
+    if folder_lock(folder).exists() or (folder / CHECKPOINT).exists():  # ended after its last file
         with locked_folder(folder):
             remove(folder / CHECKPOINT)
     log.info("%s: finished before; --fresh starts over", folder)
@@ -162,11 +165,13 @@ def _recorded(
         current.end("failed", partial, str(error))
         raise
     except FileError as error:
-        with suppress(FileError):  # the disk may be full for this too
-            current.end("failed", error=str(error))
+        if not current.is_whole:
+            with suppress(FileError):  # the disk may be full for this too
+                current.end("failed", error=str(error))
         raise
     except KeyboardInterrupt:
-        current.end("interrupted", current.partial)
+        if not current.is_whole:
+            current.end("interrupted", current.partial)
         raise
     return current.record
 

@@ -94,19 +94,19 @@ def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> in
         MismatchError: they are not of the same cell parameters and initialisation.
     """
     of = {"files": [file_fingerprint(path) for path in files]}
-    if out.exists() and not fresh:
-        kept = read_table(out)
-        check_same(out, of, kept.recipe)
-        return len(kept.records.centre)
-    tables = [read_table(path) for path in files]
-    first = tables[0]
-    tolerance = min(each.tolerance for each in tables)
-    images = 4 if first.cell.symmetry == "D4" else 1
-    records = first.records
-    for path, more in zip(files[1:], tables[1:], strict=True):
-        check_table(path, more, first.cell, first.initialisation)
-        records = merged(records, more.records, tolerance, images)
-    sources = {"merged": [each.recipe for each in tables], **of}
     with locked_file(out):
+        if out.exists() and not fresh:
+            kept = read_table(out)
+            check_same(out, of, kept.recipe)
+            return len(kept.records.centre)
+        tables = [read_table(path) for path in files]
+        first = tables[0]
+        tolerance = min(each.tolerance for each in tables)
+        images = 4 if first.cell.symmetry == "D4" else 1
+        records = first.records
+        for path, more in zip(files[1:], tables[1:], strict=True):
+            check_table(path, more, first.cell, first.initialisation)
+            records = merged(records, more.records, tolerance, images)
+        sources = {"merged": [each.recipe for each in tables], **of}
         write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
-    return len(records.centre)
+        return len(records.centre)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from surrofe2.io.harvest import read_harvest
-from surrofe2.io.lock import locked_file
+from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.io.run_folder import read_record
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import read_table
+from tests.io.test_locks import leave_lock
 from tests.laws import SoftLaw, SquareLaw, square_stress
 
 
@@ -65,7 +66,9 @@ def test_tables_merge(invoke, first, recipe_path, changed_recipe, tmp_path):
     assert done.exit_code == 0, done.output
     sizes = [len(read_table(path).records.centre) for path in (*files, merged)]
     assert max(sizes[:2]) < sizes[2] <= sum(sizes[:2])
+    leave_lock(file_lock(merged))
     assert invoke("table", "merge", *files, "--out", merged).exit_code == 0
+    assert not file_lock(merged).exists()
     assert invoke("table", "merge", *files[::-1], "--out", merged).exit_code == 1
     shown = invoke("table", "show", merged)
     assert f"{sizes[2]} records, constrained-runs" in shown.stdout

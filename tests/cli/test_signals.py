@@ -1,4 +1,7 @@
-"""SIGINT and SIGTERM at any instant end a command soon, with a sentence that says how to go on."""
+"""SIGINT and SIGTERM at any instant end a command soon, with a sentence that says how to go on.
+
+`SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 100.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,9 @@ import numpy as np
 import pytest
 
 from surrofe2.io.run_folder import read_record
+from tests.cli.forks import server
+
+SIGNALS = int(os.environ.get("SURROFE2_SIGNALS", "100"))
 
 COMMANDS = {
     "generate": "generate {recipe} --fresh",
@@ -23,6 +29,9 @@ COMMANDS = {
     "implicit": "run {recipe} --law rve --integrator implicit --out {out} --fresh",
     "tissue": "tissue {recipe} --out {out} --fresh",
     "rest": "rest {recipe} --out {out} --load-steps 100000 --fresh",
+    "refine": "refine {recipe} --out {out} --fresh",
+    "grid": "grid {recipe} --set cache.tolerance=0.1 --out {out} --fresh",
+    "reproduce": "reproduce fig8 --out {out} --duration 100000 --fresh",
 }
 SOON = 2.0
 
@@ -37,12 +46,16 @@ def long_recipe(changed_recipe, invoke):
     return path
 
 
-def start(arguments, folder):
-    """A command that has taken the signals."""
+def of_its_own(arguments, folder):
     command = [sys.executable, "-m", "surrofe2", *arguments]
-    process = subprocess.Popen(
+    return subprocess.Popen(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+
+
+def start(arguments, folder, begin=of_its_own):
+    """A command that has taken the signals."""
+    process = begin(arguments, folder)
     status = Path(f"/proc/{process.pid}/status")
     while process.poll() is None:
         caught = next(line for line in status.read_text().splitlines() if "SigCgt" in line)
@@ -52,53 +65,70 @@ def start(arguments, folder):
     pytest.fail(process.communicate()[1])
 
 
-def end(process, number, instant):
-    """(exit code, what it said last, how long it took) after a signal at an instant."""
+def struck(process, number, instant, folder):
+    """(the arguments to go on with or None, how long it took) after a signal at an instant."""
     time.sleep(instant)
     process.send_signal(number)
     begin = time.perf_counter()
-    _, said = process.communicate(timeout=30)
-    return process.returncode, said, time.perf_counter() - begin
-
-
-def check(command, recipe, folder, number, instant):
-    out = folder / "out"
-    arguments = shlex.split(COMMANDS[command].format(recipe=recipe, out=out))
-    if command == "generate":
-        recipe.write_text(recipe.read_text().replace("count = 40", "count = 10000000"))
-    code, said, took = end(start(arguments, folder), number, instant)
-    assert code == 128 + number, (command, instant, said)
+    _, said = process.communicate(timeout=60)
+    took = time.perf_counter() - begin
+    assert process.returncode == 128 + number, said
     assert "Traceback" not in said, said
+    assert "error" not in said, said
     told = said.strip().splitlines()[-1]
     assert told.startswith("interrupted: "), said
-    assert took < SOON * (1 + os.getloadavg()[0] / 2), (command, instant, took)
-    record = out / "run.json"
+    assert took < SOON * (1 + os.getloadavg()[0] / 2)
+    assert not [*folder.rglob("*.lock"), *folder.rglob("*.partial")]
+    for path in folder.rglob("run.json"):
+        assert read_record(path.parent).status in ("interrupted", "finished")
     if "go on with: " not in told:
         assert told == "interrupted: nothing was changed"
-        return
-    if record.exists():
-        assert read_record(out).status == "interrupted"
+        return None, took
     again = shlex.split(told.split("go on with: ")[1])
     assert again[0] == "surrofe2"
-    code, said, _ = end(start(again[1:], folder), number, 2.5)
-    assert code == 128 + number, said
-    assert "error" not in said
+    return again[1:], took
+
+
+def first_arguments(command, recipe, folder):
+    """Of the command from its beginning; its output goes into the folder."""
+    if command == "generate":
+        recipe.write_text(recipe.read_text().replace("count = 40\n", "count = 10000000\n"))
+    return shlex.split(COMMANDS[command].format(recipe=recipe, out=folder / "out"))
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
 @pytest.mark.parametrize("command", ["generate", "run"])
 def test_a_signal_ends_a_command(long_recipe, tmp_path, command):
     number = signal.SIGINT if command == "run" else signal.SIGTERM
-    check(command, long_recipe, tmp_path, number, 3.0)
+    arguments = first_arguments(command, long_recipe, tmp_path)
+    again, _ = struck(start(arguments, tmp_path), number, 3.0, tmp_path)
+    struck(start(again or arguments, tmp_path), number, 2.5, tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_signals_at_random_instants_end_every_command(long_recipe, tmp_path, command, number):
-    instants = np.random.default_rng(number).uniform(0.0, 5.0, size=8)
-    for k, instant in enumerate(instants):
-        folder = tmp_path / str(k)
-        folder.mkdir()
-        check(command, long_recipe, folder, number, float(instant))
+def test_signals_at_random_instants_end_every_command(
+    long_recipe, tmp_path, command, record_property
+):
+    """Each is the command that the one before it named, but every tenth, which begins anew in a
+    process of its own."""
+    random, times, wrong, arguments = np.random.default_rng(SIGNALS), [], [], None
+    with server() as forked:
+        for k, instant in enumerate(random.uniform(0.0, 5.0, size=SIGNALS)):
+            number = (signal.SIGINT, signal.SIGTERM)[random.integers(2)]
+            begin = forked
+            if arguments is None or k % 10 == 0:
+                begin, folder = of_its_own, tmp_path / str(k)
+                folder.mkdir()
+                arguments = first_arguments(command, long_recipe, folder)
+            try:
+                process = start(arguments, folder, begin)
+                again, took = struck(process, number, instant, folder)
+                arguments = again or arguments
+                times.append(took)
+            except (AssertionError, pytest.fail.Exception) as error:
+                wrong.append((k, int(number), instant, arguments, str(error)))
+                arguments = None
+    record_property("seconds", " ".join(f"{each:.3f}" for each in sorted(times)))
+    assert not wrong

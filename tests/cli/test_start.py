@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -94,7 +96,37 @@ def test_what_an_error_of_the_program_says_is_kept():
     assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
 
 
-def test_output_that_cannot_be_written_is_no_success():
-    with open("/dev/full", "w") as full:
-        command = [sys.executable, "-m", "surrofe2", "--version"]
-        assert subprocess.run(command, stdout=full, check=False).returncode != 0
+FULL = Path("/dev/full")
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("argument", ["--version", "--help"])
+def test_output_that_cannot_be_written_is_no_success(argument):
+    with FULL.open("w") as full:
+        command = [sys.executable, "-m", "surrofe2", argument]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "error: stdout: No space left on device\n"
+
+
+WORK = """
+import sys
+from surrofe2 import cli
+def work():
+    for k in range(3):
+        print("going on", file=sys.stderr, flush=True)
+    open(sys.argv[1], "w").write("done")
+cli.app = work
+cli.main()
+"""
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("ending", ["2> /dev/full", "2>&1 | true"])
+def test_work_goes_on_where_nobody_hears_of_it(tmp_path, ending):
+    words = [sys.executable, "-c", WORK, str(tmp_path / "a.txt")]
+    command = f"{shlex.join(words)} {ending}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout + done.stderr == ""
+    assert (tmp_path / "a.txt").read_text() == "done"
+    assert done.returncode == (1 if "full" in ending else 0)

@@ -7,7 +7,8 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.io.files import read_json, write_json
-from surrofe2.io.lock import locked_file
+from surrofe2.io.lock import file_lock, locked_file
+from tests.io.test_locks import leave_lock
 
 
 def invoke(*arguments):
@@ -26,8 +27,11 @@ def test_reproduce_writes_figure_table_and_numbers(tmp_path):
     with locked_file(tmp_path / "fig5-water.json"):
         refused = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path, "--fresh")
     assert f"error: {tmp_path / 'fig5-water.json'}: in use by" in refused.stderr
+    lock = file_lock(tmp_path / "fig5-water.json")
+    leave_lock(lock)
     kept = invoke("reproduce", "fig5", "--preset", "water", "--out", tmp_path)
     assert kept.exit_code == 0
+    assert not lock.exists()
     assert f"{tmp_path / 'fig5-water.png'}: there already" in kept.stdout
     changed = {**record, "cell": {**record["cell"], "viscosity": 9.0}}
     write_json(tmp_path / "fig5-water.json", changed)

@@ -12,6 +12,7 @@ import pytest
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io import data_sets
 from surrofe2.io.data_sets import read_data_set, writing_data_set
+from surrofe2.io.harvest import HarvestWriter, read_harvest
 from surrofe2.io.hdf5 import write_checkpoint
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
@@ -55,6 +56,36 @@ def test_schema(tmp_path):
     assert attributes["cell_fingerprint"] == HEADER.cell.fingerprint
     assert json.loads(attributes["recipe"]) == HEADER.recipe
     assert json.loads(attributes["rve"])["tolerance"] == 1e-8
+
+
+class Interrupting:
+    """Ctrl-C while it is copied."""
+
+    def __array__(self, *_, **__):
+        raise KeyboardInterrupt
+
+
+def test_rows_are_taken_whole_or_not_at_all(tmp_path):
+    path, law = tmp_path / "cells.h5", SoftLaw(fails_above=1.03)
+    F, F_dot = sample(RANGE, 8, 3, start=8)
+    with writing_data_set(path, HEADER) as data:
+        append_chunk(data, law)
+        with pytest.raises(KeyboardInterrupt):
+            data.append(F, F_dot, replace(law.respond(F, F_dot), stress=Interrupting()))
+    write_all(path)
+    write_all(tmp_path / "whole.h5")
+    assert read_data_set(path).fingerprint == read_data_set(tmp_path / "whole.h5").fingerprint
+
+
+def test_answers_are_harvested_whole_or_not_at_all(tmp_path):
+    writer = HarvestWriter(tmp_path / "harvest.h5", HEADER)
+    F, F_dot = sample(RANGE, 8, 3)
+    codes = np.zeros(8, np.int8)
+    writer(F, F_dot, F, codes, codes)
+    with pytest.raises(KeyboardInterrupt):
+        writer(F, F_dot, F, Interrupting(), codes)
+    writer.flush()
+    np.testing.assert_array_equal(read_harvest(tmp_path / "harvest.h5").F, F)
 
 
 def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path):

@@ -13,6 +13,7 @@ import time
 import pytest
 
 from surrofe2.errors import FileError
+from surrofe2.io import lock
 from surrofe2.io.lock import file_lock, folder_lock, locked_file, locked_folder
 
 HOLDER = """
@@ -42,7 +43,8 @@ def holder(tmp_path):
     process.stdout.close()
 
 
-def forged(lock, **entries):
+def leave_lock(lock, **entries):
+    """A lock of a process that is gone, or of what the entries say."""
     lock.parent.mkdir(parents=True, exist_ok=True)
     said = {
         "process": 2**22 + 1,  # above the largest that Linux gives
@@ -88,9 +90,35 @@ def test_the_lock_of_a_killed_process_is_taken_over_with_a_remark(tmp_path, hold
     assert len(caplog.records) == 1
 
 
+@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="needs /proc")
+def test_a_killed_process_that_nobody_has_waited_for_holds_nothing(tmp_path, holder):
+    holder.kill()
+    os.waitid(os.P_PID, holder.pid, os.WEXITED | os.WNOWAIT)
+    with locked_folder(tmp_path / "out"):
+        pass
+
+
+def test_a_process_of_another_user_holds_even_where_its_beginning_is_hidden(
+    tmp_path, holder, monkeypatch
+):
+    def forbidden(process, number):
+        raise PermissionError
+
+    start_of = lock._start_of
+    mine = os.getpid()
+    monkeypatch.setattr(os, "kill", forbidden)
+    monkeypatch.setattr(lock, "_start_of", lambda at: start_of(at) if at == mine else None)
+    with (
+        pytest.raises(FileError, match=f"in use by process {holder.pid} "),
+        locked_folder(tmp_path / "out"),
+    ):
+        pass
+    monkeypatch.undo()
+
+
 def test_a_number_that_is_another_process_now_holds_nothing(tmp_path):
     path = tmp_path / "cells.h5"
-    forged(file_lock(path), process=os.getppid(), start=1)
+    leave_lock(file_lock(path), process=os.getppid(), start=1)
     if not os.path.exists("/proc/self/stat"):
         pytest.skip("needs /proc")
     with locked_file(path):
@@ -99,7 +127,7 @@ def test_a_number_that_is_another_process_now_holds_nothing(tmp_path):
 
 def test_a_lock_of_another_machine_is_never_taken_over(tmp_path):
     path = tmp_path / "cells.h5"
-    forged(file_lock(path), host="elsewhere")
+    leave_lock(file_lock(path), host="elsewhere")
     before = file_lock(path).read_bytes()
     with pytest.raises(FileError) as caught, locked_file(path):
         pass
@@ -123,7 +151,7 @@ def test_a_lock_that_says_nothing_was_left(tmp_path, content, monkeypatch):
 @pytest.mark.parametrize("process", ["7", None, -1, 10**30, 1.5, True])
 def test_a_lock_of_what_is_no_process_was_left(tmp_path, process):
     path = tmp_path / "cells.h5"
-    forged(file_lock(path), process=process)
+    leave_lock(file_lock(path), process=process)
     with locked_file(path):
         pass
 
@@ -146,7 +174,7 @@ def test_errors_leave_no_lock(tmp_path):
 
 def test_of_many_processes_one_takes_over(tmp_path):
     out = tmp_path / "out"
-    forged(folder_lock(out))
+    leave_lock(folder_lock(out))
     start = [sys.executable, "-c", HOLDER, out]
     several = [
         subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
