@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 
 import h5py
@@ -25,12 +26,15 @@ DAMAGED = (
     MemoryError,
 )  # fmt: skip
 """What reading damaged entries of a file raises."""
+_numbers = count()
 
 
 @contextmanager
 def writing_hdf5(path: Path) -> Iterator[h5py.File]:
     """A file in memory, which is written when the block ends well."""
-    with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
+    # A name of its own: one whose making was interrupted stays open, and HDF5 makes no second one.
+    name = f"{next(_numbers)} {path.name}"
+    with h5py.File(name, "w", driver="core", backing_store=False) as file:
         yield file
         file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
         file.flush()

@@ -13,7 +13,7 @@ from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io import data_sets
 from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.io.harvest import HarvestWriter, read_harvest
-from surrofe2.io.hdf5 import write_checkpoint
+from surrofe2.io.hdf5 import write_checkpoint, writing_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status, describe
@@ -75,6 +75,14 @@ def test_rows_are_taken_whole_or_not_at_all(tmp_path):
     write_all(path)
     write_all(tmp_path / "whole.h5")
     assert read_data_set(path).fingerprint == read_data_set(tmp_path / "whole.h5").fingerprint
+
+
+def test_a_file_can_be_written_while_one_that_was_interrupted_is_open(tmp_path):
+    path = tmp_path / "cells.h5"
+    interrupted = writing_hdf5(path)
+    interrupted.__enter__()
+    write_all(path)
+    assert len(read_data_set(path).F) == HEADER.count
 
 
 def test_answers_are_harvested_whole_or_not_at_all(tmp_path):
