@@ -30,6 +30,7 @@ NAMES = (
     "commands",
     "linear_cost",
     "peers",
+    "ranks",
 )
 ON_REQUEST = ("ablation",)
 """Left out unless named by --only: minutes of training."""

@@ -11,7 +11,14 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from surrofe2.ranks import Crew, dealing, distributed_law, distributed_surrogate, serve
+from surrofe2.ranks import (
+    Crew,
+    dealing,
+    distributed_law,
+    distributed_surrogate,
+    rank_states,
+    serve,
+)
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.run import run_study
 from tests import test_going_on as cases
@@ -38,7 +45,7 @@ def main():
 
 
 if __name__ == "__main__":
-    distributed_surrogate.LEAST = distributed_law.PATIENCE = 1
+    distributed_surrogate.LEAST = distributed_law.PATIENCE = rank_states.LEAST = 1
     dealing.UNEVEN = 0.0
     if MPI.COMM_WORLD.rank:
         serve(MPI.COMM_WORLD)

@@ -29,6 +29,7 @@ OF_RANKS = ("ranks", "threads")
 def on_ranks(ranks, *arguments, module="tests.on_ranks", **settings):
     return subprocess.Popen(
         [MPIEXEC, "-n", str(ranks), sys.executable, "-m", module, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -187,14 +188,14 @@ def test_only_rank_0_speaks(tmp_path):
     ]
 
 
-def test_blocks_are_whole_tiles_by_their_shares():
-    np.testing.assert_array_equal(deal(100, np.ones(3)), [0, 32, 72, 100])
-    np.testing.assert_array_equal(deal(5, np.ones(3)), [0, 0, 5, 5])
-    np.testing.assert_array_equal(deal(800, np.array([1.0, 3.0])), [0, 200, 800])
+def test_blocks_are_whole_tiles_and_not_too_small():
+    np.testing.assert_array_equal(deal(100, 3), [0, 32, 72, 100])
+    np.testing.assert_array_equal(deal(5, 3), [0, 5, 5, 5])
+    np.testing.assert_array_equal(deal(400, 4, least=16), [0, 136, 264, 400, 400])
 
 
 def test_points_move_from_the_rank_that_takes_longest():
-    cuts = deal(1600, np.ones(4))
+    cuts = deal(1600, 4)
     cost = np.repeat([1.0, 20.0, 1.0, 1.0], 400)  # a fallback costs twenty hits
     for _ in range(8):
         seconds = np.array([cost[i:j].sum() for i, j in itertools.pairwise(cuts)])

@@ -15,16 +15,18 @@ UNEVEN = 1.1
 """Seconds of the slowest rank by the mean from which points are dealt anew."""
 
 
-def deal(points: int, shares: Array) -> Index:
-    """(ranks + 1,) first points of the blocks of all ranks, and `points`.
+def deal(points: int, ranks: int, least: int = 1) -> Index:
+    """(ranks + 1,) first points of equal blocks of all ranks, and `points`.
 
     Blocks begin with tiles, so that the same RVEs share a tile by any number of ranks.
 
     Args:
-        shares: (ranks,) of the points, in any unit.
+        least: tiles of a block; where there are fewer, the first ranks have them.
     """
-    ends = np.concatenate([[0.0], np.cumsum(shares)]) / shares.sum()
-    cuts: Index = np.minimum(np.rint(ends * tiles_for(points)).astype(np.int64) * TILE, points)
+    tiles = tiles_for(points)
+    sharing = min(ranks, max(1, tiles // least))
+    ends = np.minimum(np.arange(ranks + 1) / sharing, 1.0)
+    cuts: Index = np.minimum(np.rint(ends * tiles).astype(np.int64) * TILE, points)
     return cuts
 
 

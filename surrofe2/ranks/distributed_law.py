@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
+from surrofe2.ranks import rank_states
 from surrofe2.ranks.crew import Crew
-from surrofe2.ranks.dealing import deal, is_uneven, redeal
+from surrofe2.ranks.dealing import Index, deal, is_uneven, redeal
 from surrofe2.ranks.desk import Told, dense
 from surrofe2.ranks.rank_states import Place, RankState
 from surrofe2.ranks.tasks import Accept, Answered, Respond
@@ -78,7 +79,7 @@ class DistributedLaw:
         """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""
         points = int(arrays["points"])
         left = unpack(arrays["left"], points)
-        state = self._new_state(deal(points, self._evenly()), left)
+        state = self._new_state(self._dealt(points), left)
         self.crew.do(Place(state.number, self._number, state.cuts), arrays)
         return state
 
@@ -92,7 +93,7 @@ class DistributedLaw:
         if not len(F):
             return StressResponse(np.empty((0, 2, 2)), np.empty(0, np.int8), state, {})
         if state is None:
-            cuts, before = deal(len(F), self._evenly()), None
+            cuts, before = self._dealt(len(F)), None
         else:
             cuts, before = self._checked(state, len(F)).cuts, state.number
         after = self._new_state(cuts, np.zeros(len(F), dtype=np.bool_))
@@ -145,7 +146,7 @@ class DistributedLaw:
 
     def _levelled(self, state: RankState) -> RankState:
         """The state dealt anew where some ranks take so much longer than others that it pays."""
-        if state.steps < PATIENCE or not is_uneven(state.seconds):
+        if state.steps < PATIENCE or not state.is_shared or not is_uneven(state.seconds):
             return state
         state.steps = 0
         cuts = redeal(state.cuts, state.seconds)
@@ -154,8 +155,8 @@ class DistributedLaw:
     def _new_state(self, cuts: NDArray[np.int64], left: NDArray[np.bool_]) -> RankState:
         return RankState(self.crew, self._number, cuts, left)
 
-    def _evenly(self) -> Array:
-        return np.ones(self.crew.ranks)
+    def _dealt(self, points: int) -> Index:
+        return deal(points, self.crew.ranks, rank_states.LEAST)
 
     def _away(self, state: RankState) -> int:
         """Points of other ranks than 0."""

@@ -161,7 +161,7 @@ class DistributedSurrogate:
         if points not in self._cuts:
             if len(self._cuts) > 100:
                 self._cuts.clear()
-            self._cuts[points] = deal(points, np.ones(self.crew.ranks))
+            self._cuts[points] = deal(points, self.crew.ranks)
         return self._cuts[points]
 
     def _ask(self, task: LookUp | Slopes, F: Array, F_dot: Array, what: str) -> Answered:

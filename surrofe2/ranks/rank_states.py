@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.plant_cell.tiles import tiles_for
 from surrofe2.ranks.crew import Crew
 from surrofe2.ranks.dealing import Index, deal
 from surrofe2.ranks.desk import Desk
@@ -16,6 +17,9 @@ from surrofe2.rve.rve_state import MANY_BYTES, RveState, cut_arrays, joined_arra
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
+
+LEAST = 16
+"""Tiles of a block: fewer RVEs are solved sooner than they are sent, as those of an audit are."""
 
 
 class RankState:
@@ -51,11 +55,16 @@ class RankState:
         """n."""
         return int(self.cuts[-1])
 
+    @property
+    def is_shared(self) -> bool:
+        """Whether there are enough points for all ranks."""
+        return tiles_for(self.points) >= LEAST * self.crew.ranks
+
     def take(self, index: Places) -> RankState:
         """The state of these points, in this order; a point may be taken twice."""
         if len(index) == self.points and (index == np.arange(self.points)).all():
             return self
-        return self._arranged(deal(len(index), np.ones(self.crew.ranks)), index)
+        return self._arranged(deal(len(index), self.crew.ranks, LEAST), index)
 
     def put(self, index: Places, part: RankState) -> RankState:
         """This state with that of these points replaced."""

@@ -1,0 +1,97 @@
+"""One short run of the bar, alone or by all ranks that mpiexec starts of this; prints JSON.
+
+`mpiexec -n 2 python -m benchmarks.ranks_probe --law cached …`
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from surrofe2 import LoadCase, MacroSettings, RveLaw, simulate
+from surrofe2.cache import CachedLaw
+from surrofe2.io.surrogates import read_surrogate
+from surrofe2.ranks.crew import Crew, serve
+from surrofe2.ranks.shared import distributed, own_part
+from surrofe2.ranks.world import world
+from surrofe2.workflow.laws import use_threads, warm_up
+
+SIZES = (8, 1024, 65_536, 1_048_576)
+"""Bytes of a message."""
+
+
+def main() -> None:
+    """Rank 0 measures, the others serve."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--law", choices=("rve", "cached"), required=True)
+    parser.add_argument("--surrogate", type=Path, required=True)
+    parser.add_argument("--elements", type=int, default=64)
+    parser.add_argument("--duration", type=float, default=1.0, help="µs")
+    parser.add_argument("--threads", type=int, default=1)
+    given = parser.parse_args()
+    use_threads(given.threads)
+    comm = world()
+    if comm is None:
+        print(json.dumps(_measured(given, None)))
+        return
+    echoes = _echoes(comm)
+    if comm.rank:
+        serve(comm)
+        return
+    with Crew(comm) as crew:
+        found = _measured(given, crew)
+    print(json.dumps(found | {"messages_by_size": echoes}))
+
+
+def _measured(given: argparse.Namespace, crew: Crew | None) -> dict[str, Any]:
+    """Seconds of a run after a warm-up, and where they went."""
+    surrogate = read_surrogate(given.surrogate)
+    law: Any = RveLaw(surrogate.cell, initialisation=surrogate.initialisation)
+    if given.law == "cached":
+        law = CachedLaw(surrogate, law)
+    if crew is not None:
+        law = distributed(law, crew)
+    parts = (law.surrogate, law.fallback) if given.law == "cached" else (law,)
+    settings = MacroSettings(elements=(given.elements, given.elements))
+    warm_up(parts, settings)
+    simulate(LoadCase(duration=given.duration / 20.0), law, settings)
+    if crew is not None:
+        crew.reset_counts()
+    run = simulate(LoadCase(duration=given.duration), law, settings)
+    return {
+        **run.wall_time,
+        "stresses": run.counts["stress_points"] + run.counts["dissipation_points"],
+        "calls": run.counts["stress_calls"],
+        "steps": run.counts["steps"],
+        "fallbacks": run.effort.get("fallbacks", 0),
+        "last": run.curve.displacement[-1].tolist(),
+        "fingerprint": own_part(parts[-1]).cell.fingerprint,
+        **({} if crew is None else crew.report()),
+    }
+
+
+def _echoes(comm: Any) -> dict[int, float]:
+    """Seconds of a message between ranks 0 and 1 by bytes, half of there and back; the median."""
+    found = {}
+    for size in SIZES:
+        buffer, taken = np.zeros(size, dtype=np.uint8), []
+        for _ in range(200):
+            began = perf_counter()
+            if comm.rank == 0:
+                comm.Send(buffer, 1)
+                comm.Recv(buffer, 1)
+            elif comm.rank == 1:
+                comm.Recv(buffer, 0)
+                comm.Send(buffer, 0)
+            taken.append(0.5 * (perf_counter() - began))
+        found[size] = float(np.median(taken))
+    return found
+
+
+if __name__ == "__main__":
+    main()
