@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from surrofe2.recipe import load_recipe
     from surrofe2.regional_law import RegionalLaw
     from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody
+    from surrofe2.rve.parameter_gradients import parameter_gradients, path_gradients
     from surrofe2.rve.rve_law import RveLaw
     from surrofe2.rve.settings import RveSettings
     from surrofe2.sampling import SamplingRange, sample

@@ -85,6 +85,14 @@ def test_a_grid_search_over_true_stresses_prefers_the_larger_network():
     assert search.best_score_ > 0.999
 
 
+def test_wall_stiffness_and_viscosity_come_out_within_1_percent_from_1_percent_of_noise():
+    """The Python example with 300 points of time instead of 600."""
+    script = runpy.run_path(str(FOLDER / "identification.py"))
+    found = script["identified"](script["measured"](300, 0.01))
+    np.testing.assert_allclose(np.exp(found.x), script["TRUE"], rtol=0.01)
+    assert abs(np.exp(found.x) / script["GUESS"] - 1.0).min() > 0.2
+
+
 def whole(name):
     recipe = load_recipe(FOLDER / f"{name}.toml")
     return recipe, run_of(recipe, recipe.problem())

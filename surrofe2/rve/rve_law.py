@@ -217,7 +217,7 @@ class RveLaw:
     ) -> tuple[RveState, NDArray[np.bool_]]:
         """The state with new factors of these tiles, and (tiles, TILE) which RVEs are stable."""
         factors = state.factors.renewed(tiles)
-        law = self._covering_topology(state), self.unit_cell.constants
+        law = self.covering_topology(state), self.unit_cell.constants
         if self.initialisation == "slow-manifold":
             stable = np.empty((len(tiles), TILE), dtype=np.bool_)
             renew_slow(state.F, state.relaxed, factors.address, tiles, *law, stable)
@@ -246,7 +246,7 @@ class RveLaw:
             return Acceptance(status, state)
         return Acceptance(status, state, stress, left)
 
-    def _covering_topology(self, state: RveState) -> Topology:
+    def covering_topology(self, state: RveState) -> Topology:
         """The shortest pair lists that cover every point, else the longest."""
         for level, topology in enumerate(self.unit_cell.topologies):
             if covered_by(self.unit_cell, level, state.F, state.z).all():

@@ -56,13 +56,13 @@ def _affine_tile(drive, z, kind, topology, c, tangents):
     place(work, z, F, topology)
     map_affine(F_dot, work.z, work.v)
     tangents[:] = 0.0
-    affine = _affine_fields(work.z)
-    by_x, by_v = _stress_gradients(work, affine, topology, c)
+    affine = affine_fields(work.z)
+    by_x, by_v = stress_gradients(work, affine, topology, c)
     _add_products(by_x, affine, 0, tangents)
     _add_products(by_v, affine, 4, tangents)
     if kind != _CAUCHY_BORN:
         matrices = make_matrices(topology)
-        adjoint = _adjoint_load(work, by_x, by_v, drive, topology, c)
+        adjoint = adjoint_load(work, by_x, by_v, drive, topology, c)
         rate = np.zeros((2, 2, TILE)) if kind == _ELASTIC else F_dot
         map_affine(rate, work.z, work.v)
         set_jacobian(work, Drive(F, rate), topology, c, matrices.matrix, matrices.columns)
@@ -94,16 +94,16 @@ def _slow_tile(drive, z, relaxed, topology, c, tangents):
     work.v[:] = along(units, F_dot)
     slopes = velocity_slopes(work, units, topology, c, matrices.matrix)
     place(work, z, F, topology)
-    affine = _affine_fields(work.z)
+    affine = affine_fields(work.z)
     weights = affine.copy()
-    by_x, by_v = _stress_gradients(work, weights, topology, c)
+    by_x, by_v = stress_gradients(work, weights, topology, c)
     still = Drive(F, np.zeros((2, 2, TILE)))
-    adjoint = _adjoint_load(work, by_x, by_v, still, topology, c)
+    adjoint = adjoint_load(work, by_x, by_v, still, topology, c)
     set_jacobian(work, still, topology, c, matrices.matrix, matrices.no_columns)
     factorise(matrices.matrix, topology, False)
     solve_columns(matrices.matrix, adjoint, topology, True)
     subtract_columns(adjoint, topology, weights)
-    by_x, by_v = _stress_gradients(work, weights, topology, c)
+    by_x, by_v = stress_gradients(work, weights, topology, c)
     tangents[:] = 0.0
     _add_products(by_x, affine, 0, tangents)
     _add_products(by_v, slopes, 0, tangents)
@@ -112,7 +112,7 @@ def _slow_tile(drive, z, relaxed, topology, c, tangents):
 
 
 @kernel
-def _affine_fields(z):
+def affine_fields(z):
     """(4, 2, local, TILE): e_a z_b for (a, b) = xx, xy, yx, yy; the virial's weights, ∂x/∂F_ab."""
     fields = np.zeros((COLUMNS, 2, z.shape[1], TILE))
     for n in range(COLUMNS):
@@ -121,7 +121,7 @@ def _affine_fields(z):
 
 
 @kernel
-def _stress_gradients(work, weights, topology, c):
+def stress_gradients(work, weights, topology, c):
     """(by_x, by_v) of the four sums of forces with these weights."""
     by_x, by_v = np.zeros_like(weights), np.zeros_like(weights)
     add_force_gradients(work, weights, by_x, by_v, topology, c)
@@ -129,7 +129,7 @@ def _stress_gradients(work, weights, topology, c):
 
 
 @kernel
-def _adjoint_load(work, by_x, by_v, drive, topology, c):
+def adjoint_load(work, by_x, by_v, drive, topology, c):
     """(4, 2n − 2, TILE): F⁻ᵀ ∂(Σ_k f_ka z_kb)/∂z as x = F z and v = rate z + … follow.
 
     Forces of own particles, which the elastic initialisation leaves, are in z_kb's own slope.

@@ -8,6 +8,7 @@ import numpy as np
 
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
+from tests.plant_cell.twin import IMAGES
 
 SPREAD = {"printed": 0.08, "water": 0.04}
 PRESETS = tuple(SPREAD)
@@ -32,3 +33,21 @@ def particles(answer, point):
     """(n, 2) material positions of one point."""
     tile, lane = divmod(point, 8)
     return answer.state.z[tile, :, :, lane].T
+
+
+def clear_of_the_cut_off(answer, F, wide=1e-3):
+    """(n,) whether no contact sits within `wide` µm of x₀, where tangents are one-sided."""
+    clear = []
+    for point in range(len(F)):
+        z = particles(answer, point)
+        offsets = 25.0 * np.array(IMAGES)
+        r = (z[None, :, None] + offsets[None, None]) - z[:, None, None]
+        length = np.linalg.norm(r @ F[point].T, axis=-1)
+        clear.append(np.abs(length - 10.0).min() > wide)
+    return np.array(clear)
+
+
+def piola(this, F, F_dot, state):
+    answer = this.respond(F, F_dot, state)
+    inverse = np.linalg.inv(F)
+    return np.linalg.det(F)[:, None, None] * answer.stress @ np.swapaxes(inverse, 1, 2)

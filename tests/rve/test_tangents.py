@@ -6,28 +6,9 @@ import pytest
 from surrofe2.errors import InputError
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.stress_law import Status
-from tests.plant_cell.twin import IMAGES
-from tests.rve.rves import PRESETS, deformations, law, particles
+from tests.rve.rves import PRESETS, clear_of_the_cut_off, deformations, law, piola
 
 STEP = 2e-6
-
-
-def clear_of_the_cut_off(answer, F, wide=1e-3):
-    """(n,) whether no contact sits within `wide` µm of x₀, where tangents are one-sided."""
-    clear = []
-    for point in range(len(F)):
-        z = particles(answer, point)
-        offsets = 25.0 * np.array(IMAGES)
-        r = (z[None, :, None] + offsets[None, None]) - z[:, None, None]
-        length = np.linalg.norm(r @ F[point].T, axis=-1)
-        clear.append(np.abs(length - 10.0).min() > wide)
-    return np.array(clear)
-
-
-def piola(this, F, F_dot, state):
-    answer = this.respond(F, F_dot, state)
-    inverse = np.linalg.inv(F)
-    return np.linalg.det(F)[:, None, None] * answer.stress @ np.swapaxes(inverse, 1, 2)
 
 
 def differences(stress_of, F, F_dot):
