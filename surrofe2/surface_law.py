@@ -42,6 +42,14 @@ class SurfaceLaw(Protocol):
     def mass(self) -> float:
         """What the surface weighs beyond the bulk, ng per µm of undeformed length; any sign."""
 
+    @property
+    def depth(self) -> float:
+        """How far below the outline it acts, µm: λ is the stretch there."""
+
+    @property
+    def width(self) -> float:
+        """Length of side over which λ is the mean, µm."""
+
     def respond(
         self, stretch: Array, stretch_rate: Array, *, tangents: bool = False
     ) -> SurfaceResponse:

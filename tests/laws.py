@@ -543,6 +543,8 @@ class Skin:
     eta: float = 0.0
     d: float = 0.0
     mass: float = 0.0
+    depth: float = 0.0
+    width: float = 0.0
     largest: float = np.inf
 
     def respond(self, stretch, stretch_rate, *, tangents=False):

@@ -17,14 +17,14 @@ from surrofe2.cli.console import (
     show_table,
 )
 from surrofe2.report.study import NamedCell
-from surrofe2.workflow.reproduce import CURVES, Bars, reproduce_figure
+from surrofe2.workflow.reproduce import CURVES, THIN, Bars, reproduce_figure
 
 Figure = Literal[
     "fig5", "fig6", "fig8", "rates", "scales", "damping", "stability", "problems", "thin"
 ]
 
 
-MESHES = {"fig8": "4,8", "thin": "16"}
+MESHES = {"fig8": "4,8"}
 
 
 def reproduce(
@@ -35,8 +35,8 @@ def reproduce(
         str | None,
         typer.Option(
             metavar="N,…",
-            help="fig8, scales, damping, thin: elements a side of each mesh; default 4,8 for fig8, "
-            "16 for thin, else 4,8,16. thin: an element for each plant cell of its bars.",
+            help="fig8, scales, damping: elements a side of each mesh; default 4,8 for fig8, else "
+            "4,8,16. thin: plant cells a side of bars, an element for each; default none.",
         ),
     ] = None,
     sizes: Annotated[
@@ -44,7 +44,7 @@ def reproduce(
         typer.Option(
             metavar="N,…",
             help="scales: plant cells a side of each bar, default 8,16,32. problems: across strip "
-            "and block, default 4,8,16,24. thin: across the strips, default 2,4,8.",
+            "and block, default 4,8,16,24. thin: across the strips, default 2,4,8,16.",
         ),
     ] = None,
     tissue: Annotated[
@@ -72,8 +72,9 @@ def reproduce(
     Next: look at DIR/fig5-water.png; [bold]surrofe2 reproduce fig8[/bold] compares whole bars.
     """
     of = NamedCell.of(cell)
+    usual = MESHES.get(figure, "4,8,16")
     bars = Bars(
-        meshes=integers("--meshes", meshes or MESHES.get(figure, "4,8,16")),
+        meshes=() if figure == THIN and not meshes else integers("--meshes", meshes or usual),
         sizes=None if sizes is None else integers("--sizes", sizes),
         tissue=tissue,
         duration=duration,

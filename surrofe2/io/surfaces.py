@@ -15,9 +15,9 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.surface.tabulated import TabulatedSurface
 
 SCHEMA = "surrofe2-surface-table"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _ADVICE = "tabulate the surface of {}"
-_NUMBERS = ("rate", "mass", "error", "spread")
+_NUMBERS = ("rate", "mass", "depth", "width", "error", "spread")
 
 
 def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]) -> None:
@@ -26,7 +26,7 @@ def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]
         file["coefficients"] = table.coefficients
         file["coefficients"].attrs["unit"] = "µN"
         file["stretch"] = np.array(table.stretch)
-        numbers = (table.rate, table.mass, table.error, table.spread)
+        numbers = (table.rate, table.mass, table.depth, table.width, table.error, table.spread)
         file.attrs.update(
             stamp(SCHEMA, SCHEMA_VERSION, table.cell, table.initialisation, recipe),
             **dict(zip(_NUMBERS, numbers, strict=True)),
@@ -44,13 +44,13 @@ def read_surface(path: str | Path) -> TabulatedSurface:
         cell, initialisation = stored_cell(file)
         coefficients = stored_array(file, "coefficients", (None, None))
         low, high = stored_array(file, "stretch", (2,)).tolist()
-        rate, mass, error, spread = (stored_number(file, name) for name in _NUMBERS)
+        rate, *placed, error, spread = (stored_number(file, name) for name in _NUMBERS)
         if not (np.isfinite(coefficients).all() and min(coefficients.shape) >= 2):
             raise ValueError("coefficients are damaged")
         if not (0.0 < low < high and rate > 0.0):
             raise ValueError("stretch and rate: no range")
         return TabulatedSurface(
-            coefficients, (low, high), rate, mass, cell, initialisation, error, spread
+            coefficients, (low, high), rate, *placed, cell, initialisation, error, spread
         )
 
 

@@ -1,8 +1,8 @@
 """Free sides of elements, whose tension a surface law gives (docs/theory.md, free sides).
 
-T is the undeformed direction of a side, L its length, and F the mean deformation gradient of the
-element beside it. With g = F T, λ = |g|, n = g/λ, λ̇ = n·Ḟ T and D_a = T·∇N_a, the mean of that
-element, too, the force on its node a and the slopes are
+T is the undeformed direction of a side, L its length, and F̄ the mean deformation gradient of the
+outer plant cell there (`surface_patches`). With g = F̄ T, λ = |g|, n = g/λ, λ̇ = n·ġ and D_a the
+slope of g by node a, the force on it and the slopes are
 
     f_a = −L P_s(λ, λ̇) n D_a,
     −∂f_a/∂u_b = L D_a D_b [∂P_s/∂λ n⊗n + ∂P_s/∂λ̇ n⊗(ġ − λ̇ n)/λ + P_s/λ (I − n⊗n)],
@@ -10,7 +10,7 @@ element, too, the force on its node a and the slopes are
 
 so that f·v = −L P_s λ̇. The law stands for the outer plant cells and not for their outermost points.
 With the stretch of the edge itself waves of an element's length would buckle where ∂P_s/∂λ < 0. The
-unknowns count from the rest under surface tension, F from the undeformed state.
+unknowns count from the rest under surface tension, F̄ from the undeformed state.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.forces import Slopes
 from surrofe2.macro.free_sides import FreeSides, free_sides
 from surrofe2.macro.problem import SURFACE, Problem
+from surrofe2.macro.surface_patches import stretched_nodes
 from surrofe2.surface_law import SurfaceResponse
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ class SurfaceForce:
 
     Attributes:
         sides: which they are.
-        nodes: (m, k) of the element beside each.
+        nodes: (m, k) on which the stretch of each depends.
         slopes_of_shape: (m, k) D_a, 1/µm.
         lengths: (m,) L, µm.
         directions: (m, 2) g where the unknowns are zero.
@@ -164,16 +165,11 @@ def make_surface(problem: Problem, space: Discretisation) -> SurfaceForce:
     along = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(along, axis=1)
     directions = along / lengths[:, None]
-    gradients, weights = space.gradients[sides.elements], space.weights[sides.elements]
-    if space.pressure_apart:
-        mean = gradients[:, -1]
-    else:
-        share = weights / weights.sum(axis=1, keepdims=True)
-        mean = np.einsum("mq,mqaj->maj", share, gradients)
+    nodes, slopes = stretched_nodes(sides, space)
     return SurfaceForce(
         sides=sides,
-        nodes=np.ascontiguousarray(space.elements[sides.elements]),
-        slopes_of_shape=np.einsum("maj,mj->ma", mean, directions),
+        nodes=nodes,
+        slopes_of_shape=slopes,
         lengths=lengths,
         directions=directions,
     )

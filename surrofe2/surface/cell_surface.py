@@ -33,6 +33,16 @@ class CellSurface:
         """As of `SurfaceLaw`."""
         return self.table.mass
 
+    @property
+    def depth(self) -> float:
+        """As of `SurfaceLaw`."""
+        return self.table.depth
+
+    @property
+    def width(self) -> float:
+        """As of `SurfaceLaw`."""
+        return self.table.width
+
     def respond(
         self, stretch: Any, stretch_rate: Any, *, tangents: bool = False
     ) -> SurfaceResponse:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from surrofe2.rve.rve_state import rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.solve import Solution, solve_rves
 from surrofe2.stress_law import Status
+from surrofe2.surface.bent_slab import bend
 from surrofe2.surface.side_free import SideFree, side_free
 from surrofe2.surface.slab import make_slab
 from surrofe2.surface_law import SurfaceResponse
@@ -100,6 +102,30 @@ class SlabLaw:
         return 0.5 * (cell.outer_wall - 1.0) * inner
 
     @property
+    def width(self) -> float:
+        """Length of side over which it takes the mean stretch: of a plant cell, µm."""
+        return self.cell.cell_side
+
+    @cached_property
+    def depth(self) -> float:
+        """Depth at which the slab's two sides must act for it to be as stiff in bending as it is,
+        between a plant cell above the outline and the slab's middle, µm.
+
+        Raises:
+            InputError: the slab has no state of rest, straight or bent.
+        """
+        stretch, surface, bulk = self.rest(self.rows)
+        at = self.point(stretch, 0.0 * stretch)
+        z = unpack(at.solution.state.z, 1)[0].T
+        half, across = 0.5 * self.thickness, bulk.F[0, 1, 1]
+        stiffness, _ = bend(self.unit, bulk.F[0], z)
+        assert surface.tangent is not None
+        lacking = 0.5 * (stiffness / across**2 - 2.0 / 3.0 * half**3 * bulk.by_stretch[0])
+        farthest = half + self.cell.cell_side
+        square = np.clip(lacking / surface.tangent[0], 0.0, farthest**2)
+        return float(half - np.sqrt(square))
+
+    @property
     def thickness(self) -> float:
         """Of as much bulk as the slab stands for, µm."""
         return self.rows * self.cell.cell_side
@@ -142,17 +168,31 @@ class SlabLaw:
         Raises:
             InputError: the strip has no state of rest.
         """
-        stretch, still, side = np.ones(1), np.zeros(1), self.cell.cell_side
-        stiff = side_free(self.law, stretch, still).by_stretch
+        side = self.cell.cell_side
+        stiff = side_free(self.law, np.ones(1), np.zeros(1)).by_stretch
+        _, surface, bulk = self.rest(across)
+        assert surface.tangent is not None
+        slope = across * side * bulk.by_stretch + 2.0 * surface.tangent
+        return float(across - slope[0] / (side * stiff[0]))
+
+    def rest(self, across: int) -> tuple[Array, SurfaceResponse, SideFree]:
+        """Stretch (1,) of a strip of `across` plant cells without load, its surface and bulk.
+
+        Raises:
+            InputError: the strip has no state of rest.
+        """
+        stretch, still = np.ones(1), np.zeros(1)
         for _ in range(_LIMIT):
             surface = self.respond(stretch, still, tangents=True)
             bulk = side_free(self.law, stretch, still)
             assert surface.tangent is not None
-            force = across * side * bulk.P + 2.0 * surface.tension
-            slope = across * side * bulk.by_stretch + 2.0 * surface.tangent
+            height = across * self.cell.cell_side
+            force = height * bulk.P + 2.0 * surface.tension
+            slope = height * bulk.by_stretch + 2.0 * surface.tangent
             if not surface.valid[0] or not slope[0] > 0.0:
                 break
-            stretch = stretch - force / slope
-            if abs(force[0] / slope[0]) < _RESTING:
-                return float(across - slope[0] / (side * stiff[0]))
+            step = force / slope
+            if abs(step[0]) < _RESTING:
+                return stretch, surface, bulk
+            stretch = stretch - step
         raise InputError(f"surface: a strip of {across} plant cells finds no rest")

@@ -43,7 +43,7 @@ class TabulatedSurface:
     Attributes:
         coefficients: (p, q) C, µN.
         stretch: (low, high) of λ; rate: bound on |λ̇|, 1/µs.
-        mass: ng/µm, see `SurfaceLaw`.
+        mass, depth, width: ng/µm, µm and µm, see `SurfaceLaw`.
         cell, initialisation: of the slab.
         error, spread: largest error found, and range of the tension, µN.
     """
@@ -52,6 +52,8 @@ class TabulatedSurface:
     stretch: tuple[float, float]
     rate: float
     mass: float
+    depth: float
+    width: float
     cell: CellParameters
     initialisation: str
     error: float
@@ -146,6 +148,8 @@ def tabulate_surface(
             (low, high),
             rate,
             law.mass,
+            law.depth,
+            law.width,
             law.cell,
             law.initialisation,
             np.inf,

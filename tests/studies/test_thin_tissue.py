@@ -1,9 +1,14 @@
 """The table of thin tissue from curves whose periods and decrements are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, Surface, find_rest, simulate
+from surrofe2.macro.problem import bar
 from surrofe2.report.study import NamedCell
 from surrofe2.studies.thin_tissue import (
     BAR,
@@ -11,9 +16,11 @@ from surrofe2.studies.thin_tissue import (
     METHODS,
     STRIP,
     ThinRun,
+    small_oscillations,
     thin_cases,
     thin_tissue,
 )
+from tests.laws import KelvinVoigt, Skin
 
 PERIODS = dict(zip(METHODS, (12.0, 11.4, 12.06), strict=True))
 
@@ -36,14 +43,23 @@ def test_rows_say_how_far_each_method_is_from_the_tissue():
     assert len({case.name for case in cases}) == len(cases)
     study = thin_tissue([run_of(case) for case in cases])
     rows = study.table.to_records()
-    assert len(rows) == 2 * 3 + 3
+    assert len(rows) == 2 * 4
     strip = next(row for row in rows if row["plant_cells_across"] == 4)
     assert strip["FE²_off"] == pytest.approx(-5.0, abs=0.01)
     assert strip["with_surface_law_off"] == pytest.approx(0.5, abs=0.01)
     assert strip["c"] == pytest.approx(4.0 * (1.0 - 0.95**2), rel=1e-3)
     assert sum(row["c"] is not None for row in rows) == 2
-    minimum = next(row for row in rows if row["measure"].startswith("first minimum"))
-    assert minimum["problem"] == BAR
     assert [panel.title for panel in study.panels][1:] == [
         f"{shape}, {n} plant cells across" for shape, n in ((STRIP, 2), (CANTILEVER, 4), (BAR, 8))
     ]
+
+
+def test_small_oscillations_are_those_of_a_run_under_a_small_load():
+    load = LoadCase(width=20.0, height=10.0, body_force=(2e-4, -1e-4), duration=12.0,
+                    watched=(20.0, 5.0), output_interval=0.05)  # fmt: skip
+    surface = Surface(law=Skin(a=5.0, b=200.0, eta=40.0, depth=2.0), on=("top", "right"))
+    problem, law = replace(bar(load, (4, 2)), surface=surface), KelvinVoigt()
+    tight = MacroSettings(elements=(4, 2), relative_tolerance=1e-8, absolute_tolerance=1e-12)
+    true = simulate(problem, law, tight).curve.displacement
+    found = small_oscillations(find_rest(problem, law, tight, factor=0.0), load).displacement
+    assert abs(found - true).max() < 1e-3 * abs(true).max()

@@ -13,6 +13,7 @@ from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import INITIALISATIONS, RveLaw
 from surrofe2.rve.particle_state import stored_energy
 from surrofe2.surface import SlabLaw
+from surrofe2.surface.bent_slab import TURN, bend
 from surrofe2.surface.side_free import side_free
 from surrofe2.surface.slab import GAP, make_slab
 from surrofe2.surface.slab_law import rows_across
@@ -70,22 +71,70 @@ def test_what_a_side_lacks_of_stiffness_lies_within_the_outer_plant_cell(preset,
     assert half - arm == pytest.approx(depth, abs=0.02)
 
 
-@pytest.mark.parametrize("outer_wall", [1.0, 1.7])
-def test_a_slab_repeated_along_a_tissue_is_at_rest_inside_it(outer_wall):
-    law = slab(rows=3, outer_wall=outer_wall)
-    cell, columns, stretch = law.cell, 6, 0.99
-    x, _, _ = moving(law, stretch, 0.0)
+@pytest.mark.parametrize("preset", ["water", "printed"])
+def test_a_bent_slab_says_where_its_sides_act(preset):
+    """Walls stand in lines: that resists bending by some α E h³ for each plant cell across, which
+    lumped with the sides shifts the depth at which they act by α E h/(−2 P_s′), whatever m.
+    """
+    excess, at = [], (4, 6, 8)
+    for m in at:
+        law = slab(preset, rows=m)
+        _, surface, bulk = law.rest(m)
+        half, lever = 0.5 * m * 25.0, 4.79 if preset == "water" else 13.52
+        shift = (half - law.depth) ** 2 - (half - lever) ** 2
+        excess.append(2.0 * surface.tangent[0] * shift / (bulk.by_stretch[0] * 25.0**3))
+    alpha = np.diff(excess) / np.diff(at)
+    assert 0.0 < alpha.min() < alpha.max() < 1.0 / 6.0  # what lines alone have
+    assert np.ptp(alpha) < 0.1 * alpha.max()
+    assert np.ptp([slab(preset, rows=m).depth for m in at]) < 3.0
+
+
+def columns_of(law, columns):
+    """A tissue as wide as the slab: its dynamics, and of each particle column and slab's number."""
+    cell, start = law.cell, starts(law)
     tissue = make_tissue(cell, law.law.reference, (columns, law.rows))
     place = tissue.to_particles(tissue.start)
     column = np.floor(place[:, 0] / cell.cell_side + 1e-6)
-    start = starts(law)
-    own = np.floor(start[:, 0] / cell.cell_side + 1e-6)  # column of each of the slab's particles
-    start[:, 0] -= own * cell.cell_side
-    x[:, 0] -= own * stretch * cell.cell_side
+    start[:, 0] -= np.floor(start[:, 0] / cell.cell_side + 1e-6) * cell.cell_side
     along = np.stack([column * cell.cell_side, 0.0 * column], axis=1)
     nearest = np.linalg.norm((place - along)[:, None] - start, axis=2).argmin(axis=1)
-    dynamics = TissueDynamics(tissue)
-    dynamics.place(x[nearest] + stretch * along)
+    return TissueDynamics(tissue), column, nearest
+
+
+def test_bent_columns_are_at_rest_inside_a_tissue_and_turn_each_other():
+    """The torque across a cut, by the forces on all that lies to one side of it."""
+    law = slab(rows=3)
+    stretch, _, bulk = law.rest(3)
+    z = unpack(law.point(stretch, 0.0 * stretch).solution.state.z, 1)[0].T
+    stiffness, x = bend(law.unit, bulk.F[0], z)
+    dynamics, column, nearest = columns_of(law, 6)
+    own = np.floor(starts(law)[:, 0] / law.cell.cell_side + 1e-6)
+    radius = stretch[0] * law.cell.cell_side / TURN
+    turn = TURN * (column - own[nearest] - 3.0)
+    x, centre = x[nearest], np.array([0.0, radius])
+    cos, sin = np.cos(turn), np.sin(turn)
+    x = np.stack([
+        cos * x[:, 0] - sin * x[:, 1] + radius * sin,
+        sin * x[:, 0] + cos * x[:, 1] + 2.0 * radius * np.sin(0.5 * turn) ** 2,
+    ], axis=1)  # fmt: skip
+    dynamics.place(x)
+    f, left = dynamics.forces(), column < 3
+    assert abs(f[(column == 2) | (column == 3)]).max() < 1e-5
+    arm = x[left] - centre
+    torque = (arm[:, 0] * f[left, 1] - arm[:, 1] * f[left, 0]).sum()
+    moment = torque - radius * f[left].sum(axis=0)[0]
+    assert law.cell.cell_side * moment / TURN == pytest.approx(stiffness, rel=1e-3)
+
+
+@pytest.mark.parametrize("outer_wall", [1.0, 1.7])
+def test_a_slab_repeated_along_a_tissue_is_at_rest_inside_it(outer_wall):
+    law, stretch = slab(rows=3, outer_wall=outer_wall), 0.99
+    x, _, _ = moving(law, stretch, 0.0)
+    dynamics, column, nearest = columns_of(law, 6)
+    side = law.cell.cell_side
+    own = np.floor(starts(law)[:, 0] / side + 1e-6)  # column of each of the slab's particles
+    along = np.stack([(column - own[nearest]) * stretch * side, 0.0 * column], axis=1)
+    dynamics.place(x[nearest] + along)
     middle = (column >= 2) & (column < 4)
     assert np.abs(dynamics.forces()[middle]).max() < 1e-6
     assert np.abs(dynamics.forces()).max() > 1.0  # at the ends

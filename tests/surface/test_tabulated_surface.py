@@ -68,7 +68,9 @@ def test_a_table_comes_back_from_its_file_and_belongs_to_its_plant_cell(tmp_path
     found = read_surface(path)
     at = points(16, 10)
     assert np.array_equal(found.respond(*at).tension, table().respond(*at).tension)
-    assert (found.mass, found.error, found.spread) == (table().mass, table().error, table().spread)
+    for name in ("mass", "depth", "width", "error", "spread"):
+        assert getattr(found, name) == getattr(table(), name), name
+    assert (found.depth, found.width) == (law().depth, 25.0)
     check_surface(path, found, law().cell, "slow-manifold")
     with pytest.raises(MismatchError, match=r"cell.outer_wall = 1.0, not 2.0"):
         check_surface(path, found, CellParameters.preset("water", outer_wall=2.0), "slow-manifold")
