@@ -152,10 +152,7 @@ def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tal
             continue
         step *= 0.5
         if step < _SMALLEST_SHARE:
-            raise SimulationError(
-                f"no rest under the surface tension: {found.message}; elements along free sides "
-                "should be as large as plant cells"
-            )
+            raise SimulationError(f"no rest under the surface tension: {found.message}")
     away = np.zeros((len(problem.bodies), 2))
     return Settled(np.concatenate([u, away]), equations.law_state)
 

@@ -74,7 +74,7 @@ def test_what_a_side_lacks_of_stiffness_lies_within_the_outer_plant_cell(preset,
 @pytest.mark.parametrize("preset", ["water", "printed"])
 def test_a_bent_slab_says_where_its_sides_act(preset):
     """Walls stand in lines: that resists bending by some α E h³ for each plant cell across, which
-    lumped with the sides shifts the depth at which they act by α E h/(−2 P_s′), whatever m.
+    lumped with the sides shifts the depth at which they act by α E h²/(−2 P_s′), whatever m.
     """
     excess, at = [], (4, 6, 8)
     for m in at:
