@@ -44,13 +44,13 @@ def read_surface(path: str | Path) -> TabulatedSurface:
         cell, initialisation = stored_cell(file)
         coefficients = stored_array(file, "coefficients", (None, None))
         low, high = stored_array(file, "stretch", (2,)).tolist()
-        rate, *placed, error, spread = (stored_number(file, name) for name in _NUMBERS)
+        rate, mass, depth, width, error, spread = (stored_number(file, name) for name in _NUMBERS)
         if not (np.isfinite(coefficients).all() and min(coefficients.shape) >= 2):
             raise ValueError("coefficients are damaged")
         if not (0.0 < low < high and rate > 0.0):
             raise ValueError("stretch and rate: no range")
         return TabulatedSurface(
-            coefficients, (low, high), rate, *placed, cell, initialisation, error, spread
+            coefficients, (low, high), rate, mass, depth, width, cell, initialisation, error, spread
         )
 
 

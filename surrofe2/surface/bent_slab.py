@@ -61,7 +61,8 @@ def bend(unit: UnitCell, F: Array, z: Array) -> tuple[float, Array]:
         local_forces(work, topology, unit.constants)
         f, pulled = work.f[:, :n].copy(), work.f[:, n:]
         back = np.stack([cos * pulled[0] + sin * pulled[1], cos * pulled[1] - sin * pulled[0]])
-        np.add.at(f, (slice(None), topology.owner), back)
+        for axis in range(2):
+            np.add.at(f[axis], topology.owner, back[axis])
         if abs(f[:, 1:]).max() < _DONE * abs(work.f).max():
             across = column * np.stack([-turned[1], turned[0]]) + by_theta
             moment = -(pulled * across).sum(axis=(0, 1))
