@@ -123,7 +123,7 @@ def test_an_extreme_state_is_answered_or_refused_soon(laws, preset):
         if np.linalg.det(F) > 1e-3:
             F_dot = 10.0 ** rng.uniform(-3, 2) * rng.uniform(-1, 1, size=(2, 2))
             solves.append(law.respond(F[None], F_dot[None]).effort["newton_solves"])
-    assert 20 < max(solves) <= EFFORT / 10  # most of which take four iterations or more
+    assert 20 < max(solves) <= EFFORT / 15  # most of which take four iterations or more
 
 
 @pytest.mark.slow

@@ -4,13 +4,11 @@ See docs/theory.md, stability. The way is straight in F, dashpots off, from wher
 where it is asked for. A step from one stable equilibrium to the next is halved where Newton's
 method fails, where the state it finds is unstable, or where particles jump. The shortest step that
 still fails has met the end of its branch: from there particles move down the elastic energy to a
-minimum, see `descent`, and the way goes on along that branch. A short list of contacts serves until
-then, or until it lacks one: a longer list goes on from there.
+minimum, see `descent`, and the way goes on along that branch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,18 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.tiles import pack, unpack
-from surrofe2.rve.descent import Landscape, descend, paired
-from surrofe2.rve.newton import NEWTON_LIMIT, SEEK, SEEK_LIMIT, newton, solve_tiles
-from surrofe2.rve.particle_state import Drive, empty_answer, list_covers
-from surrofe2.rve.unit_cell import UnitCell, relax
+from surrofe2.rve.descent import Landscape, descend
+from surrofe2.rve.near_contacts import NearContacts
+from surrofe2.rve.newton import SEEK, SEEK_LIMIT, newton, solve_tiles
+from surrofe2.rve.particle_state import ASTRAY, Drive, empty_answer
+from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
 from surrofe2.tensors import rotation, transpose
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Index = NDArray[np.intp]
-Covers = Callable[[Reals, Reals], Flags]
-"""(tiles, TILE) whether a list holds all contacts there are at F and z in tiles."""
 
 LONGEST, SHORTEST = 0.05, 0.004
 """Longest step, and the one that is not halved any further: largest change of an entry of F."""
@@ -37,9 +34,7 @@ JUMP = 1.0
 """Material displacement of a particle, µm, that no step along one branch makes."""
 FAR = 0.15
 """Largest entry of |U − I| up to which a cold solve may go from F = I in one step."""
-ROOM = 1.5
-"""How much farther particles may move, µm, on a walk that is begun with a list of contacts."""
-EFFORT, OF_STEP_DOWN = 3000, 10
+EFFORT, OF_STEP_DOWN = 2700, 10
 """Newton iterations on the way of a point after which it is given up; a step down counts as ten."""
 
 
@@ -48,14 +43,6 @@ def is_far(F: Reals) -> Flags:
     flat = unpack(F, len(F) * TILE)
     U = transpose(rotation(flat)) @ flat
     return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
-
-
-def has_room(unit: UnitCell, level: int, F: Reals, z: Reals) -> Flags:
-    """(tiles, TILE) whether a walk from z to F may be begun with the contacts of `level`."""
-    covered = np.empty((len(F), TILE), dtype=np.bool_)
-    reach = unit.patches[level].reach - 2.0 * ROOM
-    list_covers(F, z, unit.position, reach, unit.cell.repulsion_cutoff, covered)
-    return covered
 
 
 class Way(NamedTuple):
@@ -108,7 +95,7 @@ class Sought:
 
     Attributes:
         z: (k, 2, particles) material positions, µm.
-        iterations: (k,) force evaluations, `SEEK_LIMIT` where none was found.
+        iterations: (k,) force evaluations.
         found, stable: (k,).
     """
 
@@ -129,79 +116,62 @@ class Walked:
     Attributes:
         arrived: (m,) whether a stable equilibrium was found at the end.
         unstable: (m,) whether the way ended at an equilibrium with no stable one below it.
-        paused: (m,) whether the way needs a longer list of contacts to go on.
         newton_solves: how many it took.
     """
 
     arrived: Flags
     unstable: Flags
-    paused: Flags
     newton_solves: int
 
 
 class Walker:
-    """Follows equilibria of one unit cell with one of its lists of contacts.
+    """Follows equilibria of one unit cell, with its longest list of contacts."""
 
-    Args:
-        level: which list. covers: whether it holds all contacts; None: it is the longest.
-    """
-
-    def __init__(
-        self, unit: UnitCell, level: int, tolerance: float, covers: Covers | None = None
-    ) -> None:
-        self.unit, self.tolerance, self.covers = unit, tolerance, covers
-        self.topology = unit.patches[level].topology
+    def __init__(self, unit: UnitCell, tolerance: float) -> None:
+        self.constants, self.tolerance = unit.constants, tolerance
+        self.contacts = NearContacts(unit.patches[-1].topology, unit.cell.repulsion_cutoff)
 
     def walk(self, way: Way) -> Walked:
         """Go on to the end of the way; it is left where the points have come to."""
         longest, shortest = way.part_of(LONGEST), way.part_of(SHORTEST)
-        arrived, unstable, paused = np.zeros((3, len(way.z)), dtype=np.bool_)
-        active, solves = np.flatnonzero(way.effort < EFFORT), 0
+        arrived, unstable = way.done >= 1.0, np.zeros(len(way.z), dtype=np.bool_)
+        active, solves = np.flatnonzero(~arrived & (way.effort < EFFORT)), 0
         while len(active):
             z = way.z[active]
             F, trial, good = self._next(way, active, shortest[active])
             part, there = np.minimum(way.done[active] + way.step[active], 1.0), trial.z
             solves += len(active)
             at_shortest = way.step[active] <= shortest[active]
-            if self.covers is None:
-                missed = np.flatnonzero(at_shortest & ~trial.found)
-                way.effort[active[missed]] += self._insist(F, z, trial, missed)
-                good = trial.stable & ~_jumped(trial.z, z)
             stuck = np.flatnonzero(~good & at_shortest)
-            halts = np.zeros(len(active), dtype=np.bool_)
-            if self.covers is None and len(stuck):
+            if len(stuck):
                 unstable[active[stuck]] = trial.found[stuck]
                 begin, spare = trial.take(stuck), EFFORT - way.effort[active[stuck]]
                 there[stuck], good[stuck], tried = self._leave(F[stuck], z[stuck], begin, spare)
                 way.effort[active[stuck]] += OF_STEP_DOWN * tried
                 solves += len(stuck)
-            halts[stuck] = ~good[stuck]
-            if self.covers is not None:
-                if good.any():
-                    known = self.covers(pack(F[good]), pack(there[good]))
-                    halts[good] = ~unpack(known, int(good.sum()))
-                good &= ~halts
-                paused[active[halts]] = True
+            lost = np.isin(np.arange(len(active)), stuck) & ~good
             ahead = active[good]
             way.left[ahead] |= np.isin(np.flatnonzero(good), stuck)
             way.z[ahead], way.done[ahead] = there[good], part[good]
             arrived[ahead] = part[good] >= 1.0
-            step = way.step[active] * np.where(good, 2.0, np.where(halts, 1.0, 0.5))
+            step = way.step[active] * np.where(good, 2.0, 0.5)
             way.step[active] = np.clip(step, shortest[active], longest[active])
-            active = active[~arrived[active] & ~halts & (way.effort[active] < EFFORT)]
-        return Walked(arrived, unstable & ~arrived, paused, solves)
+            active = active[~arrived[active] & ~lost & (way.effort[active] < EFFORT)]
+        return Walked(arrived, unstable & ~arrived, solves)
 
     def newton(self, F: Reals, z: Reals) -> Sought:
         """The elastic equilibrium near z (m, 2, n) by Newton's method."""
+        law = self.contacts.within(F, z, ASTRAY * np.linalg.norm(F, axis=(1, 2))), self.constants
         points, z, tensors = len(z), pack(z), pack(F)
         answer, tiles = empty_answer(len(z)), len(z)
         drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(tiles, SEEK, dtype=np.int8)
-        law, unused = (self.topology, self.unit.constants), np.zeros(tiles, dtype=np.intp)
+        unused = np.zeros(tiles, dtype=np.intp)
         solve_tiles(newton, drive, z, unused, task, *law, self.tolerance, answer)
         iterations = unpack(answer.iterations, points)
         found = iterations > 0
         stable = found & unpack(answer.stable, points)
-        return Sought(unpack(z, points), np.where(found, iterations, SEEK_LIMIT), found, stable)
+        count = np.where(iterations == -1, SEEK_LIMIT, np.abs(iterations))
+        return Sought(unpack(z, points), count, found, stable)
 
     def _next(self, way: Way, active: Index, shortest: Reals) -> tuple[Reals, Sought, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
@@ -224,16 +194,6 @@ class Walker:
         way.step[active], way.effort[active] = step[every, taken], effort[every, taken]
         return F[every, taken], trial.take(tries * every + taken), good[every, taken]
 
-    def _insist(self, F: Reals, z: Reals, trial: Sought, index: Index) -> NDArray[np.int_]:
-        """Seek on at the points `index` as long as Newton's method ever does; what that takes."""
-        if not len(index):
-            return np.zeros(0, dtype=np.int_)
-        topology, constants = self.topology, self.unit.constants
-        solved = relax(topology, constants, z[index], F[index], self.tolerance)
-        trial.z[index], trial.found[index] = solved.z, solved.found
-        trial.stable[index] = solved.stable
-        return np.where(solved.found, solved.iterations, NEWTON_LIMIT) - SEEK_LIMIT
-
     def _leave(
         self, F: Reals, z: Reals, trial: Sought, spare: NDArray[np.int_]
     ) -> tuple[Reals, Flags, NDArray[np.int_]]:
@@ -244,12 +204,11 @@ class Walker:
         """
         saddle = trial.found & ~trial.stable & ~_jumped(trial.z, z)
         begin = np.where(saddle[:, None, None], trial.z, z)
-        landscape = Landscape.of(F, self.topology, self.unit.constants)
+        landscape = Landscape(F, self.contacts, self.constants)
         below, found, tried = descend(landscape, begin, np.maximum(spare // OF_STEP_DOWN, 1))
         solved = self.newton(F, below)
-        self._insist(F, below, solved, np.flatnonzero(found & ~solved.found))
         there = np.where(solved.found[:, None, None], solved.z, below)
-        found &= solved.stable & ~paired(landscape, there, np.arange(len(F)))
+        found &= solved.stable & ~landscape.paired(there)
         return there, found, tried
 
 

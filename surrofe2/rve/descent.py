@@ -16,8 +16,9 @@ Forces and Hessian are by x of all particles but the held one, ordered x₁, y�
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -25,16 +26,17 @@ import scipy  # scipy.linalg is loaded where an RVE leaves its branch
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.plant_cell.block_pattern import make_pattern
-from surrofe2.plant_cell.forces import fold_images, local_forces
-from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
-from surrofe2.rve.block_lu import factorise, has_negative_pivots, solve
-from surrofe2.rve.newton import set_elastic_jacobian, set_residual
-from surrofe2.rve.particle_state import place, stored_energy
-from surrofe2.simd import TILE, load, store
+from surrofe2.plant_cell.block_pattern import Pattern, make_pattern
+from surrofe2.plant_cell.forces import difference, elastic_energy, fold_images, local_forces
+from surrofe2.plant_cell.tiles import Constants, make_workspace, pack, tiles_for, unpack
+from surrofe2.rve.near_contacts import NearContacts
+from surrofe2.rve.newton import move, set_elastic_jacobian
+from surrofe2.rve.particle_state import place, place_images
+from surrofe2.simd import TILE, load, spread, store, where_less
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 RESTING = 1e-4
 """Mean particle force below which a minimum is left to Newton's method, µN."""
@@ -46,90 +48,165 @@ PAIRED = 0.02
 """Distance of fluid particles below which they count as one, µm."""
 LEAST = 1e-12
 """Stiffness of a mode that counts as one, over the largest of a particle."""
+ACCURACY = 1e-10
+"""That of stiffnesses, over the largest of a particle."""
 STEPS, HALVINGS = 100, 30
 """Steps down to a minimum, and halvings of each, after which there is none."""
+ROAM = 2.0
+"""How far particles may move, µm, before contacts are listed anew."""
+
+
+class Found(NamedTuple):
+    """What there is after a step, of RVEs in tiles.
+
+    energy: (tiles, 1, TILE) E, pJ. falls: (tiles, TILE) whether it is lower than before.
+    forces: (tiles, 2n − 2, TILE) f = −∂E/∂x, µN. slope: (tiles, (2n − 2)², TILE) −H, µN/µm.
+    nearest: (tiles, 1, TILE) smallest square of a distance of fluid particles, µm².
+    """
+
+    energy: Reals
+    falls: Flags
+    forces: Reals
+    slope: Reals
+    nearest: Reals
 
 
 @parallel_kernel
-def curvatures(F, z, topology, c, forces, slope, stiff, step):
-    """Elastic forces f = −∂E/∂x (tiles, 2n − 2, TILE), µN, and their slope (tiles, size, TILE).
+def go_down(F, z, step, topology, c, found):
+    """Move z (tiles, 2, n, TILE) by the step δx (tiles, 2n − 2, TILE), in place.
 
-    stiff (tiles, TILE): whether the Hessian H is positive definite; step: H⁻¹ f, of meaning there.
+    The step is halved until E falls below the energy `found` before; else z stays.
     """
     for t in numba.prange(z.shape[0]):
-        _curvature_tile(F[t], z[t], topology, c, forces[t], slope[t], stiff[t], step[t])
+        here = Found(
+            found.energy[t], found.falls[t], found.forces[t], found.slope[t], found.nearest[t]
+        )
+        _go_down_tile(F[t], z[t], step[t], topology, c, here)
 
 
 @kernel
-def _curvature_tile(F, z, topology, c, forces, slope, stiff, step):
+def _go_down_tile(F, z, step, topology, c, found):
     work, no_columns = make_workspace(topology), np.empty((0, 8, TILE))
+    trial, energy, falls = np.empty((1, TILE)), found.energy, found.falls
+    falls[:] = False
+    for _ in range(HALVINGS):
+        place(work, z, F, topology)
+        move(step, F, work.z)
+        place_images(work, F, topology)
+        elastic_energy(work.x, topology, c, trial)
+        left = 0
+        for k in range(TILE):
+            if falls[k]:
+                continue
+            if trial[0, k] < energy[0, k]:
+                falls[k] = True
+                energy[0, k] = trial[0, k]
+            else:
+                step[:, k] *= 0.5
+                left += 1
+        if left == 0:
+            break
+    for k in range(TILE):
+        if not falls[k]:
+            step[:, k] = 0.0
+    move(step, F, z)
     place(work, z, F, topology)
-    set_elastic_jacobian(work, F, topology, c, slope, no_columns)
+    set_elastic_jacobian(work, F, topology, c, found.slope, no_columns)
     local_forces(work, topology, c)
     fold_images(work.f, topology)
     for i in range(1, topology.particles):
-        store(load(work.f, 0, i), forces, 2 * i - 2)
-        store(load(work.f, 1, i), forces, 2 * i - 1)
-    factors = slope.copy()
-    factorise(factors, topology, True)
-    has_negative_pivots(factors, topology, stiff)
-    set_residual(work.f, step)
-    solve(factors, step, topology)
+        store(load(work.f, 0, i), found.forces, 2 * i - 2)
+        store(load(work.f, 1, i), found.forces, 2 * i - 1)
+    nearest = spread(np.inf)
+    for k in range(topology.fluid_pairs.shape[0]):
+        rx, ry = difference(work.x, topology.fluid_pairs[k, 0], topology.fluid_pairs[k, 1])
+        square = rx * rx + ry * ry
+        nearest = where_less(square, nearest, square, nearest)
+    store(nearest, found.nearest, 0)
 
 
-class Slopes(NamedTuple):
-    """Of m RVEs: forces f = −∂E/∂x (m, 2n − 2), µN, and their slope (tiles, (2n − 2)², TILE).
-
-    stiff: (m,) whether the Hessian H is positive definite; newton: H⁻¹ f there, µm.
-    """
-
-    forces: Reals
-    slope: Reals
-    stiff: Flags
-    newton: Reals
-
-    def hessian(self, k: int) -> Reals:
-        """(2n − 2, 2n − 2) the Hessian of RVE k, µN/µm."""
-        free = self.forces.shape[1]
-        return -self.slope[k // TILE, :, k % TILE].reshape(free, free)
+@cache
+def dense_pattern(particles: int) -> Pattern:
+    """Of full matrices, whatever those of a topology are: all eigenvalues are wanted."""
+    return make_pattern(np.zeros(particles, dtype=np.int32), [])
 
 
 @dataclass(frozen=True, slots=True)
 class Landscape:
-    """Elastic energy of m RVEs at deformations F (m, 2, 2); `of` takes any pattern of matrices."""
+    """Elastic energy of m RVEs at deformations F (m, 2, 2)."""
 
     F: Reals
-    topology: Topology
+    contacts: NearContacts
     constants: Constants
 
-    @classmethod
-    def of(cls, F: Reals, topology: Topology, constants: Constants) -> Landscape:
-        """With dense matrices, whatever those of the topology are: all eigenvalues are wanted."""
-        dense = make_pattern(np.zeros(topology.particles, dtype=np.int32), [])
-        return cls(F, topology._replace(**dense._asdict()), constants)
+    def paired(self, z: Reals) -> Flags:
+        """(m,) whether two fluid particles of an RVE at z (m, 2, n) have met.
 
-    def take(self, index: NDArray[np.intp]) -> Landscape:
-        """That of the RVEs `index` alone."""
-        return replace(self, F=self.F[index])
+        That is SPH's pairing instability. The model's forces between fluid particles vanish with
+        their distance, so such a pair is an equilibrium of the numbers and none of the tissue.
+        """
+        walls = self.contacts.topology.walls
+        i, j = (self.contacts.topology.fluid_pairs - walls).T
+        x = self.F @ z[:, :, walls:]
+        apart = x[:, :, i] - x[:, :, j]
+        nearest: Reals = (apart * apart).sum(axis=1).min(axis=1, initial=np.inf)
+        return nearest < PAIRED**2
 
-    def energy(self, z: Reals) -> Reals:
-        """(m,) elastic energy at material positions z (m, 2, n), pJ."""
-        return stored_energy(self.F, z, self.topology, self.constants)
 
-    def slopes(self, z: Reals) -> Slopes:
-        """Forces and curvatures at material positions z (m, 2, n)."""
-        count, tiles, free = len(z), tiles_for(len(z)), 2 * z.shape[2] - 2
-        forces, step = np.empty((2, tiles, free, TILE))
-        slope, stiff = np.empty((tiles, free * free, TILE)), np.empty((tiles, TILE), dtype=np.bool_)
-        F = pack(self.F)
-        curvatures(F, pack(z), self.topology, self.constants, forces, slope, stiff, step)
-        return Slopes(unpack(forces, count), slope, unpack(stiff, count), unpack(step, count))
+class Descent:
+    """k of the RVEs of a landscape on their way down.
 
-    def moved(self, z: Reals, step: Reals) -> Reals:
-        """z after displacements δx = step (m, 2n − 2) of all particles but the first."""
-        there = z.copy()
-        there[:, :, 1:] += np.linalg.solve(self.F, step.reshape(len(z), -1, 2).transpose(0, 2, 1))
-        return there
+    Args:
+        index: (k,) which. z: (k, 2, n) where they begin. energy: (k,) what is to be fallen below.
+
+    Attributes:
+        found: what there is where they are.
+    """
+
+    def __init__(self, landscape: Landscape, index: Index, z: Reals, energy: Reals) -> None:
+        self.landscape, self.F = landscape, landscape.F[index]
+        self._F, self._z = pack(self.F), pack(z)
+        tiles, free = tiles_for(len(z)), 2 * z.shape[2] - 2
+        self.found = Found(
+            energy=pack(energy[:, None]),
+            falls=np.empty((tiles, TILE), dtype=np.bool_),
+            forces=np.empty((tiles, free, TILE)),
+            slope=np.empty((tiles, free * free, TILE)),
+            nearest=np.empty((tiles, 1, TILE)),
+        )
+        self._topology, self._room = landscape.contacts.topology, 0.0
+
+    @property
+    def z(self) -> Reals:
+        """(k, 2, n) where they are."""
+        return unpack(self._z, len(self.F))
+
+    @property
+    def energy(self) -> Reals:
+        """(k,) pJ."""
+        return unpack(self.found.energy, len(self.F))[:, 0]
+
+    @property
+    def goes_on(self) -> Flags:
+        """(k,) whether the last step has led down and no two fluid particles have met."""
+        goes_on: Flags = self.found.falls & (self.found.nearest[:, 0] >= PAIRED**2)
+        return unpack(goes_on, len(self.F))
+
+    def go(self, step: Reals) -> None:
+        """Take the step (k, 2n − 2), µm, which moves particles by no more than `DOWN`."""
+        if self._room < DOWN:
+            near, self._room = self.landscape.contacts, ROAM
+            topology = near.within(self.F, self.z, np.full(len(self.F), ROAM))
+            self._topology = topology._replace(**dense_pattern(topology.particles)._asdict())
+        self._room -= float(_lengths(step).max())
+        constants = self.landscape.constants
+        go_down(self._F, self._z, pack(step), self._topology, constants, self.found)
+
+    def next_step(self, k: int) -> tuple[Reals, bool]:
+        """That of RVE k, see `_step`."""
+        tile, lane = divmod(k, TILE)
+        slope = self.found.slope[tile, :, lane]
+        return _step(self.F[k], self.found.forces[tile, :, lane], -slope)
 
 
 def descend(
@@ -142,81 +219,93 @@ def descend(
         (m,) how many steps were tried.
     """
     z, found, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
-    limit, energy = np.minimum(np.full(len(z), most), STEPS), landscape.energy(z)
-    active = np.arange(len(z))
-    while True:
-        active = active[tried[active] < limit[active]]
-        active = active[~paired(landscape, z, active)]
-        if not len(active):
-            return z, found, tried
-        tried[active] += 1
-        here = landscape.take(active)
-        slopes = here.slopes(z[active])
-        resting = _lengths(slopes.forces).mean(axis=1) < RESTING
-        found[active] = resting & slopes.stiff
-        step = _step(here.F, slopes, resting)
-        rest = np.flatnonzero(~found[active])
-        active, here, step = active[rest], here.take(rest), step[rest]
-        z[active], energy[active], lower = _lower(here, z[active], step, energy[active])
-        active = active[lower]
+    limit, energy = np.minimum(np.full(len(z), most), STEPS), np.full(len(z), np.inf)
+    active, step = np.arange(len(z)), np.zeros((len(z), 2 * z.shape[2] - 2))
+    while len(active):
+        down = Descent(landscape, active, z[active], energy[active])
+        goes_on = np.ones(len(active), dtype=np.bool_)
+        while goes_on.all():
+            down.go(step)
+            goes_on = down.goes_on & (tried[active] < limit[active])
+            for k in np.flatnonzero(goes_on).tolist():
+                step[k], found[active[k]] = down.next_step(k)
+                tried[active[k]] += 1
+                goes_on[k] = not found[active[k]]
+        z[active], energy[active] = down.z, down.energy
+        active, step = active[goes_on], step[goes_on]
+    return z, found, tried
 
 
-def paired(landscape: Landscape, z: Reals, index: NDArray[np.intp]) -> Flags:
-    """(len(index),) whether two fluid particles of an RVE have met: SPH's pairing instability.
-
-    The model's forces between fluid particles vanish with their distance, so such a pair is an
-    equilibrium of the numbers and none of the tissue.
-    """
-    walls = landscape.topology.walls
-    i, j = (landscape.topology.fluid_pairs - walls).T
-    x = landscape.F[index] @ z[index][:, :, walls:]
-    apart = x[:, :, i] - x[:, :, j]
-    nearest: Reals = (apart * apart).sum(axis=1).min(axis=1, initial=np.inf)
-    return nearest < PAIRED**2
-
-
-def _lower(
-    landscape: Landscape, z: Reals, step: Reals, before: Reals
-) -> tuple[Reals, Reals, Flags]:
-    """z after the step, halved until E falls below that `before`, E there; (m,) whether it does."""
-    moved, energy, falls = z.copy(), before.copy(), np.zeros(len(z), dtype=np.bool_)
-    open_points = np.arange(len(z))
-    for _ in range(HALVINGS):
-        if not len(open_points):
-            break
-        here = landscape.take(open_points)
-        trial = here.moved(z[open_points], step[open_points])
-        found = here.energy(trial)
-        lower = found < before[open_points]
-        done = open_points[lower]
-        moved[done], energy[done], falls[done] = trial[lower], found[lower], True
-        open_points = open_points[~lower]
-        step = 0.5 * step
-    return moved, energy, falls
+def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:
+    """(2n − 2,) Newton's step, or the kick out of a saddle at rest; whether this is a minimum."""
+    hessian = values.reshape(len(forces), -1)
+    resting = bool(_lengths(forces[None]).mean() < RESTING)
+    factor, not_definite = scipy.linalg.lapack.dpotrf(hessian, clean=False)
+    if not not_definite:
+        if resting:
+            return forces, True
+        step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
+    else:
+        step = _over_saddle(F, forces, hessian, resting)
+    step = step * min(DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
+    return step, False
 
 
-def _step(F: Reals, slopes: Slopes, resting: Flags) -> Reals:
-    """(m, 2n − 2) the kick out of a saddle where an RVE is `resting` in one, else Newton's step."""
-    step = slopes.newton.copy()
-    for k in np.flatnonzero(~slopes.stiff):
-        hessian = slopes.hessian(int(k))
-        unstable, modes = scipy.linalg.eigh(
-            hessian, subset_by_value=(-np.inf, 0.0), driver="evr", check_finite=False
-        )
-        if resting[k]:
-            step[k] = modes @ (-unstable * (_pattern(F[k], len(step[k])) @ modes))
-            step[k] *= KICK / max(_lengths(step[k, None]).max(), 1e-300)
-        else:
-            step[k] = _newton_step(slopes.forces[k], hessian, unstable, modes)
-    return step * np.minimum(DOWN / np.maximum(_lengths(step).max(axis=1), 1e-300), 1.0)[:, None]
-
-
-def _newton_step(forces: Reals, hessian: Reals, unstable: Reals, modes: Reals) -> Reals:
-    """Σ q (q·f)/|λ|, as H⁻¹ f with the sign of the unstable modes turned."""
+def _over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals:
+    """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, the kick along these."""
+    modes = Modes(hessian)
+    if resting:
+        along = modes.unstable.T @ modes.reduce(_pattern(F, len(forces)))
+        step = modes.expand(modes.unstable @ (-modes.stiffness * along))
+        return step * (KICK / max(_lengths(step[None]).max(), 1e-300))
     least = LEAST * np.abs(np.diagonal(hessian)).max()  # a particle that touches nothing stays
-    step: Reals = np.linalg.solve(hessian + least * np.eye(len(forces)), forces)
-    along = (forces @ modes) * (1.0 / np.maximum(-unstable, least) - 1.0 / (unstable + least))
-    return step + modes @ along
+    reduced, stiffness = modes.reduce(forces), modes.stiffness
+    turned = 1.0 / np.maximum(-stiffness, least) - 1.0 / (stiffness + least)
+    step = modes.solve(reduced, least)
+    return modes.expand(step + modes.unstable @ ((reduced @ modes.unstable) * turned))
+
+
+class Modes:
+    """A symmetric matrix H = Q T Qᵀ with T tridiagonal, and its unstable modes.
+
+    Attributes:
+        stiffness: (k,) the eigenvalues below 0. unstable: (n, k) Qᵀ times their eigenvectors.
+    """
+
+    def __init__(self, matrix: Reals) -> None:
+        lapack = scipy.linalg.lapack
+        self._reflectors, self._diagonal, self._beside, self._scales, _ = lapack.dsytrd(
+            matrix, lower=1
+        )
+        accuracy = ACCURACY * float(np.abs(self._diagonal).max())
+        count, values, block, split, _ = lapack.dstebz(
+            self._diagonal, self._beside, 1, -np.inf, 0.0, 0, 0, accuracy, b"B"
+        )
+        self.stiffness = values[:count]
+        self.unstable, _ = lapack.dstein(self._diagonal, self._beside, self.stiffness, block, split)
+        self.unstable = self.unstable[:, :count]
+
+    def _rotate(self, vector: Reals, transposed: bytes) -> Reals:
+        turned = vector.copy()
+        below = self._reflectors[1:, :-1]
+        turned[1:] = scipy.linalg.lapack.dormqr(
+            b"L", transposed, below, self._scales, vector[1:, None], 64
+        )[0][:, 0]
+        return turned
+
+    def reduce(self, vector: Reals) -> Reals:
+        """Qᵀ b."""
+        return self._rotate(vector, b"T")
+
+    def expand(self, vector: Reals) -> Reals:
+        """Q b."""
+        return self._rotate(vector, b"N")
+
+    def solve(self, vector: Reals, more: float) -> Reals:
+        """(T + `more`)⁻¹ b."""
+        diagonal, beside = self._diagonal + more, self._beside
+        solved: Any = scipy.linalg.lapack.dgtsv(beside, diagonal, beside, vector)[3]
+        return np.asarray(solved)
 
 
 def _pattern(F: Reals, free: int) -> Reals:

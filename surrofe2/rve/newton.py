@@ -38,7 +38,9 @@ from surrofe2.rve.particle_state import (
     drive_of,
     empty_answer,
     evaluate,
+    give_up,
     keep_lane,
+    limit_step,
     map_affine,
     set_images,
 )
@@ -51,8 +53,6 @@ Flags = NDArray[np.bool_]
 CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5
 """`chord` gives a point up where the mean force does not fall by this factor."""
-LONGEST_STEP = 0.4
-"""Longest Newton step of a particle, µm; contacts stiffen over r/7."""
 
 SKIP, CHECK, RENEW, SOLVE, SEEK = 0, 1, 2, 3, 4
 """What `newton` does with a tile; each up to SOLVE does what the one before does, too."""
@@ -61,13 +61,16 @@ SKIP, CHECK, RENEW, SOLVE, SEEK = 0, 1, 2, 3, 4
 class Stop(NamedTuple):
     """When a lane is done, its residual, µN, within tolerance, and when it is given up.
 
-    That is after `limit` evaluations or where the residual does not fall by the factor
-    `contraction`.
+    That is after `limit` evaluations, where the residual does not fall by the factor
+    `contraction`, and, if it `seeks` an elastic equilibrium near the positions `start`, where
+    `give_up` says so.
     """
 
     tolerance: float
     contraction: float
     limit: int
+    start: Array
+    seeks: bool
 
 
 @kernel
@@ -159,19 +162,6 @@ def move(step, F, z):
 
 
 @kernel
-def limit_step(step):
-    """Shorten the step of each lane to LONGEST_STEP; a step that is not finite to nothing."""
-    for k in range(TILE):
-        longest = 0.0
-        for i in range(step.shape[0]):
-            longest = max(longest, abs(step[i, k])) if step[i, k] == step[i, k] else np.inf
-        if longest > LONGEST_STEP:
-            factor = LONGEST_STEP / longest
-            for i in range(step.shape[0]):
-                step[i, k] = factor * step[i, k] if longest < np.inf else 0.0
-
-
-@kernel
 def set_jacobian(work, drive, topology, c, matrix, columns):
     """`force_jacobian` at local z, x, v, with L = rate F⁻¹."""
     F, rate, L = drive.F, drive.rate, np.empty((2, 2, TILE))
@@ -198,7 +188,7 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
     Velocities are rate z if `is_affine`, else what work.v holds; then the rate is 0.
     """
     sigma, residual, before = np.empty((2, 2, TILE)), np.empty((1, TILE)), np.full(TILE, np.inf)
-    iterations = answer.iterations
+    iterations, bound = answer.iterations, np.empty(TILE)
     for k in range(TILE):
         iterations[k] = max(iterations[k], 0)
     for count in range(1, stop.limit + 1):
@@ -206,12 +196,14 @@ def newton_loop(work, matrices, drive, is_affine, topology, c, stop, answer):
         if settle(residual, before, stop, count, sigma, answer.stress, iterations) == 0:
             break
         set_jacobian(work, drive, topology, c, matrices.matrix, matrices.no_columns)
-        factorise(matrices.matrix, topology, False)
+        factorise(matrices.matrix, topology, stop.seeks)
         set_residual(work.f, matrices.step)
         solve(matrices.matrix, matrices.step, topology)
         limit_step(matrices.step)
         hold(matrices.step, iterations)
         move(matrices.step, drive.F, work.z)
+        if stop.seeks:
+            give_up(work.z, stop.start, count, before, bound, iterations)
 
 
 @kernel
@@ -247,7 +239,7 @@ def chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
     work = make_workspace(topology)
     lu, slopes = kept_factors(factors, topology)
     predict(z, drive, at, slopes, work.z)
-    stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT)
+    stop = Stop(tolerance, CONTRACTION, CHORD_LIMIT, z, False)
     chord_loop(work, drive, True, lu, topology, c, stop, answer)
     for k in range(TILE):
         if answer.iterations[k] > 0:
@@ -259,7 +251,8 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
     """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
 
     - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
-    - SEEK: the same in at most `SEEK_LIMIT` evaluations, and CHECK where it finds something.
+    - SEEK: the same near z with dashpots off, as long as it promises to come to something, and
+      CHECK where it does.
     - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
     - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
     """
@@ -279,7 +272,7 @@ def newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
     copy_particles(z, work.z)
     if task >= SOLVE:
         limit = SEEK_LIMIT if task == SEEK else NEWTON_LIMIT
-        stop = Stop(tolerance, np.inf, limit)
+        stop = Stop(tolerance, np.inf, limit, z, task == SEEK)
         newton_loop(work, matrices, drive, True, topology, c, stop, answer)
         copy_particles(work.z, z)
         if task == SEEK and answer.iterations.max() < 0:

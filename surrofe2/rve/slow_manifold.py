@@ -103,7 +103,7 @@ def _follow_tile(drive, moving, at, factors, topology, c, tolerance, answer):
     predict(elastic, Drive(drive.F, still), Drive(at.F, still), slopes, work.z)
     add_slopes(slopes, 0, drive.rate, y)
     copy_particles(work.z, relaxed)
-    stop = Stop(tolerance, CONTRACTION, LIMIT)
+    stop = Stop(tolerance, CONTRACTION, LIMIT, z, False)
     _find_velocities(work, y, drive, lu, topology, c, stop, relaxed, count)
     for axis in range(2):
         for i in range(z.shape[1]):
@@ -173,7 +173,7 @@ def _newton_tile(drive, moving, topology, c, tolerance, answer):
     place(work, moving.elastic, drive.F, topology)
     y = along(equilibrium_modes(work, drive.F, topology, c, matrices), drive.rate)
     set_velocities(work.z, y, drive.F, drive.rate, topology, work.v)
-    stop = Stop(tolerance, np.inf, NEWTON_LIMIT)
+    stop = Stop(tolerance, np.inf, NEWTON_LIMIT, moving.z, False)
     newton_loop(work, matrices, Drive(drive.F, still), False, topology, c, stop, answer)
     set_fluctuation(work.v, work.z, drive.rate, beyond)
     for k in range(TILE):

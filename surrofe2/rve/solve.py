@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.continuation import Walked, Walker, Way, has_room, is_far
+from surrofe2.rve.continuation import Walked, Walker, Way, is_far
 from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles
 from surrofe2.rve.particle_state import Drive, empty_answer, list_covers, pairs_apart, stress_at
 from surrofe2.rve.rve_state import RveState, with_copies
@@ -97,7 +96,7 @@ class Solution:
         answer: stress, nothing where the status is not OK.
         status: (tiles, TILE) codes of `Status`.
         state: the warm start for the next call.
-        held_up: (tiles, TILE) points that need a longer list of contacts to go on.
+        held_up: (tiles, TILE) points whose way ended where a longer list of contacts is needed.
         lost: (tiles, TILE) points whose way ended without a stress, whatever the list.
         newton_solves: how many points needed Newton's method.
     """
@@ -291,21 +290,14 @@ class Solution:
     def _walk(self, z_found: Array, z_before: Array, astray: NDArray[np.bool_]) -> None:
         """Follow points that Newton's method misses, or finds unstable, from where they were."""
         F, points = self.drive.F, self.before.points
-        if self.level < len(self.unit.patches) - 1:
-            self.held_up = astray & ~has_room(self.unit, self.level, F, z_before)
-        index = np.flatnonzero(unpack(astray & ~self.held_up, points))
-        if not len(index):
-            return
+        index = np.flatnonzero(unpack(astray, points))
         way = Way.between(*(unpack(each, points)[index] for each in (self.before.F, F, z_before)))
         if self.ways is not None:
             _, here, there = np.intersect1d(index, self.ways[0], return_indices=True)
             way.put(here, self.ways[1].take(there))
         self.ways = index, way
-        is_last = self.level == len(self.unit.patches) - 1
-        covers = None if is_last else partial(covered_by, self.unit, self.level)
-        walker = Walker(self.unit, self.level, self.settings.tolerance, covers)
         with one_blas_thread():
-            walked = walker.walk(way)
+            walked = Walker(self.unit, self.settings.tolerance).walk(way)
         self.newton_solves += walked.newton_solves
         self._take_over(index, way, walked, z_found)
         self._at_rate(index, z_found)
@@ -317,13 +309,17 @@ class Solution:
         points, row = with_copies(index, self.before.points)
         put_points(self.answer.iterations, points, pack(np.where(arrived, 1, -1)[row]))
         put_points(self.status, points, pack(np.where(arrived, _OK, codes)[row]))
-        put_points(self.held_up, points, pack(walked.paused[row]))
-        put_points(self.lost, points, pack((~arrived & ~walked.paused)[row]))
+        put_points(self.lost, points, pack(~arrived[row]))
         if way.left.any():
             left = unpack(self.state.left, self.status.size).copy()
             left[points] |= way.left[row]
             self.state = replace(self.state, left=pack(left))
         there = np.flatnonzero(arrived)
+        if self.level < len(self.unit.patches) - 1:
+            covered = covered_by(self.unit, self.level, pack(way.end), pack(way.z))
+            listed = unpack(covered, len(index))
+            put_points(self.held_up, points, pack((arrived & ~listed)[row]))
+            there = np.flatnonzero(arrived & listed)
         if not len(there):
             return
         solved = relax(*self.law, way.z[there], way.end[there], self.settings.tolerance)

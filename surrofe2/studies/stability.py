@@ -110,7 +110,7 @@ def find_onset(
     """
     law = RveLaw(cell, initialisation="elastic")
     unit = law.unit_cell
-    walker = Walker(unit, -1, law.settings.tolerance)
+    walker = Walker(unit, law.settings.tolerance)
     xx, yy, xy = direction
     way = np.array([[xx, xy], [0.0, yy]])
     z, s, step = unit.position.T[None].copy(), 0.0, _MARCH

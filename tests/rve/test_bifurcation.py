@@ -11,7 +11,9 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import RveLaw
-from surrofe2.rve.descent import Landscape, descend
+from surrofe2.rve.descent import ROAM, Landscape, Modes, descend
+from surrofe2.rve.near_contacts import NearContacts
+from surrofe2.rve.particle_state import stored_energy
 from surrofe2.stress_law import Status, describe
 from tests.rve.curvature_twin import Curvatures
 
@@ -140,11 +142,56 @@ def test_a_rotation_turns_the_branch_along():
 def test_the_way_down_only_goes_down():
     this, F = law("printed"), BEYOND["printed"]
     unit = this.unit_cell
-    landscape = Landscape(F, unit.topologies[-1], unit.constants)
+    contacts = NearContacts(unit.topologies[-1], unit.constants.cutoff)
     start = np.repeat(unit.position.T[None], len(F), axis=0)
-    end, found, _ = descend(landscape, start)
+    end, found, _ = descend(Landscape(F, contacts, unit.constants), start)
     assert found.all()
-    assert (landscape.energy(end) < landscape.energy(start)).all()
+    there, before = (stored_energy(F, z, unit.topologies[-1], unit.constants) for z in (end, start))
+    assert (there < before).all()
+    assert (np.abs(end - start).max(axis=(1, 2)) > ROAM).any()  # contacts were listed anew
+
+
+def test_contacts_left_out_change_no_bit():
+    unit, F = law("printed").unit_cell, far(5)
+    whole = unit.topologies[-1]
+    few = NearContacts(whole, unit.constants.cutoff).within(
+        F, unit.position.T + 0 * F[:, :1, :1], np.full(5, 1.0)
+    )
+    rng = np.random.default_rng(2)
+    z = unit.position.T + 0.5 * rng.uniform(-1.0, 1.0, (5, *unit.position.T.shape)) / 1.6
+    assert len(few.contacts) < 0.5 * len(whole.contacts)
+    energies = [stored_energy(F, z, each, unit.constants) for each in (few, whole)]
+    np.testing.assert_array_equal(*energies)
+
+
+def test_unstable_modes_are_those_of_numpy():
+    """A matrix with one, two and no eigenvalue below 0, and its smallest sizes."""
+    rng = np.random.default_rng(1)
+    for values in ([-2.0, -1.0, *range(1, 20)], [-1.0, 0.5], [-1.0, -1.0, 3.0], [1.0, 2.0, 3.0]):
+        turn, _ = np.linalg.qr(rng.normal(size=(len(values), len(values))))
+        matrix, b = (turn * values) @ turn.T, rng.normal(size=len(values))
+        modes = Modes(matrix)
+        below = [value for value in values if value < 0.0]
+        np.testing.assert_allclose(np.sort(modes.stiffness), np.sort(below), atol=1e-8)
+        along = modes.expand(modes.unstable @ (modes.unstable.T @ modes.reduce(b)))
+        expected = turn[:, : len(below)] @ (turn[:, : len(below)].T @ b)
+        np.testing.assert_allclose(along, expected, rtol=0, atol=1e-12)
+        solved = modes.expand(modes.solve(modes.reduce(b), 0.1))
+        shifted = matrix + 0.1 * np.eye(len(b))
+        np.testing.assert_allclose(shifted @ solved, b, rtol=0, atol=1e-12)
+
+
+def test_far_points_alone_have_the_bits_of_a_batch():
+    """However many halved steps a tile tries at once, and whatever contacts others have."""
+    F = far(20, seed=3)
+    F_dot = np.zeros_like(F)
+    together = law("water").respond(F, F_dot)
+    assert together.left_bifurcation.sum() >= 5
+    assert 0 < np.count_nonzero(together.status) < 15
+    for k in range(len(F)):
+        alone = law("water").respond(F[k : k + 1], F_dot[k : k + 1])
+        assert alone.status[0] == together.status[k]
+        np.testing.assert_array_equal(alone.stress[0], together.stress[k])
 
 
 @pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
