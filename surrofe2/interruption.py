@@ -1,10 +1,10 @@
 """SIGINT (Ctrl-C) and SIGTERM end a command soon, once, and wherever it is.
 
 While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
-KeyboardInterrupt, so that work stores what it has. Where a library swallows that, as callbacks of
-compilers do, it is raised anew, unless it is being dealt with. Where machine code has called Python
-for a class that it needs, and would take the interruption for an error of its own, it is put off;
-so it is while ranks exchange messages.
+KeyboardInterrupt, so that work stores what it has. Where a library swallows that, it is raised
+anew, unless it is being dealt with. It is put off where machine code has called Python for a class
+that it needs, and would take it for an error of its own; where the compiler asks for the kept
+machine code of a kernel, which else would be at address 0; and while ranks exchange messages.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import Any
 
 _AGAIN = 0.25
 """s until an interruption that was swallowed or put off is raised anew."""
-_OF_MACHINE_CODE = "_numba_unpickle"
-"""The function that numba's machine code calls in Python."""
+NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_notify")
+"""Functions in Python that numba's machine code and llvmlite's compiler call."""
 
 
 @dataclass(slots=True)
@@ -84,7 +84,7 @@ def _raise_anew(number: int, frame: FrameType | None) -> None:
     if _state.held:
         return
     while frame is not None:
-        if frame.f_code.co_name == _OF_MACHINE_CODE:
+        if frame.f_code.co_name in NOT_CUT:
             return
         frame = frame.f_back
     error = sys.exc_info()[1]

@@ -6,6 +6,7 @@ says into the file; it tells first the number of the process and then its exit c
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import select
@@ -67,6 +68,7 @@ def serve():
     for name in cli.COMMANDS:
         import_module(f"surrofe2.cli.{cli.MODULES.get(name, name)}")
     import_module("surrofe2.surrogate.training")  # torch
+    faulthandler.enable()
     tell("ready")
     process = 0
     for line in sys.stdin:
