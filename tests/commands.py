@@ -23,6 +23,7 @@ from surrofe2.io import data_sets
 from surrofe2.io.files import write_bytes
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.seal import SEAL
+from surrofe2.io.surrogates import content_fingerprint
 from surrofe2.recipe import load_recipe
 from surrofe2.report import figures
 from surrofe2.workflow import laws, rest, run, tissue
@@ -145,6 +146,8 @@ def _numbers(path):
         entries = json.loads(path.read_text(encoding="utf-8"))
         assert all("cost" in cache for cache in caches_of(entries.get("cache")).values())
         return _lasting(entries)
+    if path.suffix == ".safetensors":
+        return content_fingerprint(path)
     return None if path.suffix == ".png" or path.name == "grid.csv" else path.read_bytes()
 
 

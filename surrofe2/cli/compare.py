@@ -46,6 +46,8 @@ def show_comparison(result: Comparison, of: str = "") -> None:
     if result.force_table.rows:
         console.show_table("Forces on the tissue", *result.force_table.for_people())
     for run in result.runs:
+        if run.balance is not None:
+            console.print_line(f"{run.name}: {run.balance.sentence}")
         for name, cache in caches_of(run.cache).items():
             if cache["audit"]["audited"]:
                 of = f"{run.name}, {name}" if name else run.name

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.checkpoint_clock import CheckpointClock
+from surrofe2.costs import NOTHING, Cost, Meter
 from surrofe2.errors import InputError
 from surrofe2.io.files import check_same, flat
 from surrofe2.io.hdf5 import (
@@ -29,7 +30,14 @@ from surrofe2.io.hdf5 import (
 )
 from surrofe2.io.kept import attached
 from surrofe2.io.lock import file_lock, locked_file
-from surrofe2.io.provenance import Origin, reading, stored_cell, stored_range, stored_text
+from surrofe2.io.provenance import (
+    Origin,
+    reading,
+    stored_cell,
+    stored_cost,
+    stored_range,
+    stored_text,
+)
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status, StressResponse, describe
@@ -90,9 +98,15 @@ class DataSetWriter:
     """A data set in the making: rows are appended in order, then it is finished."""
 
     def __init__(
-        self, path: Path, header: DataSetHeader, rows: Mapping[str, np.ndarray], is_finished: bool
+        self,
+        path: Path,
+        header: DataSetHeader,
+        rows: Mapping[str, np.ndarray],
+        is_finished: bool,
+        before: Cost,
     ) -> None:
         self.path, self.header, self.is_finished = path, header, is_finished
+        self.meter = Meter(before)
         self._parts = [dict(rows)] if rows else []
         self._clock = CheckpointClock(INTERVAL)
         self._is_stored = bool(rows)
@@ -165,6 +179,7 @@ class DataSetWriter:
                 for name, values in attached(self.header.reference).items():
                     file[name] = values
             file.attrs.update(_attributes(self.header), status=status, completed=self.completed)
+            file.attrs["cost"] = self.meter.cost.to_json()
             if failed:
                 text = h5py.string_dtype()
                 file["failed/index"] = failed["index"]
@@ -199,16 +214,17 @@ def writing_data_set(
 
 def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
     rows: dict[str, np.ndarray] = {}
-    is_finished = False
+    is_finished, before = False, NOTHING
     if path.exists() and not fresh:
         with reading(path, SCHEMA, SCHEMA_VERSION) as file:
             check_same(path, header.compared(), json.loads(stored_text(file, "compared")))
             is_finished = stored_text(file, "status") == "finished"
             if stored_number(file, "completed"):
+                before = stored_cost(file)
                 rows = stored_rows(file, _columns_in(file))
                 if not len(rows["F"]) == file.attrs["completed"] <= header.count:
                     raise ValueError(f"completed: {file.attrs['completed']} of {len(rows['F'])}")
-    return DataSetWriter(path, header, rows, is_finished)
+    return DataSetWriter(path, header, rows, is_finished, before)
 
 
 def _columns_in(file: h5py.File) -> dict[str, Column]:

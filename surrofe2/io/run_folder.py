@@ -56,7 +56,7 @@ class RunRecord:
         law: "rve", "surrogate", "cached", "table", or "tissue" for the full microscopic one; with
             `initialisation` and `solver`.
         surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
-        wall_time: seconds: total = law + macro; compilation and warm-up came before.
+        wall_time: seconds: total = law + macro, cpu of all threads; compilation came before.
         counts: steps, stress calls and what the law's answers cost: RVE solves, hits,
             fallbacks by reason, …
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,

@@ -6,6 +6,7 @@ bit anywhere is seen when the file is read. Nothing in a file is ever executed.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -19,6 +20,7 @@ from safetensors.numpy import load, save
 
 from surrofe2 import units
 from surrofe2.cache.branches import part_of, within
+from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import FileError, shortened
 from surrofe2.io.files import plain, read_bytes, write_bytes
 from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
@@ -64,6 +66,7 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
         "errors": law.errors,
         "domain": {"square": square} if domain else None,
         "calibration": law.calibration,
+        "cost": law.cost,
     }
     _write(path, SCHEMA, content, tensors)
 
@@ -96,6 +99,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             domain=domain and Domain(square=domain["square"], **part_of(tensors, "domain")),
             calibration=calibration and _calibration(calibration),
             reference=ReferenceState.from_arrays(reference) if reference else None,
+            cost={name: Cost.of(each) for name, each in content.get("cost", {}).items()},
         )
         fingerprint = content["cell_fingerprint"]
         for name, kind in _TEXTS.items():
@@ -141,11 +145,43 @@ def _calibration(content: Mapping[str, Any]) -> Calibration:
 
 
 def write_training(
-    path: Path, identity: Mapping[str, str], iterations: int, arrays: Mapping[str, NDArray[Any]]
+    path: Path,
+    identity: Mapping[str, str],
+    iterations: int,
+    arrays: Mapping[str, NDArray[Any]],
+    cost: Cost = NOTHING,
 ) -> None:
-    """Write an interrupted training, see `surrogate.training.TrainingState`."""
-    content = {"identity": dict(identity), "iterations": iterations}
+    """Write an interrupted training, see `surrogate.training.TrainingState`, and its cost."""
+    content = {"identity": dict(identity), "iterations": iterations, "cost": cost}
     _write(path, TRAINING_SCHEMA, content, dict(arrays))
+
+
+def training_cost(path: Path) -> Cost:
+    """What an interrupted training cost; a FileError where it cannot be read."""
+    content, _ = _read(path, TRAINING_SCHEMA, "unfinished training")
+    try:
+        return Cost.of(content["cost"])
+    except (KeyError, ValueError, TypeError, AttributeError):
+        raise FileError(f"{path}: cost: missing or damaged; {_ANEW}") from None
+
+
+def content_fingerprint(path: Path) -> str:
+    """16 hexadecimal digits of all in a file but what it cost.
+
+    Raises:
+        FileError: it cannot be read.
+    """
+    stored = read_bytes(path)
+    try:
+        length = int.from_bytes(stored[:8], "little")
+        head = json.loads(stored[8 : 8 + length])
+        content = json.loads(head["__metadata__"]["surrofe2"])
+        del head["__metadata__"], content[SEAL]
+        content.pop("cost", None)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise FileError(f"{path}: not of surrofe2; {_ANEW}") from None
+    told = json.dumps([head, content], sort_keys=True).encode()
+    return hashlib.sha256(told + stored[8 + length :]).hexdigest()[:16]
 
 
 def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -149,6 +149,7 @@ class Recorder:
         )
         begin = perf_counter() if begin is None else begin
         self._started = begin - (resume.wall_time["total"] if resume else 0.0)
+        self._cpu_started = process_time() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
         self._state: MacroState
         if resume is not None:
             self._state = resume
@@ -236,7 +237,12 @@ class Recorder:
         return {
             "counts": {name: tally.counts[name] for name in COUNTS},
             "effort": dict(tally.effort),
-            "wall_time": {"total": total, "law": law, "macro": total - law},
+            "wall_time": {
+                "total": total,
+                "law": law,
+                "macro": total - law,
+                "cpu": process_time() - self._cpu_started,
+            },
         }
 
     def _rows_due(self, t: float) -> int:

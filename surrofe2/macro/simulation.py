@@ -63,7 +63,8 @@ class MacroRun:
             run, from which all others count, µm; (0, 2) without.
         frames: whole fields at a few times.
         met: extremes of deformation and rate.
-        wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest).
+        wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
+            `cpu`, of all threads of this process.
         counts: `steps` accepted, `rejected_steps` as too inaccurate, `failed_trials` without
             stress or turned back by the law, `right_hand_sides`, `stress_calls` and
             `stress_points` of those, `dissipation_points` and `dissipation_failures` of the

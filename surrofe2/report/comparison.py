@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from surrofe2.costs import Balance
 from surrofe2.displacement_curve import (
     CurveDifference,
     DisplacementCurve,
@@ -18,6 +19,7 @@ from surrofe2.displacement_curve import (
 )
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import flat
+from surrofe2.io.run_costs import balance_of
 from surrofe2.io.run_folder import RunRecord, StoredRun, caches_of, presets_of
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
@@ -37,6 +39,7 @@ class ComparedRun:
             is None where this run needed none of it.
         cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
         forces: by name, of every force resultant that both runs have.
+        balance: of a run through a cache, with what that cost to make; None where there is none.
     """
 
     name: str
@@ -48,6 +51,7 @@ class ComparedRun:
     speed_up: Mapping[str, float | None]
     cache: Mapping[str, Any] = field(default_factory=dict)
     forces: Mapping[str, ForceDifference] = field(default_factory=dict)
+    balance: Balance | None = None
 
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
@@ -57,6 +61,9 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("RMS", "", percent(".3g"), lambda run: run.difference.rms),
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
+    Quantity(
+        "all counted", "×", ".3g", lambda run: None if run.balance is None else run.balance.gain
+    ),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
     Quantity("fewer solves", "×", ".3g", lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
@@ -196,6 +203,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
             for name, force in force_curves(run).items()
             if name in there
         },
+        balance=balance_of(run.record, reference.record),
     )
 
 

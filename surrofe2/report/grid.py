@@ -128,6 +128,12 @@ QUANTITIES: tuple[Quantity[GridRow], ...] = (
         "speed-up", "×", ".3g", lambda row: row.of_comparison(lambda run: run.speed_up["wall_time"])
     ),
     Quantity(
+        "all counted",
+        "×",
+        ".3g",
+        lambda row: row.of_comparison(lambda run: run.balance and run.balance.gain),
+    ),
+    Quantity(
         "RVE solves",
         "",
         None,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.costs import Cost
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
@@ -52,6 +53,7 @@ class SurrogateLaw:
         domain: where the data are; None: all of `range`.
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
+        cost: of its `data`, its `training` and its `calibration`, as far as known.
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
 
@@ -69,6 +71,7 @@ class SurrogateLaw:
     domain: Domain | None = None
     calibration: Calibration | None = None
     reference: ReferenceState | None = None
+    cost: Mapping[str, Cost] = field(default_factory=dict)
     arrays: NetworkArrays = field(init=False, repr=False)
     bound_arrays: BoundArrays = field(init=False, repr=False)
 

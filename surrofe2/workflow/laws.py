@@ -25,8 +25,9 @@ from surrofe2.io.kept import (
     reference_path,
     write_reference,
 )
+from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_folder import file_fingerprint
-from surrofe2.io.surrogates import read_surrogate
+from surrofe2.io.surrogates import content_fingerprint, read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, Problem, Surface, simulate
@@ -140,8 +141,9 @@ def choose_law(
     surrogate = read_surrogate(path)
     record: dict[str, Any] = {
         "file": path.name,
-        "fingerprint": file_fingerprint(path),
+        "fingerprint": content_fingerprint(path),
         "errors": surrogate.errors,
+        "cost": {name: each.to_dict() for name, each in surrogate.cost.items()},
     }
     _check_surrogate(recipe, surrogate, path)
     learnt = shared(surrogate)
@@ -186,7 +188,9 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     if not tables:
         return None
     names, prints = [path.name for path in tables], [file_fingerprint(path) for path in tables]
-    return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}}
+    learnt = {str(path): cost.to_dict() for path in tables if (cost := read_cost(path))}
+    made = {"cost": learnt if len(learnt) == len(tables) else {}}
+    return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
 
 
 def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.protocols import Surrogate
+from surrofe2.costs import NOTHING, Cost, Meter
 from surrofe2.errors import SimulationError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import (
@@ -24,6 +25,7 @@ from surrofe2.io.files import (
 )
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
 from surrofe2.io.lock import file_lock, locked_folder
+from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.recipe import Recipe
@@ -133,8 +135,8 @@ def _row(
     """What the run of a round met that its surrogate did not know, and the samples of that."""
     (surrogate, samples), name = learnt, recipe.cell_name or ""
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
-    path = folder / "run" / of_cell(HARVEST, name)
-    harvest = read_harvest(path) if path.exists() else None  # None: the surrogate knew it all
+    source = folder / "run" / of_cell(HARVEST, name)
+    harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
     unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
@@ -144,7 +146,8 @@ def _row(
         asked = _new_states(recipe, states, wider, wider != surrogate.range, seed)
         with stage(f"round {k}: sample {name}".rstrip(), 1.0, "of the samples") as report:
             path = folder / of_cell(_NEW, name)
-            added = _write_samples(path, recipe, harvest, asked, executor, report)
+            cost = read_cost(source) or NOTHING
+            added = _write_samples(path, recipe, harvest, asked, cost, executor, report)
         write_json(folder / of_cell(_STARTED, name), {"range": wider})
     return Round(
         round=k,
@@ -190,12 +193,22 @@ def _surrogate(
             write_bytes(path, read_bytes(before / file))
         else:
             title = f"round {k} {name}".rstrip()
-            write_surrogate(_trained(recipe, samples, title, stage), path)
+            known = (read_cost(each) for each in (grown[-1] / new, *recipe.added_paths()))
+            made = [*read_surrogate(before / file).cost.values(), *(each for each in known if each)]
+            better = _trained(recipe, samples, title, stage, sum(made, start=NOTHING))
+            write_surrogate(better, path)
     return read_surrogate(path), samples
 
 
-def _trained(recipe: Recipe, samples: StressSamples, name: str, stage: Stage) -> SurrogateLaw:
-    """A surrogate of these samples with a calibrated bound."""
+def _trained(
+    recipe: Recipe, samples: StressSamples, name: str, stage: Stage, data: Cost
+) -> SurrogateLaw:
+    """A surrogate of these samples with a calibrated bound.
+
+    Args:
+        data: what they cost, the rounds before included.
+    """
+    meter = Meter()
     with stage(f"{name}: train", recipe.training.iterations, "iterations") as report:
         surrogate = train(
             samples,
@@ -203,8 +216,11 @@ def _trained(recipe: Recipe, samples: StressSamples, name: str, stage: Stage) ->
             progress=lambda i, n, figures: report(i, training_note(figures)),
         )
     with stage(f"{name}: calibrate", 1.0, "of the paths") as report:
+        training, meter = meter.cost, Meter()
         wider = replace(recipe, range=samples.range)
-        return calibrate_surrogate(wider, surrogate, samples, report)
+        surrogate = calibrate_surrogate(wider, surrogate, samples, report)
+    spent = {"data": data, "training": training, "calibration": meter.cost}
+    return replace(surrogate, cost=spent)
 
 
 def unknown_states(
@@ -255,27 +271,29 @@ def _write_samples(
     recipe: Recipe,
     harvest: Harvest,
     asked: list[tuple[Array, Array, int]],
+    before: Cost,
     executor: Any,
     report: Report,
 ) -> int:
     """Write the harvest and the true answers at further states, whole or not at all; how many.
 
     Args:
+        before: what the harvest cost.
         report: called with the share that is done and a remark.
     """
-    law = laws.true_law(recipe)
+    law, meter = laws.true_law(recipe), Meter(before)
     done, total = 0, sum(len(F) for F, _, _ in asked)
     writer = HarvestWriter(path, origin_of(recipe))
     writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
     for F, F_dot, why in asked:
         work = partial(_true_answers, law, F, F_dot)
-        for first, count, answer in in_pieces(work, range(len(F)), CHUNK, executor):
+        for first, count, answer in in_pieces(work, range(len(F)), CHUNK, executor, meter):
             rows = slice(first, first + count)
             reasons = np.full(count, why, dtype=np.int8)
             writer(F[rows], F_dot[rows], answer.stress, answer.status, reasons)
             done += count
             report(done / total, f"{done} of {total} new samples")
-    writer.flush()
+    writer.flush(meter.cost)
     return len(harvest.F) + done
 
 

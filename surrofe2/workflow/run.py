@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.cache.branches import part_of, within
+from surrofe2.costs import NOTHING
 from surrofe2.errors import InputError
+from surrofe2.io.provenance import read_cost
+from surrofe2.io.run_costs import cost_of
 from surrofe2.io.run_folder import RunRecord, caches_of
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.macro.discretisation import n_points_of
@@ -65,11 +68,11 @@ def run_study(
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
     problem = with_surface(recipe, problem, kept_reference)
-    compilation = 0.0
+    compilation, earlier = 0.0, sum((read_cost(each) or NOTHING for each in tables), start=NOTHING)
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
         record = with_results(record, run)  # which audits what still waits
-        outputs.store(chosen.tables)
+        outputs.store(chosen.tables, earlier + cost_of(record))
         write_results(folder, run)
         return replace(
             record,

@@ -16,6 +16,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from surrofe2.costs import processor
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.io.files import remove
 from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
@@ -205,21 +206,12 @@ def describe_platform() -> dict[str, str]:
     """Processor, cores, system and library versions; nothing that identifies the machine."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "torch")}
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": str(os.cpu_count()),
         "system": platform.system(),
         "python": platform.python_version(),
         **libraries,
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 def time_text(seconds: float) -> str:

@@ -13,6 +13,7 @@ from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
+from surrofe2.costs import NOTHING, Cost
 from surrofe2.io.files import check_same
 from surrofe2.io.harvest import HarvestWriter
 from surrofe2.io.lock import locked_file
@@ -63,12 +64,13 @@ class RunOutputs:
         for cell, writer in self._writers.items():
             writer.restore(part_of(arrays, f"of {cell}"))
 
-    def store(self, tables: Mapping[str, StressTable]) -> None:
-        """Write what there is now, each file whole."""
+    def store(self, tables: Mapping[str, StressTable], cost: Cost = NOTHING) -> None:
+        """Write what there is now, each file whole, and what it cost so far."""
         for writer in self._writers.values():
-            writer.flush()
+            writer.flush(cost)
         for name, table in tables.items():
-            write_table(self.folder / of_cell(TABLE, name), stored(table, self.recipe.to_dict()))
+            found = stored(table, self.recipe.to_dict(), cost)
+            write_table(self.folder / of_cell(TABLE, name), found)
 
 
 def origin_of(recipe: Recipe) -> Origin:
@@ -103,10 +105,11 @@ def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> in
         first = tables[0]
         tolerance = min(each.tolerance for each in tables)
         images = 4 if first.cell.symmetry == "D4" else 1
-        records = first.records
+        records, cost = first.records, sum((each.cost for each in tables), start=NOTHING)
         for path, more in zip(files[1:], tables[1:], strict=True):
             check_table(path, more, first.cell, first.initialisation)
             records = merged(records, more.records, tolerance, images)
         sources = {"merged": [each.recipe for each in tables], **of}
-        write_table(out, replace(first, records=records, tolerance=tolerance, recipe=sources))
+        made = replace(first, records=records, tolerance=tolerance, recipe=sources, cost=cost)
+        write_table(out, made)
         return len(records.centre)

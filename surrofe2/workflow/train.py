@@ -10,15 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from surrofe2.costs import NOTHING, Meter
 from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import START_OVER, check_same, remove
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.io.kept import read_attached
 from surrofe2.io.lock import file_lock, locked_file
+from surrofe2.io.provenance import read_cost
 from surrofe2.io.surrogates import (
     read_surrogate,
     read_training,
+    training_cost,
     write_surrogate,
     write_training,
 )
@@ -76,8 +79,17 @@ def train_surrogate(
     with locked_file(path):
         if surrogate is None:
             surrogate = _train(recipe, samples, fresh, stage)
+            data = [read_cost(each) for each in (source, *recipe.added_paths(), *add)]
+            known = sum((each for each in data if each), start=NOTHING)
+            spent = surrogate.cost if None in data else {"data": known, **surrogate.cost}
+            surrogate = replace(surrogate, cost=spent)
+            write_surrogate(surrogate, path)
+            remove(unfinished_training(recipe))
+        meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
             surrogate = calibrate_surrogate(recipe, surrogate, samples, report)
+        spent = {**surrogate.cost, "calibration": meter.cost}
+        surrogate = replace(surrogate, cost=spent)
         write_surrogate(surrogate, path)
     return Trained(path, surrogate, False, bound_summary(surrogate, samples))
 
@@ -88,11 +100,13 @@ def unfinished_training(recipe: Recipe) -> Path:
 
 
 def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) -> SurrogateLaw:
-    """A surrogate without a bound, in the recipe's file."""
-    path, unfinished = recipe.training_path(), unfinished_training(recipe)
+    """A surrogate without a bound."""
+    unfinished = unfinished_training(recipe)
     if fresh:
         remove(unfinished)
-    state = TrainingState(*read_training(unfinished)) if unfinished.exists() else None
+    state, meter = None, Meter()
+    if unfinished.exists():
+        state, meter = TrainingState(*read_training(unfinished)), Meter(training_cost(unfinished))
     with stage("train", recipe.training.iterations, "iterations") as report:
         try:
             surrogate = train(
@@ -100,16 +114,14 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
                 recipe.training,
                 progress=lambda i, n, figures: report(i, training_note(figures)),
                 checkpoint=lambda state: write_training(
-                    unfinished, state.identity, state.iterations, state.arrays
+                    unfinished, state.identity, state.iterations, state.arrays, meter.cost
                 ),
                 resume=state,
             )
         except MismatchError as error:
             raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None
-    surrogate = replace(surrogate, reference=read_attached(recipe.data_path(), recipe.cell))
-    write_surrogate(surrogate, path)
-    remove(unfinished)
-    return surrogate
+    reference = read_attached(recipe.data_path(), recipe.cell)
+    return replace(surrogate, reference=reference, cost={"training": meter.cost})
 
 
 def _check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
