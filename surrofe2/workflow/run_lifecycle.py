@@ -101,8 +101,11 @@ class Recording:
                 raise
             why = error if isinstance(error, InputError) else type(error).__name__
             path = self._checkpoint_path()
-            sentence = f"{path}: the run cannot go on from it ({why}); start over with --fresh"
-            raise FileError(sentence) from error
+            log.debug("%s: going on from it failed", path, exc_info=error)
+            raise FileError(
+                f"{path}: the run cannot go on from it ({why}); start over with "
+                "--fresh; --traceback shows where it failed"
+            ) from error
 
     def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
