@@ -41,7 +41,9 @@ def _law(setting: Setting, law: str, duration: float, surrogate: Path) -> list[R
         (probe(1, *arguments, "--threads", "2"), probe(2, *arguments, "--threads", "1"))
         for _ in range(setting.pick(5, 1))
     ]
-    assert all(one["last"] == two["last"] for one, two in pairs), "not the same bits"
+    for one, two in pairs:  # another number of threads changes the last digits
+        far = np.abs(one["last"]).max()
+        np.testing.assert_allclose(two["last"], one["last"], rtol=0.0, atol=1e-9 * far)
     speed = np.array([one["total"] / two["total"] for one, two in pairs])
     two = sorted((two for _, two in pairs), key=lambda each: float(each["total"]))[len(pairs) // 2]
     one = sorted(one["total"] for one, _ in pairs)[len(pairs) // 2]
@@ -49,7 +51,7 @@ def _law(setting: Setting, law: str, duration: float, surrogate: Path) -> list[R
     away = two["computing"] + two["messages"]
     seconds = {
         "assembly and time stepping": two["macro"],
-        "what the cache decides": two["law"] - away,
+        "what the law decides": two["law"] - away,
         "messages": two["messages"],
     }
     rows = [
