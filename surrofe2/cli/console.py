@@ -69,9 +69,11 @@ def show_table(title: str, columns: list[str], rows: list[list[str]], names: int
         parts[-1].append(k)
     for part in parts:
         shown = [*range(names), *part]
+        fits = sum(widths[k] for k in shown) < console.width
         table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
         for k in shown:
-            table.add_column(columns[k], justify="right" if k else "left", min_width=heads[k])
+            how = {"width": widths[k] - 1} if fits else {"min_width": heads[k]}
+            table.add_column(columns[k], justify="right" if k else "left", **how)
         for row in rows:
             table.add_row(*(row[k] for k in shown))
         console.print(table)

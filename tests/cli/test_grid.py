@@ -139,7 +139,7 @@ def test_what_is_no_grid_is_refused_before_anything_runs(grid, options, message)
 
 def test_a_table_is_no_wider_than_the_terminal(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
-    columns = ["stiffness (µN/µm)", "law", *(f"quantity {k}" for k in range(9))]
+    columns = ["stiffness (µN/µm)", "law", *(f"large quantity {k}" for k in range(9))]
     rows = [["3000", "cached", *(f"{k}.{k}{k}{k}" for k in range(9))]] * 2
     console.show_table("Many", columns, rows, names=2)
     lines = capsys.readouterr().out.splitlines()
@@ -148,6 +148,7 @@ def test_a_table_is_no_wider_than_the_terminal(capsys, monkeypatch):
     for k in range(9):
         assert text.count(f"{k}.{k}{k}{k}") == 2
     assert text.count("3000") == text.count("cached") > 2
+    assert text.count("quantity") == 9
 
 
 def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch):
