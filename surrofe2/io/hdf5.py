@@ -1,4 +1,7 @@
-"""HDF5 files that are whole or absent and prove themselves; they are made and read in memory."""
+"""HDF5 files that are whole or absent and prove themselves; they are made and read in memory.
+
+An interruption waits meanwhile: HDF5 calls Python, and takes one for an error of its own.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import h5py
 import numpy as np
 
 from surrofe2.errors import FileError, Surrofe2Error, shortened
+from surrofe2.interruption import held
 from surrofe2.io.files import read_bytes, write_bytes
 from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
 from surrofe2.units import NONE
@@ -34,7 +38,7 @@ def writing_hdf5(path: Path) -> Iterator[h5py.File]:
     """A file in memory, which is written when the block ends well."""
     # A name of its own: one whose making was interrupted stays open, and HDF5 makes no second one.
     name = f"{next(_numbers)} {path.name}"
-    with h5py.File(name, "w", driver="core", backing_store=False) as file:
+    with held(), h5py.File(name, "w", driver="core", backing_store=False) as file:
         yield file
         file.attrs["sha256"] = f"{SEAL}: {NO_DIGEST}"
         file.flush()
@@ -54,7 +58,7 @@ def reading_hdf5(path: Path) -> Iterator[h5py.File]:
         raise FileError(f"{path}: not an HDF5 file")
     check_seal(path, content)
     try:
-        with h5py.File(BytesIO(content), "r") as file:
+        with held(), h5py.File(BytesIO(content), "r") as file:
             yield file
     except Surrofe2Error:
         raise

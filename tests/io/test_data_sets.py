@@ -9,11 +9,12 @@ import h5py
 import numpy as np
 import pytest
 
+from surrofe2 import interruption
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io import data_sets
 from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.io.harvest import HarvestWriter, read_harvest
-from surrofe2.io.hdf5 import write_checkpoint, writing_hdf5
+from surrofe2.io.hdf5 import reading_hdf5, write_checkpoint, writing_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status, describe
@@ -83,6 +84,17 @@ def test_a_file_can_be_written_while_one_that_was_interrupted_is_open(tmp_path):
     interrupted.__enter__()
     write_all(path)
     assert len(read_data_set(path).F) == HEADER.count
+
+
+def test_an_interruption_waits_while_hdf5_is_at_work(tmp_path):
+    path = tmp_path / "a.h5"
+    with writing_hdf5(path) as file:
+        assert interruption._state.held
+        file["x"] = 1.0
+    assert not interruption._state.held
+    with reading_hdf5(path):
+        assert interruption._state.held
+    assert not interruption._state.held
 
 
 def test_answers_are_harvested_whole_or_not_at_all(tmp_path):
