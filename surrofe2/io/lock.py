@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.errors import FileError
+from surrofe2.interruption import held
 from surrofe2.io import disk
 from surrofe2.io.files import reported
 
@@ -98,14 +99,15 @@ def _take(lock: Path, output: Path, mine: bytes) -> None:
 
 def _create(lock: Path, mine: bytes) -> None:
     try:
-        disk.create(lock, mine)
+        with held():  # cut in between, it would say nothing
+            disk.create(lock, mine)
+            _held.add(lock)
     except FileExistsError:  # of another
         raise
     except OSError:  # a lock that says nothing helps nobody
         with suppress(OSError):
             disk.remove(lock)
         raise
-    _held.add(lock)
 
 
 def _remove_stale(lock: Path, output: Path) -> None:
