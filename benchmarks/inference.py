@@ -31,9 +31,7 @@ def run(setting: Setting) -> list[Row]:
 
 def _lookup(setting: Setting, surrogate: SurrogateLaw, points: int) -> list[Row]:
     F, F_dot = turned_samples(surrogate, points)
-    network = StressNetwork(surrogate.settings, surrogate.network.symmetry)
-    weights = surrogate.network.tensors.items()
-    network.load_state_dict({name: torch.from_numpy(values) for name, values in weights})
+    network = StressNetwork.of(surrogate.network, surrogate.settings)
     law = cached(
         surrogate, PRESET, tolerance=np.inf
     )  # the bound is found and compared all the same

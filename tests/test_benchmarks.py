@@ -110,6 +110,7 @@ def test_what_is_compared_is_called_in_turns():
     assert order == ["a", "b"] * 3
 
 
+@pytest.mark.slow
 def test_plain_and_lane_forces_are_those_of_the_twin(setting):
     rows = force_evaluation.run(setting)
     errors = [

@@ -75,6 +75,7 @@ def test_moduli_from_loops_are_those_of_the_tangents():
     np.testing.assert_allclose(found, script["tangent_moduli"](law, frequency), rtol=0.005)
 
 
+@pytest.mark.slow
 def test_a_grid_search_over_true_stresses_prefers_the_larger_network():
     """The Python example on few rows and sizes."""
     script = runpy.run_path(str(FOLDER / "network_size.py"))
@@ -85,6 +86,7 @@ def test_a_grid_search_over_true_stresses_prefers_the_larger_network():
     assert search.best_score_ > 0.999
 
 
+@pytest.mark.slow
 def test_wall_stiffness_and_viscosity_come_out_within_1_percent_from_1_percent_of_noise():
     """The Python example with 300 points of time instead of 600."""
     script = runpy.run_path(str(FOLDER / "identification.py"))

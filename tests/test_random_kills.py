@@ -77,11 +77,7 @@ def wanted(tmp_path_factory, learnt, server):
 
 ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGINT, 130)}
 """Signal and exit code."""
-FEW = {"killed": 4, "interrupted": 1}
-TIMES = [
-    *FEW.items(),
-    *(pytest.param(how, KILLS, marks=pytest.mark.slow) for how in FEW),
-]
+TIMES = [("killed", 4), *(pytest.param(how, KILLS, marks=pytest.mark.slow) for how in ENDS)]
 
 
 @pytest.mark.parametrize(("how", "times"), TIMES)

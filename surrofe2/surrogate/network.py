@@ -99,6 +99,7 @@ class StressNetwork(torch.nn.Module):
     def __init__(self, settings: TrainingSettings, symmetry: str = "D4") -> None:
         super().__init__()
         self.settings, self.symmetry = settings, symmetry
+        self._is_stored = False
         self.features = make_features(settings.form, symmetry, settings.baseline_degree)
         terms = self.features.terms
         generator = torch.Generator().manual_seed(settings.seed)
@@ -119,6 +120,15 @@ class StressNetwork(torch.nn.Module):
         self.register_buffer("at_rest", at_rest, persistent=False)
         component_of = torch.nn.functional.one_hot(torch.tensor([k for _, k in terms]), 4)
         self.register_buffer("component_of", component_of.double(), persistent=False)
+
+    @classmethod
+    def of(cls, parameters: NetworkParameters, settings: TrainingSettings) -> StressNetwork:
+        """The network that left as these parameters, not to be trained any more."""
+        network = cls(settings, parameters.symmetry)
+        tensors = parameters.tensors.items()
+        network.load_state_dict({name: torch.from_numpy(values) for name, values in tensors})
+        network._is_stored = True
+        return network
 
     def to_parameters(self) -> NetworkParameters:
         """All that the network is, as arrays; the baseline takes away `rest_slopes`."""
@@ -154,9 +164,9 @@ class StressNetwork(torch.nn.Module):
     def rest_slopes(self) -> torch.Tensor:
         """(7, 4) slopes at rest of what the networks give, for the baseline to take away.
 
-        0 where there is no baseline: then they stay.
+        0 where there is no baseline, and they stay, or where one that was stored has done so.
         """
-        if not self.features.monomials:
+        if self._is_stored or not self.features.monomials:
             return self.input_scale.new_zeros(INPUTS, 4)
         rest = self.input_scale.new_zeros(INPUTS, INPUTS)
         directions = torch.eye(INPUTS, dtype=rest.dtype)

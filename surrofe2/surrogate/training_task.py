@@ -124,7 +124,8 @@ def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings)
     known = np.isfinite(fixed)
     right -= gram[:, known] @ fixed[known]
     free = np.flatnonzero(~known)
-    fixed[free] = _solve(gram[np.ix_(free, free)], right[free])
+    if len(free):
+        fixed[free] = _solve(gram[np.ix_(free, free)], right[free])
     solution = torch.from_numpy(fixed)
     network.energy_coefficients.copy_(solution[:cut])
     network.coefficients.copy_(solution[cut:])

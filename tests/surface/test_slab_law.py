@@ -101,6 +101,7 @@ def columns_of(law, columns):
     return TissueDynamics(tissue), column, nearest
 
 
+@pytest.mark.slow
 def test_bent_columns_are_at_rest_inside_a_tissue_and_turn_each_other():
     """The torque across a cut, by the forces on all that lies to one side of it."""
     law = slab(rows=3)

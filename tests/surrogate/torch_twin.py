@@ -13,20 +13,7 @@ from surrofe2.tensors import INPUTS, to_inputs
 
 def torch_stress(law, F, F_dot):
     """Stress (n, 2, 2) of a surrogate by its torch network, in range or not."""
-    return network_stress(network_of(law.network, law.settings), F, F_dot)
-
-
-def network_of(parameters, settings):
-    """The torch network of these parameters, trained by these settings."""
-    network = StressNetwork(settings, parameters.symmetry)
-    tensors = {name: torch.from_numpy(values) for name, values in parameters.tensors.items()}
-    network.load_state_dict(tensors)
-    with torch.no_grad():  # the baseline has taken away what the network takes away itself
-        linear = np.nan_to_num(network.rest_coefficients(network.rest_slopes().T))
-        cut = len(network.energy_coefficients)
-        network.energy_coefficients += torch.from_numpy(linear[:cut])
-        network.coefficients += torch.from_numpy(linear[cut:])
-    return network
+    return network_stress(StressNetwork.of(law.network, law.settings), F, F_dot)
 
 
 def network_stress(network, F, F_dot):
