@@ -124,7 +124,14 @@ def test_plain_and_lane_forces_are_those_of_the_twin(setting):
 
 
 @pytest.mark.parametrize(
-    "module", [macro_overhead, inference, initialisations, linear_cost, table_learning]
+    "module",
+    [
+        macro_overhead,
+        inference,
+        initialisations,
+        linear_cost,
+        pytest.param(table_learning, marks=pytest.mark.slow),
+    ],
 )
 def test_a_piece_gives_well_formed_rows(module, setting):
     rows = module.run(setting)

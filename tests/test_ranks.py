@@ -148,6 +148,7 @@ def ranks_of(folder):
     return found
 
 
+@pytest.mark.slow
 def test_a_rank_that_dies_ends_the_run_with_a_sentence_and_a_checkpoint(long_run, tmp_path):
     process = on_ranks(2, *long_run, module="surrofe2")
     os.kill(begun(process, tmp_path / "out")[1], signal.SIGKILL)

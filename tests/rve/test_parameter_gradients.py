@@ -47,6 +47,7 @@ def check(this, names, count):
         assert error < 1e-6 * np.abs(exact[clear]).max(), name
 
 
+@pytest.mark.slow
 def test_they_are_the_slopes_of_whole_laws():
     check(law("printed", tolerance=1e-10), FEW, 40)
 
@@ -77,6 +78,7 @@ def test_hexagons_keep_their_fluid():
         assert np.median(error) < 1e-6 * np.abs(exact).max(), name
 
 
+@pytest.mark.slow
 def test_a_path_creeps_otherwise_with_other_parameters():
     """A tensile test with free sides, against whole paths of other laws."""
     this = RveLaw(CellParameters.preset("water", viscosity=50.0))

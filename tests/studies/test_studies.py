@@ -23,6 +23,7 @@ def test_at_rate_zero_all_but_cauchy_born_are_the_elastic_equilibrium():
     assert set(run.unstable_from.values()) == {None}
 
 
+@pytest.mark.slow
 def test_at_a_rate_initialisations_rank_against_the_integrated_line():
     runs = (initialisations.shear_steps(WATER, steps=4, micro_step=2e-3),)
     study = initialisations.figure_5(runs)
