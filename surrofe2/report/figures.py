@@ -151,7 +151,7 @@ def _draw_table(axes: Axes, table: Table[Any]) -> None:
     headings, rows = table.for_people()
     drawn = axes.table(rows, colLabels=headings, loc="center", cellLoc="center", edges="horizontal")
     drawn.auto_set_font_size(False)
-    drawn.set_fontsize(8)
+    drawn.set_fontsize(min(8.0, 64.0 / len(headings)))
     drawn.auto_set_column_width(range(len(headings)))
     drawn.scale(1.0, 1.25)
     for entry in drawn.get_celld().values():
