@@ -2,8 +2,9 @@
 
 In reading order: `world` finds out whether there are ranks; `dealing` cuts points into blocks;
 `crew` is how rank 0 and the others work on one task at a time; `tasks` are what they do;
-`rank_states` stands on rank 0 for warm starts that stay where they are; `distributed_law` and
-`distributed_surrogate` are the laws, `shared` makes them of others.
+`rank_states` stands on rank 0 for warm starts that stay where they are; `crew_law` is a law that
+every rank has, `distributed_law` and `distributed_surrogate` are the two; `shared` makes them of
+others.
 """
 
 from __future__ import annotations

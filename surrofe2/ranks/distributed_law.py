@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
 from surrofe2.ranks import rank_states
-from surrofe2.ranks.crew import Crew
+from surrofe2.ranks.crew_law import CrewLaw
 from surrofe2.ranks.dealing import Index, deal, is_uneven, redeal
 from surrofe2.ranks.desk import Told, dense
 from surrofe2.ranks.rank_states import Place, RankState
@@ -31,49 +30,19 @@ _BYTES = {"respond": 96, "tangents": 256, "accept": 96}
 """A point that came and went."""
 
 
-class DistributedLaw:
+class DistributedLaw(CrewLaw[RveLaw]):
     """σ(F, Ḟ) of RVEs that live on the ranks of a crew; see `StressLaw` and `cache.Fallback`.
 
     Points are dealt in blocks of whole tiles. RVE states, with their factors, stay where they were
     made: on rank 0 a `RankState` stands for them. (F, Ḟ) and stresses travel. Answers are those
     of `law` itself, by any number of ranks. Where some ranks take longer than others, `accept`
     deals the points of the next step by what they cost.
-
-    Args:
-        law: that all ranks are to have.
-        crew: of this very process.
-
-    Attributes:
-        law: that of rank 0.
     """
-
-    def __init__(self, law: RveLaw, crew: Crew) -> None:
-        self.law, self.crew = law, crew
-        self._number = crew.adopt(law)
-
-    @property
-    def cell(self) -> CellParameters:
-        """Parameters of the plant cell."""
-        return self.law.cell
-
-    @property
-    def initialisation(self) -> str:
-        """How its RVE is initialised."""
-        return self.law.initialisation
-
-    @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
-        return self.law.density
 
     @property
     def has_tangents(self) -> bool:
         """Whether `respond` gives tangents when asked."""
         return self.law.has_tangents
-
-    def everywhere(self, call: Callable[[Any], Any]) -> None:
-        """Call a function of the law on every rank."""
-        self.crew.everywhere(self._number, call)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
         """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import tiles_for
 from surrofe2.ranks.crew import Crew
+from surrofe2.ranks.crew_law import CrewLaw
 from surrofe2.ranks.dealing import Index, deal, is_uneven, redeal
 from surrofe2.ranks.desk import dense
 from surrofe2.ranks.tasks import Answered, LookUp, Slopes
@@ -34,37 +34,19 @@ _BYTES = {"lookup": 104, "test": 72, "tangents": 320}
 """A point that came and went."""
 
 
-class DistributedSurrogate:
+class DistributedSurrogate(CrewLaw[SurrogateLaw]):
     """A `SurrogateLaw` that the ranks of a crew look up; see `StressLaw` and `cache.Surrogate`.
 
     It keeps no state, so points are dealt at every call, by how long the ranks took for theirs.
-
-    Attributes:
-        law: that of rank 0, which answers alone where there are few points.
+    Rank 0 answers alone where there are few points.
     """
 
     has_tangents, has_bound, learns = True, True, False
 
     def __init__(self, law: SurrogateLaw, crew: Crew) -> None:
-        self.law, self.crew = law, crew
-        self._number = crew.adopt(law)
+        super().__init__(law, crew)
         self._cuts: dict[int, Index] = {}
         self._seconds, self._calls = np.zeros(crew.ranks), 0
-
-    @property
-    def cell(self) -> CellParameters:
-        """Parameters of the plant cell whose stress was learnt."""
-        return self.law.cell
-
-    @property
-    def initialisation(self) -> str:
-        """How its RVE was initialised."""
-        return self.law.initialisation
-
-    @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
-        return self.law.density
 
     @property
     def range(self) -> SamplingRange:
@@ -80,10 +62,6 @@ class DistributedSurrogate:
     def is_calibrated(self) -> bool:
         """Whether the bound of its error is known."""
         return self.law.is_calibrated
-
-    def everywhere(self, call: Callable[[Any], Any]) -> None:
-        """Call a function of the surrogate on every rank."""
-        self.crew.everywhere(self._number, call)
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf

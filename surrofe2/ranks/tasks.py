@@ -50,7 +50,7 @@ class Respond:
             desk.states[self.after] = answer.state
             _tell_state(told, answer.state, first)
             told.status = sparse(answer.status, first)
-            told.effort, told.reasons = dict(answer.effort), dict(answer.reasons)
+            told.effort = dict(answer.effort)
             told.reasons = {first + k: why for k, why in answer.reasons.items()}
             if answer.left_bifurcation is not None:
                 told.newly_left = answer.left_bifurcation.nonzero()[0] + first

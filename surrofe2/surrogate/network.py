@@ -86,6 +86,10 @@ class StressNetwork(torch.nn.Module):
     Args:
         settings: form, degree of the baseline, sizes of the networks, seed.
         symmetry: of the plant cell's arrangement, "D4" or "none".
+
+    Attributes:
+        second_order: whether the baseline takes away the slopes at rest of what the networks give,
+            so that its own are those of all. A network of stored parameters has had them taken.
     """
 
     input_scale: torch.Tensor
@@ -99,7 +103,7 @@ class StressNetwork(torch.nn.Module):
     def __init__(self, settings: TrainingSettings, symmetry: str = "D4") -> None:
         super().__init__()
         self.settings, self.symmetry = settings, symmetry
-        self._is_stored = False
+        self.second_order = False
         self.features = make_features(settings.form, symmetry, settings.baseline_degree)
         terms = self.features.terms
         generator = torch.Generator().manual_seed(settings.seed)
@@ -123,11 +127,10 @@ class StressNetwork(torch.nn.Module):
 
     @classmethod
     def of(cls, parameters: NetworkParameters, settings: TrainingSettings) -> StressNetwork:
-        """The network that left as these parameters, not to be trained any more."""
+        """The network that left as these parameters."""
         network = cls(settings, parameters.symmetry)
         tensors = parameters.tensors.items()
         network.load_state_dict({name: torch.from_numpy(values) for name, values in tensors})
-        network._is_stored = True
         return network
 
     def to_parameters(self) -> NetworkParameters:
@@ -153,7 +156,7 @@ class StressNetwork(torch.nn.Module):
         return Shapes(x, products(x, f.invariants), products(x, terms))
 
     def correction(self, shapes: Shapes) -> torch.Tensor:
-        """What the networks add to the baseline (n, 4), µN/µm: of second order at rest."""
+        """What the networks add to the baseline (n, 4), µN/µm."""
         found, slopes = self._from_networks(shapes), self.rest_slopes()
         if self.energy is None:
             return found - shapes.x @ slopes
@@ -162,11 +165,8 @@ class StressNetwork(torch.nn.Module):
         return found - elastic - shapes.x[:, STRETCH:] @ slopes[STRETCH:]
 
     def rest_slopes(self) -> torch.Tensor:
-        """(7, 4) slopes at rest of what the networks give, for the baseline to take away.
-
-        0 where there is no baseline, and they stay, or where one that was stored has done so.
-        """
-        if self._is_stored or not self.features.monomials:
+        """(7, 4) slopes at rest of what the networks give, if the baseline takes them away; else 0."""
+        if not (self.second_order and self.features.monomials):
             return self.input_scale.new_zeros(INPUTS, 4)
         rest = self.input_scale.new_zeros(INPUTS, INPUTS)
         directions = torch.eye(INPUTS, dtype=rest.dtype)

@@ -120,6 +120,7 @@ def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings)
                 A = matrix[:, k, own].numpy()
                 gram[np.ix_(own, own)] += float(weight[k]) * (A.T @ A)
                 right[own] += float(weight[k]) * (A.T @ values[:, k].numpy())
+    network.second_order = data.rest is not None
     fixed = np.full(size, np.nan) if data.rest is None else network.rest_coefficients(data.rest)
     known = np.isfinite(fixed)
     right -= gram[:, known] @ fixed[known]

@@ -28,6 +28,7 @@ def make_network(hidden, degree, symmetry="D4", **settings):
     """Random weights, all of which matter."""
     settings = TrainingSettings(hidden=hidden, baseline_degree=degree, seed=3, **settings)
     network = StressNetwork(settings, symmetry)
+    network.second_order = True
     generator = torch.Generator().manual_seed(4)
     network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
     network.coefficients.normal_(generator=generator)
