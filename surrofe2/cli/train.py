@@ -20,6 +20,7 @@ from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.run_outputs import of_cell
 from surrofe2.workflow.train import (
     STRESSES,
+    large_errors,
     train_surrogate,
     training_summary,
     unfinished_training,
@@ -79,6 +80,9 @@ def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     console.print_line(trained.bound)
     taken = time_text(time.perf_counter() - begin)
     console.print_line(f"{trained.path}: {training_summary(trained)}, {taken}")
+    warning = large_errors(study, trained)
+    if warning is not None:
+        console.print_error(warning)
 
 
 def refine(

@@ -132,8 +132,9 @@ class DataSetWriter:
             self._clock.write(self.store)
 
     def left_count(self) -> int:
-        """How many rows so far are of RVEs that left a bifurcation."""
-        return int(self._rows()[LEFT].sum()) if self.completed else 0
+        """How many rows so far have a stress, but of an RVE that left a bifurcation."""
+        rows = self._rows() if self.completed else None
+        return 0 if rows is None else int((rows[LEFT].astype(bool) & (rows["status"] == 0)).sum())
 
     def status_counts(self) -> dict[int, int]:
         """How many rows so far have each status code."""

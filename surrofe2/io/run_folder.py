@@ -57,8 +57,8 @@ class RunRecord:
             `initialisation` and `solver`.
         surrogate: file name, fingerprint and held-out errors of the surrogate, or None.
         wall_time: seconds: total = law + macro, cpu of all threads; compilation came before.
-        counts: steps, stress calls and what the law's answers cost: RVE solves, hits,
-            fallbacks by reason, …
+        counts: steps, stress calls and what the law's answers cost: RVE solves (of these the
+            `audits` and those for a table, `table_rve_solves`), hits, fallbacks by reason, …
         cache: of a cached law, what `CachedLaw.report` says: tolerance, hits at accepted steps,
             audit with the errors found, trust with what became of it, cost against true RVEs; of
             several cells, that of each by name under `cells`.

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 MOST_ROWS = 1_000_000
 SURFACE = "surface"
 TAKEN = (
-    "kinetic", "internal", "dissipated", "balance", "motion", "numerical", "contact",
+    "kinetic", "internal", "elastic", "dissipated", "balance", "motion", "numerical", "contact",
     "contact dissipated", SURFACE,
 )  # fmt: skip
 """Names of energies, which no condition may have."""

@@ -45,6 +45,7 @@ class MacroRun:
         energies: by name, (m,) arrays in pJ at the output times: `kinetic` energy; `internal`
             and, by the names of the conditions, the work of the internal and of all other forces
             since t = 0, integrated along with the equations of motion by the same method;
+            `elastic`, what of `internal` is stored, internal − dissipated;
             `motion`, that of prescribed motion; `contact`, what is stored in contact, and
             `contact dissipated`, what its dashpots and friction took, together minus the work of
             bodies; `numerical`, what the method itself and its interpolation dissipated, the work
@@ -246,6 +247,7 @@ def _make_run(
         energies={
             "kinetic": kinetic,
             "internal": internal,
+            "elastic": internal - dissipated["dissipated"],
             **works,
             **_of_contact(system, found),
             **dissipated,

@@ -36,7 +36,7 @@ class ComparedRun:
         difference: of the watched displacement, relative to the reference's largest.
         wall_time: seconds of law and macro together; compilation is not in it.
         speed_up: ratios reference / this run, by what is counted; above 1 is less work. A ratio
-            is None where this run needed none of it.
+            is None where either needed none of it.
         cache: of a cached run, what its law reported: tolerance, audit, trust; else empty.
         forces: by name, of every force resultant that both runs have.
         balance: of a run through a cache, with what that cost to make; None where there is none.
@@ -194,8 +194,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
         wall_time=run.record.wall_time["total"],
         counts=run.record.counts,
         speed_up={
-            name: cost(reference.record) / cost(run.record) if cost(run.record) else None
-            for name, cost in _COSTS.items()
+            name: _ratio(cost(reference.record), cost(run.record)) for name, cost in _COSTS.items()
         },
         cache=run.record.cache or {},
         forces={
@@ -205,6 +204,10 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
         },
         balance=balance_of(run.record, reference.record),
     )
+
+
+def _ratio(reference: float, own: float) -> float | None:
+    return reference / own if own and reference else None
 
 
 def _law_time(record: RunRecord) -> float:

@@ -97,12 +97,12 @@ class TissueRun:
     Attributes:
         curve: displacement of the first watched particle from the unloaded equilibrium; `curves`
             by name that of all.
-        energies: by name, (m,) pJ at the output times: `kinetic`; `elastic`, since the unloaded
-            equilibrium; the work of each load, and `motion`, that of what moves supports and
-            bodies; `contact`, stored, and `contact dissipated`, by dashpots and friction of bodies;
-            `dissipated` by dashpots and viscosity of the tissue; `balance`, what all work and the
-            kinetic energy at the start exceed the others by, zero but for the error of the time
-            integration.
+        energies: by name, (m,) pJ at the output times: `kinetic`; `internal`, the work of the
+            internal forces, and of that `elastic`, stored since the unloaded equilibrium; the work
+            of each load, and `motion`, that of what moves supports and bodies; `contact`, stored,
+            and `contact dissipated`, by dashpots and friction of bodies; `dissipated` by dashpots
+            and viscosity of the tissue; `balance`, what all work and the kinetic energy at the
+            start exceed the others by, zero but for the error of the time integration.
         history: by name, (m,), as of a finite-element run: forces on the tissue in µN since the
             unloaded equilibrium, mean displacement of boundaries, position and penetration of
             bodies in µm.
@@ -314,6 +314,9 @@ class Recorder:
         for name in lost:
             balance = balance - energies[name]
         energies["balance"] = balance - balance[0]
+        kinetic, elastic = energies.pop("kinetic"), energies.pop("elastic")
+        internal = elastic + energies["dissipated"]
+        energies = {"kinetic": kinetic, "internal": internal, "elastic": elastic, **energies}
         if not any(body.mass is not None for body in problem.bodies):
             del energies["bodies"]
         if not problem.motions:

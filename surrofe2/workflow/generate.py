@@ -36,7 +36,7 @@ class Generated:
     Attributes:
         added: number of samples that this call computed; 0: it was already finished.
         failed: reason → number of samples.
-        left: number of samples whose RVE left a bifurcation.
+        left: number of samples that have a stress, but whose RVE left a bifurcation.
     """
 
     path: Path
@@ -166,12 +166,12 @@ def sample_stress(
 
 
 def data_summary(made: Generated) -> str:
-    """How many samples there are, how many were added, how many failed and why."""
+    """How many samples there are and of what use; each is counted once."""
     failed = Counter(made.failed)
     text = f"{made.count} samples" + ("" if made.added else " (already finished)")
-    if not failed:
-        text = f"{text}, none failed"
-    else:
+    usable = made.count - failed.total() - made.left
+    text = f"{text}, {'all' if usable == made.count else usable} usable"
+    if failed:
         reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
         text = f"{text}, {failed.total()} failed ({reasons})"
     if made.left:

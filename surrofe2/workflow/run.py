@@ -34,7 +34,7 @@ from surrofe2.workflow.run_lifecycle import (
     time_text,
     untold,
 )
-from surrofe2.workflow.run_outputs import RunOutputs, counts_of
+from surrofe2.workflow.run_outputs import RunOutputs, counts_with
 from surrofe2.workflow.saved_run import problem_record, with_results, write_results
 from surrofe2.workflow.surfaces import with_surface
 
@@ -64,6 +64,11 @@ def run_study(
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
+    if kind == "table" and recipe.macro.integrator == "implicit":
+        raise InputError(
+            "macro.integrator: implicit; not with --law table, which has no tangents: take --law "
+            "cached, surrogate or rve, or --integrator explicit"
+        )
     problem = recipe.problem()
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
@@ -71,13 +76,13 @@ def run_study(
     compilation, earlier = 0.0, sum((read_cost(each) or NOTHING for each in tables), start=NOTHING)
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
-        record = with_results(record, run)  # which audits what still waits
+        record = with_results(record, run)
         outputs.store(chosen.tables, earlier + cost_of(record))
         write_results(folder, run)
         return replace(
             record,
             wall_time={**record.wall_time, "compilation": compilation},
-            counts={**record.counts, **counts_of(chosen.tables)},
+            counts=counts_with(chosen.tables, record.counts),
         )
 
     def compute(current: Recording) -> MacroRun:
@@ -189,6 +194,9 @@ def costs(counts: Mapping[str, int]) -> str:
     text = f"{asked} stresses, {counts.get('rve_solves', 0)} RVE solves"
     if "hits" not in counts:
         return text
+    parts = {"audits": counts.get("audits", 0), "for the table": counts.get("table_rve_solves", 0)}
+    of_these = [f"{n} {name}" for name, n in parts.items() if n]
+    text += f" ({', '.join(of_these)})" if of_these else ""
     reasons = [
         f"{n} {name.removeprefix('fallbacks_').replace('_', ' ')}"
         for name, n in counts.items()

@@ -78,13 +78,14 @@ def origin_of(recipe: Recipe) -> Origin:
     return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
 
 
-def counts_of(tables: Mapping[str, StressTable]) -> dict[str, int]:
-    """What became of the tables, for the record of a run."""
+def counts_with(tables: Mapping[str, StressTable], before: Mapping[str, int]) -> dict[str, int]:
+    """The counts of a run with what became of its tables; their RVE solves are among all."""
     counts: Counter[str] = Counter()
     for table in tables.values():
         changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
         counts.update({"table_records": table.size, **changed})
-    return dict(counts)
+    solves = before.get("rve_solves", 0) + counts.get("table_rve_solves", 0)
+    return {**before, **counts, **({"rve_solves": solves} if tables else {})}
 
 
 def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:

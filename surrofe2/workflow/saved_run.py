@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from surrofe2.io.files import plain
 from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import (
     RunRecord,
+    caches_of,
     open_run_folder,
     write_curve,
     write_energies,
@@ -76,15 +77,25 @@ def with_results(record: RunRecord, run: MacroRun) -> RunRecord:
     """The record with what a run, whole or not, met and cost."""
     crew = crew_at_work()
     told = replace(record, problem={**record.problem, "penetration": penetrations(run)})
+    cache = cache_report(run.law, whole=run.finished)  # which audits what still waits
     return replace(
         with_rest(told, run.rest),
         ranks=None if crew is None else crew.report(),
         wall_time=run.wall_time,
-        counts={**run.counts, **run.effort},
-        cache=cache_report(run.law, whole=run.finished),
+        counts=_counts(run, cache),
+        cache=cache,
         met=run.met.to_dict(),
         threads=run.threads,
     )
+
+
+def _counts(run: MacroRun, cache: Mapping[str, Any] | None) -> dict[str, int]:
+    """What a run counted; audits are RVE solves like others, and by themselves too."""
+    counts = {**run.counts, **run.effort}
+    if cache is not None:
+        audits = sum(each["audit"]["audited"] for each in caches_of(cache).values())
+        counts |= {"rve_solves": counts.get("rve_solves", 0) + audits, "audits": audits}
+    return counts
 
 
 def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:

@@ -36,6 +36,8 @@ from surrofe2.workflow.calibrate import bound_summary, calibrate_surrogate
 from surrofe2.workflow.run_lifecycle import Stage, silent
 
 STRESSES = ("xx", "xy", "yx", "yy")
+LARGE_ERROR = 0.01
+"""Held-out RMS of a component, as a share of its spread, from which on training warns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +157,21 @@ def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSam
 def training_note(figures: Mapping[str, float]) -> str:
     """How far a training is, for its display."""
     return f"held-out error {100 * figures['held_out_rms']:.2g} %"
+
+
+def large_errors(recipe: Recipe, trained: Trained) -> str | None:
+    """What to do where a component's error is so large that much will be left to RVEs."""
+    rms = trained.surrogate.errors["rms"]
+    name = max(STRESSES, key=lambda each: rms[each])
+    if rms[name] <= LARGE_ERROR:
+        return None
+    samples = read_data_set(recipe.data_path())
+    of = "" if recipe.cell_name is None else f"{recipe.cell_section}."
+    return (
+        f"{trained.path}: the error of {name} is {100 * rms[name]:.2g} % RMS, from "
+        f"{len(samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 range` "
+        f"proposes, raise {of}samples.count, or let `surrofe2 refine` sample what the run meets"
+    )
 
 
 def training_summary(trained: Trained) -> str:

@@ -15,7 +15,7 @@ from surrofe2.errors import InputError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.generate import Generated, data_summary, generate_data_set
 from tests.laws import SoftLaw, StoppingLaw
 
 
@@ -34,7 +34,7 @@ def test_writes_the_data_set_and_says_so(invoke, recipe_path):
     done = invoke("generate", recipe_path)
     assert done.exit_code == 0, done.output
     path = recipe_path.parent / "cells.h5"
-    assert done.stdout.startswith(f"{path}: 40 samples, none failed, ")
+    assert done.stdout.startswith(f"{path}: 40 samples, all usable, ")
     assert len(read_data_set(path).F) == 40
 
 
@@ -45,7 +45,8 @@ def test_failed_samples_are_kept_and_counted(invoke, recipe_path):
     assert 0 < failed < 40
     assert (samples.status != 0).sum() == failed
     assert (
-        f"40 samples, {failed} failed ({failed}: the RVE solve did not converge; load in smaller "
+        f"40 samples, {40 - failed} usable, {failed} failed ({failed}: the RVE solve did not "
+        "converge; load in smaller "
         "steps or raise the iteration limit)"
     ) in done.stdout
 
@@ -71,7 +72,7 @@ def test_interrupted_and_continued_equals_uninterrupted(invoke, recipe_path, tmp
 _KILLED = """
 import sys, time
 from surrofe2.io import data_sets
-from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.generate import Generated, data_summary, generate_data_set
 from surrofe2.recipe import load_recipe
 from tests.laws import SoftLaw
 
@@ -114,7 +115,7 @@ def test_a_finished_one_is_kept(invoke, recipe_path):
     before = (recipe_path.parent / "cells.h5").read_bytes()
     law = SoftLaw()
     done = invoke("generate", recipe_path, law=law)
-    assert "40 samples (already finished), none failed" in done.stdout
+    assert "40 samples (already finished), all usable" in done.stdout
     assert law.calls == 0
     assert (recipe_path.parent / "cells.h5").read_bytes() == before
 
@@ -198,3 +199,9 @@ def test_tangents_of_iterated_rves_are_refused(invoke, changed_recipe):
     assert refused.exit_code == 1
     assert refused.stderr == ('error: samples.tangents: true; it needs rve.solver = "direct"\n')
     assert not (path.parent / "cells.h5").exists()
+
+
+def test_each_sample_is_counted_once():
+    made = Generated(Path("cells.h5"), 512, 512, {"no equilibrium": 201}, left=116)
+    text = data_summary(made)
+    assert text.startswith("512 samples, 195 usable, 201 failed (201: no equilibrium), 116 left a ")

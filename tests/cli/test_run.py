@@ -144,6 +144,17 @@ def test_unknown_initialisation(invoke, recipe_path, folder):
     )
 
 
+def test_a_table_has_no_implicit_runs(invoke, recipe_path, folder):
+    command = ("run", recipe_path, "--law", "table", "--out", folder)
+    refused = invoke(*command, "--integrator", "implicit")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        "error: macro.integrator: implicit; not with --law table, which has no tangents: take "
+        "--law cached, surrogate or rve, or --integrator explicit\n"
+    )
+    assert not folder.exists()
+
+
 def test_initialisation_replaces_the_recipe_s(invoke, recipe_path, folder):
     invoke("run", recipe_path, "--law", "rve", "--out", folder, "--initialisation", "elastic")
     record = read_record(folder)

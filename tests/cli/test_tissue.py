@@ -45,7 +45,7 @@ def test_run_folder(short, folder):
     np.testing.assert_array_equal(curve.t, load_recipe(short).load.output_times())
     assert curve.displacement[-1, 1] < -0.01
     header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert header == "t_us,kinetic_pJ,elastic_pJ,load_pJ,dissipated_pJ,balance_pJ"
+    assert header == "t_us,kinetic_pJ,internal_pJ,elastic_pJ,load_pJ,dissipated_pJ,balance_pJ"
     with meshio.xdmf.TimeSeriesReader(folder / "fields.xdmf") as reader:
         points, cells = reader.read_points_cells()
         assert len(points) == stored["counts"]["particles"]
@@ -197,7 +197,8 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
     assert history["force base x"].tolist() == [0.0] * 11
     header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header == (
-        "t_us,kinetic_pJ,elastic_pJ,contact_pJ,motion_pJ,contact dissipated_pJ,dissipated_pJ,"
+        "t_us,kinetic_pJ,internal_pJ,elastic_pJ,contact_pJ,motion_pJ,"
+        "contact dissipated_pJ,dissipated_pJ,"
         "balance_pJ"
     )
     monkeypatch.setattr("surrofe2.rve.RveLaw", SoftLaw().of)

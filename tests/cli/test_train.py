@@ -10,6 +10,8 @@ import pytest
 from surrofe2.io.files import START_OVER
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.surrogate import training
+from surrofe2.workflow import train as train_workflow
+from surrofe2.workflow.train import large_errors, train_surrogate
 from tests.laws import SoftLaw
 
 
@@ -167,3 +169,18 @@ def test_the_script_is_the_command():
         [sys.executable, script, "--help"], capture_output=True, text=True, check=True
     )
     assert "surrofe2 train data/bending-bar.toml" in " ".join(done.stdout.split())
+
+
+def test_large_errors_are_told_with_what_to_do(invoke, recipe_path, recipe, monkeypatch):
+    assert invoke("generate", recipe_path).exit_code == 0
+    trained = train_surrogate(recipe)
+    rms = trained.surrogate.errors["rms"]
+    name = max(("xx", "xy", "yx", "yy"), key=lambda each: rms[each])
+    monkeypatch.setattr(train_workflow, "LARGE_ERROR", rms[name])
+    assert large_errors(recipe, trained) is None
+    monkeypatch.setattr(train_workflow, "LARGE_ERROR", 0.999 * rms[name])
+    told = large_errors(recipe, trained)
+    assert f"the error of {name} is {100 * rms[name]:.2g} % RMS, from 40 usable samples" in told
+    assert "surrofe2 range" in told
+    assert "surrofe2 refine" in told
+    assert told in invoke("train", recipe_path).stderr.splitlines()

@@ -83,6 +83,14 @@ def test_a_run_without_rve_solves_has_no_ratio(make_run):
     json.dumps(plain(result.to_dict()), allow_nan=False)
 
 
+def test_a_tissue_has_no_rve_solves_to_compare(make_run):
+    result = compare(
+        [make_run("t", "tissue", 0.0, 30.0, 0), make_run("rve", "rve", 0.0, 2.0, 1000)]
+    )
+    assert result.runs[0].speed_up["rve_solves"] is None
+    assert result.runs[0].speed_up["wall_time"] == pytest.approx(15.0)
+
+
 def test_other_load_case_is_refused(make_run):
     a, b = make_run("a", "rve", 0.0, 1.0, 1), make_run("b", "cached", 0.0, 1.0, 1)
     load = {**b.record.recipe["load"], "body_force": [0.0, -0.4]}
