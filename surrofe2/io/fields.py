@@ -19,7 +19,10 @@ from surrofe2.io.hdf5 import reading_hdf5, stored_array, writing_hdf5
 Array = NDArray[np.float64]
 Data = dict[str, Array]
 F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
-_CELL = "plant_cell"
+STRESS_NAME, SOURCE_NAME = "cauchy_stress_uN_per_um", "stress_source"
+BOUND_NAME = "stress_bound_uN_per_um"
+DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
+CELL = "plant_cell"
 _RANKS = {1: "Scalar", 2: "Vector", 3: "Tensor"}
 """What XDMF calls data of so many axes."""
 
@@ -73,20 +76,17 @@ def write_fields(
         for k, t in enumerate(frames.t):
             stress = frames.stress[k]
             in_elements = {
-                "cauchy_stress_uN_per_um": _tensor_in_space(stress),
-                F_NAME: _tensor_in_space(frames.F[k], thickness=1.0),
-                F_DOT_NAME: _tensor_in_space(frames.F_dot[k]),
-                **_invariants(stress),
+                STRESS_NAME: tensor_in_space(stress),
+                F_NAME: tensor_in_space(frames.F[k], thickness=1.0),
+                F_DOT_NAME: tensor_in_space(frames.F_dot[k]),
+                **invariants(stress),
             }
             if frames.source.size:
-                in_elements |= {
-                    "stress_source": frames.source[k],
-                    "stress_bound_uN_per_um": frames.bound[k],
-                }
+                in_elements |= {SOURCE_NAME: frames.source[k], BOUND_NAME: frames.bound[k]}
             if frames.dissipated.size:
                 in_elements["dissipated_energy_pJ_per_um2"] = frames.dissipated[k]
             if cell is not None:
-                in_elements[_CELL] = cell
+                in_elements[CELL] = cell
             write(float(t), _motion_at(frames, k), in_elements)
 
 
@@ -126,15 +126,15 @@ def read_element_motion(folder: Path) -> ElementMotion:
             for name in (F_NAME, F_DOT_NAME)
         )
         cell = None
-        if f"{_CELL}.0" in file:
-            kind = file[f"{_CELL}.0"].dtype
+        if f"{CELL}.0" in file:
+            kind = file[f"{CELL}.0"].dtype
             if kind.kind not in "if":
-                raise ValueError(f"{_CELL}.0: {kind}; it must be numbers")
-            cell = stored_array(file, f"{_CELL}.0", (len(elements),), kind).astype(np.int64)
+                raise ValueError(f"{CELL}.0: {kind}; it must be numbers")
+            cell = stored_array(file, f"{CELL}.0", (len(elements),), kind).astype(np.int64)
         return ElementMotion(nodes[:, :2], elements, t, F[..., :2, :2], F_dot[..., :2, :2], cell)
 
 
-def _invariants(stress: Array) -> dict[str, Array]:
+def invariants(stress: Array) -> dict[str, Array]:
     """Of (e, 2, 2) stresses in the plane, µN/µm, free across it: pressure −(σ₁ + σ₂)/2,
     √(σ₁² − σ₁σ₂ + σ₂²) of von Mises, largest shear (σ₁ − σ₂)/2.
     """
@@ -169,7 +169,7 @@ def write_particle_fields(
 
 @contextmanager
 def writing_series(
-    folder: Path, points: Array, kind: str, cells: NDArray[np.integer]
+    folder: Path, points: Array, kind: str, cells: NDArray[np.integer], name: str = "fields"
 ) -> Iterator[Callable[[float, Data, Data], None]]:
     """A function that writes t and the data of points and cells; the files appear at the end.
 
@@ -180,18 +180,19 @@ def writing_series(
         points: (n, 2) of the mesh, µm.
         kind: of its cells, as XDMF calls it.
         cells: (e, k) the points of each.
+        name: of the two files.
     """
     grids: list[str] = []
     times: list[float] = []
-    with writing_hdf5(folder / "fields.h5") as file:
+    with writing_hdf5(folder / f"{name}.h5") as file:
 
-        def stored(name: str, values: NDArray[Any]) -> str:
-            # As file[name] = values, in 0.05 ms instead of 0.13: a run stores a thousand of them.
+        def stored(entry: str, values: NDArray[Any]) -> str:
+            # As file[entry] = values, in 0.05 ms instead of 0.13: a run stores a thousand of them.
             kind = h5py.h5t.py_create(values.dtype, logical=True)
             space = h5py.h5s.create_simple(values.shape)
-            held = h5py.h5d.create(file.id, name.encode(), kind, space)
+            held = h5py.h5d.create(file.id, entry.encode(), kind, space)
             held.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(values))
-            return _item(name, values)
+            return _item(entry, values, f"{name}.h5")
 
         mesh = (
             f'<Topology TopologyType="{kind}" NumberOfElements="{len(cells)}" '
@@ -202,9 +203,9 @@ def writing_series(
 
         def write(t: float, at_points: Data, in_cells: Data) -> None:
             attributes = [
-                _attribute(name, centre, stored(f"{name}.{len(grids)}", values), values.ndim)
+                _attribute(what, centre, stored(f"{what}.{len(grids)}", values), values.ndim)
                 for centre, data in (("Node", at_points), ("Cell", in_cells))
-                for name, values in data.items()
+                for what, values in data.items()
             ]
             times.append(t)
             grids.append(
@@ -216,19 +217,19 @@ def writing_series(
         file["t"] = np.array(times)
     text = (
         '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n'
-        '<Grid Name="fields" GridType="Collection" CollectionType="Temporal">\n'
+        f'<Grid Name="{name}" GridType="Collection" CollectionType="Temporal">\n'
         f"{''.join(grids)}</Grid>\n</Domain></Xdmf>\n"
     )
-    write_text(folder / "fields.xdmf", text)
+    write_text(folder / f"{name}.xdmf", text)
 
 
-def _item(name: str, values: NDArray[Any]) -> str:
-    """The words of XDMF for a data set of fields.h5."""
+def _item(name: str, values: NDArray[Any], file: str = "fields.h5") -> str:
+    """The words of XDMF for a data set of a file."""
     number = "Int" if values.dtype.kind == "i" else "Float"
     shape = " ".join(map(str, values.shape))
     return (
         f'<DataItem DataType="{number}" Precision="8" Dimensions="{shape}" '
-        f'Format="HDF">fields.h5:/{name}</DataItem>'
+        f'Format="HDF">{file}:/{name}</DataItem>'
     )
 
 
@@ -266,8 +267,8 @@ def add_to_elements(folder: Path, added: Mapping[str, Array]) -> None:
 def _motion_at(frames: Motion, k: int) -> dict[str, Array]:
     """Displacement and velocity of frame k by the names they have in the files."""
     return {
-        "displacement_um": in_space(frames.displacement[k]),
-        "velocity_um_per_us": in_space(frames.velocity[k]),
+        DISPLACEMENT_NAME: in_space(frames.displacement[k]),
+        VELOCITY_NAME: in_space(frames.velocity[k]),
     }
 
 
@@ -276,7 +277,7 @@ def in_space(vectors: Array) -> Array:
     return np.pad(np.asarray(vectors, dtype=np.float64), ((0, 0), (0, 1)))
 
 
-def _tensor_in_space(tensors: Array, thickness: float = 0.0) -> Array:
+def tensor_in_space(tensors: Array, thickness: float = 0.0) -> Array:
     """(e, 2, 2) tensors as (e, 3, 3) with `thickness` as the third diagonal entry."""
     out = np.zeros((len(tensors), 3, 3))
     out[:, :2, :2] = tensors

@@ -33,7 +33,7 @@ SCHEMA_VERSION = 2
 CHECKPOINT = "checkpoint.h5"
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
-    CHECKPOINT, "table.h5", "harvest.h5",
+    "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5",
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""

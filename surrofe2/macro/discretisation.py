@@ -81,8 +81,11 @@ class Discretisation:
 
     def point_positions(self) -> Array:
         """(n_points, 2) reference positions of all points, µm."""
-        corners = self.nodes[self.elements]
-        return np.einsum("qa,eai->eqi", self.shape, corners).reshape(-1, 2)
+        return self.at_points(self.nodes)
+
+    def at_points(self, values: Array) -> Array:
+        """(n_points, 2) at all points of what nodes have, (n_nodes, 2)."""
+        return np.einsum("qa,eai->eqi", self.shape, values[self.elements]).reshape(-1, 2)
 
     def point_near(self, node: int) -> int:
         """First quadrature point of an element at the node."""

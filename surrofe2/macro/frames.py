@@ -18,6 +18,8 @@ from surrofe2.stress_law import Sources
 Array = NDArray[np.float64]
 
 NOTHING: Array = np.empty(0)
+POINTS_EVERY = 10
+"""Points of the law are kept at each frame whose number this divides, and at the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,9 @@ class Frames:
             that does not tell.
         dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
             The rate is linear between the samples of `MacroState`, and constant after the last.
+        point_t: (p,) µs, those of t at which the law's points are kept too: a tenth of them.
+        point_stress: (p, n_points, 2, 2) Cauchy stress as the law answered, µN/µm.
+        point_source, point_bound: (p, n_points) of `Sources`; (p, 0) of a law that does not tell.
     """
 
     t: Array
@@ -45,6 +50,10 @@ class Frames:
     source: Array
     bound: Array
     dissipated: Array
+    point_t: Array
+    point_stress: Array
+    point_source: Array
+    point_bound: Array
 
     @classmethod
     def of(
@@ -56,9 +65,11 @@ class Frames:
         stress: Array,
         sources: Sources | None = None,
         dissipated: Array = NOTHING,
+        *,
+        points: bool = True,
     ) -> Frames:
         """Those of one time, from displacement and velocity (n, 2) of nodes and bodies, from
-        values at the points, and from `dissipated` (n_el,).
+        values at the points, which are kept if `points` says so, and from `dissipated` (n_el,).
         """
         u, v = motion
         n = len(space.nodes)
@@ -73,12 +84,22 @@ class Frames:
             source=_largest(space, None if sources is None else sources.source),
             bound=_largest(space, None if sources is None else sources.bound),
             dissipated=dissipated[None],
+            point_t=np.full(int(points), t),
+            point_stress=np.repeat(stress[None], int(points), axis=0),
+            point_source=_of_points(None if sources is None else sources.source, points),
+            point_bound=_of_points(None if sources is None else sources.bound, points),
         )
 
     def followed_by(self, other: Frames) -> Frames:
         """Both, one after the other."""
         pairs = zip(astuple(self), astuple(other), strict=True)
         return Frames(*(np.concatenate(pair) for pair in pairs))
+
+
+def _of_points(values: NDArray | None, kept: bool) -> Array:
+    """(1 or 0 as they are kept, n_points) values; (…, 0) of None."""
+    told = NOTHING if values is None else values.astype(np.float64)
+    return np.repeat(told[None], int(kept), axis=0)
 
 
 def _largest(space: Discretisation, values: NDArray | None) -> Array:

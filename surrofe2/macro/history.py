@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.frames import NOTHING, Frames
+from surrofe2.macro.frames import NOTHING, POINTS_EVERY, Frames
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
@@ -294,5 +294,6 @@ class Recorder:
         density = NOTHING
         if self._record_dissipation:
             density = (dissipated[0] + (now.t - samples[-1, 0]) * dissipated[1]) / space.areas
-        motion = now.u, now.v
-        return Frames.of(space, now.t, motion, now.F, answer.stress, told, density)
+        motion, due = (now.u, now.v), self._frames_due(now.t)
+        kept = (due - 1) % POINTS_EVERY == 0 or now.t >= self.end
+        return Frames.of(space, now.t, motion, now.F, answer.stress, told, density, points=kept)

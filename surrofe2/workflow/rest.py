@@ -34,7 +34,7 @@ from surrofe2.workflow.run_lifecycle import (
     time_text,
     untold,
 )
-from surrofe2.workflow.saved_run import problem_record, with_rest
+from surrofe2.workflow.saved_run import problem_record, with_rest, write_points
 from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
@@ -77,6 +77,7 @@ def rest_study(
         space = last.system.discretisation
         cell = cell_of_elements(chosen.law, len(space.elements))
         write_fields(folder, space.nodes, space.elements, frames, cell)
+        write_points(folder, space, frames)
         wall = {"total": time.perf_counter() - begin, "compilation": compilation}
         met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
         record = with_rest(record, last.system.rest)

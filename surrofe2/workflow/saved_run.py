@@ -11,9 +11,19 @@ from typing import Any
 import numpy as np
 
 from surrofe2.cache import CachedLaw
-from surrofe2.io.fields import write_fields
+from surrofe2.io.fields import (
+    BOUND_NAME,
+    DISPLACEMENT_NAME,
+    F_DOT_NAME,
+    F_NAME,
+    SOURCE_NAME,
+    STRESS_NAME,
+    VELOCITY_NAME,
+    write_fields,
+)
 from surrofe2.io.files import plain
 from surrofe2.io.lock import locked_folder
+from surrofe2.io.point_fields import write_point_fields
 from surrofe2.io.run_folder import (
     RunRecord,
     caches_of,
@@ -25,7 +35,9 @@ from surrofe2.io.run_folder import (
 )
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroRun, Problem
-from surrofe2.macro.discretisation import n_points_of
+from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
+from surrofe2.macro.frames import Frames
+from surrofe2.macro.internal_force import deformation_gradient
 from surrofe2.macro.problem import label
 from surrofe2.macro.simulation import as_problem
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
@@ -65,12 +77,37 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
 
 
 def write_results(folder: Path, run: MacroRun) -> None:
-    """Write curve.csv, history.csv, energies.csv and fields of a run."""
+    """Write curve.csv, history.csv, energies.csv, fields and points of a run."""
     write_curve(folder, run.curve, run.curves)
     write_history(folder, run.curve.t, run.history)
     write_energies(folder, run.curve.t, run.energies)
     cell = cell_of_elements(run.law, len(run.elements))
     write_fields(folder, run.nodes, run.elements, run.frames, cell)
+    write_points(
+        folder, make_discretisation(as_problem(run.problem, run.settings).mesh), run.frames
+    )
+
+
+def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
+    """Write points.xdmf and points.h5: the law's points, F and Ḟ by the displacement of nodes."""
+    at = np.isin(frames.t, frames.point_t)
+    u, v = frames.displacement[at], frames.velocity[at]
+    moved = [deformation_gradient(space, *motion) for motion in zip(u, v, strict=True)]
+    write_point_fields(
+        folder,
+        space.point_positions(),
+        frames.point_t,
+        {
+            DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
+            VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
+            F_NAME: np.stack([F for F, _, _ in moved]),
+            F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
+            STRESS_NAME: frames.point_stress,
+            SOURCE_NAME: frames.point_source,
+            BOUND_NAME: frames.point_bound,
+        },
+        space.points_per_element,
+    )
 
 
 def with_results(record: RunRecord, run: MacroRun) -> RunRecord:

@@ -11,11 +11,18 @@ import pytest
 
 from surrofe2.errors import FileError
 from surrofe2.io.fields import (
+    BOUND_NAME,
+    DISPLACEMENT_NAME,
+    F_DOT_NAME,
+    F_NAME,
+    SOURCE_NAME,
+    STRESS_NAME,
     add_to_elements,
     read_element_motion,
     write_fields,
     write_particle_fields,
 )
+from surrofe2.io.point_fields import read_point_fields, write_point_fields
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 QUADS = np.array([[0, 1, 2, 3]])
@@ -148,6 +155,48 @@ def test_vtk_sees_one_grid_a_time(tmp_path, frames):
     blocks = shown if isinstance(shown, pyvista.MultiBlock) else [shown]
     assert len(blocks) == 1
     assert blocks[0].n_cells == len(QUADS)
+
+
+def test_points_of_the_law_read_back(tmp_path):
+    """A cloud of six points of two elements at two times; what has no points is left out."""
+    numbers = np.random.default_rng(1)
+    at, t = numbers.normal(size=(6, 2)), np.array([0.0, 2.5])
+    tensors = {
+        name: numbers.normal(size=(2, 6, 2, 2)) for name in (STRESS_NAME, F_NAME, F_DOT_NAME)
+    }
+    values = {DISPLACEMENT_NAME: numbers.normal(size=(2, 6, 2)), **tensors}
+    values |= {SOURCE_NAME: np.arange(12.0).reshape(2, 6), BOUND_NAME: np.empty((2, 0))}
+    write_point_fields(tmp_path, at, t, values, per_element=3)
+    read = read_point_fields(tmp_path)
+    assert {*read} == {"t", "points", SOURCE_NAME, *tensors}
+    for name, expected in {"t": t, "points": at, **tensors}.items():
+        np.testing.assert_array_equal(read[name], expected)
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "points.xdmf") as reader:
+        points, cells = reader.read_points_cells()
+        assert [(block.type, block.data.tolist()) for block in cells] == [
+            ("vertex", [[k] for k in range(6)])
+        ]
+        time, of_points, _ = reader.read_data(1)
+    assert time == 2.5
+    np.testing.assert_array_equal(points[:, :2], at)
+    np.testing.assert_array_equal(of_points["element"], [0, 0, 0, 1, 1, 1])
+    np.testing.assert_array_equal(of_points["displacement_um"][:, :2], values[DISPLACEMENT_NAME][1])
+    np.testing.assert_array_equal(of_points[SOURCE_NAME], values[SOURCE_NAME][1])
+
+
+def test_vtk_sees_the_points(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    stress = np.arange(24.0).reshape(2, 3, 2, 2)
+    write_point_fields(tmp_path, np.eye(3)[:, :2], np.arange(2.0), {STRESS_NAME: stress}, 3)
+    reader = pyvista.get_reader(tmp_path / "points.xdmf")
+    assert reader.time_values == [0.0, 1.0]
+    reader.set_active_time_value(1.0)
+    shown = reader.read()
+    cloud = shown.combine() if isinstance(shown, pyvista.MultiBlock) else shown
+    assert cloud.n_points == 3
+    np.testing.assert_array_equal(
+        np.asarray(cloud.point_data[STRESS_NAME]).reshape(3, 3, 3)[:, :2, :2], stress[1]
+    )
 
 
 def test_no_write_permission(unwritable, frames):

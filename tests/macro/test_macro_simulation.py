@@ -7,6 +7,14 @@ import pytest
 
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.frames import POINTS_EVERY
+from surrofe2.macro.internal_force import (
+    deformation_gradient,
+    element_mean_F,
+    element_mean_stress,
+)
+from surrofe2.macro.posed import as_problem
 from tests.laws import KelvinVoigt
 from tests.macro.bars import LOAD_CASE, SETTINGS
 
@@ -100,6 +108,22 @@ def test_incomplete_checkpoint_is_refused():
     del arrays["frames.stress"]
     with pytest.raises(InputError, match=r"frames\.stress"):
         MacroState.from_arrays(arrays)
+
+
+def test_points_of_frames_have_the_mean_that_their_elements_have():
+    problem = as_problem(LOAD_CASE, SETTINGS)
+    frames = simulate(problem, KelvinVoigt(), SETTINGS).frames
+    space, at = make_discretisation(problem.mesh), np.isin(frames.t, frames.point_t)
+    assert frames.point_t.tolist() == [*frames.t[:-1:POINTS_EVERY], frames.t[-1]]
+    assert frames.point_source.shape == (len(frames.point_t), 0)
+    motion = zip(frames.displacement[at], frames.velocity[at], strict=True)
+    for k, (u, v) in enumerate(motion):
+        F, F_dot, _ = deformation_gradient(space, u, v)
+        for mean, known in (
+            (element_mean_stress(space, F, frames.point_stress[k]), frames.stress[at][k]),
+            (element_mean_F(space, F_dot), frames.F_dot[at][k]),
+        ):
+            np.testing.assert_allclose(mean, known, rtol=0.0, atol=1e-13 * abs(known).max())
 
 
 def test_results_belong_together():
