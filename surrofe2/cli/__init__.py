@@ -24,6 +24,7 @@ from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
 COMMANDS = {
+    "study": "All of a recipe: what is missing of data set, training, runs and comparison.",
     "range": "Propose the range of (F, Ḟ) that the recipe's problem needs, by a dry run.",
     "generate": "Compute plant-cell stresses over a range of (F, Ḟ) into a data set.",
     "train": "Fit a surrogate of the plant-cell stress to the recipe's data set.",
@@ -72,7 +73,7 @@ A study is one TOML recipe; data/bending-bar.toml is one with comments. Its step
   a parameter study: the recipe with other entries, one table and one picture
 
 Called again, a command keeps what is finished and goes on with what was interrupted;
-[bold]--fresh[/bold] starts over. [bold]surrofe2 demo[/bold] does the main steps in one go.
+[bold]--fresh[/bold] starts over. [bold]surrofe2 study RECIPE[/bold] does the main steps in one go.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -123,15 +125,25 @@ def progress(what: str, total: float, unit: str) -> Iterator[Report]:
     """
     console = Console(stderr=True)
     if console.is_terminal:
-        with _bar(console, what, total, unit) as report:
+        with _display(console) as shown, _row(shown, what, total, unit) as report:
             yield report
     else:
         yield _lines(what, total)
 
 
 @contextmanager
-def _bar(console: Console, what: str, total: float, unit: str) -> Iterator[Report]:
-    columns = (
+def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Report]]]:
+    """One display for all stages of a command: a `progress` whose rows stay, with their times."""
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with _display(console) as shown:
+            yield partial(_row, shown)
+    else:
+        yield progress
+
+
+def _display(console: Console) -> Progress:
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
         TextColumn("{task.percentage:>3.0f} %"),
@@ -139,20 +151,28 @@ def _bar(console: Console, what: str, total: float, unit: str) -> Iterator[Repor
         TextColumn("left"),
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
+        console=console,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # what is piped elsewhere goes there
     )
-    with Progress(*columns, console=console, transient=True) as shown:
-        task = shown.add_task(what, total=total, rate="", note="")
-        first: list[float] = []
 
-        def report(done: float, note: str = "") -> None:
-            now = time.perf_counter()
-            if not first and done > 0.0:  # what comes before is not a part of the work
-                first.extend((now, done))
-            elapsed = now - first[0] if first else 0.0
-            rate = f"{(done - first[1]) / elapsed:.3g} {unit}/s" if elapsed > 0.2 else ""
-            shown.update(task, completed=done, rate=rate, note=note)
 
-        yield report
+@contextmanager
+def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
+    task = shown.add_task(what, total=total, rate="", note="")
+    first: list[float] = []
+    begin = time.perf_counter()
+
+    def report(done: float, note: str = "") -> None:
+        now = time.perf_counter()
+        if not first and done > 0.0:  # what comes before is not a part of the work
+            first.extend((now, done))
+        elapsed = now - first[0] if first else 0.0
+        rate = f"{(done - first[1]) / elapsed:.3g} {unit}/s" if elapsed > 0.2 else ""
+        shown.update(task, completed=done, rate=rate, note=note)
+
+    yield report
+    shown.update(task, completed=total, rate=f"{time.perf_counter() - begin:.1f} s", note="")
 
 
 def _lines(what: str, total: float) -> Report:

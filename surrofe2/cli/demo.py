@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli import console
-from surrofe2.cli.compare import show_comparison
+from surrofe2.cli.study import KEPT, show_study
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.demo import run_demo
 from surrofe2.workflow.run_lifecycle import time_text
@@ -24,17 +24,17 @@ def demo(
 ) -> None:
     """The bending bar by true and by cached FE²: data set, training, runs, comparison.
 
-    Compares the recipe's bar, and the same on 16 × 16 elements over 100 µs. Takes a few minutes
-    on two cores.
+    As [bold]surrofe2 study[/bold] with the recipe's bar, and with the same on 16 × 16 elements over
+    100 µs. Takes a few minutes on two cores.
 
     Example: [bold]surrofe2 demo --out out/demo[/bold]
     """
-    study = load_recipe(recipe)
+    stated = load_recipe(recipe)
     begin = time.perf_counter()
-    with console.on_interrupt("finished steps and the samples so far are kept"):
-        found = run_demo(study, out, fresh=fresh, stage=console.progress, tell=console.print_line)
-    for title, comparison in found:
-        show_comparison(comparison, title)
+    with console.on_interrupt(KEPT), console.stages() as stage:
+        found = run_demo(stated, out, fresh=fresh, stage=stage, tell=console.print_line)
+    for title, bar in found:
+        show_study(bar, title)
     console.print_line(
         "wall time and speed-up: of the runs alone, both warm; imports and warm-up before them, "
         "data set and training are not in them"

@@ -17,7 +17,8 @@ In reading order:
     refinement     rounds of cached run, sampling and training
     comparison     runs against each other
     grid           parameter studies; grid_tasks: what their processes are given
-    demo           all of it: data set, surrogate, and two bars by true and cached FE²
+    study          all of a recipe: data set, surrogate, runs and their comparison
+    demo           the same with two bars
     reproduce      studies of many bars, each curve kept
 
 Everywhere: what is finished is kept, what was interrupted goes on, `fresh` starts over whatever is

@@ -13,9 +13,8 @@ from typing import Any
 
 from surrofe2.errors import InputError, SimulationError, quoted
 from surrofe2.io.files import write_json, write_text
-from surrofe2.io.lock import file_lock, locked_folder
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import read_run
-from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.recipe_entries import name_of_values
 from surrofe2.report.grid import Grid, GridRow, write_grid_plot
@@ -24,7 +23,7 @@ from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.grid_tasks import GridTask, Work, run_member
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
-from surrofe2.workflow.train import train_surrogate, unfinished_training
+from surrofe2.workflow.train import is_trained, train_surrogate
 from surrofe2.workflow.workers import Processes, results_of
 
 GRID_FILES = ("grid.csv", "grid.json", "grid.png")
@@ -202,9 +201,7 @@ def _learn(threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> st
     """Data set and surrogate of a cell, where they are not there."""
     use_threads(threads)
     path, recipe = task.recipe.training_path(), task.recipe
-    is_whole = path.exists() and not file_lock(path).exists()
-    is_whole = is_whole and not unfinished_training(recipe).exists()
-    if task.is_own and is_whole and read_surrogate(path).is_calibrated:
+    if task.is_own and is_trained(recipe):
         return None
     fresh = fresh and not task.is_own
 

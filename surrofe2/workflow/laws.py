@@ -145,7 +145,7 @@ def choose_law(
         "errors": surrogate.errors,
         "cost": {name: each.to_dict() for name, each in surrogate.cost.items()},
     }
-    _check_surrogate(recipe, surrogate, path)
+    check_surrogate(recipe, surrogate, path)
     learnt = shared(surrogate)
     if kind == "surrogate":
         return ChosenLaw(learnt, (learnt,), record)
@@ -193,7 +193,12 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
 
 
-def _check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
+def check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
+    """Refuse a surrogate of another plant cell or initialisation.
+
+    Raises:
+        MismatchError: naming what differs.
+    """
     if surrogate.cell != recipe.cell:
         here, there = recipe.cell.to_dict(), surrogate.cell.to_dict()
         name = next(key for key in here if here[key] != there[key])

@@ -67,7 +67,7 @@ def train_surrogate(
     """
     path, source = recipe.training_path(), recipe.data_path()
     samples = read_data_set(source)
-    _check_data(recipe, samples, source)
+    check_data(recipe, samples, source)
     samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
     surrogate = None
     if path.exists() and not fresh and not unfinished_training(recipe).exists():
@@ -94,6 +94,14 @@ def train_surrogate(
         surrogate = replace(surrogate, cost=spent)
         write_surrogate(surrogate, path)
     return Trained(path, surrogate, False, bound_summary(surrogate, samples))
+
+
+def is_trained(recipe: Recipe) -> bool:
+    """Whether the recipe's surrogate is there, whole and with its bound."""
+    path = recipe.training_path()
+    is_whole = path.exists() and not file_lock(path).exists()
+    is_whole = is_whole and not unfinished_training(recipe).exists()
+    return is_whole and read_surrogate(path).is_calibrated
 
 
 def unfinished_training(recipe: Recipe) -> Path:
@@ -126,7 +134,12 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
     return replace(surrogate, reference=reference, cost={"training": meter.cost})
 
 
-def _check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
+def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
+    """Refuse a data set of another recipe.
+
+    Raises:
+        MismatchError: naming what differs.
+    """
     for name, here, there in (
         ("cell", recipe.cell, samples.cell),
         ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),

@@ -1,0 +1,78 @@
+"""`surrofe2 study`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from surrofe2.cli import console
+from surrofe2.cli.compare import show_comparison
+from surrofe2.errors import InputError
+from surrofe2.workflow.laws import open_study
+from surrofe2.workflow.run import cache_notes
+from surrofe2.workflow.run_lifecycle import time_text
+from surrofe2.workflow.study import Studied, run_recipe
+
+KEPT = "finished steps, the samples and iterations so far and the run's last checkpoint are kept"
+
+
+def study(
+    recipe: console.RecipeFile,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the runs; default: out/study-RECIPE."),
+    ] = None,
+    law: Annotated[
+        Literal["cached", "table"],
+        typer.Option(help="Beside true RVEs: the surrogate, or a table, which needs no training."),
+    ] = "cached",
+    true: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="A true run to compare with; then none is made."),
+    ] = None,
+    without_true: Annotated[
+        bool, typer.Option("--without-true", help="No true run, so nothing to compare with.")
+    ] = False,
+    fresh: console.Fresh = False,
+    threads: console.Threads = None,
+) -> None:
+    """All of a recipe: data set, training, true run, cached run, comparison.
+
+    Does what is missing of these, and goes on where it was interrupted. DIR receives a run folder
+    for each law, [bold]rve[/bold] and [bold]cached[/bold], and [bold]comparison[/bold]; data set
+    and surrogate are the recipe's.
+
+    Example: [bold]surrofe2 study data/bending-bar.toml[/bold]
+
+    Before a long one: [bold]surrofe2 check data/bending-bar.toml[/bold]
+    """
+    if true is not None and without_true:
+        raise InputError("--true: not with --without-true; leave one of them out")
+    stated = open_study(recipe, threads)
+    folder = out or Path("out") / f"study-{recipe.stem}"
+    begin = time.perf_counter()
+    with console.on_interrupt(KEPT), console.stages() as stage:
+        found = run_recipe(
+            stated,
+            folder,
+            laws=(law,) if true is not None or without_true else ("rve", law),
+            true=true,
+            fresh=fresh,
+            stage=stage,
+            tell=console.print_line,
+        )
+    show_study(found)
+    console.print_line(f"{folder}: done in {time_text(time.perf_counter() - begin)}")
+
+
+def show_study(found: Studied, title: str = "") -> None:
+    """What the runs of a study came to: their comparison, and what their caches say."""
+    if found.comparison is not None:
+        show_comparison(found.comparison, title)
+    for record in found.records:
+        for sentence, is_warning in cache_notes(record):
+            if is_warning or found.comparison is None:
+                (console.print_error if is_warning else console.print_line)(sentence)

@@ -1,0 +1,87 @@
+"""A whole study by one command, over a law without cells."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import pytest
+
+from surrofe2.io.run_folder import read_record
+from tests.laws import SoftLaw, SquareLaw
+
+
+def _largest_difference(out):
+    result = json.loads((out / "comparison" / "comparison.json").read_text(encoding="utf-8"))
+    assert result["reference"] == "rve"
+    return result["runs"][0]["difference"]["largest"]
+
+
+def test_everything_by_one_command(invoke, recipe_path, tmp_path):
+    out = tmp_path / "study"
+    done = invoke("study", recipe_path, "--out", out)
+    assert done.exit_code == 0, done.output
+    assert _largest_difference(out) < 1e-3
+    steps = re.findall(r"^(\d)/4 ", done.stdout, re.M)
+    assert steps == ["1", "2", "3", "4"]
+    assert "with everything counted" in done.stdout
+    law = SoftLaw()
+    again = invoke("study", recipe_path, "--out", out, law=law)
+    assert again.exit_code == 0, again.output
+    assert law.calls == 0
+    assert "40 samples (already finished)" in again.stdout
+    assert "(already trained)" in again.stdout
+
+
+def test_what_is_missing_alone_is_done(invoke, recipe_path, tmp_path):
+    out = tmp_path / "study"
+    assert invoke("study", recipe_path, "--out", out).exit_code == 0
+    kept = (out / "rve" / "run.json").read_bytes()
+    shutil.rmtree(out / "cached")
+    (tmp_path / "cells.h5").unlink()  # its surrogate needs it no more
+    done = invoke("study", recipe_path, "--out", out)
+    assert done.exit_code == 0, done.output
+    assert (out / "rve" / "run.json").read_bytes() == kept
+    assert read_record(out / "cached").status == "finished"
+    assert not (tmp_path / "cells.h5").exists()
+
+
+def test_a_true_run_that_was_kept(invoke, recipe_path, tmp_path):
+    assert invoke("run", recipe_path, "--law", "rve", "--out", tmp_path / "rve").exit_code == 0
+    out = tmp_path / "study"
+    done = invoke("study", recipe_path, "--out", out, "--true", tmp_path / "rve")
+    assert done.exit_code == 0, done.output
+    assert not (out / "rve").exists()
+    assert _largest_difference(out) < 1e-3
+
+
+def test_without_a_true_run(invoke, recipe_path, tmp_path):
+    out = tmp_path / "study"
+    done = invoke("study", recipe_path, "--out", out, "--without-true")
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in out.iterdir()) == ["cached"]
+    assert "audit: " in done.stdout
+    both = invoke("study", recipe_path, "--without-true", "--true", tmp_path)
+    assert both.exit_code == 1
+    assert both.stderr == "error: --true: not with --without-true; leave one of them out\n"
+
+
+def test_a_table_needs_no_data_set(invoke, recipe_path, tmp_path):
+    recipe_path.write_text(recipe_path.read_text().replace('file = "cells.h5"\n', ""))
+    out = tmp_path / "study"
+    done = invoke("study", recipe_path, "--out", out, "--law", "table", law=SquareLaw())
+    assert done.exit_code == 0, done.output
+    assert _largest_difference(out) < 1e-3
+    assert "1/2 " in done.stdout
+
+
+@pytest.mark.parametrize("law", ["cached", "table"])
+def test_a_mistake_in_the_problem_is_told_before_anything_is_made(
+    invoke, changed_recipe, tmp_path, law
+):
+    path = changed_recipe("watched = [100.0, 50.0]", "watched = [100.0, 49.0]\n[surface]\non = 'x'")
+    done = invoke("study", path, "--out", tmp_path / "study", "--law", law)
+    assert done.exit_code == 1
+    assert not (tmp_path / "cells.h5").exists()
+    assert not (tmp_path / "study").exists()
