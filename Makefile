@@ -2,12 +2,13 @@
 # make test   set up and run the tests
 # make bench  set up and run the benchmarks in full, on a quiet machine; MODE=quick: less of each
 # make accept-cache  set up and audit every answer of the cache on five bars, into docs/trust.md
+# make docs   set up and build the documentation site, into out/site/index.html
 # make paper  set up and reproduce the paper's figures with both presets, into out/paper
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: paper demo test test-slow lint bench bench-quick accept-cache clean
+.PHONY: paper demo docs test test-slow lint bench bench-quick accept-cache clean
 
 demo: .venv/.installed
 	$(BIN)/surrofe2 demo
@@ -17,6 +18,9 @@ test: .venv/.installed
 
 test-slow: .venv/.installed
 	$(BIN)/pytest -m slow
+
+docs: .venv/.installed
+	$(BIN)/python -m sphinx -q -W --keep-going -c docs . out/site
 
 lint: .venv/.installed
 	$(BIN)/ruff check .

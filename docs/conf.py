@@ -1,0 +1,100 @@
+"""The documentation site: `make docs` builds it into out/site.
+
+The source folder is the project's root, so that links between pages lead to the same files here and
+in a view of the repository.
+"""
+
+import sys
+from importlib import metadata
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+import scripts
+
+project = "surrofe2"
+author = "the surrofe2 authors"
+version = release = metadata.version("surrofe2")
+root_doc = "docs/index"
+include_patterns = ["docs/**", "examples/*.md", "data/README.md", "*.md"]
+exclude_patterns = [".*", "out", "surrofe2", "tests", "benchmarks", "build", "docs/scripts/*.[!r]*"]
+
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "commands",
+    "docstrings",
+    "recorded",
+]
+suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]
+
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath", "fieldlist"]
+myst_fence_as_directive = ["math", "recorded"]
+myst_heading_anchors = 4
+myst_dmath_double_inline = True
+nb_execution_mode = "off"  # notebooks keep what they printed; docs/record.py runs them
+
+autodoc_typehints_format = "short"
+maximum_signature_line_length = 88
+autodoc_member_order = "bysource"
+autosummary_generate = False
+default_role = "code"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+sphinx_gallery_conf = scripts.make()
+
+html_theme = "pydata_sphinx_theme"
+html_title = "surrofe2"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {
+    "logo": {"text": "surrofe2"},
+    "navbar_align": "left",
+    "show_prev_next": True,
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 6,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "pygments_light_style": "tango",
+    "pygments_dark_style": "github-dark",
+}
+html_sidebars = {"docs/index": []}
+copyright = "the surrofe2 authors, BSD-3-Clause"
+
+# MathJax from its package, so that the site needs no network.
+mathjax_path = "mathjax/tex-chtml.js"
+mathjax3_config = {"chtml": {"displayAlign": "center"}, "tex": {"tags": "none"}}
+_MATHJAX = ("static/mathjax/tex-chtml.js", "static/mathjax/output/chtml/fonts/woff-v2/")
+
+_FRONT = """<!doctype html><meta charset="utf-8"><title>surrofe2</title>
+<meta http-equiv="refresh" content="0; url=docs/index.html"><a href="docs/index.html">surrofe2</a>
+"""
+
+
+def finish(app, error):
+    """MathJax and its fonts, and a front door at the root."""
+    if error is not None or app.builder.format != "html":
+        return
+    out = Path(app.outdir)
+    (out / "index.html").write_text(_FRONT, encoding="utf-8")
+    for file in metadata.files("sphinx-mathjax-offline") or ():
+        name = file.as_posix()
+        if any(part in name for part in _MATHJAX):
+            target = out / "_static" / name.split("/static/")[1]
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(file.read_binary())
+
+
+def setup(app):
+    """What Sphinx calls."""
+    app.connect("build-finished", finish)
