@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.stress_law import (
     Acceptance,
+    AuditedLaw,
     LearningLaw,
     Sources,
     StressLaw,
@@ -55,6 +56,8 @@ class RegionalLaw:
         self.laws = {name: laws[name] for name in points}
         self.points = dict(points)
         self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
+        found = self.laws.values()
+        self._audited = [law for law in found if isinstance(law, AuditedLaw) and law.is_audited]
         self.density = np.empty(everyone.size)
         for law, own in self._parts:
             self.density[own] = law.density
@@ -142,6 +145,27 @@ class RegionalLaw:
         parts = self._parts_of(response)
         pairs = zip(self._parts, parts, strict=True)
         return self._together([ask(law, own, part) for (law, own), part in pairs], parts)
+
+    @property
+    def is_audited(self) -> bool:
+        """Whether all laws are."""
+        return len(self._audited) == len(self.laws)
+
+    def mark(self, t: float, state: Any) -> None:
+        """As of `AuditedLaw`."""
+        for law, part in zip(self._audited, state, strict=True):
+            law.mark(t, part)
+
+    def verdict(self, *, final: bool = False) -> bool | None:
+        """As of `AuditedLaw`; where one law has come to its own, all do."""
+        found = [law.verdict(final=final) for law in self._audited]
+        if True in found and not final:
+            found = [law.verdict(final=True) for law in self._audited]
+        return False if False in found else (None if None in found else True)
+
+    def roll_back(self, t: float) -> Any:
+        """As of `AuditedLaw`, of all laws."""
+        return tuple(law.roll_back(t) for law in self._audited)
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:
         """What each law answered, without tangents."""

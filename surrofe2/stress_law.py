@@ -223,6 +223,29 @@ class SwitchingLaw(StressLaw, Protocol):
         """
 
 
+@runtime_checkable
+class AuditedLaw(StressLaw, Protocol):
+    """A law that learns only later how wrong its answers were.
+
+    Whoever steps marks where a chunk of steps begins, and asks for the verdict after every kept
+    step. A chunk that stands ends there, and the next one begins; one that does not is made again
+    from its mark, by the state that `roll_back` gives.
+    """
+
+    @property
+    def is_audited(self) -> bool:
+        """Whether it ever gives a verdict."""
+
+    def mark(self, t: float, state: Any) -> None:
+        """What was kept up to t stands; `state` is what was committed there."""
+
+    def verdict(self, *, final: bool = False) -> bool | None:
+        """Whether the steps since the mark stand; None: not known yet, unless `final`."""
+
+    def roll_back(self, t: float) -> Any:
+        """The state at the mark, to go on with more caution; t is where the verdict fell."""
+
+
 def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
     """An `InputError` that begins with the purpose unless the law gives tangents."""
     if not law.has_tangents:
@@ -265,3 +288,13 @@ def _as_tensors(name: str, value: Any) -> Array:
         point = int(np.argwhere(~finite)[0, 0])
         raise InputError(f"{name}: not finite at point {point}; every entry must be a number")
     return array
+
+
+def is_ready(tensors: Any) -> bool:
+    """Whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
+    return (
+        isinstance(tensors, np.ndarray)
+        and tensors.dtype == np.float64
+        and tensors.shape[1:] == (2, 2)
+        and tensors.flags.c_contiguous
+    )

@@ -2,8 +2,8 @@
 
 In reading order: `protocols` is what a cache asks of others, `settings` of its user; `branches`
 says which part answers which point, `cached_law` is the law; `monitor` holds what changes with
-kept steps: `audit` finds how wrong the answers were, `trust` draws the conclusions, `cost` says
-whether it pays. `table` is a surrogate that learns as it is used.
+kept steps: `audit` finds how wrong the answers were, `trust` and `chunk` draw the conclusions,
+`cost` says whether it pays. `table` is a surrogate that learns as it is used.
 """
 
 from __future__ import annotations

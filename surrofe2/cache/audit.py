@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
+MORE = 4.0
+"""Times as many answers are audited after some that were wrong made a run go back."""
 BINS_A_DECADE = 50
 """A quantile is the upper edge of its bin: at most 4.7 % too large, never too small."""
 _LOWEST, _HIGHEST = -12, 6
@@ -71,6 +73,10 @@ class ErrorRecord:
         place = int(np.searchsorted(np.cumsum(self.bins), share * solved - 1e-9, side="left"))
         edge = _EDGES[place] if place < len(_EDGES) else np.inf
         return float(min(edge, self.largest))
+
+    def to_values(self) -> dict[str, Any]:
+        """Plain values of which `ErrorRecord` makes the same record."""
+        return {**asdict(self), "bins": self.bins.tolist()}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for run.json; µN/µm."""
@@ -165,6 +171,21 @@ class Audit:
         self._note_worst(asked, truth.stress, error)
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether there are answers to be audited."""
+        return bool(self._waiting)
+
+    def go_back(self, step: int, record: Mapping[str, Any]) -> None:
+        """Have this record, and none waiting of answers after so many steps; audit more from here
+        on, for something was wrong."""
+        self.record, waiting = ErrorRecord(**record), list[Question]()
+        for each in self._waiting:
+            kept: dict[str, Any] = {k: v[each.step <= step] for k, v in each._asdict().items()}
+            waiting += [Question(**kept)] if len(kept["step"]) else []
+        self._waiting = waiting
+        self._share = min(1.0, self._share * MORE)
+
     def to_arrays(self) -> dict[str, NDArray]:
         """What waits, and what the next audit starts from."""
         arrays: dict[str, NDArray] = {}
@@ -177,8 +198,11 @@ class Audit:
 
     def to_values(self) -> dict[str, Any]:
         """Plain values: all audits so far, and the random stream."""
-        values = {**asdict(self.record), "bins": self.record.bins.tolist()}
-        return {"record": values, "random": self._random.bit_generator.state}
+        return {
+            "record": self.record.to_values(),
+            "share": self._share,
+            "random": self._random.bit_generator.state,
+        }
 
     def restore(self, arrays: Mapping[str, NDArray], values: Mapping[str, Any]) -> None:
         """Go on where another audit gave these by `to_arrays` and `to_values`."""
@@ -189,6 +213,7 @@ class Audit:
             state = self._fallback.state_from_arrays(part_of(arrays, "last"))
             self._last = arrays["last_points"].astype(np.intp), arrays["last_at"], state
         self.record = ErrorRecord(**values["record"])
+        self._share = float(values["share"])
         self._random.bit_generator.state = values["random"]
 
     def _joined(self) -> Question:

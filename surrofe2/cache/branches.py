@@ -241,6 +241,18 @@ def joined_tangents(first: Tangents | None, second: Tangents | None) -> Tangents
     )
 
 
+def tangents_of_both(
+    surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState, of_known: Tangents | None
+) -> Tangents | None:
+    """Those of the surrogate at free points and of the fallback, `of_known`, at its own."""
+    free, known = state.free().nonzero()[0], state.on_fallback.points
+    both = joined_tangents(surrogate.tangents(F[free], F_dot[free]), of_known)
+    if both is None:
+        return None
+    place = np.argsort(np.concatenate([free, known]))
+    return Tangents(both.P_by_F[place], both.P_by_F_dot[place])
+
+
 def added(effort: Mapping[str, int], more: Mapping[str, int]) -> dict[str, int]:
     """Sum by name."""
     total = dict(effort)

@@ -20,15 +20,14 @@ from surrofe2.cache.branches import (
     answer_both,
     check_state,
     choose_branches,
-    joined_tangents,
     look_up,
     part_of,
+    tangents_of_both,
     within,
 )
 from surrofe2.cache.monitor import NO_EFFORT, Monitor, effort_of
-from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
+from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
-from surrofe2.errors import MismatchError
 from surrofe2.stress_law import (
     SURROGATE,
     TABLE,
@@ -36,8 +35,8 @@ from surrofe2.stress_law import (
     Sources,
     Status,
     StressResponse,
-    Tangents,
     check_deformation,
+    is_ready,
     require_tangents,
 )
 
@@ -69,7 +68,7 @@ class CachedLaw:
         settings: CacheSettings | None = None,
         on_true_answer: OnTrueAnswer | None = None,
     ) -> None:
-        _check_match(surrogate, fallback)
+        check_match(surrogate, fallback)
         self.surrogate = surrogate
         self.fallback = fallback
         self.density = fallback.density
@@ -95,6 +94,7 @@ class CachedLaw:
     def reset_counts(self) -> None:
         """Begin as if nothing had been asked: counts, audits, trust and stopwatch."""
         self._monitor = Monitor(self.surrogate, self.fallback, self.settings, self.on_true_answer)
+        self._marked: CachedState | None = None
 
     def history(self) -> dict[str, Any]:
         """How the cache has done so far, as plain values for run.json."""
@@ -104,14 +104,42 @@ class CachedLaw:
         """`history` at the end of a run: what still waits is audited, and the cost is stated."""
         return self._monitor.report()
 
+    @property
+    def is_audited(self) -> bool:
+        """Whether any answer is; see `AuditedLaw`."""
+        return self.settings.audit > 0.0
+
+    @property
+    def decisions(self) -> list[dict[str, Any]]:
+        """On chunks of steps, in order: which stand and which were rolled back, and why."""
+        return [dict(each) for each in self._monitor.decisions]
+
+    def mark(self, t: float, state: CachedState) -> None:
+        """What was kept up to t stands; what follows may be rolled back to here."""
+        self._monitor.begin_chunk(t)
+        self._marked = state
+
+    def verdict(self, *, final: bool = False) -> bool | None:
+        """Whether the steps since the mark stand; None: not known yet."""
+        with self._monitor.meter.part("total"):
+            return self._monitor.verdict(final=final)
+
+    def roll_back(self, t: float) -> CachedState:
+        """The state at the mark, by the bound as it is now."""
+        assert self._marked is not None
+        self._monitor.go_back(t)
+        return replace(self._marked, tolerance=self._monitor.trust.tolerance)
+
     def to_arrays(self, state: CachedState) -> dict[str, NDArray]:
         """All that decides what comes next, `state` being what `accept` gave last.
 
         That is its branches with the fallback's warm start, counts, audits with those that wait,
         trust, the random stream, and what the surrogate has learnt.
         """
+        marked = {} if self._marked is None else self._marked.to_arrays()
         return {
             **within("state", state.to_arrays()),
+            **within("marked", marked),
             **within("monitor", self._monitor.to_arrays()),
         }
 
@@ -119,6 +147,8 @@ class CachedLaw:
         """Go on where a law of the same parts and settings gave these; its state to continue by."""
         self.reset_counts()
         self._monitor.from_arrays(part_of(arrays, "monitor"))
+        marked = part_of(arrays, "marked")
+        self._marked = CachedState.from_arrays(marked, self.fallback) if marked else None
         return CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
 
     def respond(
@@ -129,7 +159,7 @@ class CachedLaw:
         Raises:
             InputError: tangents are asked for, and surrogate or fallback have none.
         """
-        if not (_is_ready(F) and _is_ready(F_dot) and F.shape == F_dot.shape):
+        if not (is_ready(F) and is_ready(F_dot) and F.shape == F_dot.shape):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
@@ -182,7 +212,9 @@ class CachedLaw:
             status,
             after,
             added(effort_of(count, known.why), answer.effort),
-            self._tangents(F, F_dot, after, answer.tangents) if tangents else None,
+            tangents_of_both(self.surrogate, F, F_dot, after, answer.tangents)
+            if tangents
+            else None,
             switched,
             sources=partial(self._sources, F, F_dot, after),
         )
@@ -314,37 +346,3 @@ class CachedLaw:
             accepted = self.fallback.accept(*at, answer)
         stress = answer.stress if accepted.stress is None else accepted.stress
         return replace(answer, stress=stress, status=accepted.status, state=accepted.state)
-
-    def _tangents(
-        self, F: Array, F_dot: Array, state: CachedState, of_known: Tangents | None
-    ) -> Tangents | None:
-        free, known = state.free().nonzero()[0], state.on_fallback.points
-        both = joined_tangents(self.surrogate.tangents(F[free], F_dot[free]), of_known)
-        if both is None:
-            return None
-        place = np.argsort(np.concatenate([free, known]))
-        return Tangents(both.P_by_F[place], both.P_by_F_dot[place])
-
-
-def _check_match(surrogate: Surrogate, fallback: Fallback) -> None:
-    here, there = surrogate.cell.fingerprint, fallback.cell.fingerprint
-    if here != there:
-        raise MismatchError(
-            f"cache: the surrogate is of cell parameters {here}, the fallback of {there}; "
-            "train a surrogate for these parameters"
-        )
-    if surrogate.initialisation != fallback.initialisation:
-        raise MismatchError(
-            f"cache: the surrogate is of initialisation {surrogate.initialisation}, the fallback "
-            f"of {fallback.initialisation}; train a surrogate for this initialisation"
-        )
-
-
-def _is_ready(tensors: Any) -> bool:
-    """Whether `lookup` can read the array as it is."""
-    return (
-        isinstance(tensors, np.ndarray)
-        and tensors.dtype == np.float64
-        and tensors.shape[1:] == (2, 2)
-        and tensors.flags.c_contiguous
-    )

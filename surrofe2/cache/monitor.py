@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.audit import Audit, Question
 from surrofe2.cache.branches import CachedState, PointSet, beyond_bifurcation, part_of, within
+from surrofe2.cache.chunk import Chunk
 from surrofe2.cache.cost import Meter
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate
 from surrofe2.cache.settings import CacheSettings
@@ -46,6 +47,8 @@ class Monitor:
         counts: see `CachedLaw.counts`.
         trust: what lookups are given for a tolerance.
         meter: stopwatch, the one thing that runs while the law responds.
+        chunk: the steps that go back if they do not stand; None where none can.
+        decisions: on all chunks so far, and those that went back; lines of the event log.
     """
 
     def __init__(
@@ -63,6 +66,8 @@ class Monitor:
         allowed = np.inf if self._spread is None else settings.tolerance * float(self._spread)
         self.trust = Trust(allowed)
         self.meter = Meter()
+        self.chunk: Chunk | None = None
+        self.decisions: list[dict[str, Any]] = []
         self._left: dict[str, dict[str, float]] = {}
         self._audit = Audit(fallback, settings.audit, settings.seed, allowed)
         self._faults = FaultDetector(learns=surrogate.learns)
@@ -110,6 +115,8 @@ class Monitor:
         fault = self._faults.check(F, stress, state.bound, hits, known.why, state.tolerance)
         if fault is not None and not self.trust.is_off:
             self.trust.switch_off(step, fault)
+            if self.chunk is not None:
+                self.chunk.is_wrong = self._faults.has_hit
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
         """Count by quantity the points beyond the range, and keep the farthest value of each."""
@@ -153,8 +160,52 @@ class Monitor:
         if len(wrong):
             state = None if found.state is None else found.state.take(wrong)
             self._surrogate.learn(asked.F[wrong], asked.F_dot[wrong], found.stress[wrong], state)
-        if not self.trust.is_off:
-            self.trust.judge(self.counts["steps"], found.broken, found.error, asked.bound)
+        alarm = not self.trust.is_off and self.trust.judge(
+            self.counts["steps"], found.broken, found.error, asked.bound
+        )
+        if self.chunk is not None:
+            self.chunk.add(found)
+            self.chunk.is_wrong |= alarm
+
+    def begin_chunk(self, t: float) -> None:
+        """What was kept up to t stands; what follows may go back to here."""
+        if self.chunk is not None and t > self.chunk.begin:
+            self._decide(t, self.chunk, "stands")
+        before = {
+            "counts": dict(self.counts),
+            "left": {name: dict(left) for name, left in self._left.items()},
+            "faults": asdict(self._faults),
+            "record": self._audit.record.to_values(),
+        }
+        self.chunk = Chunk(t, self.counts["steps"], self.trust.tolerance, before)
+
+    def verdict(self, *, final: bool) -> bool | None:
+        """Whether the chunk stands; None: not known yet. `final` audits all that waits."""
+        chunk, step = self.chunk, self.counts["steps"]
+        if chunk is None:
+            return None
+        if final:
+            self.run_audit()
+        over = final or (chunk.is_due(step) and not self._audit.is_waiting)
+        if not chunk.is_wrong and chunk.breaks(over=over) and not self.trust.is_off:
+            self.trust.tighten(step, chunk.violations, chunk.audits)
+            chunk.is_wrong = True
+        return False if chunk.is_wrong else (True if over else None)
+
+    def go_back(self, t: float) -> None:
+        """Know what was known when the chunk began, but for what was learnt since, and that the
+        bound was too low; t is where it was found wrong."""
+        assert self.chunk is not None
+        self._decide(t, self.chunk, "rolled back")
+        before = self.chunk.before
+        self.counts, self._left = dict(before["counts"]), dict(before["left"])
+        self._faults = FaultDetector(**before["faults"])
+        self._audit.go_back(self.chunk.step, before["record"])
+        self.chunk = Chunk(self.chunk.begin, self.chunk.step, self.trust.tolerance, before)
+
+    def _decide(self, t: float, chunk: Chunk, decision: str) -> None:
+        line = chunk.decision(t, self.counts["steps"], self.trust.tolerance, decision)
+        self.decisions.append(line)
 
     def history(self) -> dict[str, Any]:
         """How the cache has done so far, as plain values for run.json."""
@@ -189,6 +240,8 @@ class Monitor:
             "faults": asdict(self._faults),
             "audit": self._audit.to_values(),
             "meter": asdict(self.meter),
+            "chunk": None if self.chunk is None else asdict(self.chunk),
+            "decisions": self.decisions,
         }
         return {
             "values": np.frombuffer(json.dumps(values).encode(), dtype=np.uint8),
@@ -205,4 +258,6 @@ class Monitor:
         self._faults = FaultDetector(**values["faults"])
         self._audit.restore(part_of(arrays, "audit"), values["audit"])
         self.meter = Meter(**values["meter"])
+        self.chunk = None if values["chunk"] is None else Chunk(**values["chunk"])
+        self.decisions = list(values["decisions"])
         self._surrogate.from_arrays(part_of(arrays, "surrogate"))

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.errors import MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import StressLaw, Tangents
@@ -127,3 +128,18 @@ class OnTrueAnswer(Protocol):
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
     ) -> None:
         """Points (n, 2, 2) with stress and status of the fallback; why: 0 fallback, 1 audit."""
+
+
+def check_match(surrogate: Surrogate, fallback: Fallback) -> None:
+    """A MismatchError unless both are of one plant cell and initialisation."""
+    here, there = surrogate.cell.fingerprint, fallback.cell.fingerprint
+    if here != there:
+        raise MismatchError(
+            f"cache: the surrogate is of cell parameters {here}, the fallback of {there}; "
+            "train a surrogate for these parameters"
+        )
+    if surrogate.initialisation != fallback.initialisation:
+        raise MismatchError(
+            f"cache: the surrogate is of initialisation {surrogate.initialisation}, the fallback "
+            f"of {fallback.initialisation}; train a surrogate for this initialisation"
+        )

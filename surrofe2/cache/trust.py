@@ -73,8 +73,9 @@ class Trust:
         """What a bound may be at most, µN/µm; negative: nothing is trusted."""
         return -1.0 if self.is_off else self.allowed / self.factor
 
-    def judge(self, step: int, broken: NDArray[np.bool_], error: Array, bound: Array) -> None:
-        """Take note of audits (k,); tighten or switch off if too many broke the tolerance."""
+    def judge(self, step: int, broken: NDArray[np.bool_], error: Array, bound: Array) -> bool:
+        """Take note of audits (k,); tighten or switch off if too many broke the tolerance, and say
+        whether."""
         self.broken = [*self.broken, *broken.tolist()][-RECENT:]
         with np.errstate(divide="ignore", invalid="ignore"):
             self.ratios = [*self.ratios, *(error / bound).tolist()][-RECENT:]
@@ -83,8 +84,9 @@ class Trust:
         recent = sum(self.broken), len(self.broken)
         for violations, audits in ((self.violations, self.audits), recent):
             if chance(violations, audits) < ALARM:
-                self._tighten(step, violations, audits)
-                return
+                self.tighten(step, violations, audits)
+                return True
+        return False
 
     def switch_off(self, step: int, finding: str) -> None:
         """Stop using the cache for good."""
@@ -99,16 +101,14 @@ class Trust:
         """Plain values for run.json."""
         return {"factor": self.factor, "off": self.is_off, "events": list(self.events)}
 
-    def _tighten(self, step: int, violations: int, audits: int) -> None:
-        """Multiply the bound so that it would have held over the audits that raised the alarm."""
+    def tighten(self, step: int, violations: int, audits: int) -> None:
+        """Multiply the bound so that no answer would have been given that broke the tolerance."""
         finding = (
             f"{violations} of {audits} audited answers are off by more than the tolerance of "
             f"{self.allowed:.3g} µN/µm (at most {100.0 * NOMINAL:g} % should be)"
         )
-        ratios = np.array(self.ratios)
-        wanted = np.inf
-        if np.isfinite(ratios).all() and ratios.max() > 0.0:
-            wanted = _MARGIN * float(np.quantile(ratios, 1.0 - NOMINAL, method="higher"))
+        ratios = np.array(self.ratios)[np.array(self.broken, dtype=bool)]
+        wanted = _MARGIN * float(ratios.max()) if np.isfinite(ratios).all() else np.inf
         factor = max(2.0 * self.factor, wanted)
         self.audits = self.violations = 0  # under this factor they say nothing of the next
         self.broken, self.ratios = [], []

@@ -33,7 +33,7 @@ SCHEMA_VERSION = 2
 CHECKPOINT = "checkpoint.h5"
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
-    "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5",
+    "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5", "events.jsonl",
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
@@ -70,7 +70,7 @@ class RunRecord:
         ranks: of a run on several: how many and of how many threads each, what travelled, and the
             seconds of the law that the slowest rank computed, that messages took, and that ranks
             were idle; since the run last went on.
-        files: SHA-256 of each CSV file in the folder, as it was when this was written.
+        files: SHA-256 of each CSV file and the event log, as they were when this was written.
     """
 
     status: str
@@ -209,7 +209,7 @@ def presets_of(recipe: Mapping[str, Any]) -> str:
 
 def write_record(folder: Path, record: RunRecord) -> None:
     """Write run.json, with the digests of the tables beside it."""
-    tables = [folder / name for name in FILES if name.endswith(".csv")]
+    tables = [folder / name for name in FILES if name.endswith((".csv", ".jsonl"))]
     record = replace(record, files={path.name: digest(path) for path in tables if path.exists()})
     header = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
     write_json(folder / "run.json", header | asdict(record))

@@ -123,8 +123,7 @@ class EquationsOfMotion:
         self.clock = clock
         self.corners = system.problem.corners()
         self.piece = 0
-        # At a corner the piece before it: whoever goes on from there crosses it.
-        self.enter_piece(max(0, int(np.searchsorted(self.corners, t)) - 1))
+        self.go_to(t)
         self.tally = Tally()
         self._start: Evaluation
         self.law_state: Any = None
@@ -134,6 +133,13 @@ class EquationsOfMotion:
     def piece_end(self) -> float:
         """Where the piece under way ends, µs."""
         return float(self.corners[self.piece + 1])
+
+    def go_to(self, t: float) -> None:
+        """Enter the piece of the amplitudes in which t is.
+
+        At a corner the piece before it: whoever goes on from there crosses it.
+        """
+        self.enter_piece(max(0, int(np.searchsorted(self.corners, t)) - 1))
 
     def enter_piece(self, piece: int) -> None:
         """From here on amplitudes are those of this piece."""

@@ -25,6 +25,7 @@ COUNTS = (
     "rejected_steps",
     "failed_trials",
     "repeated_steps",
+    "rolled_back_steps",
     "right_hand_sides",
     "factorisations",
     "stress_calls",
@@ -57,6 +58,8 @@ class MacroState:
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.
         rest: as `System.rest`; (0, 2) of None.
+        mark: where the run goes back to if what follows does not stand, without the law's state,
+            which the law knows; None: it never does.
     """
 
     t: float
@@ -76,12 +79,15 @@ class MacroState:
     stress: Array
     law_state: Any = None
     rest: Array = field(default_factory=lambda: np.empty((0, 2)))
+    mark: MacroState | None = None
 
     def to_arrays(self) -> dict[str, NDArray]:
         """One array for each entry; those of frames and dicts are ``"counts.steps"`` and so on."""
         arrays: dict[str, NDArray] = {}
-        values = asdict(replace(self, law_state=None))
-        del values["law_state"]
+        if self.mark is not None:
+            arrays |= {f"mark.{name}": array for name, array in self.mark.to_arrays().items()}
+        values = asdict(replace(self, law_state=None, mark=None))
+        del values["law_state"], values["mark"]
         for name, value in values.items():
             inner = value.items() if isinstance(value, dict) else ()
             arrays |= {f"{name}.{key}": np.array(entry) for key, entry in inner}
@@ -97,7 +103,12 @@ class MacroState:
             InputError: one of them is missing.
         """
         values: dict[str, Any] = {"frames": {}, "counts": {}, "effort": {}, "wall_time": {}}
+        marked = {k.removeprefix("mark."): v for k, v in arrays.items() if k.startswith("mark.")}
+        if marked:
+            values["mark"] = cls.from_arrays(marked)
         for name, array in arrays.items():
+            if name.startswith("mark."):
+                continue
             value = array.item() if np.ndim(array) == 0 else np.array(array, dtype=np.float64)
             group, dot, key = name.partition(".")
             (values[group] if dot else values)[key or name] = value
@@ -179,7 +190,6 @@ class Recorder:
             rest=np.empty((0, 2)) if self._system.rest is None else self._system.rest,
             **self._standing(stepper),
         )
-        self._equations.is_committing = False
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
         """Record an accepted step, after which `stepper` stands at its end."""
@@ -216,7 +226,26 @@ class Recorder:
             extremes=extremes,
             **self._standing(stepper),
         )
-        self._equations.is_committing = False
+
+    @property
+    def t(self) -> float:
+        """Of the last step recorded, µs."""
+        return self._state.t
+
+    def mark(self) -> None:
+        """What was recorded so far stands."""
+        marked = replace(self._state, law_state=None, mark=None)
+        self._state = replace(self._state, mark=marked)
+
+    def go_back(self) -> MacroState:
+        """The state at the mark, by the law's state as it is now; what was spent stays spent."""
+        mark, counts = self._state.mark, self._equations.tally.counts
+        assert mark is not None
+        counts["rolled_back_steps"] += counts["steps"] - mark.counts["steps"]
+        counts["steps"] = mark.counts["steps"]
+        law_state = self._equations.law_state
+        self._state = replace(mark, law_state=law_state, mark=mark, **self._cost())
+        return self._state
 
     def checkpoint(self) -> MacroState:
         """The state after the last step recorded, without what the next one has cost so far."""

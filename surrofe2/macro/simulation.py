@@ -17,12 +17,14 @@ from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
+from surrofe2.macro.chunks import Chunks
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
+from surrofe2.macro.monotone_cubic import integral_of_monotone_cubic
 from surrofe2.macro.posed import as_problem, system_of
 from surrofe2.macro.problem import Problem
 from surrofe2.macro.quasi_static import settle
@@ -66,10 +68,11 @@ class MacroRun:
         met: extremes of deformation and rate.
         wall_time: seconds, `total`, `law` (inside the stress law) and `macro` (the rest); and
             `cpu`, of all threads of this process.
-        counts: `steps` accepted, `rejected_steps` as too inaccurate, `failed_trials` without
-            stress or turned back by the law, `right_hand_sides`, `stress_calls` and
-            `stress_points` of those, `dissipation_points` and `dissipation_failures` of the
-            questions for σ(F, 0), which come on top.
+        counts: `steps` accepted that stand, `rolled_back_steps` that an audited law took back,
+            `rejected_steps` as too inaccurate, `failed_trials` without stress
+            or turned back by the law, `right_hand_sides`, `stress_calls` and `stress_points` of
+            those, `dissipation_points` and `dissipation_failures` of the questions for σ(F, 0),
+            which come on top.
         effort: sums of what the law's answers say they cost, those for dissipation included.
         threads: that numba could use.
         finished: whether the end of the problem was reached.
@@ -169,8 +172,20 @@ def simulate(
     try:
         # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
         with one_blas_thread():
+            chunks = Chunks(equations, recorder, resume)
+            equations.is_committing = False
             while stepper.now.t < duration:
-                recorder.record(stepper.advance(), stepper)
+                try:
+                    recorder.record(stepper.advance(), stepper)
+                except SimulationError:  # wrong answers may have led there
+                    back = chunks.settle(final=True)
+                    if back is None:
+                        raise
+                else:
+                    back = chunks.settle(final=stepper.now.t >= duration)
+                if back is not None:
+                    equations.go_to(back.t)
+                    stepper = _make_stepper(equations, settings, recorder, back)
                 if progress is not None:
                     progress(stepper.now.t, duration)
                 if checkpoint is not None and clock.is_due():
@@ -290,42 +305,6 @@ def _dissipated(t: Array, samples: Array) -> Array:
         return np.where(t == 0.0, 0.0, np.nan)
     begin, rate = samples.T
     return integral_of_monotone_cubic(begin, rate, t)
-
-
-def integral_of_monotone_cubic(x: Array, y: Array, t: Array) -> Array:
-    """Integral from x[0] to t of the cubic by Fritsch and Butland through (x, y), NaN beyond x.
-
-    That of scipy's PchipInterpolator, whose import takes a third of a cached run.
-    """
-    h, rise = np.diff(x), np.diff(y)
-    slope = rise / h
-    d = np.zeros(len(x))
-    if len(x) == 2:
-        d[:] = slope
-    else:
-        before, after = slope[:-1], slope[1:]
-        alike = before * after > 0.0
-        w = np.stack([2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]])[:, alike]
-        d[1:-1][alike] = w.sum(axis=0) / (w[0] / before[alike] + w[1] / after[alike])
-        d[0] = _end_slope(h[0], h[1], slope[0], slope[1])
-        d[-1] = _end_slope(h[-1], h[-2], slope[-1], slope[-2])
-    whole = h * (y[:-1] + y[1:]) / 2.0 + h**2 * (d[:-1] - d[1:]) / 12.0
-    sums = np.concatenate([[0.0], np.cumsum(whole)])
-    k = np.clip(np.searchsorted(x, t, side="right") - 1, 0, len(h) - 1)
-    s = (t - x[k]) / h[k]
-    values = y[k] * (s - s**3 + s**4 / 2.0) + y[k + 1] * (s**3 - s**4 / 2.0)
-    slopes = d[k] * (s**2 / 2.0 - 2.0 * s**3 / 3.0 + s**4 / 4.0)
-    slopes += d[k + 1] * (s**4 / 4.0 - s**3 / 3.0)
-    inside = (t >= x[0]) & (t <= x[-1])
-    return np.where(inside, sums[k] + h[k] * (values + h[k] * slopes), np.nan)
-
-
-def _end_slope(h: float, next_h: float, slope: float, next_slope: float) -> float:
-    """Slope of a parabola through the last three points, kept monotone."""
-    d = ((2.0 * h + next_h) * slope - h * next_slope) / (h + next_h)
-    if d * slope <= 0.0:
-        return 0.0
-    return 3.0 * slope if slope * next_slope < 0.0 and abs(d) > 3.0 * abs(slope) else d
 
 
 def _check_same_run(state: MacroState, system: System, settings: MacroSettings) -> None:

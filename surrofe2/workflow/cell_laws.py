@@ -185,3 +185,18 @@ def cache_report(law: StressLaw, *, whole: bool = False) -> dict[str, Any] | Non
         return None
     found = {name: cache_report(each, whole=whole) for name, each in law.laws.items()}
     return {"cells": found} if all(found.values()) else None
+
+
+def decisions_of(law: StressLaw) -> list[dict[str, Any]] | None:
+    """The decisions of a cached law on chunks of steps, of several cells each with its name, in
+    the order of time; None of other laws."""
+    if isinstance(law, CachedLaw):
+        return law.decisions
+    if not isinstance(law, RegionalLaw):
+        return None
+    found = [
+        {"cell": name, **line}
+        for name, each in law.laws.items()
+        for line in decisions_of(each) or ()
+    ]
+    return sorted(found, key=lambda line: float(line["t"])) if law.is_audited else None

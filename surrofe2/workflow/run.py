@@ -10,6 +10,7 @@ from typing import Any
 from surrofe2.cache.branches import part_of, within
 from surrofe2.costs import NOTHING
 from surrofe2.errors import InputError
+from surrofe2.io.events import write_events
 from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_costs import cost_of
 from surrofe2.io.run_folder import RunRecord, caches_of
@@ -21,6 +22,7 @@ from surrofe2.workflow.cell_laws import (
     NO_FILES,
     cache_report,
     choose_laws,
+    decisions_of,
     law_arrays,
     law_state,
 )
@@ -99,6 +101,9 @@ def run_study(
             arrays |= within("law", law_arrays(chosen.law, state.law_state))
             arrays |= within("harvest", outputs.to_arrays())
             current.checkpoint(arrays, cache_report(chosen.law))
+            decisions = decisions_of(chosen.law)
+            if decisions:
+                write_events(folder, decisions)
 
         points = n_points_of(problem.mesh)
         report(0.0, "loading kernels")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.cache import CachedLaw
+from surrofe2.io.events import write_events
 from surrofe2.io.fields import (
     BOUND_NAME,
     DISPLACEMENT_NAME,
@@ -48,7 +49,12 @@ from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
-from surrofe2.workflow.cell_laws import cache_report, cell_of_elements, surrogate_record
+from surrofe2.workflow.cell_laws import (
+    cache_report,
+    cell_of_elements,
+    decisions_of,
+    surrogate_record,
+)
 from surrofe2.workflow.run_lifecycle import describe_origin
 from surrofe2.workflow.surfaces import surface_record
 
@@ -77,7 +83,7 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
 
 
 def write_results(folder: Path, run: MacroRun) -> None:
-    """Write curve.csv, history.csv, energies.csv, fields and points of a run."""
+    """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
     write_curve(folder, run.curve, run.curves)
     write_history(folder, run.curve.t, run.history)
     write_energies(folder, run.curve.t, run.energies)
@@ -86,6 +92,9 @@ def write_results(folder: Path, run: MacroRun) -> None:
     write_points(
         folder, make_discretisation(as_problem(run.problem, run.settings).mesh), run.frames
     )
+    decisions = decisions_of(run.law)
+    if decisions is not None:
+        write_events(folder, decisions)
 
 
 def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:

@@ -74,7 +74,8 @@ def interrupted(make, steps):
 def told(law):
     """All it has to say but seconds."""
     history = law.history()
-    return {name: history[name] for name in ("tolerance", "accepted", "audit", "trust")}
+    told = {name: history[name] for name in ("tolerance", "accepted", "audit", "trust")}
+    return told | {"decisions": law.decisions}
 
 
 @pytest.mark.parametrize("make", [untrustworthy, falling_back, learning, of_cells])
@@ -100,6 +101,7 @@ def test_a_resumed_run_is_the_uninterrupted_one_to_the_bit(make):
     assert waited
     if make is untrustworthy:
         assert [event["action"] for event in told(law)["trust"]["events"]]
+        assert "rolled back" in [line["decision"] for line in law.decisions]
     if make is learning:
         assert again.surrogate.table.counts == law.surrogate.table.counts
         assert law.surrogate.table.size > 0

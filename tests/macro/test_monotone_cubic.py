@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from surrofe2.macro.simulation import integral_of_monotone_cubic
+from surrofe2.macro.monotone_cubic import integral_of_monotone_cubic
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])

@@ -1,0 +1,145 @@
+"""Steps that audits find wrong are made again; steps that are right keep every bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache.chunk import AUDITS, STEPS
+from surrofe2.displacement_curve import difference
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.regional_law import RegionalLaw
+from tests.laws import Learnt, Truth, shear_error
+
+LOAD_CASE = LoadCase(
+    width=60.0, height=40.0, watched=(60.0, 20.0), duration=12.0, output_interval=0.5
+)
+SETTINGS = MacroSettings(elements=(4, 3), frames=5)
+ALLOWED = 0.1
+"""µN/µm: a hundredth of the spread of `Learnt`."""
+
+
+def bound(F, F_dot):
+    return 0.01 + 0.2 * abs(F[:, 1, 0])
+
+
+def bad_beyond(shear):
+    """Errors within the bound below a shear, and five times the tolerance above."""
+    return lambda F, F_dot: np.where(abs(F[:, 1, 0]) > shear, 5.0 * ALLOWED, 0.5 * bound(F, F_dot))
+
+
+def cached(error, audit=0.3, **more):
+    return CachedLaw(
+        Learnt(error, bound, **more), Truth(), CacheSettings(tolerance=0.01, audit=audit)
+    )
+
+
+class Watched(CachedLaw):
+    """Notes what stands: errors of all accepted answers, by chunk."""
+
+    def __init__(self, *args):
+        super().__init__(*args)
+        self.open, self.standing = [], []
+
+    def _learn(self, F, F_dot, response, state, accepted):
+        done = super()._learn(F, F_dot, response, state, accepted)
+        error = np.linalg.norm(response.stress - Truth().stress(F, F_dot), axis=(1, 2))
+        self.open.append(error > ALLOWED)
+        return done
+
+    def mark(self, t, state):
+        super().mark(t, state)
+        self.standing.append(self.open)
+        self.open = []
+
+    def roll_back(self, t):
+        self.open = []
+        return super().roll_back(t)
+
+    def wrong_shares(self):
+        return [np.mean(chunk) for chunk in self.standing if chunk]
+
+
+@pytest.mark.parametrize("shear", [0.0, 0.02, 0.03])
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_no_chunk_that_stands_has_a_wrong_share(shear, integrator):
+    settings = replace(SETTINGS, integrator=integrator)
+    law = Watched(
+        Learnt(bad_beyond(shear), bound), Truth(), CacheSettings(tolerance=0.01, audit=0.3)
+    )
+    run = simulate(LOAD_CASE, law, settings)
+    true = simulate(LOAD_CASE, Truth(), settings)
+    assert run.counts["rolled_back_steps"] > 0
+    assert max(law.wrong_shares()) <= 0.02
+    assert difference(run.curve, true.curve).largest < 2e-3
+    assert law.counts["steps"] == run.counts["steps"] + 1
+    record = law.report()["audit"]
+    assert record["violations"] <= 0.01 * record["audited"]
+
+
+def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
+    law = cached(bad_beyond(0.03))
+    run = simulate(LOAD_CASE, law, SETTINGS)
+    told = [line["decision"] for line in law.decisions]
+    assert told[0] == "stands"
+    assert "rolled back" in told
+    assert told[-1] == "stands"
+    assert run.counts["rolled_back_steps"] < run.counts["steps"]
+    back = law.decisions[told.index("rolled back")]
+    assert back["violations"] > 0
+    assert back["points"]
+    assert back["true_error"] > ALLOWED >= back["bound"]
+    assert back["threshold_before"] == ALLOWED
+    assert back["threshold_after"] is None or back["threshold_after"] < ALLOWED
+    # Chunks follow each other without a gap, whatever went back.
+    stands = [line for line in law.decisions if line["decision"] == "stands"]
+    assert [line["from_t"] for line in stands[1:]] == [line["t"] for line in stands[:-1]]
+    assert stands[0]["from_t"] == 0.0
+    assert stands[-1]["t"] == pytest.approx(LOAD_CASE.duration)
+    assert all(line["audits"] >= AUDITS and line["steps"] >= STEPS for line in stands[:-1])
+
+
+def test_a_run_without_violation_keeps_its_bits(monkeypatch):
+    """The same run by a law that nobody asks for verdicts."""
+    law, plain = cached(shear_error(0.01)), cached(shear_error(0.01))
+    run = simulate(LOAD_CASE, law, SETTINGS)
+    monkeypatch.setattr(CachedLaw, "is_audited", False)
+    alone = simulate(LOAD_CASE, plain, SETTINGS)
+    assert np.array_equal(run.curve.displacement, alone.curve.displacement)
+    assert run.counts == alone.counts
+    assert law.report()["audit"] == plain.report()["audit"]
+    assert law.counts == plain.counts
+    assert {line["decision"] for line in law.decisions} == {"stands"}
+    assert not plain.decisions
+
+
+def test_answers_that_lead_a_run_astray_are_taken_back():
+    """An answer so wrong that no step succeeds any more."""
+
+    class Astray(Learnt):
+        def lookup(self, F, F_dot, tolerance=np.inf):
+            stress, status, bound = super().lookup(F, F_dot, tolerance)
+            stress[abs(F[:, 1, 0]) > 0.03] *= -40.0
+            return stress, status, bound
+
+    law = CachedLaw(
+        Astray(shear_error(0.01), bound), Truth(), CacheSettings(tolerance=0.01, audit=0.05)
+    )
+    run = simulate(LOAD_CASE, law, SETTINGS)
+    true = simulate(LOAD_CASE, Truth(), SETTINGS)
+    assert run.counts["rolled_back_steps"] > 0
+    assert difference(run.curve, true.curve).largest < 2e-3
+
+
+def test_all_regions_go_back_together():
+    points = {"sound": np.arange(0, 30), "wrong": np.arange(30, 60)}
+    laws = {"sound": cached(shear_error(0.01)), "wrong": cached(bad_beyond(0.02))}
+    run = simulate(LOAD_CASE, RegionalLaw(laws, points), SETTINGS)
+    assert run.counts["rolled_back_steps"] > 0
+    assert laws["sound"].counts["steps"] == laws["wrong"].counts["steps"] == run.counts["steps"] + 1
+    assert laws["sound"].history()["trust"]["factor"] == 1.0
+    assert laws["wrong"].history()["trust"]["factor"] > 1.0
+    ends = [[line["t"] for line in law.decisions] for law in laws.values()]
+    assert ends[0] == ends[1]

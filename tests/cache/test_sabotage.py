@@ -1,0 +1,143 @@
+"""A surrogate that is wrong in a part of its domain leaves no wrong share in what stands.
+
+Whoever sabotages it leaves its bound as it was: labels agree, and only audits can tell.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import surrofe2
+from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.load_case import LoadCase
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.sampling import SamplingRange
+from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tensors import stress_error
+from tests.laws import Learnt
+
+PRESETS = ("printed", "water")
+RANGES = {
+    "printed": SamplingRange(stretch=(0.91, 1.09), shear=0.09, rate=0.024),
+    "water": SamplingRange(stretch=(0.96, 1.04), shear=0.075, rate=0.016),
+}
+SPREAD = {"printed": 70.0, "water": 16.0}
+"""µN/µm: about those of the default recipes."""
+NOMINAL = 0.01
+"""Audits are a sample: of a chunk that is wrong by twice this, one in 600 stands."""
+
+
+def shear_of(F):
+    return abs((F.transpose(0, 2, 1) @ F)[:, 0, 1]) / 2.0
+
+
+class Kept(CachedLaw):
+    """Keeps what stands: (F, Ḟ, stress) of all accepted answers of the surrogate, by chunk."""
+
+    def __init__(self, *args):
+        super().__init__(*args)
+        self.open, self.standing = [], []
+
+    def _learn(self, F, F_dot, response, state, accepted):
+        free = response.state.free()
+        self.open.append((F[free], F_dot[free], response.stress[free]))
+        return super()._learn(F, F_dot, response, state, accepted)
+
+    def mark(self, t, state):
+        super().mark(t, state)
+        self.standing, self.open = [*self.standing, self.open], []
+
+    def roll_back(self, t):
+        self.open = []
+        return super().roll_back(t)
+
+    def wrong_shares(self, law, allowed):
+        """Of each chunk that stands: the share of its answers that are off by more than allowed."""
+        for chunk in self.standing:
+            F, F_dot, stress = (np.concatenate(part) for part in zip(*chunk, strict=True))
+            if len(F):
+                error = stress_error(stress, law.respond(F, F_dot).stress)
+                yield float(np.mean(error > allowed))
+
+
+def check(surrogate, law, duration, audit):
+    """No chunk of the bar that stands is wrong; how many steps went back."""
+    cached = Kept(surrogate, law, CacheSettings(audit=audit))
+    run = simulate(LoadCase(duration=duration), cached, MacroSettings(frames=2))
+    assert (
+        max(cached.wrong_shares(law, 1e-3 * surrogate.stress_spread), default=0.0) <= 2.0 * NOMINAL
+    )
+    audited = cached.report()["audit"]
+    assert audited["violations"] <= NOMINAL * audited["audited"]
+    return run.counts["rolled_back_steps"]
+
+
+class Exact(Learnt):
+    """The stress of the RVE itself, 5 % too large beyond a shear; its bound suspects nothing."""
+
+    initialisation = "elastic"
+
+    def __init__(self, law, spread, shear):
+        super().__init__(None, None)
+        self.law, self.shear, self.cell = law, shear, law.cell
+        self.density, self.stress_spread = law.density, spread
+
+    def lookup(self, F, F_dot, tolerance=np.inf):
+        answer = self.law.respond(F, F_dot)
+        stress = np.where((shear_of(F) > self.shear)[:, None, None], 1.05, 1.0) * answer.stress
+        bound = self.stress_spread * (1e-5 + 1e-4 * shear_of(F))
+        return stress, np.where(bound <= tolerance, answer.status, 6).astype(np.int8), bound
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_an_answer_that_is_5_percent_off_beyond_a_shear_is_taken_back(preset):
+    law = RveLaw(CellParameters.preset(preset), initialisation="elastic")
+    assert check(Exact(law, SPREAD[preset], 0.01), law, 8.0, 0.3) > 0
+    assert check(Exact(law, SPREAD[preset], 1.0), law, 8.0, 0.3) == 0
+
+
+@pytest.fixture(scope="module", params=PRESETS)
+def trained(request):
+    """(surrogate with its bound, samples, true law) of a preset."""
+    cell = CellParameters.preset(request.param)
+    law = RveLaw(cell)
+    samples = surrofe2.sample_stress(law, RANGES[request.param], 2048, seed=1)
+    settings = TrainingSettings(iterations=300)
+    surrogate = surrofe2.calibrate(surrofe2.train(samples, settings), samples, law)
+    return surrogate, samples, law, settings
+
+
+def forged(good, bad):
+    """The bad surrogate under the label of the good one."""
+    label = replace(good.calibration, subject=bad.network.fingerprint(bad.range))
+    return replace(bad, domain=good.domain, calibration=label)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shear", [0.01, 0.02, 0.03])
+def test_data_wrong_by_5_percent_beyond_a_shear(trained, shear):
+    good, samples, law, settings = trained
+    factor = np.where(shear_of(samples.F) > shear, 1.05, 1.0)[:, None, None]
+    wrong = replace(samples, stress=factor * samples.stress, P_by_F=None, P_by_F_dot=None)
+    bad = forged(good, surrofe2.train(wrong, settings))
+    assert check(good, law, 60.0, 0.02) == 0
+    assert check(bad, law, 60.0, 0.02) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("size", [0.01, 0.03])
+def test_weights_that_were_disturbed(trained, size, seed):
+    good, _, law, _ = trained
+    random = np.random.default_rng(seed)
+    tensors = {
+        name: values * (1.0 + size * random.standard_normal(values.shape))
+        if name.startswith(("factors", "energy."))
+        else values
+        for name, values in good.network.tensors.items()
+    }
+    bad = forged(good, replace(good, network=replace(good.network, tensors=tensors)))
+    check(bad, law, 60.0, 0.05)
