@@ -39,10 +39,9 @@ accept-cache: .venv/.installed
 
 paper: .venv/.installed
 	for preset in printed water; do \
-	    for figure in fig5 fig6 fig8 rates stability; do \
+	    for figure in fig5 fig6 fig8 rates stability memory; do \
 	        $(BIN)/surrofe2 reproduce $$figure --preset $$preset --out out/paper || exit 1; \
 	    done; \
-	    $(BIN)/surrofe2 memory --preset $$preset --out out/paper || exit 1; \
 	    $(BIN)/surrofe2 moduli --preset $$preset --tables --out out/paper/moduli-$$preset.json || exit 1; \
 	done
 

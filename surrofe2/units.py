@@ -34,3 +34,11 @@ ENERGY = "pJ"
 RATE = "1/µs"
 VISCOSITY = "µN µs/µm"  # the same as ng/µs
 NONE = "1"
+
+
+def time_text(seconds: float) -> str:
+    """Seconds as people say them."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s"

@@ -16,64 +16,68 @@ from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
-from surrofe2.cli.console import InterruptedWork, PrintHandler, print_error
+from surrofe2.cli import output
+from surrofe2.cli.console import InterruptedWork
 from surrofe2.cli.streams import leave, note_errors
 from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
+STUDY, LOOK, PHYSICS, PAPER = "Study", "Look", "Physics", "Paper"
 COMMANDS = {
-    "study": "All of a recipe: what is missing of data set, training, runs and comparison.",
-    "range": "Propose the range of (F, Ḟ) that the recipe's problem needs, by a dry run.",
-    "generate": "Compute plant-cell stresses over a range of (F, Ḟ) into a data set.",
-    "train": "Fit a surrogate of the plant-cell stress to the recipe's data set.",
-    "export": "A surrogate as C source, for other programs.",
-    "run": "Run the recipe's load case by true, learnt or cached stresses.",
-    "refine": "Teach the surrogate what the recipe's own run meets.",
-    "tissue": "Run the recipe's load case on all particles of the tissue.",
-    "compare": "Compare displacement curves and costs of runs of one load case.",
-    "grid": "Run the recipe with all combinations of values: a parameter study.",
-    "zoom": "Look into the plant cells of a run: the RVE at a point over time.",
-    "rest": "Find the tissue at rest under the recipe's loads.",
-    "modes": "Period and damping of the bar's small oscillations.",
-    "demo": "The bending bar by true and by cached FE²: all steps and their comparison.",
-    "reproduce": "A figure of the paper, its data as CSV and its numbers as JSON.",
-    "moduli": "Elastic and viscous moduli of a plant cell at rest.",
-    "memory": "Whether a cache on (F, Ḟ) is sound: does stress depend on the past?",
-    "table": "Show and merge the tables that runs by --law table leave behind.",
+    "new": (STUDY, "Write a recipe to start from.", "bar.toml --example bar"),
+    "study": (STUDY, "What is missing of data set, training, runs and comparison.", "RECIPE"),
+    "range": (STUDY, "Propose the range of (F, Ḟ) that the recipe needs, by a dry run.", "RECIPE"),
+    "generate": (STUDY, "Compute stresses of plant cells over that range: a data set.", "RECIPE"),
+    "train": (STUDY, "Fit a surrogate of the stress to the data set.", "RECIPE"),
+    "run": (
+        STUDY,
+        "Run the recipe's problem by true, learnt or cached stresses.",
+        "RECIPE --law cached --out out/cached",
+    ),
+    "refine": (STUDY, "Teach the surrogate what the recipe's own run meets.", "RECIPE"),
+    "tissue": (
+        STUDY,
+        "Run it with every particle of every plant cell, nothing homogenised.",
+        "RECIPE --out out/tissue",
+    ),
+    "grid": (
+        STUDY,
+        "Run the recipe with all combinations of values: a parameter study.",
+        "RECIPE --set cell.wall_stiffness=3000:5000:8",
+    ),
+    "compare": (
+        LOOK,
+        "Differences of runs of one problem, and what each cost.",
+        "out/rve out/cached --out out/comparison",
+    ),
+    "zoom": (
+        LOOK,
+        "Look into the plant cells of a run: the RVE at a point over time.",
+        "out/cached --point 200,12.5",
+    ),
+    "table": (LOOK, "Show and merge tables of runs by --law table.", "show out/table/table.h5"),
+    "export": (LOOK, "A surrogate as C source, for other programs.", "surrogate.safetensors"),
+    "rest": (PHYSICS, "The tissue at rest under the recipe's loads.", "RECIPE --out out/rest"),
+    "modes": (PHYSICS, "Period and damping of small oscillations.", "RECIPE"),
+    "moduli": (PHYSICS, "Elastic and viscous moduli of a plant cell at rest.", "--cell water"),
+    "demo": (PAPER, "The paper's bar by true and by cached FE², all steps at once.", ""),
+    "reproduce": (
+        PAPER,
+        "A figure of the paper, or a study beyond it.",
+        "fig5 --cell water --out out/paper",
+    ),
 }
+"""By name: the group in help, a line, and what follows the name in an example."""
 
 MODULES = {"refine": "train"}
 
 _HELP = """
 FE² for plant tissue, true or through a learnt stress cache.
 
-A study is one TOML recipe; data/bending-bar.toml is one with comments. Its steps:
-
-[bold]surrofe2 generate RECIPE[/bold]
-  stresses of plant cells over a range of (F, Ḟ): a data set
-[bold]surrofe2 train RECIPE[/bold]
-  a surrogate of the stress from the data set
-[bold]surrofe2 run RECIPE --law rve --out out/rve[/bold]
-  the tissue by true FE²
-[bold]surrofe2 run RECIPE --law cached --out out/cached[/bold]
-  the same through the surrogate, true where it does not hold
-[bold]surrofe2 run RECIPE --law table --out out/table[/bold]
-  the same through a table that learns as it goes, without any training
-[bold]surrofe2 refine RECIPE[/bold]
-  run, harvest what the surrogate did not know and train again, until it knows enough
-[bold]surrofe2 tissue RECIPE --out out/tissue[/bold]
-  the same with every particle of every plant cell, nothing homogenised
-[bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
-  difference and speed-up
-[bold]surrofe2 zoom out/cached --point X,Y[/bold]
-  the plant cells at a point over time: picture, animation, table, particles
-[bold]surrofe2 grid RECIPE --set cell.wall_stiffness=3000:5000:8[/bold]
-  a parameter study: the recipe with other entries, one table and one picture
-
-Called again, a command keeps what is finished and goes on with what was interrupted;
-[bold]--fresh[/bold] starts over. [bold]surrofe2 study RECIPE[/bold] does the main steps in one go.
+A study is one TOML recipe, which all commands take. Called again, a command keeps what is finished
+and goes on with what was interrupted; [bold]--fresh[/bold] starts over.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """
@@ -88,8 +92,12 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """A command as help shows it, without its module."""
-        line = COMMANDS.get(cmd_name)
-        return None if line is None else TyperCommand(cmd_name, help=line)
+        if cmd_name not in COMMANDS:
+            return None
+        group, line, words = COMMANDS[cmd_name]
+        example = f"surrofe2 {cmd_name} {words}".strip()
+        told = f"{line}\n[dim]{example}[/dim]"
+        return TyperCommand(cmd_name, help=told, short_help=told, rich_help_panel=group)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that is called, from its module."""
@@ -104,36 +112,45 @@ class Commands(TyperGroup):
             single.command(name, help=_flowing(found.__doc__))(found)
             command = typer.main.get_command(single)
         command.name = name
+        command.params += _shared_options(command, ctx)
         begin_work()
         return name, command, rest
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take --traceback wherever it stands, before or after the command."""
-        if "--traceback" in args:
-            args = ["--traceback", *(entry for entry in args if entry != "--traceback")]
+        """Take the options of all commands wherever they stand, before or after the command."""
+        found = [entry for entry in args if entry in SHARED]
+        args = [*found, *(entry for entry in args if entry not in SHARED)]
         ctx.meta["arguments"] = list(args)
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command and turn known failures into an exit code."""
         try:
-            return super().invoke(ctx)
+            found = super().invoke(ctx)
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
                 raise
-            print_error(f"error: {error}")
-            raise typer.Exit(1) from None
+            raise _ended("failed", f"error: {error}", 1) from None
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
-            print_error(f"error: {shortened(f'{error.filename}: {error.strerror}')}")
-            raise typer.Exit(1) from None
+            told = shortened(f"{error.filename}: {error.strerror}")
+            raise _ended("failed", f"error: {told}", 1) from None
         except InterruptedWork as work:
-            print_error(f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}")
-            raise typer.Exit(exit_code()) from None
+            told = f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}"
+            raise _ended("interrupted", told, exit_code()) from None
         except KeyboardInterrupt:
-            print_error("interrupted: nothing was changed")
-            raise typer.Exit(exit_code()) from None
+            told = "interrupted: nothing was changed"
+            raise _ended("interrupted", told, exit_code()) from None
+        output.end("finished")
+        return found
+
+
+def _ended(status: str, told: str, code: int) -> typer.Exit:
+    """Say how a command ended that did not finish."""
+    output.print_error(told)
+    output.end(status, told.partition(": ")[2])
+    return typer.Exit(code)
 
 
 def _again(ctx: Any, has_begun: bool) -> str:
@@ -150,10 +167,9 @@ def _flowing(docstring: str | None) -> str:
 
 app = typer.Typer(
     cls=Commands,
-    help=_HELP,
+    help=_flowing(_HELP),
     rich_markup_mode="rich",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -165,25 +181,49 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+SHARED = {
+    "--quiet": "Say nothing but warnings and errors.",
+    "--json": "Say all as one JSON object on stdout.",
+    "--traceback": "Show where an error came from, not only its sentence.",
+}
+"""Options of all commands, which the group takes before a command sees them."""
+Quiet = Annotated[bool, typer.Option("--quiet", help=SHARED["--quiet"])]
+Json = Annotated[bool, typer.Option("--json", help=SHARED["--json"])]
+Traceback = Annotated[
+    bool, typer.Option("--traceback", envvar="SURROFE2_TRACEBACK", help=SHARED["--traceback"])
+]
+
+
+def _shared_options(command: Any, ctx: Any) -> list[TyperOption]:
+    """Those options for the help and the completion of a command, and of what it consists of."""
+    for name in command.list_commands(ctx) if isinstance(command, TyperGroup) else ():
+        inner = command.get_command(ctx, name)
+        inner.params += _shared_options(inner, ctx)
+    return [
+        TyperOption(
+            param_decls=[name], is_flag=True, expose_value=False, help=line,
+            rich_help_panel="Options of all commands",
+        )
+        for name, line in SHARED.items()
+    ]  # fmt: skip
+
+
 @app.callback()
 def options(
+    ctx: typer.Context,
     version: Annotated[
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Say the version."),
     ] = False,
-    traceback: Annotated[
-        bool,
-        typer.Option(
-            "--traceback",
-            envvar="SURROFE2_TRACEBACK",
-            help="Show where an error came from, not only its sentence.",
-        ),
-    ] = False,
+    quiet: Quiet = False,
+    json: Json = False,
+    traceback: Traceback = False,
 ) -> None:
     """Options before the command."""
+    output.begin(ctx.invoked_subcommand or "", quiet=quiet, as_json=json)
     package = logging.getLogger("surrofe2")
     if not package.handlers:
-        package.addHandler(PrintHandler())
+        package.addHandler(output.PrintHandler())
         logging.getLogger("surrofe2.workflow").setLevel(logging.INFO)
 
 

@@ -36,15 +36,15 @@ def compare(
     show_comparison(result)
     for sentence in missing_notes(runs):
         console.print_line(sentence)
-    console.print_line(f"{out}: {' and '.join(COMPARISON_FILES)}")
+    console.done(out, " and ".join(COMPARISON_FILES), **result.to_dict())
 
 
 def show_comparison(result: Comparison, of: str = "") -> None:
     """The figures of a comparison as a table."""
     title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
-    console.show_table(title, *result.table.for_people())
+    console.show_table(title, result.table)
     if result.force_table.rows:
-        console.show_table("Forces on the tissue", *result.force_table.for_people())
+        console.show_table("Forces on the tissue", result.force_table)
     for run in result.runs:
         if run.balance is not None:
             console.print_line(f"{run.name}: {run.balance.sentence}")

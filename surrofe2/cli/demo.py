@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -11,14 +10,19 @@ import typer
 from surrofe2.cli import console
 from surrofe2.cli.study import KEPT, show_study
 from surrofe2.recipe import load_recipe
-from surrofe2.workflow.demo import run_demo
-from surrofe2.workflow.run_lifecycle import time_text
+from surrofe2.workflow.demo import demo_recipe, run_demo
 
 
 def demo(
     recipe: Annotated[
-        Path, typer.Option("--recipe", metavar="RECIPE", help="The study's TOML file.")
-    ] = Path("data/bending-bar.toml"),
+        Path | None,
+        typer.Option(
+            "--recipe",
+            metavar="RECIPE",
+            help="The study's TOML file; default: data/bending-bar.toml in a clone, else one that "
+            "is written to DIR.",
+        ),
+    ] = None,
     out: console.OutFolder = Path("out/demo"),
     fresh: console.Fresh = False,
 ) -> None:
@@ -29,8 +33,7 @@ def demo(
 
     Example: [bold]surrofe2 demo --out out/demo[/bold]
     """
-    stated = load_recipe(recipe)
-    begin = time.perf_counter()
+    stated = load_recipe(recipe or demo_recipe(out))
     with console.on_interrupt(KEPT), console.stages() as stage:
         found = run_demo(stated, out, fresh=fresh, stage=stage, tell=console.print_line)
     for title, bar in found:
@@ -39,5 +42,7 @@ def demo(
         "wall time and speed-up: of the runs alone, both warm; imports and warm-up before them, "
         "data set and training are not in them"
     )
-    taken = time_text(time.perf_counter() - begin)
-    console.print_line(f"done in {taken}: {out / 'comparison/comparison.png'}")
+    told = {title: bar.comparison and bar.comparison.to_dict() for title, bar in found}
+    console.done(
+        out / "comparison/comparison.png", "data set, surrogate and two bars", comparisons=told
+    )

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from surrofe2.cli.console import Fresh, print_line
+from surrofe2.cli.console import Fresh, done
 from surrofe2.errors import InputError
 from surrofe2.io.c_source import c_source
 from surrofe2.io.files import read_bytes, write_text
@@ -36,4 +36,4 @@ def export(
     if path.exists() and not fresh and read_bytes(path) != text.encode("utf-8"):
         raise InputError(f"{path}: another source is there; --fresh writes this one in its place")
     write_text(path, text)
-    print_line(f"{path}: {len(text.splitlines())} lines of C, {len(text.encode()) / 1e3:.0f} kB")
+    done(path, f"{len(text.splitlines())} lines of C, {len(text.encode()) / 1e3:.0f} kB")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
+from dataclasses import asdict
 
 from surrofe2.cli import console
 from surrofe2.workflow.generate import data_summary, generate_data_set
 from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.workers import executor_of
 
 
@@ -36,10 +35,9 @@ def generate(
     study = open_study(recipe, threads)
     with executor_of(workers, scheduler) as executor:
         for name, part in study.parts(cell).items():
-            begin, kept = time.perf_counter(), "the samples so far are kept"
+            kept = "the samples so far are kept"
             what = f"generate {name}".rstrip()
             begun = (part.data_path(),)
             with console.working(what, part.samples.count, "samples", kept, begun) as report:
                 made = generate_data_set(part, fresh=fresh, executor=executor, report=report)
-            taken = time_text(time.perf_counter() - begin)
-            console.print_line(f"{made.path}: {data_summary(made)}, {taken}")
+            console.done(made.path, data_summary(made), of=name, **asdict(made))

@@ -65,8 +65,8 @@ def grid(
             stage=console.progress,
         )
     title = f"{recipe.name}, {len(found.rows)} runs"
-    console.show_table(title, *found.table.for_people(), names=found.names)
-    console.print_line(f"{folder}: {', '.join(GRID_FILES)}")
+    console.show_table(title, found.table, names=found.names)
+    console.done(folder, f"{len(found.rows)} runs, {', '.join(GRID_FILES)}", runs=len(found.rows))
     if found.failed:
         name, sentence = next(iter(found.failed.items()))
         raise SimulationError(

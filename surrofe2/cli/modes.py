@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
 
 from surrofe2.cli.console import (
+    HOW,
     AnyInitialisation,
     Fresh,
     JsonFile,
     RecipeFile,
     Threads,
-    print_error,
-    print_line,
+    done,
+    print_warning,
     progress,
     show_table,
 )
 from surrofe2.io.files import is_there, read_json, write_json
 from surrofe2.recipe import load_recipe
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.rest import find_all_modes, modes_identity, modes_record
@@ -26,9 +29,7 @@ from surrofe2.workflow.rest import find_all_modes, modes_identity, modes_record
 
 def modes(
     recipe: RecipeFile,
-    initialisation: Annotated[
-        AnyInitialisation, typer.Option(help="How RVEs are initialised: one way, or all.")
-    ] = "all",
+    initialisation: Annotated[AnyInitialisation, typer.Option(metavar="NAME", help=HOW)] = "all",
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Modes, slowest first.")] = 4,
     threads: Threads = None,
     out: JsonFile = None,
@@ -56,22 +57,43 @@ def modes(
             write_json(out, asked | modes_record(study, found))
     n = len(study.problem().mesh.elements)
     for state, of_state in found.items():
-        _show(f"{state.capitalize()}, {n} elements, preset {study.preset}", of_state)
+        title = f"{state.capitalize()}, {n} elements, preset {study.preset}"
+        show_table(title, _table(of_state))
         for method, numbers in of_state.items():
             if not numbers["stable"]:
-                print_error(f"{state}, {method}: a motion grows; the tissue is not stable there")
+                print_warning(f"{state}, {method}: a motion grows; the tissue is not stable there")
     if out is not None:
-        print_line(str(out))
+        done(out, f"modes by {', '.join(methods)}")
 
 
-def _show(title: str, found: dict[str, dict[str, Any]]) -> None:
-    columns = ["initialisation", "u_y (µm)", "mode", "period (µs)", "decrement", "damping ratio"]
-    rows = []
-    for method, numbers in found.items():
-        figures = zip(
-            numbers["period"], numbers["decrement"], numbers["damping_ratio"], strict=True
+@dataclass(frozen=True, slots=True)
+class _Mode:
+    """One oscillation about a state, by the initialisation that it was found with."""
+
+    initialisation: str
+    watched: float
+    number: int
+    period: float
+    decrement: float
+    ratio: float
+
+
+_QUANTITIES: tuple[Quantity[_Mode], ...] = (
+    Quantity("initialisation", "", "", lambda mode: mode.initialisation),
+    Quantity("u_y", "µm", ".2f", lambda mode: mode.watched),
+    Quantity("mode", "", "", lambda mode: mode.number),
+    Quantity("period", "µs", ".3f", lambda mode: mode.period),
+    Quantity("decrement", "", ".4f", lambda mode: mode.decrement),
+    Quantity("damping ratio", "", ".5f", lambda mode: mode.ratio),
+)
+
+
+def _table(found: dict[str, dict[str, Any]]) -> Table[_Mode]:
+    rows = [
+        _Mode(method, numbers["watched"][1], k + 1, *figures)
+        for method, numbers in found.items()
+        for k, figures in enumerate(
+            zip(numbers["period"], numbers["decrement"], numbers["damping_ratio"], strict=True)
         )
-        for k, (period, decrement, ratio) in enumerate(figures):
-            names = [method, f"{numbers['watched'][1]:.2f}"] if k == 0 else ["", ""]
-            rows.append([*names, str(k + 1), f"{period:.3f}", f"{decrement:.4f}", f"{ratio:.5f}"])
-    show_table(title, columns, rows)
+    ]
+    return Table(_QUANTITIES, rows)

@@ -7,10 +7,12 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli.console import (
+    HOW,
     AnyInitialisation,
     CellName,
     Fresh,
     JsonFile,
+    done,
     print_line,
     show_table,
 )
@@ -29,9 +31,7 @@ from surrofe2.studies.moduli import turgor as turgor_of
 
 def moduli(
     cell: CellName = "printed",
-    initialisation: Annotated[
-        AnyInitialisation, typer.Option(help="One initialisation, or all.")
-    ] = "all",
+    initialisation: Annotated[AnyInitialisation, typer.Option(metavar="NAME", help=HOW)] = "all",
     turgor: Annotated[
         float | None,
         typer.Option(metavar="MPa", help="Wanted turgor instead of the fluid's mass."),
@@ -65,12 +65,12 @@ def moduli(
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
     shown = moduli_tables(of.cell, {name: cell_moduli(of.cell, name) for name in chosen})
     for title, table in shown.items():
-        show_table(title, *table.for_people())
+        show_table(title, table)
     for name, change in CHANGES.items() if tables else ():
         method = "slow-manifold" if initialisation == "all" else initialisation
         title = f"Over {name}, {method}: MPa, MPa µs"
         table = changed_cells(of.cell, method, change)
-        show_table(title, *table.for_people())
+        show_table(title, table)
         for row in table.rows:
             if row.trouble:
                 print_line(f"{name} {row.value:.4g}: {row.trouble}")
@@ -80,4 +80,4 @@ def moduli(
         turgors["turgor_walls_MPa"] = pressure.walls
         records = {title: table.to_records() for title, table in shown.items()}
         write_json(out, {**asked, "fingerprint": of.cell.fingerprint, **turgors, "tables": records})
-        print_line(str(out))
+        done(out, f"moduli of {of}")

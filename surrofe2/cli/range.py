@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
@@ -33,7 +34,9 @@ def range(
         found = met_by_quadratic_law(study, report=report)
     for cell, met in found.items():
         low, high = met.stretch
-        console.print_line(range_section(proposed_range(met, margin), cell))
+        wanted = proposed_range(met, margin)
+        console.now().result |= {cell or "range": asdict(wanted)}
+        console.print_line(range_section(wanted, cell))
         console.print_line(
             f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
             f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"

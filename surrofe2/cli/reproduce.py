@@ -10,6 +10,7 @@ import typer
 from surrofe2.cli.console import (
     CellName,
     Fresh,
+    done,
     integers,
     on_interrupt,
     print_line,
@@ -17,14 +18,24 @@ from surrofe2.cli.console import (
     show_table,
 )
 from surrofe2.report.study import NamedCell
-from surrofe2.workflow.reproduce import CURVES, THIN, Bars, reproduce_figure
+from surrofe2.workflow.reproduce import CURVES, MEMORY, THIN, Bars, reproduce_figure
 
 Figure = Literal[
-    "fig5", "fig6", "fig8", "rates", "scales", "damping", "stability", "problems", "thin"
+    "fig5",
+    "fig6",
+    "fig8",
+    "rates",
+    "scales",
+    "damping",
+    "stability",
+    "problems",
+    "thin",
+    "memory",
 ]
 
 
 MESHES = {"fig8": "4,8"}
+DURATIONS = {MEMORY: 17.0}
 
 
 def reproduce(
@@ -51,9 +62,13 @@ def reproduce(
         bool, typer.Option("--tissue/--no-tissue", help="fig8: the full tissue as well.")
     ] = True,
     duration: Annotated[
-        float,
-        typer.Option(metavar="µs", help="fig8, scales, damping: length of a run of 16 x 16 cells."),
-    ] = 250.0,
+        float | None,
+        typer.Option(
+            metavar="µs",
+            help="fig8, scales, damping: length of a run of 16 x 16 cells, default 250. memory: "
+            "period of the fastest motion expected, default 17.",
+        ),
+    ] = None,
     fresh: Fresh = False,
 ) -> None:
     """A figure of the paper, its data as CSV and its numbers as JSON.
@@ -64,7 +79,8 @@ def reproduce(
     full tissues of 8 x 8, 16 x 16 and 32 x 32 plant cells. damping: decrements over mesh,
     tolerances, micro step and ways to fit. stability: where the plant cell has a stable
     equilibrium. problems: strip, block between plates and skin against full tissues. thin: strips,
-    a cantilever and bars with and without the surface law. The last six are not in the paper;
+    a cantilever and bars with and without the surface law. memory: whether a cache on (F, Ḟ) is
+    sound, by two pasts that end in the same (F, Ḟ). The last seven are not in the paper;
     fig8, scales, damping, problems and thin keep each run's curve in DIR/curves.
 
     Example: [bold]surrofe2 reproduce fig5 --cell water --out out/paper[/bold]
@@ -77,11 +93,14 @@ def reproduce(
         meshes=() if figure == THIN and not meshes else integers("--meshes", meshes or usual),
         sizes=None if sizes is None else integers("--sizes", sizes),
         tissue=tissue,
-        duration=duration,
+        duration=DURATIONS.get(figure, 250.0) if duration is None else duration,
     )
     with on_interrupt(f"{out / CURVES} keeps the finished curves of bars"):
         study, paths = reproduce_figure(figure, of, out, bars, fresh=fresh, stage=progress)
     if study is not None:
-        show_table(f"{' '.join(study.title.split())}, {of}", *study.table.for_people())
-    for path in paths:
-        print_line(f"{path}: there already" if study is None else str(path))
+        show_table(f"{' '.join(study.title.split())}, {of}", study.table)
+        for row in study.table.to_records():
+            if "verdict" in row:
+                print_line(row["verdict"])
+    names = ", ".join(path.name for path in paths)
+    done(out, names if study is not None else f"{names}, there already", figure=figure)

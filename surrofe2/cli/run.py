@@ -32,8 +32,9 @@ def run(
     law: Annotated[
         Literal["rve", "surrogate", "cached", "table"],
         typer.Option(
-            help="True RVEs, the surrogate alone, the surrogate with RVEs where it is out of "
-            "its range, or a table that learns from RVEs as it goes, without any training."
+            metavar="LAW",
+            help="rve: true RVEs; surrogate: it alone; cached: RVEs where it is out of its range; "
+            "table: one that learns from RVEs as it goes, without any training.",
         ),
     ],
     out: console.OutFolder,
@@ -59,11 +60,18 @@ def run(
     ] = False,
     initialisation: console.Initialisation = None,
     solver: Annotated[
-        str | None, typer.Option(help="How constrained runs are solved; default: the recipe's.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="How constrained runs are solved, direct or iterated; default: the recipe's.",
+        ),
     ] = None,
     integrator: Annotated[
         Literal["explicit", "implicit"] | None,
-        typer.Option(help="Time integration (implicit: not --law table); default: the recipe's."),
+        typer.Option(
+            metavar="NAME",
+            help="explicit, or implicit (not --law table); default: the recipe's.",
+        ),
     ] = None,
     tolerance: Annotated[
         float | None,
@@ -110,7 +118,7 @@ def run(
                 fresh=fresh,
                 report=report,
             )
-    console.print_line(f"{out}: {run_summary(record)}")
+    console.done(out, run_summary(record), timed=False, **console.told(record))
     if cell_fields:
         begin = time.perf_counter()
         count = add_cell_fields(out)
@@ -124,4 +132,4 @@ def run(
         *rank_notes(record),
     )
     for sentence, is_warning in notes:
-        (console.print_error if is_warning else console.print_line)(sentence)
+        (console.print_warning if is_warning else console.print_line)(sentence)

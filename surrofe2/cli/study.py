@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +12,6 @@ from surrofe2.cli.compare import show_comparison
 from surrofe2.errors import InputError
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run import cache_notes
-from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.study import Studied, run_recipe
 
 KEPT = "finished steps, the samples and iterations so far and the run's last checkpoint are kept"
@@ -27,7 +25,10 @@ def study(
     ] = None,
     law: Annotated[
         Literal["cached", "table"],
-        typer.Option(help="Beside true RVEs: the surrogate, or a table, which needs no training."),
+        typer.Option(
+            metavar="LAW",
+            help="Beside true RVEs: cached, by the surrogate; or table, which needs no training.",
+        ),
     ] = "cached",
     true: Annotated[
         Path | None,
@@ -53,7 +54,6 @@ def study(
         raise InputError("--true: not with --without-true; leave one of them out")
     stated = open_study(recipe, threads)
     folder = out or Path("out") / f"study-{recipe.stem}"
-    begin = time.perf_counter()
     with console.on_interrupt(KEPT), console.stages() as stage:
         found = run_recipe(
             stated,
@@ -65,7 +65,8 @@ def study(
             tell=console.print_line,
         )
     show_study(found)
-    console.print_line(f"{folder}: done in {time_text(time.perf_counter() - begin)}")
+    of = None if found.comparison is None else found.comparison.to_dict()
+    console.done(folder, "all steps done", comparison=of)
 
 
 def show_study(found: Studied, title: str = "") -> None:
@@ -75,4 +76,4 @@ def show_study(found: Studied, title: str = "") -> None:
     for record in found.records:
         for sentence, is_warning in cache_notes(record):
             if is_warning or found.comparison is None:
-                (console.print_error if is_warning else console.print_line)(sentence)
+                (console.print_warning if is_warning else console.print_line)(sentence)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from surrofe2.cli.console import Fresh, print_line
+from surrofe2.cli.console import Fresh, done
 from surrofe2.io.tables import read_table
 from surrofe2.workflow.run_outputs import merge_tables
 
@@ -29,7 +29,7 @@ def merge(
     Example: [bold]surrofe2 table merge out/a/table.h5 out/b/table.h5 --out table.h5[/bold]
     """
     count = merge_tables(files, out, fresh=fresh)
-    print_line(f"{out}: {count} records of {len(files)} tables")
+    done(out, f"{count} records of {len(files)} tables", records=count)
 
 
 @table.command()
@@ -42,8 +42,13 @@ def show(
     """
     stored = read_table(file)
     share = 100.0 * stored.tolerance / stored.spread
-    print_line(
-        f"{file}: {len(stored.records.centre)} records, {stored.initialisation}, cell parameters "
+    done(
+        file,
+        f"{len(stored.records.centre)} records, {stored.initialisation}, cell parameters "
         f"{stored.cell.fingerprint}, tolerance {stored.tolerance:.3g} µN/µm ({share:.3g} % of the "
-        f"spread of stress, {stored.spread:.3g} µN/µm)"
+        f"spread of stress, {stored.spread:.3g} µN/µm)",
+        timed=False,
+        records=len(stored.records.centre),
+        tolerance=stored.tolerance,
+        spread=stored.spread,
     )

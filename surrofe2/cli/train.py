@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +15,6 @@ from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.refinement import refine_surrogate
 from surrofe2.workflow.rounds import QUANTITIES, SURROGATE, Round
-from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.run_outputs import of_cell
 from surrofe2.workflow.train import (
     STRESSES,
@@ -63,7 +61,6 @@ def train(
 
 
 def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
-    begin = time.perf_counter()
     begun = (unfinished_training(study), study.training_path())
     with console.on_interrupt("the iterations so far are kept", begun):
         trained = train_surrogate(study, fresh=fresh, add=add, stage=console.progress)
@@ -76,13 +73,13 @@ def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     ]
     of = "" if study.cell_name is None else f" of {study.cell_name}"
     title = f"Held-out errors{of}, {errors['points']} samples"
-    console.show_table(title, *Table(quantities, STRESSES).for_people())
+    console.show_table(title, Table(quantities, STRESSES))
     console.print_line(trained.bound)
-    taken = time_text(time.perf_counter() - begin)
-    console.print_line(f"{trained.path}: {training_summary(trained)}, {taken}")
+    summary = training_summary(trained)
+    console.done(trained.path, summary, of=study.cell_name, kept=trained.kept, errors=errors)
     warning = large_errors(study, trained)
     if warning is not None:
-        console.print_error(warning)
+        console.print_warning(warning)
 
 
 def refine(
@@ -111,7 +108,6 @@ def refine(
     """
     study = open_study(recipe, threads)
     folder = out or Path("out") / f"refine-{recipe.stem}"
-    begin = time.perf_counter()
     found: list[Round] = []
 
     def tell(row: Round) -> None:
@@ -135,11 +131,10 @@ def refine(
         show_rounds(found)
         raise
     show_rounds(found)
-    taken = time_text(time.perf_counter() - begin)
     files = ", ".join(str(folder / of_cell(SURROGATE, name)) for name in study.parts(cell))
-    console.print_line(f"{files}: settled after {found[-1].round + 1} rounds, {taken}")
+    console.done(files, f"settled after {found[-1].round + 1} rounds", rounds=len(found))
 
 
 def show_rounds(found: list[Round]) -> None:
     """The table of rounds."""
-    console.show_table("Rounds", *Table(QUANTITIES, found).for_people())
+    console.show_table("Rounds", Table(QUANTITIES, found))

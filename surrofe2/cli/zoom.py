@@ -37,10 +37,13 @@ def zoom(
         found = zoom_into(run, (x, y))
         write_zoom(found, folder)
     last = {name: values[-1] for name, values in found.seen.extremes().items()}
-    console.print_line(
-        f"{folder}: element {found.element} at {len(found.t)} times; at the last wall stretch up "
+    console.done(
+        folder,
+        f"element {found.element} at {len(found.t)} times; at the last wall stretch up "
         f"to {last['largest_wall_stretch']:.4g}, turgor {last['lowest_turgor_uN_per_um']:.3g} to "
-        f"{last['highest_turgor_uN_per_um']:.3g} µN/µm"
+        f"{last['highest_turgor_uN_per_um']:.3g} µN/µm",
+        element=found.element,
+        last=last,
     )
 
 

@@ -6,11 +6,23 @@ from dataclasses import replace
 from pathlib import Path
 
 from surrofe2.recipe import Recipe
+from surrofe2.workflow.new_recipe import write_recipe
 from surrofe2.workflow.run_lifecycle import Stage, silent
 from surrofe2.workflow.study import LAWS, Steps, Studied, Tell, compared, learn, untold
 
+BAR = Path("data/bending-bar.toml")
 LARGE_ELEMENTS, LARGE_DURATION = (16, 16), 100.0
 """Elements, and time in µs, of the finer bar."""
+
+
+def demo_recipe(out: Path) -> Path:
+    """The bar's recipe: a clone's where the working folder is one, else a copy beside the runs."""
+    if BAR.exists():
+        return BAR
+    path = out / BAR.name
+    if not path.exists():
+        write_recipe(path, "bar")
+    return path
 
 
 def run_demo(

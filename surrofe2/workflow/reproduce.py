@@ -12,6 +12,7 @@ from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.studies import (
     bar_comparison,
     initialisations,
+    memory,
     relaxation,
     stability,
     thin_tissue,
@@ -48,7 +49,7 @@ OF_AN_RVE: Mapping[str, Callable[[CellParameters, Progress], Study]] = {
     "rates": _rates,
     "stability": _stability,
 }
-PROBLEMS, THIN = "problems", "thin"
+PROBLEMS, THIN, MEMORY = "problems", "thin", "memory"
 Cases = Callable[[NamedCell, Bars], list[BarCase]]
 OF_BARS: Mapping[str, tuple[Cases, Callable[[Sequence[BarRun]], Study], tuple[str, ...]]] = {
     "fig8": (bar_comparison.figure_8_cases, bar_comparison.figure_8, ("tissue",)),
@@ -79,6 +80,13 @@ def reproduce_figure(
                 return OF_AN_RVE[figure](of.cell, lambda done: report(done, ""))
 
         return keep_study(out, figure, of, {}, compute, fresh=fresh)
+    if figure == MEMORY:
+        wanted = memory.MemorySettings(period=bars.duration)
+
+        def remember() -> Study:
+            return memory.describe(memory.memory(of.cell, wanted))
+
+        return keep_study(out, figure, of, asdict(wanted), remember, fresh=fresh)
     if figure == PROBLEMS:
         sizes = tissue_problems.SIZES if bars.sizes is None else bars.sizes
 

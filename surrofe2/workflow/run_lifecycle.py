@@ -29,6 +29,7 @@ from surrofe2.io.run_folder import (
     write_record,
 )
 from surrofe2.recipe import Recipe
+from surrofe2.units import time_text as time_text
 
 log = logging.getLogger(__name__)
 
@@ -215,11 +216,3 @@ def describe_platform() -> dict[str, str]:
         "python": platform.python_version(),
         **libraries,
     }
-
-
-def time_text(seconds: float) -> str:
-    """Seconds as people say them."""
-    if seconds < 60.0:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -15,7 +16,9 @@ from surrofe2.workflow.generate import data_summary, generate_data_set
 from surrofe2.workflow.recipe_check import refuse_faults
 from surrofe2.workflow.run import run_study, run_summary
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
-from surrofe2.workflow.train import is_trained, train_surrogate, training_summary
+from surrofe2.workflow.train import is_trained, large_errors, train_surrogate, training_summary
+
+log = logging.getLogger(__name__)
 
 Tell = Callable[[str], None]
 """Is told what a step came to."""
@@ -101,6 +104,9 @@ def learn(recipe: Recipe, steps: Steps, *, fresh: bool = False) -> None:
         tell_data(f"data set {made.path}: {data_summary(made)}")
         trained = train_surrogate(part, fresh=fresh, stage=of_training)
         tell_training(f"surrogate {trained.path}: {training_summary(trained)}; {trained.bound}")
+        warning = large_errors(part, trained)
+        if warning is not None:
+            log.warning(warning)
 
 
 def compared(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+from operator import itemgetter
 
 import numpy as np
 import pytest
 
-from surrofe2.cli import console
+from surrofe2.cli import output
 from surrofe2.io.run_folder import read_record, read_run
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from tests.laws import SoftLaw
@@ -139,9 +141,11 @@ def test_what_is_no_grid_is_refused_before_anything_runs(grid, options, message)
 
 def test_a_table_is_no_wider_than_the_terminal(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
-    columns = ["stiffness (µN/µm)", "law", *(f"large quantity {k}" for k in range(9))]
-    rows = [["3000", "cached", *(f"{k}.{k}{k}{k}" for k in range(9))]] * 2
-    console.show_table("Many", columns, rows, names=2)
+    names = ["stiffness (µN/µm)", "law", *(f"large quantity {k}" for k in range(9))]
+    row = ["3000", "cached", *(f"{k}.{k}{k}{k}" for k in range(9))]
+    quantities = [Quantity(name, "", "", itemgetter(k)) for k, name in enumerate(names)]
+    output.begin("grid", quiet=False, as_json=False)
+    output.show_table("Many", Table(quantities, [row, row]), names=2)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 60
     text = "\n".join(lines)

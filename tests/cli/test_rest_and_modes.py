@@ -185,7 +185,7 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     assert record["states"]["unloaded"]["elastic"]["watched"] == [0.0, 0.0]
     assert record["states"]["loaded"]["elastic"]["watched"][1] < -0.01
     kept = call("modes", recipe_path, "--initialisation", "elastic", "--count", 2, "--out", out)
-    assert kept.stdout == done.stdout
+    assert kept.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
     refused = call("modes", recipe_path, "--initialisation", "elastic", "--out", out)
     assert "asked.count: this call has 4, what is there 2" in refused.stderr
 

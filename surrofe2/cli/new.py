@@ -1,0 +1,53 @@
+"""`surrofe2 new`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from surrofe2.cli import console
+from surrofe2.errors import InputError
+from surrofe2.workflow.new_recipe import KINDS, write_recipe
+
+
+def new(
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="Of the recipe, .toml is added.")],
+    example: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help=f"{', '.join(KINDS)}; default: it is asked for."),
+    ] = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Write a recipe to start from, with unit and meaning of each key.
+
+    [bold]bar[/bold] is the paper's bending bar, [bold]strip[/bold] one that is pulled and held,
+    [bold]contact[/bold] a block between two plates, [bold]mesh[/bold] a mesh file of your own,
+    [bold]voronoi[/bold] irregular plant cells, [bold]cells[/bold] several kinds of plant cell.
+
+    Example: [bold]surrofe2 new press --example contact[/bold]
+
+    Next: [bold]surrofe2 range press.toml[/bold] for the range, then generate, train and run.
+    """
+    kind = _asked() if example is None else example
+    path = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
+    first, *others = write_recipe(path, kind, fresh=fresh)
+    beside = "".join(f", with {other}" for other in others)
+    console.done(first, f"recipe of {KINDS[kind]}{beside}", timed=False, kind=kind)
+    console.print_line(f"next: surrofe2 range {path}, after changes; then generate, train, run")
+
+
+def _can_ask() -> bool:
+    return sys.stdin.isatty() and not console.now().is_silent
+
+
+def _asked() -> str:
+    """The kind that the user chooses by its number or name."""
+    if not _can_ask():
+        raise InputError(f"--example: missing; it must be one of {', '.join(KINDS)}")
+    for k, (kind, about) in enumerate(KINDS.items(), 1):
+        console.print_line(f"{k}  {kind:8} {about}")
+    told = str(typer.prompt("Which kind of problem", default="1"))
+    return list(KINDS)[int(told) - 1] if told in map(str, range(1, len(KINDS) + 1)) else told

@@ -1,0 +1,121 @@
+"""How far long work is: one display for all of it, a bar in a terminal and few lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from surrofe2.cli.output import now
+from surrofe2.units import time_text
+
+Report = Callable[[float, str], None]
+SELDOM = 10.0
+"""Seconds between lines where there is no terminal; work that is done sooner says nothing."""
+_SETTLED = 0.5
+"""Seconds before a rate is told."""
+
+
+class Clock:
+    """The rate of work and the time that is left; what was done before counts for neither."""
+
+    def __init__(self, total: float, unit: str) -> None:
+        self._total, self._unit = total, unit
+        self._first: tuple[float, float] | None = None
+
+    def told(self, done: float) -> tuple[str, str]:
+        """(rate, time left) as people say them, empty where not known yet."""
+        moment = time.perf_counter()
+        if self._first is None and done > 0.0:
+            self._first = moment, done
+        if self._first is None:
+            return "", ""
+        elapsed, more = moment - self._first[0], done - self._first[1]
+        if elapsed < _SETTLED or more <= 0.0:
+            return "", ""
+        left = (self._total - done) * elapsed / more
+        return f"{_short(more / elapsed)} {self._unit}/s", f"{time_text(max(left, 0.0))} left"
+
+
+@contextmanager
+def progress(what: str, total: float, unit: str) -> Iterator[Report]:
+    """A function (done, note) that shows how far work is, at which rate, and the time left.
+
+    In a terminal a bar on stderr; elsewhere a plain line now and then, see `SELDOM`.
+    """
+    console = Console(stderr=True)
+    if now().quiet:
+        yield _nothing
+    elif console.is_terminal and not console.is_dumb_terminal:
+        with _display(console) as shown, _row(shown, what, total, unit) as report:
+            yield report
+    else:
+        yield _lines(what, total, unit)
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Report]]]:
+    """One display for all stages of a command: a `progress` whose rows stay, with their times."""
+    console = Console(stderr=True)
+    if now().quiet or not console.is_terminal or console.is_dumb_terminal:
+        yield progress
+    else:
+        with _display(console) as shown:
+            yield partial(_row, shown)
+
+
+def _nothing(done: float, note: str = "") -> None:
+    """Say nothing."""
+
+
+def _display(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=20 if console.width >= 100 else 10),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[told]}"),
+        console=console,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # what is piped elsewhere goes there
+    )
+
+
+@contextmanager
+def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
+    clock, began = Clock(total, unit), time.perf_counter()
+    task = shown.add_task(what, total=total, told="")
+
+    def report(done: float, note: str = "") -> None:
+        of = f"{_short(done)} of {_short(total)} {unit}"
+        told = ", ".join(each for each in (of, *clock.told(done), note) if each)
+        shown.update(task, completed=done, told=told)
+
+    yield report
+    shown.update(task, completed=total, told=time_text(time.perf_counter() - began))
+
+
+def _lines(what: str, total: float, unit: str) -> Report:
+    clock, last = Clock(total, unit), time.perf_counter()
+
+    def report(done: float, note: str = "") -> None:
+        nonlocal last
+        rate, left = clock.told(done)
+        if time.perf_counter() - last < SELDOM:
+            return
+        last = time.perf_counter()
+        share = f"{100.0 * done / total:.0f} %" if total else ""
+        told = ", ".join(each for each in (share, rate, left, note) if each)
+        typer.echo(f"{what}: {told}", err=True)
+
+    return report
+
+
+def _short(number: float) -> str:
+    """A number in few characters, counts of thousands with their commas."""
+    return f"{number:,.0f}" if abs(number) >= 1000.0 else f"{number:.3g}"

@@ -1,0 +1,126 @@
+"""Recipes to start from: each loads, runs, and says of each key what the settings say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from surrofe2.io.run_folder import read_record
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow import demo
+from surrofe2.workflow.new_recipe import KINDS, write_recipe
+from surrofe2.workflow.run import run_study
+from tests.laws import SquareLaw
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_loads_and_runs_some_steps(invoke, tmp_path, kind):
+    path = tmp_path / "mine.toml"
+    done = invoke("new", path, "--example", kind)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith(f"{path}: recipe of {KINDS[kind]}")
+    recipe = load_recipe(path)
+    for part in recipe.parts().values():
+        assert part.data_path().parent == part.training_path().parent == tmp_path
+        assert part.data_path().stem.startswith("mine")
+        assert part.range is not None
+    of = "load" if recipe.stated is None else "time"
+    text = path.read_text(encoding="utf-8")
+    long = re.search(rf"(?ms)^\[{of}\].*?^(duration = \S+)", text)[1]
+    path.write_text(text.replace(long, "duration = 2.0"), encoding="utf-8")
+    out = tmp_path / "out"
+    done = invoke("run", path, "--law", "rve", "--out", out, law=SquareLaw())
+    assert done.exit_code == 0, done.output
+    assert read_record(out).counts["steps"] > 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_runs_some_steps_by_its_plant_cells(tmp_path, kind):
+    path = tmp_path / "mine.toml"
+    write_recipe(path, kind)
+    of = "load" if kind == "bar" else "time"
+    recipe = load_recipe(path, {f"{of}.duration": 2.0})
+    assert run_study(recipe, "rve", tmp_path / "out").status == "finished"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_a_comment_is_a_default(tmp_path, kind):
+    """With all keys that stand as comments the recipe is the same."""
+    path = tmp_path / "mine.toml"
+    write_recipe(path, kind)
+    text = path.read_text(encoding="utf-8")
+    assert max(map(len, text.splitlines())) <= 100
+    before = load_recipe(path).to_dict()
+    stated = re.sub(r"(?m)^# (\w+ = )", r"\1", text)
+    assert kind == "cells" or stated != text
+    path.write_text(stated, encoding="utf-8")
+    assert load_recipe(path).to_dict() == before
+
+
+def test_keys_have_unit_and_meaning(tmp_path):
+    path = tmp_path / "mine.toml"
+    write_recipe(path, "bar")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert (
+        "# cell_side = 25.0                   # side of a square of a plant cell's area, µm"
+        in lines
+    )
+    for line in lines:
+        if " = " in line:
+            assert "# " in line[1:] or lines[lines.index(line) - 1].startswith("# "), line
+
+
+def test_the_bar_is_that_of_the_clone(tmp_path):
+    path = tmp_path / "bending-bar.toml"
+    write_recipe(path, "bar")
+    here, there = (
+        load_recipe(each).to_dict() for each in (path, ROOT / "data" / "bending-bar.toml")
+    )
+    here["training"]["file"] = there["training"]["file"]
+    assert here == there
+
+
+def test_what_is_there_is_not_written_over(invoke, tmp_path):
+    path = tmp_path / "mine.toml"
+    assert invoke("new", path, "--example", "strip").exit_code == 0
+    assert invoke("new", tmp_path / "mine", "--example", "strip").exit_code == 0
+    refused = invoke("new", path, "--example", "bar")
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"error: {path}: another file is there; --fresh writes this one in its place\n"
+    )
+    assert "pulled" in path.read_text(encoding="utf-8")
+    assert invoke("new", path, "--example", "bar", "--fresh").exit_code == 0
+
+
+def test_kinds_are_told(invoke, tmp_path):
+    refused = invoke("new", tmp_path / "a", "--example", "bra")
+    assert refused.stderr.startswith("error: --example: 'bra': unknown kind; did you mean bar?")
+    asked = invoke("new", tmp_path / "a")
+    assert asked.stderr == f"error: --example: missing; it must be one of {', '.join(KINDS)}\n"
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind"), [("3\n", "contact"), ("mesh\n", "mesh"), ("\n", "bar")]
+)
+def test_the_kind_is_asked_for(invoke, tmp_path, monkeypatch, answer, kind):
+    monkeypatch.setattr("surrofe2.cli.new._can_ask", lambda: True)
+    asked = invoke("new", tmp_path / "a", input=answer)
+    assert asked.exit_code == 0, asked.output
+    assert "3  contact  a block between two plates" in asked.output
+    assert f"recipe of {KINDS[kind]}" in asked.output
+
+
+def test_the_demo_has_its_recipe_wherever_it_is_called(tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    assert demo.demo_recipe(Path("out/demo")) == Path("data/bending-bar.toml")
+    monkeypatch.chdir(tmp_path)
+    path = demo.demo_recipe(Path("out/demo"))
+    assert load_recipe(path).data_path() == Path("out/demo/bending-bar.h5")
+    path.write_text(path.read_text(encoding="utf-8").replace("4096", "512"), encoding="utf-8")
+    assert load_recipe(demo.demo_recipe(Path("out/demo"))).samples.count == 512

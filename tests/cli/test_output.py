@@ -1,0 +1,154 @@
+"""What commands say: lines, tables, one JSON object, or nothing."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import re
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from surrofe2.cli import COMMANDS, app, output
+from surrofe2.cli import progress as shown
+from surrofe2.report.tables import Quantity, Table
+
+
+def test_json_is_one_object_and_nothing_else(invoke, recipe_path, tmp_path):
+    runs = [tmp_path / "a", tmp_path / "b"]
+    for run in runs:
+        done = invoke("run", recipe_path, "--law", "rve", "--out", run, "--json")
+        assert done.exit_code == 0, done.output
+        said = json.loads(done.stdout)
+        assert (said["command"], said["status"], said["error"]) == ("run", "finished", None)
+        assert said["result"]["output"] == str(run)
+        assert said["result"]["counts"]["rve_solves"] > 0
+        assert said["lines"][-1].startswith(f"{run}: 4 µs by rve in ")
+    done = invoke("--json", "compare", *runs, "--out", tmp_path / "c")
+    said = json.loads(done.stdout)
+    assert said["result"]["runs"][0]["difference"]["largest"] == 0.0
+    (table, *_) = said["tables"]
+    assert [row["run"] for row in table["rows"]] == ["a", "b"]
+    assert table["units"]["wall_time"] == "s"
+
+
+def test_json_of_a_failure_and_of_an_interruption(invoke, recipe_path, tmp_path):
+    from tests.laws import StoppingLaw
+
+    failed = invoke("run", tmp_path / "no.toml", "--law", "rve", "--out", tmp_path / "a", "--json")
+    said = json.loads(failed.stdout)
+    assert (failed.exit_code, said["status"]) == (1, "failed")
+    assert failed.stderr == f"error: {said['error']}\n"
+    command = ("run", recipe_path, "--law", "rve", "--out", tmp_path / "b", "--json")
+    stopped = invoke(*command, law=StoppingLaw(calls=60))
+    said = json.loads(stopped.stdout)
+    assert (stopped.exit_code, said["status"]) == (130, "interrupted")
+    assert "go on with: surrofe2 --json run" in said["error"]
+
+
+def test_quiet_says_nothing_but_errors(invoke, recipe_path, tmp_path):
+    command = ("run", recipe_path, "--law", "rve", "--quiet", "--out", tmp_path / "a")
+    done = invoke(*command)
+    assert (done.exit_code, done.output) == (0, "")
+    refused = invoke(*command, "--initialisation", "elastic")
+    assert refused.exit_code == 1
+    assert refused.stdout == ""
+    assert refused.stderr.startswith("error: ")
+
+
+def test_one_command_does_not_quieten_the_next(invoke, recipe_path):
+    assert invoke("generate", recipe_path, "--quiet").output == ""
+    assert "40 samples" in invoke("generate", recipe_path).stdout
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+def test_tables_are_no_wider_than_the_terminal(monkeypatch, capsys, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    output.begin("compare", quiet=False, as_json=False)
+    quantities = [Quantity(f"quantity {k}", "µN/µm", ".6g", lambda row: row) for k in range(9)]
+    output.show_table("Numbers", Table(quantities, [1234.56, 0.1]))
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    assert sum(line.count("1234.56") for line in lines) >= 9
+
+
+def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch):
+    for width in (80, 120):
+        file = io.StringIO()
+        terminal = Console(file=file, force_terminal=True, width=width, no_color=True)
+        monkeypatch.setattr(shown, "Console", lambda stderr, terminal=terminal: terminal)
+        moments = itertools.count(0.0, 0.6)
+        monkeypatch.setattr(shown.time, "perf_counter", lambda moments=moments: next(moments))
+        output.begin("generate", quiet=False, as_json=False)
+        with shown.progress("generate", 4096, "samples") as report:
+            for done in (512, 1024, 2048):
+                report(done, "3 failed")
+        drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", file.getvalue())
+        last = [line for line in re.split(r"[\r\n]+", drawn) if "2,048" in line][-1]
+        rate = r"50 % 2,048 of 4,096 samples, [\d,]+ samples/s, [\d.]+ s left, 3 failed"
+        assert re.search(rate, last), last
+        assert len(last.rstrip()) <= width
+
+
+def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch, capsys):
+    seconds = [0.0]
+    monkeypatch.setattr(shown.time, "perf_counter", lambda: seconds[0])
+    output.begin("generate", quiet=False, as_json=False)
+    with shown.progress("generate", 100, "samples") as report:
+        for k in range(101):
+            seconds[0] = 0.4 * k
+            report(k, "0 failed")
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        "generate: 25 %, 2.5 samples/s, 30.0 s left, 0 failed",
+        "generate: 50 %, 2.5 samples/s, 20.0 s left, 0 failed",
+        "generate: 75 %, 2.5 samples/s, 10.0 s left, 0 failed",
+        "generate: 100 %, 2.5 samples/s, 0.0 s left, 0 failed",
+    ]
+
+
+def test_no_colours_where_none_are_wanted(monkeypatch):
+    text = io.StringIO()
+    monkeypatch.setattr("sys.stderr", text)
+    for wanted, coloured in (({"NO_COLOR": "1"}, False), ({}, True)):
+        monkeypatch.delenv("NO_COLOR", raising=False)
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        for name, value in wanted.items():
+            monkeypatch.setenv(name, value)
+        text.truncate(0)
+        output.print_error("error: x")
+        assert ("\x1b[31m" in text.getvalue()) == coloured
+
+
+def test_help_is_in_groups_of_at_most_twenty_commands():
+    told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output
+    places = [told.index(f"─ {group} ─") for group in ("Study", "Look", "Physics", "Paper")]
+    assert places == sorted(places)
+    assert len(COMMANDS) <= 20
+    for name in COMMANDS:
+        assert f"surrofe2 {name}" in told, name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_all_commands_have_the_options_of_all(name):
+    told = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"})
+    assert told.exit_code == 0, told.output
+    for option in ("--quiet", "--json", "--traceback"):
+        assert option in told.output
+    assert max(map(len, told.output.splitlines())) <= 80
+
+
+def test_completion_knows_commands_and_their_options():
+    def complete(words):
+        environment = {
+            "_SURROFE2_COMPLETE": "complete_bash",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split(" ")) - 1),
+        }
+        done = CliRunner().invoke(app, [], prog_name="surrofe2", env=environment)
+        return done.output.split()
+
+    assert {"generate", "run", "compare"} <= set(complete("surrofe2 "))
+    assert "--integrator" in complete("surrofe2 run --in")
