@@ -100,9 +100,8 @@ class TissueRun:
         energies: by name, (m,) pJ at the output times: `kinetic`; `internal`, the work of the
             internal forces, and of that `elastic`, stored since the unloaded equilibrium; the work
             of each load, and `motion`, that of what moves supports and bodies; `contact`, stored,
-            and `contact dissipated`, by dashpots and friction of bodies; `dissipated` by dashpots
-            and viscosity of the tissue; `balance`, what all work and the kinetic energy at the
-            start exceed the others by, zero but for the error of the time integration.
+            and `contact dissipated`; `dissipated` by dashpots and viscosity; `balance`, what work
+            and first kinetic energy exceed the others by, the error of the time integration.
         history: by name, (m,), as of a finite-element run: forces on the tissue in µN since the
             unloaded equilibrium, mean displacement of boundaries, position and penetration of
             bodies in µm.
@@ -310,13 +309,11 @@ class Recorder:
         own = [name for name in columns if name.startswith("energy ")]
         energies = {name.removeprefix("energy "): columns[name] for name in own}
         lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
-        balance = sum(column for name, column in energies.items() if name not in lost)
-        for name in lost:
-            balance = balance - energies[name]
+        signs = {name: -1.0 if name in lost else 1.0 for name in energies}
+        balance = sum(signs[name] * column for name, column in energies.items())
         energies["balance"] = balance - balance[0]
-        kinetic, elastic = energies.pop("kinetic"), energies.pop("elastic")
-        internal = elastic + energies["dissipated"]
-        energies = {"kinetic": kinetic, "internal": internal, "elastic": elastic, **energies}
+        internal = energies["elastic"] + energies["dissipated"]
+        energies = {"kinetic": energies["kinetic"], "internal": internal, **energies}
         if not any(body.mass is not None for body in problem.bodies):
             del energies["bodies"]
         if not problem.motions:

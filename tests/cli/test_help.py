@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 
-COMMANDS = ("generate", "train", "run", "tissue", "compare", "study")
+COMMANDS = ("study", "generate", "train", "run", "tissue", "compare")
 HEAVY = ("torch", "numba", "skfem", "numpy", "scipy", "h5py", "matplotlib", "pydantic")
 
 

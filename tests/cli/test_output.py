@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import re
+import time
 
 import pytest
 from rich.console import Console
@@ -85,6 +86,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
         with shown.progress("generate", 4096, "samples") as report:
             for done in (512, 1024, 2048):
                 report(done, "3 failed")
+            time.sleep(0.3)  # until it is drawn
         drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", file.getvalue())
         last = [line for line in re.split(r"[\r\n]+", drawn) if "2,048" in line][-1]
         rate = r"50 % 2,048 of 4,096 samples, [\d,]+ samples/s, [\d.]+ s left, 3 failed"
