@@ -27,6 +27,11 @@ from surrofe2.interruption import begin_work, end_work, exit_code
 STUDY, LOOK, PHYSICS, PAPER = "Study", "Look", "Physics", "Paper"
 COMMANDS = {
     "new": (STUDY, "Write a recipe to start from.", "bar.toml --example bar"),
+    "check": (
+        STUDY,
+        "What is wrong with a recipe, what it will cost, which law to take.",
+        "RECIPE",
+    ),
     "study": (STUDY, "What is missing of data set, training, runs and comparison.", "RECIPE"),
     "range": (STUDY, "Propose the range of (F, Ḟ) that the recipe needs, by a dry run.", "RECIPE"),
     "generate": (STUDY, "Compute stresses of plant cells over that range: a data set.", "RECIPE"),

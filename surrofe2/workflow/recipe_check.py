@@ -18,13 +18,15 @@ from surrofe2.workflow.laws import check_surrogate
 from surrofe2.workflow.train import check_data
 
 _MOST_ROUNDS = 50
+_ANY_MESH = {"width": 100.0, "height": 100.0, "elements": [4, 4]}
+_ANY_CONDITION = {"kind": "fixed", "on": "left"}
 
 
 def recipe_faults(path: Path) -> list[str]:
     """A sentence on each entry of a recipe that cannot be what it says, all in one go.
 
-    After each the entry is left out, or its whole section where the entry is a missing one, and
-    the rest is read again; so what follows from such a section may stay untold.
+    After each the entry is left out, or its section where that cannot do without, and the rest is
+    read again; so what such a section says besides may stay untold.
     """
     try:
         load_recipe(path)
@@ -36,32 +38,41 @@ def recipe_faults(path: Path) -> list[str]:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return [first]
-    found: list[str] = []
+    told: dict[str, str] = {}
     for _ in range(_MOST_ROUNDS):
         try:
             make_recipe(table, path)
-        except (FileError, InputError) as error:
-            found.append(str(error))
-            if not _leave_out(table, found[-1].partition(": ")[0].split(".")):
-                break
-        else:
             break
-    return [f"{path.name}: {sentence}" for sentence in dict.fromkeys(found)]
+        except (FileError, InputError) as error:
+            name = str(error).partition(": ")[0]
+            names = name.split(".")
+            if name in told:  # it is needed: no more of its section
+                names = names[:1]
+            told.setdefault(name, f"{path.name}: {error}")
+            if not _leave_out(table, names):
+                break
+    return [*told.values()]
 
 
 def _leave_out(table: dict[str, Any], names: Sequence[str]) -> bool:
     """Take out the entry that is called so, or the section that lacks it; whether there was one.
 
-    What has a name of its own ([conditions.NAME]) goes as a whole.
+    What has a name of its own ([conditions.NAME], [mesh.regions.NAME]) goes as a whole; a mesh or a
+    condition becomes another one, since there must be some.
     """
-    names = names[:2]
+    names = names[: 3 if names[1:2] in (["regions"], ["boundaries"]) else 2]
     while names:
         *above, last = names
-        inner = table
+        inner: Any = table
         for name in above:
-            inner = inner.get(name, {}) if isinstance(inner, dict) else {}
+            inner = inner.get(name) if isinstance(inner, dict) else None
         if isinstance(inner, dict) and last in inner:
-            del inner[last]
+            was = inner.pop(last)
+            if names == ["mesh"] and isinstance(was, dict) and was != _ANY_MESH:
+                parts = ("regions", "boundaries")
+                inner[last] = _ANY_MESH | {name: was[name] for name in parts if name in was}
+            elif above == ["conditions"] and was != _ANY_CONDITION:
+                inner[last] = dict(_ANY_CONDITION)
             return True
         names = above
     return False

@@ -1,0 +1,169 @@
+"""What a surrogate will cost, timed on one that learns the quadratic law of the RVE at rest.
+
+It has as many samples, the same network and the same paths, so its iterations, its fits and its
+lookups take as long as those of the true one; RVEs, which it does not need, are timed apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from surrofe2.io.surrogates import read_surrogate
+from surrofe2.macro.discretisation import n_points_of
+from surrofe2.recipe import Recipe
+from surrofe2.rve import RveLaw
+from surrofe2.sampling import sample
+from surrofe2.stress_law import StressLaw
+from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate import SurrogateLaw
+from surrofe2.surrogate.deformation_paths import random_walks, true_stress
+from surrofe2.surrogate.training import train
+from surrofe2.workflow import laws
+from surrofe2.workflow.calibrate import calibrate
+from surrofe2.workflow.generate import sample_stress
+from surrofe2.workflow.train import is_trained
+
+_FEW, _MANY = 16, 512
+_ITERATIONS = 60
+_NOISE = 0.01
+"""Of the stress of a stand-in, so that there is something to learn."""
+_ROUND = 20
+"""Iterations between two reports of a training."""
+_SHAPING = 1.0 + 1.0 / 3.0
+"""Paths in all for each that calibrates."""
+_COARSE = 4
+"""Elements of a bar in each direction, in runs that make paths."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """A surrogate, and what is missing to make it.
+
+    Attributes:
+        is_true: whether it is the recipe's, finished before; else a stand-in.
+        cold: seconds of a cold solve of an RVE.
+        data, training: s.
+    """
+
+    law: SurrogateLaw
+    is_true: bool
+    cold: float
+    data: float = 0.0
+    training: float = 0.0
+
+
+def learnt_of(part: Recipe, seconds: float) -> Learnt:
+    """The surrogate of a recipe of one cell, or a stand-in.
+
+    Args:
+        seconds: for each kind of solve that is timed.
+    """
+    true, settings, wanted = laws.true_law(part), part.samples, part.sampling_range()
+
+    def sampled(tangents: bool) -> float:
+        def work(count: int) -> None:
+            sample_stress(true, wanted, count, seed=settings.seed, tangents=tangents)
+
+        return seconds_each(work, seconds)
+
+    cold = sampled(False)
+    if is_trained(part):
+        return Learnt(read_surrogate(part.training_path()), True, cold)
+    data = 0.0
+    if not part.data_path().exists():
+        data = settings.count * (sampled(True) if settings.tangents else cold)
+    samples, stand_in = _samples(part, true), laws.quadratic_law(part)
+    surrogate, learning = _trained(part, samples)
+    surrogate, fitting = _calibrated(part, surrogate, samples, stand_in)
+    return Learnt(
+        surrogate, False, cold, data, learning + fitting + _asking(part, true, cold, seconds)
+    )
+
+
+def seconds_each(work: Callable[[int], Any], seconds: float) -> float:
+    """Seconds for each of a number of things, from a few and then from as many as time allows."""
+    work(_FEW)
+    began = perf_counter()
+    work(_FEW)
+    each = (perf_counter() - began) / _FEW
+    count = int(np.clip(0.5 * seconds / each, _FEW, _MANY))
+    began = perf_counter()
+    work(count)
+    return (perf_counter() - began) / count
+
+
+def _samples(part: Recipe, true: RveLaw) -> StressSamples:
+    """As many samples as the recipe's, of the quadratic law and a little noise."""
+    settings, wanted, law = part.samples, part.sampling_range(), laws.quadratic_law(part)
+    F, F_dot = sample(wanted, settings.count, settings.seed)
+    F[:1], F_dot[:1] = np.eye(2), 0.0
+    answer = law.respond(F, F_dot, tangents=settings.tangents)
+    noise = np.random.default_rng(settings.seed).uniform(-_NOISE, _NOISE, (len(F), 1, 1))
+    stress, slopes = (1.0 + noise) * answer.stress, answer.tangents
+    return StressSamples(
+        F=F,
+        F_dot=F_dot,
+        stress=stress,
+        status=answer.status,
+        cell=part.cell,
+        initialisation=part.rve.initialisation,
+        range=wanted,
+        seed=settings.seed,
+        rest_length=true.rest_length,
+        P_by_F=None if slopes is None else slopes.P_by_F,
+        P_by_F_dot=None if slopes is None else slopes.P_by_F_dot,
+    )
+
+
+def _trained(part: Recipe, samples: StressSamples) -> tuple[SurrogateLaw, float]:
+    """A surrogate after a few iterations, and the seconds of all that the recipe wants."""
+    marks: list[float] = []
+    most = part.training.iterations
+    few = replace(part.training, iterations=min(_ITERATIONS, most))
+    began = perf_counter()
+    surrogate = train(samples, few, progress=lambda *_: marks.append(perf_counter()))
+    taken = perf_counter() - began
+    if len(marks) > 1:
+        a_round = (marks[-1] - marks[0]) / (len(marks) - 1)
+        taken += (most / _ROUND - len(marks)) * a_round
+    return surrogate, taken
+
+
+def _calibrated(
+    part: Recipe, surrogate: SurrogateLaw, samples: StressSamples, law: StressLaw
+) -> tuple[SurrogateLaw, float]:
+    """The surrogate with a bound, and the seconds of all that is no RVE: fits, and runs by it."""
+    paths = part.calibration
+    began = perf_counter()
+    plain = replace(paths, runs=0, states=paths.states or max(paths.walks, paths.runs))
+    bounded = calibrate(surrogate, samples, law, plain)
+    taken = perf_counter() - began
+    if paths.runs:
+        one = replace(paths, walks=0, states=0, runs=1, share=0.5)
+        began = perf_counter()
+        calibrate(surrogate, samples, law, one, problem=part.load or part.problem(),
+                  macro=part.macro)  # fmt: skip
+        taken += 0.5 * (perf_counter() - began) * _SHAPING * paths.runs  # it was two runs
+    return bounded, taken
+
+
+def _asking(part: Recipe, true: RveLaw, cold: float, seconds: float) -> float:
+    """Seconds of the RVEs along the paths of calibration."""
+    paths = part.calibration
+    wanted, length = part.sampling_range(), paths.length
+
+    def walk(count: int) -> None:
+        true_stress(random_walks(wanted, count, length, seed=0), true)
+
+    warm = seconds_each(walk, seconds) / length if paths.walks or paths.runs else 0.0
+    points = n_points_of(part.problem().mesh)
+    if part.stated is None:
+        nx, ny = part.macro.elements
+        points = points * min(nx, _COARSE) * min(ny, _COARSE) // (nx * ny)
+    along_runs = paths.runs * -(-length // 3) * points
+    return _SHAPING * ((paths.walks * length + along_runs) * warm + paths.states * cold)
