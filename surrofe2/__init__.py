@@ -21,56 +21,93 @@ from typing import TYPE_CHECKING
 from surrofe2.public_names import public_names
 
 if TYPE_CHECKING:
-    from surrofe2.amplitude import Constant, Pulse, Ramp, Sine, Table
-    from surrofe2.cache.cached_law import CachedLaw
-    from surrofe2.cache.settings import CacheSettings
-    from surrofe2.displacement_curve import DisplacementCurve, difference
-    from surrofe2.errors import Surrofe2Error
-    from surrofe2.io.data_sets import read_data_set
-    from surrofe2.io.run_folder import read_run
-    from surrofe2.io.surrogates import read_surrogate, write_surrogate
-    from surrofe2.load_case import LoadCase
-    from surrofe2.macro.conditions import (
-        BodyForce,
-        Fixed,
-        Foundation,
-        InitialVelocity,
-        PrescribedMotion,
-        Pressure,
-        Surface,
-        Symmetry,
-        Traction,
+    from surrofe2.amplitude import (
+        Constant as Constant,
+        Pulse as Pulse,
+        Ramp as Ramp,
+        Sine as Sine,
+        Table as Table,
     )
-    from surrofe2.macro.discretisation import points_by_region
-    from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
-    from surrofe2.macro.problem import Problem
-    from surrofe2.macro.quasi_static import find_rest
-    from surrofe2.macro.settings import MacroSettings
-    from surrofe2.macro.simulation import MacroRun, simulate
-    from surrofe2.plant_cell.parameters import CellParameters
-    from surrofe2.problem_sections import load_mesh
-    from surrofe2.recipe import load_recipe
-    from surrofe2.regional_law import RegionalLaw
-    from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody
-    from surrofe2.rve.parameter_gradients import parameter_gradients, path_gradients
-    from surrofe2.rve.rve_law import RveLaw
-    from surrofe2.rve.settings import RveSettings
-    from surrofe2.sampling import SamplingRange, sample
-    from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse, Tangents
-    from surrofe2.stress_paths import StressPath, follow_path, oscillation, ramp_and_hold
-    from surrofe2.stress_samples import StressSamples
-    from surrofe2.surface.slab_law import SlabLaw
-    from surrofe2.surface.tabulated import TabulatedSurface, tabulate_surface
-    from surrofe2.surface_law import SurfaceLaw, SurfaceResponse
-    from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
-    from surrofe2.surrogate.surrogate_law import SurrogateLaw
-    from surrofe2.surrogate.training import train
-    from surrofe2.workflow.calibrate import calibrate
-    from surrofe2.workflow.comparison import compare_runs
-    from surrofe2.workflow.generate import sample_stress
-    from surrofe2.workflow.grid import run_grid
-    from surrofe2.workflow.range import proposed_range
-    from surrofe2.workflow.saved_run import save_run
-    from surrofe2.workflow.zoom import write_zoom, zoom_into
+    from surrofe2.cache.cached_law import CachedLaw as CachedLaw
+    from surrofe2.cache.settings import CacheSettings as CacheSettings
+    from surrofe2.displacement_curve import (
+        DisplacementCurve as DisplacementCurve,
+        difference as difference,
+    )
+    from surrofe2.errors import Surrofe2Error as Surrofe2Error
+    from surrofe2.io.data_sets import read_data_set as read_data_set
+    from surrofe2.io.run_folder import read_run as read_run
+    from surrofe2.io.surrogates import (
+        read_surrogate as read_surrogate,
+        write_surrogate as write_surrogate,
+    )
+    from surrofe2.load_case import LoadCase as LoadCase
+    from surrofe2.macro.conditions import (
+        BodyForce as BodyForce,
+        Fixed as Fixed,
+        Foundation as Foundation,
+        InitialVelocity as InitialVelocity,
+        PrescribedMotion as PrescribedMotion,
+        Pressure as Pressure,
+        Surface as Surface,
+        Symmetry as Symmetry,
+        Traction as Traction,
+    )
+    from surrofe2.macro.discretisation import points_by_region as points_by_region
+    from surrofe2.macro.mesh import Box as Box, Disc as Disc, HalfPlane as HalfPlane, Mesh as Mesh
+    from surrofe2.macro.problem import Problem as Problem
+    from surrofe2.macro.quasi_static import find_rest as find_rest
+    from surrofe2.macro.settings import MacroSettings as MacroSettings
+    from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
+    from surrofe2.plant_cell.parameters import CellParameters as CellParameters
+    from surrofe2.problem_sections import load_mesh as load_mesh
+    from surrofe2.recipe import load_recipe as load_recipe
+    from surrofe2.regional_law import RegionalLaw as RegionalLaw
+    from surrofe2.rigid_bodies import (
+        Circle as Circle,
+        Corner as Corner,
+        Plane as Plane,
+        RigidBody as RigidBody,
+    )
+    from surrofe2.rve.parameter_gradients import (
+        parameter_gradients as parameter_gradients,
+        path_gradients as path_gradients,
+    )
+    from surrofe2.rve.rve_law import RveLaw as RveLaw
+    from surrofe2.rve.settings import RveSettings as RveSettings
+    from surrofe2.sampling import SamplingRange as SamplingRange, sample as sample
+    from surrofe2.stress_law import (
+        Acceptance as Acceptance,
+        Status as Status,
+        StressLaw as StressLaw,
+        StressResponse as StressResponse,
+        Tangents as Tangents,
+    )
+    from surrofe2.stress_paths import (
+        StressPath as StressPath,
+        follow_path as follow_path,
+        oscillation as oscillation,
+        ramp_and_hold as ramp_and_hold,
+    )
+    from surrofe2.stress_samples import StressSamples as StressSamples
+    from surrofe2.surface.slab_law import SlabLaw as SlabLaw
+    from surrofe2.surface.tabulated import (
+        TabulatedSurface as TabulatedSurface,
+        tabulate_surface as tabulate_surface,
+    )
+    from surrofe2.surface_law import SurfaceLaw as SurfaceLaw, SurfaceResponse as SurfaceResponse
+    from surrofe2.surrogate.settings import (
+        CalibrationSettings as CalibrationSettings,
+        TrainingSettings as TrainingSettings,
+    )
+    from surrofe2.surrogate.surrogate_law import SurrogateLaw as SurrogateLaw
+    from surrofe2.surrogate.training import train as train
+    from surrofe2.workflow.calibrate import calibrate as calibrate
+    from surrofe2.workflow.comparison import compare_runs as compare_runs
+    from surrofe2.workflow.generate import sample_stress as sample_stress
+    from surrofe2.workflow.grid import run_grid as run_grid
+    from surrofe2.workflow.range import proposed_range as proposed_range
+    from surrofe2.workflow.saved_run import save_run as save_run
+    from surrofe2.workflow.zoom import write_zoom as write_zoom, zoom_into as zoom_into
 
 __getattr__, __dir__ = public_names(__name__)

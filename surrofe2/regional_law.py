@@ -20,12 +20,13 @@ from surrofe2.stress_law import (
     SwitchingLaw,
     Tangents,
 )
+from surrofe2.views import Viewed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class RegionalLaw:
+class RegionalLaw(Viewed):
     """Laws by region, each asked for its own points all at once.
 
     The state is a tuple of the states of the laws. An answer costs what the laws' answers cost. A

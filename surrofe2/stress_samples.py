@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
+from surrofe2.views import Viewed
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ TANGENTS = ("P_by_F", "P_by_F_dot")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StressSamples:
+class StressSamples(Viewed):
     """Stress of one RVE at sampled deformations, and whose stress it is.
 
     Attributes:

@@ -39,11 +39,12 @@ from surrofe2.stress_law import (
     is_ready,
     require_tangents,
 )
+from surrofe2.views import Viewed
 
 Array = NDArray[np.float64]
 
 
-class CachedLaw:
+class CachedLaw(Viewed):
     """σ(F, Ḟ) from `surrogate` where its bound is within the tolerance, else from `fallback`.
 
     Within a step a point may move from the surrogate to the fallback, not back; the answer that

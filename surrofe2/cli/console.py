@@ -9,14 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from surrofe2.cli.output import done as done
-from surrofe2.cli.output import now as now
-from surrofe2.cli.output import print_line as print_line
-from surrofe2.cli.output import print_warning as print_warning
-from surrofe2.cli.output import show_table as show_table
-from surrofe2.cli.progress import Report
-from surrofe2.cli.progress import progress as progress
-from surrofe2.cli.progress import stages as stages
+# What commands say, for `console.…` in each of them.
+from surrofe2.cli.output import done, now, print_line, print_warning, show_table  # noqa: F401
+from surrofe2.cli.progress import Report, progress, stages  # noqa: F401
 from surrofe2.errors import InputError, quoted
 
 if TYPE_CHECKING:

@@ -26,7 +26,9 @@ from surrofe2.studies.moduli import (
     moduli_tables,
     with_turgor,
 )
-from surrofe2.studies.moduli import turgor as turgor_of
+from surrofe2.studies.moduli import (
+    turgor as turgor_of,
+)
 
 
 def moduli(

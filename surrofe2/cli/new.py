@@ -23,9 +23,9 @@ def new(
 ) -> None:
     """Write a recipe to start from, with unit and meaning of each key.
 
-    [bold]bar[/bold] is the paper's bending bar, [bold]strip[/bold] one that is pulled and held,
-    [bold]contact[/bold] a block between two plates, [bold]mesh[/bold] a mesh file of your own,
-    [bold]voronoi[/bold] irregular plant cells, [bold]cells[/bold] several kinds of plant cell.
+    bar is the paper's bending bar, strip one that is pulled and held, contact a block between
+    two plates, mesh a mesh file of your own, voronoi irregular plant cells, cells several kinds of
+    plant cell by region.
 
     Example: [bold]surrofe2 new press --example contact[/bold]
 

@@ -27,6 +27,7 @@ from surrofe2.io.files import (
 from surrofe2.io.lock import folder_lock
 from surrofe2.settings import check_value, hints_of
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
+from surrofe2.views import ViewedRun
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 2
@@ -67,9 +68,8 @@ class RunRecord:
             came to.
         problem: counts of the mesh, its names, conditions, bodies and watched points; of a
             run also the largest `penetration` of each body, µm.
-        ranks: of a run on several: how many and of how many threads each, what travelled, and the
-            seconds of the law that the slowest rank computed, that messages took, and that ranks
-            were idle; since the run last went on.
+        ranks: of a run on several: how many and of how many threads each, what travelled, seconds
+            of the law on the slowest rank, of messages and idle, since the run last went on.
         files: SHA-256 of each CSV file and the event log, as they were when this was written.
     """
 
@@ -138,7 +138,7 @@ class RunRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredRun:
+class StoredRun(ViewedRun):
     """A run read back from its folder; `history` as `MacroRun` has it, empty without the file."""
 
     folder: Path

@@ -34,12 +34,13 @@ from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
 from surrofe2.threads import one_blas_thread
+from surrofe2.views import ViewedRun
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class MacroRun:
+class MacroRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:

@@ -6,4 +6,6 @@ study            what a study hands over, and its files
 damped_fit       period and decrement of a displacement curve
 comparison       runs against a reference, with their picture
 grid             a parameter study
+run_views        a run as a picture, and for pandas and xarray
+notebook         runs, samples and laws as HTML
 """

@@ -29,6 +29,7 @@ from surrofe2.stress_law import (
     check_deformation,
     describe,
 )
+from surrofe2.views import Viewed
 
 _RENEW_AFTER = {"slow-manifold": 9}
 _RENEW_AFTER_ELSE = 4
@@ -37,7 +38,7 @@ _SAME = 1e-4
 """Material distance of particles, µm, below which two solutions are the same."""
 
 
-class RveLaw:
+class RveLaw(Viewed):
     """σ(F, Ḟ) of periodic cells put into the state they would have in a tissue (section 5).
 
     Args:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.costs import Cost
+from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
@@ -21,6 +22,7 @@ from surrofe2.stress_law import (
     Tangents,
     check_deformation,
 )
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.compiled_bound import BoundArrays
 from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
 from surrofe2.surrogate.domain import Domain, why_outside
@@ -28,13 +30,15 @@ from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import NetworkArrays, NetworkParameters, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.polynomial import Polynomial
+from surrofe2.surrogate.scoring import errors_of
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.views import Viewed
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SurrogateLaw:
+class SurrogateLaw(Viewed):
     """σ(F, Ḟ) of one RVE, learnt; rotation and, for the square cell, D4 hold exactly.
 
     Smooth everywhere; for the square cell σ(I, 0) = 0, and with an energy P(F, 0) = ∂W/∂F.
@@ -200,6 +204,32 @@ class SurrogateLaw:
         """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""
         F, F_dot = check_deformation(F, F_dot)
         return to_cauchy(F, self._slopes(F, F_dot)[0])
+
+    def score(self, samples: StressSamples) -> dict[str, Any]:
+        """Errors on samples of the same RVE, by component, beyond the range too.
+
+        Returns:
+            As `errors`: `points`, and by component of σ (``"xx"``, …) and of Rᵀ σ R `spread` in
+            µN/µm, `rms` and `worst` relative to it.
+
+            >>> surrogate.score(samples)["rms"]["xy"]
+
+        Raises:
+            MismatchError: they are of another plant cell or initialisation.
+            InputError: none of them has a stress.
+        """
+        for name, here, there in (
+            ("cell", self.cell.fingerprint, samples.cell.fingerprint),
+            ("initialisation", self.initialisation, samples.initialisation),
+        ):
+            if here != there:
+                raise MismatchError(
+                    f"samples.{name}: {there}, the surrogate's is {here}; sample its own RVE"
+                )
+        known = samples.valid
+        if not len(known.F):
+            raise InputError(f"samples: none of {len(samples.F)} has a stress; ask other states")
+        return errors_of(self.extrapolate(known.F, known.F_dot), known)
 
     def _slopes(self, F: Array, F_dot: Array) -> tuple[Array, Array]:
         return evaluate_slopes(F, F_dot, self.arrays, self._slope_polynomial)

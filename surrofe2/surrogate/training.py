@@ -18,7 +18,6 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.square_symmetry import COMPONENTS
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.calibration import fit_domain
 from surrofe2.surrogate.features import input_scale
@@ -26,13 +25,11 @@ from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.surrogate.training_task import Task, fit_baseline, make_task, read_data, set_scales
-from surrofe2.tensors import rotation, to_components, transpose
 
 Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 20
 _ITERATIONS_A_ROUND = 20
-_ROUNDING = 1e-12  # of the largest spread: less is no spread
 _LISTS = ("old_dirs", "old_stps", "ro")  # of the optimiser: one entry a kept step
 _NUMBERS = ("func_evals", "n_iter", "t", "H_diag", "prev_loss")
 _VECTORS = ("d", "prev_flat_grad")
@@ -112,7 +109,7 @@ def train(
         version=version("surrofe2"),
         domain=fit_domain(samples),
     )
-    return replace(law, errors=measure_errors(law, valid.at(held_out)))
+    return replace(law, errors=law.score(valid.at(held_out)))
 
 
 class _Minimisation:
@@ -232,35 +229,3 @@ class _Minimisation:
         for name in ("func_evals", "n_iter") if found else ():
             found[name] = int(found[name])
         self.optimiser.state[self.parameters[0]].update(found)
-
-
-def measure_errors(law: SurrogateLaw, samples: StressSamples) -> dict[str, Any]:
-    """Errors of a surrogate on samples, by component of S and of σ.
-
-    Returns:
-        `points`, and by component `spread` (standard deviation over the samples, µN/µm), `rms`
-        and `worst` (relative to the spread).
-    """
-    R = rotation(samples.F)
-    answer = law.extrapolate(samples.F, samples.F_dot)
-    exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
-    spread = exact.std(axis=0)
-    largest = max(spread.max(), np.finfo(float).tiny)
-    scale = np.where(spread > _ROUNDING * largest, spread, largest)
-    error = np.abs(found - exact) / scale
-    names = (*COMPONENTS, "xx", "xy", "yx", "yy")
-    figures = {
-        "spread": spread,
-        "rms": np.sqrt((error**2).mean(axis=0)),
-        "worst": error.max(axis=0),
-    }
-    named = {
-        key: {name: float(value) for name, value in zip(names, values, strict=True)}
-        for key, values in figures.items()
-    }
-    return {"points": len(R), **named}
-
-
-def _all_components(stress: Array, R: Array) -> Array:
-    rotated = to_components(transpose(R) @ stress @ R)
-    return np.concatenate([rotated, stress.reshape(-1, 4)], axis=1)

@@ -18,6 +18,7 @@ from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.pair_lists import bonded_particles
 from surrofe2.tissue.problem import TissueProblem
 from surrofe2.tissue.settings import TissueSettings
+from surrofe2.views import ViewedRun
 
 Array = NDArray[np.float64]
 
@@ -27,9 +28,8 @@ class TissueState:
     """A run at an output time: all that is needed to carry it on, bit by bit, and its results.
 
     Attributes:
-        relaxed, x, v: (particles, 2) the unloaded equilibrium,
-            positions and velocities, µm and µm/µs. listed: (particles, 2) positions at which the
-            pair lists in use were made.
+        relaxed, x, v: (particles, 2) the unloaded equilibrium, positions and velocities, µm and
+            µm/µs. listed: (particles, 2) positions at which the pair lists in use were made.
         elastic: stored energy of the unloaded tissue, pJ; resting: (k, 2) forces there, µN.
         bodies: (2, b, 2) position and velocity of rigid bodies.
         history: (rows, c) the columns of `columns_of` at the output times passed.
@@ -91,7 +91,7 @@ class ParticleFrames:
 
 
 @dataclass(frozen=True, slots=True)
-class TissueRun:
+class TissueRun(ViewedRun):
     """A run, or with `finished` False the part of it that was computed.
 
     Attributes:

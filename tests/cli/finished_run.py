@@ -4,5 +4,8 @@ from __future__ import annotations
 
 FILES = ["curve.csv", "energies.csv", "fields.h5", "fields.xdmf", "run.json"]
 
-RUN_FILES = sorted([*FILES, "history.csv"])
+TISSUE_FILES = sorted([*FILES, "history.csv"])
+"""Those of all particles."""
+
+RUN_FILES = sorted([*TISSUE_FILES, "points.h5", "points.xdmf"])
 """Those of finite elements over time."""

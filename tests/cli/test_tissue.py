@@ -11,7 +11,7 @@ from surrofe2.cli import app
 from surrofe2.io.columns import read_columns
 from surrofe2.io.run_folder import read_curve, read_history, read_record
 from surrofe2.recipe import load_recipe
-from tests.cli.finished_run import RUN_FILES
+from tests.cli.finished_run import TISSUE_FILES
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def invoke(*arguments):
 def test_run_folder(short, folder):
     done = invoke(short, "--out", folder)
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in folder.iterdir()) == RUN_FILES
+    assert sorted(path.name for path in folder.iterdir()) == TISSUE_FILES
     stored = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert (stored["status"], stored["law"], stored["solver"]) == ("finished", "tissue", "leapfrog")
     assert stored["recipe"]["tissue"]["micro_step"] == 2e-3

@@ -10,7 +10,7 @@ from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.surrogates import read_training, write_training
 from surrofe2.sampling import sample
 from surrofe2.surrogate import TrainingSettings, train
-from surrofe2.surrogate.training import TrainingState, measure_errors
+from surrofe2.surrogate.training import TrainingState
 from tests.laws import (
     CELL,
     RANGE,
@@ -65,7 +65,7 @@ def test_a_few_wrong_tangents_do_not_steer_the_network():
     errors = []
     for P_by_F in (spoilt, exact.P_by_F):
         data = replace(samples, P_by_F=P_by_F, P_by_F_dot=exact.P_by_F_dot)
-        errors.append(max(measure_errors(train(data, settings), fresh)["rms"].values()))
+        errors.append(max(train(data, settings).score(fresh)["rms"].values()))
     assert wrong.sum() >= 3
     assert errors[0] < 2.0 * errors[1]
 
@@ -98,7 +98,7 @@ def test_errors_are_relative_to_the_spread(law):
     shifted = replace(
         lattice_samples(300, seed=7), F=F, F_dot=F_dot, stress=own + np.diag([0.5, 0.0])
     )
-    errors = measure_errors(law, shifted)
+    errors = law.score(shifted)
     spread = own[:, 0, 0].std()
     assert errors["spread"]["xx"] == pytest.approx(spread)
     assert errors["rms"]["xx"] == pytest.approx(0.5 / spread)

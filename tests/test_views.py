@@ -1,0 +1,159 @@
+"""What a person sees of results in a notebook, and hands on to other libraries."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from xml.dom import minidom
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import surrofe2
+from surrofe2 import CachedLaw, LoadCase, MacroSettings, RveLaw, TrainingSettings, read_run
+from surrofe2.errors import InputError, MismatchError
+from surrofe2.macro.simulation import simulate
+from surrofe2.surrogate.training import train
+from surrofe2.workflow.saved_run import save_run
+from tests.laws import CELL, SoftLaw, lattice_samples, lattice_stress
+
+
+@pytest.fixture(scope="module")
+def surrogate():
+    return train(
+        lattice_samples(100), TrainingSettings(hidden=(4,), baseline_degree=1, iterations=9)
+    )
+
+
+@pytest.fixture(scope="module")
+def run():
+    load = LoadCase(width=100.0, height=100.0, watched=(100.0, 50.0), duration=4.0)
+    return simulate(load, SoftLaw(), MacroSettings(elements=(2, 2)))
+
+
+@pytest.fixture
+def stored(run, tmp_path):
+    save_run(run, tmp_path / "saved")
+    return read_run(tmp_path / "saved")
+
+
+def test_a_surrogate_is_scored_on_new_samples(surrogate):
+    fresh = lattice_samples(300, seed=8)
+    found = surrogate.score(fresh)
+    own = surrogate.extrapolate(fresh.F, fresh.F_dot)
+    error = (own - lattice_stress(fresh.F, fresh.F_dot))[:, 0, 1]
+    spread = fresh.stress[:, 0, 1].std()
+    assert found["points"] == 300
+    assert found["spread"]["xy"] == pytest.approx(spread)
+    assert found["rms"]["xy"] == pytest.approx(np.sqrt((error**2).mean()) / spread)
+    assert found["worst"]["xy"] == pytest.approx(np.abs(error).max() / spread)
+    assert found.keys() == surrogate.errors.keys()
+
+
+def test_what_is_not_of_its_rve_is_not_scored(surrogate):
+    samples = lattice_samples(20)
+    with pytest.raises(MismatchError, match=r"samples\.initialisation: other, the surrogate's is"):
+        surrogate.score(replace(samples, initialisation="other"))
+    none = replace(samples, status=np.ones(20, np.int8))
+    with pytest.raises(InputError, match="samples: none of 20 has a stress"):
+        surrogate.score(none)
+
+
+@pytest.mark.parametrize("kind", ["run", "stored"])
+def test_a_run_is_plotted(request, kind):
+    shown = request.getfixturevalue(kind)
+    before = mpl.get_backend()
+    mpl.use("agg")
+    try:
+        axes = shown.plot()
+    finally:
+        mpl.use(before)
+    labels = [place.get_ylabel() for place in axes]
+    assert labels == ["displacement (µm)", "force (µN)", "energy (pJ)"]
+    (line,) = [each for each in axes[0].lines if each.get_label().startswith("u_y")]
+    np.testing.assert_array_equal(line.get_ydata(), shown.curve.displacement[:, 1])
+    mpl.pyplot.close(axes[0].figure)
+
+
+class Recorded(SimpleNamespace):
+    """Stands in for a library that takes arrays: keeps what it is given."""
+
+    @classmethod
+    def of(cls, monkeypatch, name, **kinds):
+        library = cls(
+            **{kind: lambda *a, **k: SimpleNamespace(a=a, k=k, attrs={}) for kind in kinds}
+        )
+        monkeypatch.setitem(sys.modules, name, library)
+
+
+def test_a_run_for_pandas(run, stored, monkeypatch):
+    Recorded.of(monkeypatch, "pandas", DataFrame=1, Index=1)
+    for shown in (run, stored):
+        frame = shown.to_pandas()
+        (columns,) = frame.a
+        (name,) = [each for each in columns if each.startswith("u_y")]
+        np.testing.assert_array_equal(columns[name], run.curve.displacement[:, 1])
+        np.testing.assert_array_equal(columns["energy kinetic"], run.energies["kinetic"])
+        np.testing.assert_array_equal(frame.k["index"].a[0], run.curve.t)
+        units = frame.attrs["units"]
+        assert (units[name], units["energy kinetic"], units["t_us"]) == ("µm", "pJ", "µs")
+        assert {each for key, each in units.items() if key.startswith("force")} == {"µN"}
+
+
+def test_a_run_for_xarray(run, monkeypatch):
+    Recorded.of(monkeypatch, "xarray", Dataset=1)
+    variables, coordinates, _ = run.to_xarray().a
+    sizes = {}
+    for names, values, *_ in (*variables.values(), *coordinates.values()):
+        names = (names,) if isinstance(names, str) else names
+        assert len(names) == values.ndim
+        for name, size in zip(names, values.shape, strict=True):
+            assert sizes.setdefault(name, size) == size, name
+    assert variables["field stress"][2] == {"units": "µN/µm"}
+    assert (sizes["node"], sizes["element"], sizes["t"]) == (9, 4, run.curve.t.size)
+
+
+def test_they_are_those_of_the_libraries_where_these_are_there(run):
+    pandas = pytest.importorskip("pandas")
+    xarray = pytest.importorskip("xarray")
+    assert isinstance(run.to_pandas(), pandas.DataFrame)
+    assert isinstance(run.to_xarray(), xarray.Dataset)
+
+
+@pytest.mark.parametrize(("library", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
+def test_what_is_not_installed_is_told(run, monkeypatch, library, method):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=f"{method}: {library} is not installed; install it"):
+        getattr(run, method)()
+
+
+def test_html_is_whole_and_says_what_matters(run, stored, surrogate):
+    law = RveLaw(CELL)
+    samples = lattice_samples(100)
+    expected = [
+        (run, ["SoftLaw", "4 elements, 9 nodes", "4 µs in", "<polyline"]),
+        (stored, ["saved", "SoftLaw", "<polyline"]),
+        (samples, ['<td style="text-align:left">100</td>', "bifurcation"]),
+        (surrogate, ["error of xy", f"{100 * surrogate.errors['rms']['xy']:.2g} % RMS"]),
+        (law, ["constrained-runs", f"{law.rest_length:.4g} µm"]),
+        (CachedLaw(surrogate, law), ["0.001 of the spread of stress", "by the fallback"]),
+    ]
+    for shown, words in expected:
+        text = shown._repr_html_()
+        minidom.parseString(text)  # each tag that opens is closed
+        for word in words:
+            assert word in text, (word, text)
+        assert not re.search(r"https?:|<script", text)
+
+
+def test_public_names_are_exported_to_strict_type_checkers():
+    tree = ast.parse(Path(surrofe2.__file__).read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
+    names = [alias for node in block.body for alias in node.names]
+    assert names
+    assert [alias.name for alias in names if alias.asname != alias.name] == []
