@@ -23,14 +23,21 @@ _SETTLED = 0.5
 
 
 class Clock:
-    """The rate of work and the time that is left; what was done before counts for neither."""
+    """The rate of work and the time that is left; what was done before counts for neither.
+
+    Work whose total is 1 is told in shares alone.
+    """
 
     def __init__(self, total: float, unit: str) -> None:
         self._total, self._unit = total, unit
         self._first: tuple[float, float] | None = None
 
+    def far(self, done: float) -> str:
+        """How far the work is in its unit."""
+        return "" if self._total == 1.0 else f"{_short(done)} of {_short(self._total)} {self._unit}"
+
     def told(self, done: float) -> tuple[str, str]:
-        """(rate, time left) as people say them, empty where not known yet."""
+        """(time left, rate) as people say them, empty where not known yet."""
         moment = time.perf_counter()
         if self._first is None and done > 0.0:
             self._first = moment, done
@@ -40,7 +47,8 @@ class Clock:
         if elapsed < _SETTLED or more <= 0.0:
             return "", ""
         left = (self._total - done) * elapsed / more
-        return f"{_short(more / elapsed)} {self._unit}/s", f"{time_text(max(left, 0.0))} left"
+        rate = "" if self._total == 1.0 else f"{_short(more / elapsed)} {self._unit}/s"
+        return f"{time_text(max(left, 0.0))} left", rate
 
 
 @contextmanager
@@ -77,7 +85,7 @@ def _nothing(done: float, note: str = "") -> None:
 def _display(console: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
-        BarColumn(bar_width=20 if console.width >= 100 else 10),
+        BarColumn(bar_width=_bar_width(console)),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[told]}"),
         console=console,
@@ -92,9 +100,11 @@ def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report
     task = shown.add_task(what, total=total, told="")
 
     def report(done: float, note: str = "") -> None:
-        of = f"{_short(done)} of {_short(total)} {unit}"
-        told = ", ".join(each for each in (of, *clock.told(done), note) if each)
-        shown.update(task, completed=done, told=told)
+        parts = [each for each in (clock.far(done), *clock.told(done), note) if each]
+        space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
+        while len(", ".join(parts)) > space and parts:
+            parts.pop()
+        shown.update(task, completed=done, told=", ".join(parts))
 
     yield report
     shown.update(task, completed=total, told=time_text(time.perf_counter() - began))
@@ -105,15 +115,19 @@ def _lines(what: str, total: float, unit: str) -> Report:
 
     def report(done: float, note: str = "") -> None:
         nonlocal last
-        rate, left = clock.told(done)
+        left_and_rate = clock.told(done)
         if time.perf_counter() - last < SELDOM:
             return
         last = time.perf_counter()
         share = f"{100.0 * done / total:.0f} %" if total else ""
-        told = ", ".join(each for each in (share, rate, left, note) if each)
+        told = ", ".join(each for each in (share, *left_and_rate, note) if each)
         typer.echo(f"{what}: {told}", err=True)
 
     return report
+
+
+def _bar_width(console: Console) -> int:
+    return 20 if console.width >= 100 else 10
 
 
 def _short(number: float) -> str:
