@@ -25,7 +25,7 @@ from sphinx.util.docutils import SphinxDirective
 
 ROOT = Path(__file__).parents[2]
 STORE = ROOT / "docs" / "recorded"
-BLOCK = re.compile(r"^```\{recorded\}\n((?::.*\n)*)\n?(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```\{recorded\}\n((?::[^\n]*\n)*)\n?(.*?)^```$", re.MULTILINE | re.DOTALL)
 NAMED = re.compile(r"[\w./-]+\.(?:toml|py|msh)")
 logger = logging.getLogger(__name__)
 
