@@ -57,6 +57,7 @@ COMMANDS = {
         "Differences of runs of one problem, and what each cost.",
         "out/rve out/cached --out out/comparison",
     ),
+    "report": (LOOK, "Runs on one page: an HTML file that works offline.", "out/rve out/cached"),
     "zoom": (
         LOOK,
         "Look into the plant cells of a run: the RVE at a point over time.",

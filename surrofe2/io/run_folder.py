@@ -281,8 +281,7 @@ def read_curve(folder: Path) -> DisplacementCurve:
     return DisplacementCurve(table[:, 0], table[:, 1:3])
 
 
-HISTORY_UNITS = {"force": "uN"}
-"""Unit of a column of the history by its first word; of the others µm."""
+HISTORY_UNITS = {"force": "uN"}  # by a column's first word; of the others µm
 
 
 def write_history(
@@ -320,8 +319,8 @@ def write_load_path(folder: Path, path: np.ndarray) -> None:
     write_columns(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
 
 
-def read_run(folder: str | Path) -> StoredRun:
-    """A finished run.
+def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
+    """A finished run; with `finished` False also what there is of another.
 
     Raises:
         FileError: not a run folder, or damaged.
@@ -331,7 +330,8 @@ def read_run(folder: str | Path) -> StoredRun:
     if not (folder / "run.json").exists():
         raise FileError(f"{folder}: no run.json; it is not a run folder")
     record = read_record(folder)
-    if record.status != "finished":
+    is_there = not finished and (folder / "curve.csv").exists()
+    if record.status != "finished" and not is_there:
         raise InputError(f"{folder}: the run is {record.status}; its command goes on with it")
     for name, wanted in record.files.items():
         if digest(folder / name) != wanted:

@@ -1,10 +1,9 @@
-"""How far displacement curves of one load case are apart, what each run cost, and the picture."""
+"""How far displacement curves of one load case are apart, and what each run cost."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,8 @@ from surrofe2.displacement_curve import (
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import flat
 from surrofe2.io.run_costs import balance_of
-from surrofe2.io.run_folder import RunRecord, StoredRun, caches_of, presets_of
-from surrofe2.report.figures import Curve, Panel, write_figure
+from surrofe2.io.run_folder import RunRecord, StoredRun, presets_of
 from surrofe2.report.tables import Quantity, Table, percent
-
-_BINS_A_DECADE = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,104 +217,3 @@ _COSTS: Mapping[str, Callable[[RunRecord], float]] = {
     "rve_solves": lambda record: record.counts.get("rve_solves", 0),
     "right_hand_sides": lambda record: record.counts.get("right_hand_sides", 0),
 }
-
-
-def write_comparison_plot(path: Path, comparison: Comparison, runs: Sequence[StoredRun]) -> None:
-    """Draw displacement curves, their differences, audits and the table into a PNG."""
-    reference, *others = order_runs(runs)
-    t, there = reference.curve.t, reference.curve.displacement
-    scale = np.linalg.norm(there, axis=1).max()
-    axis = int(abs(there).max(axis=0).argmax())
-    curves = [Curve("reference", t, there[:, axis], _label(reference, reference), markers=False)]
-    differences: list[Curve] = []
-    audits: list[Curve] = []
-    for k, run in enumerate(others):
-        u = run.curve.displacement
-        curves.append(Curve("", run.curve.t, u[:, axis], _label(run, reference), markers=False))
-        apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
-        share = 100.0 * np.linalg.norm(apart, axis=0) / scale
-        differences.append(Curve("", run.curve.t, share, markers=False))
-        for cache in caches_of(run.record.cache).values():
-            if cache["audit"]["quantiles"]:
-                audits += _audit_curves(k, cache["audit"])
-    panels = [
-        Panel("", f"displacement $u_{'xy'[axis]}$ (µm)", tuple(curves)),
-        Panel(
-            x_label="time $t$ (µs)",
-            y_label="difference (% of\nlargest displacement)",
-            curves=tuple(differences),
-            height=0.55,
-        ),
-    ]
-    if audits:
-        label = "error of the cache's stress found by audits (µN/µm); dotted: 99 % are below"
-        panels.append(
-            Panel(label, "audited\nanswers (%)", tuple(audits), log_x=True, zero=True, height=0.55)
-        )
-    write_figure(path, _title(reference), panels, table=comparison.table)
-
-
-def _title(reference: StoredRun) -> str:
-    recipe = reference.record.recipe
-    return (
-        f"Watched point: {problem_title(recipe)},\n"
-        f"cell preset “{presets_of(recipe)}”, {reference.record.initialisation}"
-    )
-
-
-def _label(run: StoredRun, reference: StoredRun) -> str:
-    """The folder, and what differs from the title's preset and initialisation."""
-    record, usual = run.record, reference.record
-    notes = [] if run.folder.name == record.law else [record.law]
-    if presets_of(record.recipe) != presets_of(usual.recipe):
-        notes.append(presets_of(record.recipe))
-    if record.initialisation != usual.initialisation:
-        notes.append(record.initialisation)
-    return f"{run.folder.name} ({', '.join(notes)})" if notes else run.folder.name
-
-
-def _audit_curves(k: int, audit: Mapping[str, Any]) -> list[Curve]:
-    """Share of run k's audited answers over their error, its 99 % quantile and the tolerance."""
-    edges, shares = coarse_histogram(audit["histogram"])
-    high = np.array([0.0, 100.0 * shares.max()])
-
-    def line(x: float, dash: str, label: str = "") -> Curve:
-        return Curve("", np.full(2, x), high, label, markers=False, colour=k, dash=dash)
-
-    percent = np.concatenate([[0.0], 100.0 * shares])
-    found = [Curve("", edges, percent, markers=False, colour=k, dash="-", steps=True)]
-    found.append(line(audit["quantiles"]["0.99"], ":"))
-    if np.isfinite(tolerance := float(audit["tolerance"])):
-        above = f"tolerance: {audit['violations']} of {audit['audited']:,} above"
-        found.append(line(tolerance, "--", above))
-    return found
-
-
-def coarse_histogram(histogram: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """(b + 1,) edges and (b,) shares of a stored histogram in ten bins a decade."""
-    fine, counts = np.array(histogram["bins"]), np.array(histogram["counts"], dtype=np.float64)
-    many = histogram["bins_a_decade"] // _BINS_A_DECADE
-    # Fine bin k ends at the smallest edge times 10^(k / bins a decade).
-    coarse = -(-fine // many)
-    first, last = coarse.min(), coarse.max()
-    shares = np.bincount(coarse - first, weights=counts) / counts.sum()
-    powers = np.arange(first - 1, last + 1) / _BINS_A_DECADE
-    return histogram["smallest_edge"] * 10.0**powers, shares
-
-
-def problem_title(recipe: Mapping[str, Any]) -> str:
-    """What a run computes, in a line: the bar, or the mesh and all that acts on it."""
-    if "load" in recipe:
-        load = recipe["load"]
-        g = float(np.hypot(*load["body_force"]))
-        size = f"{load['width']:g} × {load['height']:g} µm tissue"
-        return f"{size}, body force {g:g} µm/µs², {_elements(recipe)} elements"
-    mesh = recipe["mesh"]
-    number = mesh["elements"]  # one number where the mesh was made in Python
-    number = number if isinstance(number, int) else _elements(recipe)
-    of = mesh["file"] or f"{mesh['width']:g} × {mesh['height']:g} µm, {number} elements"
-    return f"{of}: {', '.join([*recipe['conditions'], *recipe['bodies']])}"
-
-
-def _elements(recipe: Mapping[str, Any]) -> str:
-    return "{} × {}".format(*recipe["macro"]["elements"])

@@ -11,8 +11,9 @@ from surrofe2.errors import InputError
 from surrofe2.io.files import is_there, write_json
 from surrofe2.io.lock import folder_lock, locked_folder
 from surrofe2.io.run_folder import file_fingerprint, read_run
-from surrofe2.report.comparison import Comparison, write_comparison_plot
+from surrofe2.report.comparison import Comparison
 from surrofe2.report.comparison import compare as compare_stored
+from surrofe2.report.comparison_plot import write_comparison_plot
 from surrofe2.workflow.cell_fields import recipes_of
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.surfaces import missing_sentence

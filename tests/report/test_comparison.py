@@ -13,7 +13,8 @@ from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import plain
 from surrofe2.io.run_folder import StoredRun
-from surrofe2.report.comparison import compare, write_comparison_plot
+from surrofe2.report.comparison import compare
+from surrofe2.report.comparison_plot import write_comparison_plot
 from tests.run_records import finished_record
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
-from surrofe2.report.comparison import coarse_histogram
+from surrofe2.report.comparison_plot import coarse_histogram
 
 
 def test_each_error_is_counted_in_its_bin():

@@ -1,0 +1,108 @@
+"""Elements of the page, and the document with its policy."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from surrofe2.report.tables import Table
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """A sentence or more."""
+    return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
+
+
+def missing(text: str) -> str:
+    """What is left out, and why."""
+    return paragraph(text, "missing")
+
+
+def figure(content: str, caption: str) -> str:
+    """A picture with its caption."""
+    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def grid(figures: Sequence[str]) -> str:
+    """Figures beside each other where there is room."""
+    return f'<div class="grid">{"".join(figures)}</div>' if figures else ""
+
+
+def section(key: str, heading: str, parts: Sequence[str]) -> str:
+    """A section by its key in the address."""
+    return f'<section id="{key}"><h2>{escape(heading)}</h2>{"".join(parts)}</section>'
+
+
+def folded(summary: str, content: str) -> str:
+    """What is shown when asked for."""
+    return f"<details><summary>{escape(summary)}</summary>{content}</details>"
+
+
+def code(text: str) -> str:
+    """Lines as they are."""
+    return f'<pre tabindex="0">{escape(text)}</pre>'
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[Any]], names: int = 1) -> str:
+    """A table that scrolls by itself where it is wider than the page.
+
+    names: so many first columns name a row, the others are figures.
+    """
+    head = "".join(f'<th scope="col">{escape(str(each))}</th>' for each in headings)
+
+    def cell(k: int, value: Any) -> str:
+        text = escape(str(value))
+        return f'<th scope="row">{text}</th>' if k < names else f"<td>{text}</td>"
+
+    body = "".join(f"<tr>{''.join(cell(k, v) for k, v in enumerate(row))}</tr>" for row in rows)
+    return (
+        '<div class="wide" tabindex="0"><table><thead><tr>'
+        f"{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def table_of(quantities: Table[Any]) -> str:
+    """What people are shown of a table."""
+    return table(*quantities.for_people())
+
+
+def document(title: str, sections: Sequence[tuple[str, str, str]], data: str) -> str:
+    """The whole page.
+
+    Args:
+        sections: key, heading and content of each.
+        data: JSON for the script.
+    """
+    style, script = (_beside(f"page.{kind}") for kind in ("css", "js"))
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {_digest(style)}; "
+        f"script-src {_digest(script)}; base-uri 'none'; form-action 'none'"
+    )
+    links = "".join(f'<li><a href="#{key}">{escape(name)}</a></li>' for key, name, _ in sections)
+    content = "".join(each for *_, each in sections)
+    # A JSON string has no "<" that could end the element early.
+    safe = data.replace("<", "\\u003c")
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(title)}</title>\n<style>{style}</style></head>\n<body>\n"
+        f'<header><h1>{escape(title)}</h1><nav aria-label="Sections"><ul>{links}</ul></nav>'
+        f"</header>\n<main>{content}</main>\n"
+        f'<script type="application/json" id="data">{safe}</script>\n'
+        f"<script>{script}</script>\n</body></html>\n"
+    )
+
+
+def _beside(name: str) -> str:
+    return files("surrofe2.report.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _digest(text: str) -> str:
+    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return f"'sha256-{digest}'"

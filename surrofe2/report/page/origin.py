@@ -1,0 +1,194 @@
+"""Where a run comes from: events, settings, provenance, and how to run it again."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from surrofe2.io.files import flat
+from surrofe2.report.page.html import code, figure, folded, missing, paragraph, section, table
+from surrofe2.report.page.seen import Seen, SeenRun
+
+_MOST_EVENTS = 200
+_NOT_OF_A_RECIPE = ("recipe", "rest")
+
+
+def particle_section(seen: Seen) -> str:
+    """The plant cells that `surrofe2 zoom` looked into."""
+    figures = [
+        figure(
+            f'<img alt="particles of a plant cell at six times" src="data:image/png;base64,'
+            f'{base64.b64encode(png).decode()}">',
+            f"{each.name}, {name}: the plant cell there, walls by stretch and fluid by turgor",
+        )
+        for each in seen.runs
+        for name, png in each.particles.items()
+    ]
+    if not figures:
+        folder = shlex.quote(str(seen.runs[0].run.folder))
+        figures = [
+            missing(
+                "No look into the plant cells in the folders; make one with: "
+                f"surrofe2 zoom {folder} --point X,Y"
+            )
+        ]
+    return section("cells", "Plant cells", figures)
+
+
+def event_section(seen: Seen) -> str:
+    """The events of all runs, the last ones where there are many."""
+    parts = []
+    for each in seen.runs:
+        if not each.events:
+            parts.append(missing(f"{each.name}: no log of events in its folder."))
+            continue
+        shown = each.events[-_MOST_EVENTS:]
+        keys = list(dict.fromkeys(key for event in shown for key in event))
+        rows = [[_short(event.get(key, "")) for key in keys] for event in shown]
+        left = len(each.events) - len(shown)
+        if left:
+            parts.append(paragraph(f"{each.name}: the last {len(shown)} of {len(each.events)}."))
+        listed = f'<div class="words">{table(keys, rows)}</div>'
+        parts.append(folded(f"{each.name}: {len(each.events)} events", listed))
+    return section("events", "Events", parts)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def origin_section(seen: Seen) -> str:
+    """Settings, by what and when each run was made, and the digests of its files."""
+    names = [each.name for each in seen.runs]
+    recipes = [flat(each.record.recipe) for each in seen.runs]
+    keys = list(dict.fromkeys(key for recipe in recipes for key in recipe))
+    own = [[key, *(_short(recipe.get(key, "–")) for recipe in recipes)] for key in keys]
+    apart = [row for row in own if len(set(row[1:])) > 1]
+    made = {each.name: _provenance(each) for each in seen.runs}
+    entries = list(dict.fromkeys(key for of in made.values() for key in of))
+    rows = [[key, *(made[name].get(key, "–") for name in names)] for key in entries]
+    parts = [f'<div class="words">{table(["", *names], rows)}</div>']
+    if len(names) > 1:
+        same = paragraph("All entries of the recipe are the same in all runs.")
+        differ = f'<div class="words">{table(["entry that differs", *names], apart)}</div>'
+        parts.append(differ if apart else same)
+    whole = [row if row in apart else row[:2] for row in own]
+    parts.append(
+        folded(
+            f"The whole recipe: {len(own)} entries",
+            f'<div class="words">{table(["entry", "value"], whole)}</div>',
+        )
+    )
+    return section("origin", "Configuration and provenance", parts)
+
+
+def _provenance(run: SeenRun) -> dict[str, str]:
+    record = run.record
+    law = {"law": record.law, "initialisation": record.initialisation, "solver": record.solver}
+    mesh = {
+        key: record.problem[key] for key in ("elements", "nodes", "points") if key in record.problem
+    }
+    surrogate = {"surrogate": (record.surrogate or {}).get("fingerprint", "–")}
+    counts = {name.replace("_", " "): n for name, n in record.counts.items()}
+    found: dict[str, Any] = {
+        "status": record.status,
+        **({"error": record.error} if record.error else {}),
+        **law,
+        "plant cell": record.cell_fingerprint,
+        **surrogate,
+        **mesh,
+        "seconds": record.wall_time.get("total", "–"),
+        "seconds of all threads": record.wall_time.get("cpu", "–"),
+        "threads": record.threads,
+        **counts,
+        "surrofe2": record.package_version,
+        "made": record.created,
+        **record.platform,
+        **{f"SHA-256 of {name}": value[:16] for name, value in record.files.items()},
+    }
+    return {key: _short(value) for key, value in found.items()}
+
+
+def again_section(seen: Seen) -> str:
+    """The recipe as a file, and the commands that make the runs and this page."""
+    parts = []
+    known: dict[str, str] = {}
+    lines = [f'pip install "surrofe2=={seen.runs[0].record.package_version}"']
+    for each in seen.runs:
+        text = recipe_text(each.record.recipe)
+        name = known.get(text)
+        if name is None:
+            stem = re.sub(r"\W+", "-", str(each.record.recipe.get("recipe") or "study.toml"))
+            name = f"{stem.removesuffix('-toml')}{len(known) + 1 if known else ''}.toml"
+            known[text] = name
+            if each.record.surrogate and each.record.law != "table":
+                lines += [f"surrofe2 generate {name}", f"surrofe2 train {name}"]
+        elif each.record.surrogate and not any(line == f"surrofe2 train {name}" for line in lines):
+            lines += [f"surrofe2 generate {name}", f"surrofe2 train {name}"]
+        lines.append(_command(each, name))
+    folders = " ".join(shlex.quote(f"out/{each.name}") for each in seen.runs)
+    lines.append(f"surrofe2 report {folders}")
+    parts.append(paragraph("Save the recipe under its name, then:"))
+    parts.append(code("\n".join(lines)))
+    parts += [folded(name, code(text)) for text, name in known.items()]
+    parts.append(
+        missing(
+            "The same version, processor and number of threads give the same bits; others agree "
+            "within the tolerances of the recipe. A mesh file is not in this page, but its SHA-256 "
+            "is among the entries."
+        )
+    )
+    return section("again", "How to reproduce", parts)
+
+
+def _command(run: SeenRun, recipe: str) -> str:
+    record, out = run.record, shlex.quote(f"out/{run.name}")
+    if "rest" in record.recipe:
+        rest = record.recipe["rest"]
+        return f"surrofe2 rest {recipe} --factor {rest['factor']:g} --out {out}"
+    if record.law == "tissue":
+        return f"surrofe2 tissue {recipe} --out {out}"
+    return f"surrofe2 run {recipe} --law {record.law} --threads {record.threads} --out {out}"
+
+
+def recipe_text(recipe: Mapping[str, Any]) -> str:
+    """A recorded recipe as TOML; entries that are None keep their default."""
+    lines: list[str] = []
+    _add_tables(lines, "", {k: v for k, v in recipe.items() if k not in _NOT_OF_A_RECIPE})
+    return "\n".join(lines).strip() + "\n"
+
+
+def _add_tables(lines: list[str], prefix: str, entries: Mapping[str, Any]) -> None:
+    tables = {key: value for key, value in entries.items() if isinstance(value, Mapping)}
+    own = {k: v for k, v in entries.items() if k not in tables and v is not None}
+    if own:
+        lines += [
+            *(["", f"[{prefix}]"] if prefix else []),
+            *(f"{_key(k)} = {_value(v)}" for k, v in own.items()),
+        ]
+    for key, value in tables.items():
+        _add_tables(lines, f"{prefix}.{_key(key)}".lstrip("."), value)
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        return (
+            "{"
+            + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
+            + "}"
+        )
+    if value in ("inf", "-inf", "nan"):
+        return str(value)
+    return json.dumps(value, ensure_ascii=False)

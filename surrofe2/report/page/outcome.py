@@ -1,0 +1,168 @@
+"""What came out: displacements, forces, energies, stress and strain, and what it cost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surrofe2.costs import Balance, Cost
+from surrofe2.io.fields import F_NAME, STRESS_NAME
+from surrofe2.io.run_costs import made_for
+from surrofe2.io.run_folder import caches_of
+from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table_of
+from surrofe2.report.page.seen import Seen, SeenRun
+from surrofe2.report.page.svg import bars, chart
+
+_MOST_RUNS = 2.0
+"""Runs, as multiples of those from which on a cache pays, that its picture shows."""
+
+
+def displacement_section(seen: Seen) -> str:
+    """Curves of all runs, their differences and the forces on the tissue."""
+    runs = [each.run for each in seen.runs]
+    parts: list[str] = []
+    panels = displacement_panels(runs)
+    caption = "Displacement of the watched point"
+    if seen.comparison is None:
+        parts.append(missing(seen.why_not))
+    else:
+        panels += difference_panels(runs)
+        caption += " by all runs"
+    captions = [
+        f"Difference from {seen.comparison.reference}, at each time"
+        if seen.comparison and panel.y_label.startswith("difference")
+        else caption
+        for panel in panels
+    ]
+    parts.append(grid([figure(chart(p), c) for p, c in zip(panels, captions, strict=True)]))
+    if seen.comparison is not None:
+        parts.append(table_of(seen.comparison.table))
+        if seen.comparison.force_table.rows:
+            parts.append("<h3>Forces on the tissue</h3>")
+            parts.append(table_of(seen.comparison.force_table))
+    return section("displacement", "Displacement", parts)
+
+
+def energy_section(seen: Seen) -> str:
+    """Energies over time and how well they balance, and stress over strain."""
+    figures, lacking = [], []
+    for each in seen.runs:
+        if not each.energies:
+            lacking.append(missing(f"{each.name}: no energies.csv in its folder."))
+            continue
+        figures += _energies(each)
+    strains = [found for each in seen.runs if (found := _stress_over_strain(each))]
+    return section("energy", "Energies, stress and strain", [grid(figures + strains), *lacking])
+
+
+def _energies(run: SeenRun) -> list[str]:
+    clock = clock_of(run.run)
+    columns = dict(run.energies)
+    t = next(iter(columns.values()))
+    named = {
+        name.removesuffix("_pJ"): values
+        for name, values in columns.items()
+        if name.endswith("_pJ") and np.isfinite(values).any()
+    }
+    balance = named.pop("balance", None)
+    curves = tuple(
+        Curve("", t, values, name, markers=False, colour=k, dash=("-", "--", ":")[k // 6 % 3])
+        for k, (name, values) in enumerate(named.items())
+    )
+    found = [figure(chart(Panel(clock, "energy (pJ)", curves)), f"{run.name}: energies and works")]
+    largest = max((float(np.nanmax(abs(values))) for values in named.values()), default=0.0)
+    if balance is not None and largest:
+        error = abs(balance) / largest
+        panel = Panel(
+            clock, "error of the balance", (Curve("", t, error, markers=False),), log_y=True
+        )
+        found.append(
+            figure(
+                chart(panel),
+                f"{run.name}: what the energies lack of a balance, as a share of the largest; at "
+                f"most {float(np.nanmax(error)):.1e}",
+            )
+        )
+    return found
+
+
+def _stress_over_strain(run: SeenRun) -> str:
+    """The largest component of stress over that of the stretch, where stress becomes largest."""
+    fields = run.fields
+    if fields is None or not {STRESS_NAME, F_NAME} <= fields.values.keys():
+        return ""
+    stress, F = fields.values[STRESS_NAME], fields.values[F_NAME]
+    size = np.nan_to_num(np.abs(stress)).max(axis=0)
+    e, i, j = (int(k) for k in np.unravel_index(size.argmax(), size.shape))
+    strain = F - np.eye(2)
+    own = 0.5 * (strain + strain.swapaxes(-1, -2))
+    x, y = fields.points[fields.cells[e]].mean(axis=0)
+    axes = "xy"[i] + "xy"[j]
+    panel = Panel(
+        f"small strain $e_{axes}$ (1)",
+        f"Cauchy stress $s_{axes}$ (µN/µm)",
+        (Curve("", own[:, e, i, j], stress[:, e, i, j], markers=False),),
+    )
+    return figure(
+        chart(panel),
+        f"{run.name}: stress over strain about ({x:.4g}, {y:.4g}) µm, where it is largest",
+    )
+
+
+def cost_section(seen: Seen) -> str:
+    """Seconds of each run and of what was made for it, and from when the cache pays."""
+    rows = [(each.name, _seconds(each)) for each in seen.runs]
+    figures = [
+        figure(
+            bars(rows, "s"),
+            "Seconds of each run: in the stress law, in the macro scale, loading kernels before "
+            "it, and what was made for its cache",
+        )
+    ]
+    parts = []
+    runs = seen.comparison.runs if seen.comparison else ()
+    for run in runs:
+        if run.balance is None:
+            continue
+        parts.append(paragraph(f"{run.name}: {run.balance.sentence}.", "headline"))
+        if run.balance.made:
+            figures.append(_break_even(run.name, run.balance))
+    for each in seen.runs:
+        for cell, cache in caches_of(each.record.cache).items():
+            if cost := cache.get("cost"):
+                of = f"{each.name}, {cell}" if cell else each.name
+                parts.append(paragraph(f"{of}: {cost['sentence']}."))
+    if not any(run.balance for run in runs):
+        parts.append(
+            missing(
+                "No run through a cache beside one by true RVEs, so there is no speed-up to show."
+            )
+        )
+    return section("cost", "Time and speed-up", [*parts, grid(figures)])
+
+
+def _seconds(run: SeenRun) -> dict[str, float]:
+    wall = run.record.wall_time
+    law, macro = wall.get("law", 0.0), wall.get("macro", 0.0)
+    found = {"law": law, "macro scale": macro} if law or macro else {"run": wall.get("total", 0.0)}
+    if wall.get("compilation"):
+        found["kernels"] = wall["compilation"]
+    costs = (run.record.surrogate or {}).get("cost", {}) if made_for(run.record) else {}
+    return found | {name: Cost.of(cost).wall for name, cost in costs.items()}
+
+
+def _break_even(name: str, balance: Balance) -> str:
+    assert balance.made is not None
+    most = max(2.0, _MOST_RUNS * (balance.pays_from or 5))
+    runs = np.array([0.0, most])
+    curves = (
+        Curve("reference", runs, balance.true * runs, "true runs", markers=False),
+        Curve("", runs, balance.made + balance.run * runs, f"{name}, all counted", markers=False),
+    )
+    gain = f"{balance.true / balance.run:.3g}" if balance.run else "–"
+    return figure(
+        chart(Panel("number of runs", "seconds in all", curves)),
+        f"{name}: {gain} times as fast as a true run by itself; with everything counted it pays "
+        + (f"from {balance.pays_from} runs on" if balance.pays_from else "never"),
+    )

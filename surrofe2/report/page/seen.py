@@ -1,0 +1,70 @@
+"""What a page is made of, read from run folders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME, STRESS_NAME
+from surrofe2.io.run_folder import RunRecord, StoredRun
+from surrofe2.io.stored_fields import StoredFields
+from surrofe2.report.comparison import Comparison
+from surrofe2.surrogate.domain import Domain
+
+Array = NDArray[np.float64]
+
+VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
+FIELDS = (
+    STRESS_NAME, "deformation_gradient", VON_MISES, SOURCE_NAME, BOUND_NAME, WALL_STRETCH,
+)  # fmt: skip
+"""What a page shows of elements."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenRun:
+    """A run as a page shows it; what its folder lacks is None or empty.
+
+    Attributes:
+        energies: columns of energies.csv by heading.
+        points: of `io.point_fields.read_point_fields`.
+        domain: of the run's surrogate, where its file was found.
+        events: lines of events.jsonl.
+        particles: PNG of each look into the plant cells, by the name of its folder.
+    """
+
+    run: StoredRun
+    energies: Mapping[str, Array] = field(default_factory=dict)
+    fields: StoredFields | None = None
+    points: Mapping[str, Array] = field(default_factory=dict)
+    domain: Domain | None = None
+    events: Sequence[Mapping[str, Any]] = ()
+    particles: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """That of its folder."""
+        return self.run.folder.name
+
+    @property
+    def record(self) -> RunRecord:
+        """What run.json says."""
+        return self.run.record
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """All that a page is made of.
+
+    Attributes:
+        runs: the reference first.
+        comparison: of two runs and more of one load case.
+        why_not: why there is none.
+    """
+
+    runs: tuple[SeenRun, ...]
+    comparison: Comparison | None = None
+    why_not: str = ""

@@ -1,0 +1,107 @@
+"""Run folders as one page."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.io.columns import read_columns
+from surrofe2.io.files import read_bytes, write_text
+from surrofe2.io.point_fields import read_point_fields
+from surrofe2.io.run_folder import RunRecord, StoredRun, read_run
+from surrofe2.io.stored_fields import read_fields
+from surrofe2.io.surrogates import content_fingerprint, read_surrogate
+from surrofe2.report.comparison import compare, order_runs
+from surrofe2.report.page.document import page_of
+from surrofe2.report.page.seen import FIELDS, Seen, SeenRun
+from surrofe2.surrogate.domain import Domain
+
+EVENTS = "events.jsonl"
+_ABOVE = 5
+"""Folders above a run's in which its surrogate is looked for."""
+_MOST_PICTURES = 4
+
+
+def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
+    """Write one HTML file on these runs, which needs nothing else; its path.
+
+    Args:
+        out: the file; anything there is replaced.
+
+    Raises:
+        FileError: a folder has no run, or the file cannot be written.
+        InputError: a run has not begun to have results, or no folder is given.
+    """
+    if not folders:
+        raise InputError("report: no run folder; give at least one")
+    path = Path(out)
+    write_text(path, page_of(see_runs(folders)))
+    return path
+
+
+def see_runs(folders: Sequence[str | Path]) -> Seen:
+    """What these run folders hold, the reference first."""
+    runs = [read_run(folder, finished=False) for folder in folders]
+    if len(runs) == 1:
+        return Seen((_see(runs[0]),), None, "One run, so there is nothing to compare it with.")
+    seen = tuple(_see(run) for run in order_runs(runs))
+    try:
+        return Seen(seen, compare(runs))
+    except MismatchError as error:
+        return Seen(seen, None, f"Not compared: {error}.")
+
+
+def _see(run: StoredRun) -> SeenRun:
+    folder = run.folder
+    energies = folder / "energies.csv"
+    names, table = read_columns(energies) if energies.exists() else ([], None)
+    columns = {} if table is None else dict(zip(names, table.T, strict=True))
+    zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
+    return SeenRun(
+        run=run,
+        energies=columns,
+        fields=read_fields(folder, FIELDS) if (folder / "fields.h5").exists() else None,
+        points=read_point_fields(folder) if (folder / "points.h5").exists() else {},
+        domain=_domain(folder, run.record),
+        events=_events(folder / EVENTS),
+        particles={path.parent.name: read_bytes(path) for path in zooms},
+    )
+
+
+def _events(path: Path) -> list[Mapping[str, Any]]:
+    """Whole lines of a log; what was cut off at its end is left out."""
+    if not path.exists():
+        return []
+    found: list[Mapping[str, Any]] = []
+    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue
+        found += [event] if isinstance(event, dict) else []
+    return found
+
+
+def _domain(folder: Path, record: RunRecord) -> Domain | None:
+    """The domain of a run's surrogate where its file lies beside or above the run's folder.
+
+    A recipe names it relative to itself, and no record says where that was.
+    """
+    wanted = (record.surrogate or {}).get("fingerprint")
+    stated = record.recipe.get("training", {}).get("file")
+    if not isinstance(wanted, str) or not isinstance(stated, str):
+        return None
+    above = [*folder.resolve().parents][:_ABOVE]
+    for place in dict.fromkeys([Path.cwd(), *above]):
+        for path in (place / stated, Path(os.path.normpath(place / "any" / stated))):
+            if not path.is_file():
+                continue
+            with suppress(FileError):  # another file of that name
+                if content_fingerprint(path) == wanted:
+                    return read_surrogate(path).domain
+    return None

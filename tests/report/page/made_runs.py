@@ -1,0 +1,70 @@
+"""Folders of two runs of one small bar: as by RVEs, and as by a cache that fell back at times."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+from surrofe2.cache.audit import ErrorRecord
+from surrofe2.cache.monitor import effort_of
+from surrofe2.io.run_folder import write_record
+from surrofe2.macro import simulate
+from surrofe2.stress_law import Status
+from surrofe2.workflow.saved_run import write_results
+from tests.laws import KelvinVoigt
+from tests.run_records import finished_record
+
+BOUND, WORST = 0.004, 0.003
+EVIL = '</script><script>alert("x")</script>'
+"""An event that must stay words."""
+
+
+def made_runs(recipe, folder):
+    """Paths of the two runs in a folder, of the recipe's bar by a Kelvin–Voigt solid."""
+    settings = replace(recipe.macro, frames=13)
+    run = simulate(recipe.problem(), KelvinVoigt(), settings)
+    counts, wall = {"steps": 10, "stress_points": 100}, {"total": 3.0, "law": 2.0, "macro": 1.0}
+    true, cached = folder / "rve", folder / "cached"
+    write_results(true, run)
+    write_record(true, finished_record(recipe, "rve", wall, {**counts, "rve_solves": 100}))
+
+    frames = run.frames
+    source = np.zeros(frames.F.shape[:2])
+    source[4:, 0] = Status.OUT_OF_RANGE
+    at_points = np.repeat(source[np.isin(frames.t, frames.point_t)], 5, axis=1)
+    frames = replace(
+        frames,
+        source=source,
+        bound=np.where(source == 0.0, BOUND, 0.0),
+        point_source=at_points,
+        point_bound=np.where(at_points == 0.0, BOUND, 0.0),
+    )
+    curve = replace(run.curve, displacement=1.001 * run.curve.displacement)
+    write_results(cached, replace(run, frames=frames, curve=curve, curves={}))
+    record = finished_record(recipe, "cached", {"total": 0.5, "law": 0.3, "macro": 0.2}, counts)
+    cost = {"wall": 20.0, "cpu": 20.0, "threads": 2, "machine": "one"}
+    surrogate = {"file": "s", "fingerprint": "f", "errors": {}, "cost": {"data": cost}}
+    write_record(cached, replace(record, surrogate=surrogate, cache=cache_report()))
+    events = [{"t": 0.5, "event": "fell back", "why": EVIL}, {"t": 1.0, "event": "came back"}]
+    lines = "\n".join(map(json.dumps, events))
+    (cached / "events.jsonl").write_text(f'{lines}\n{{"t": 2.0, "cut o', encoding="utf-8")
+    return [true, cached]
+
+
+def cache_report():
+    """What `CachedLaw.report` would say."""
+    audit = ErrorRecord(0.05)
+    audit.add(np.geomspace(1e-6, WORST, 40))
+    audit.largest = WORST
+    audit.worst = {"error": WORST, "bound": BOUND, "step": 7, "point": 3}
+    why = np.full(6, Status.OUT_OF_RANGE, dtype=np.int8)
+    return {
+        "tolerance": {"share": 1e-3, "spread": 50.0, "absolute": 0.05},
+        "accepted": {**effort_of(206, why), "steps": 10},
+        "left_range": {},
+        "audit": {"share": 0.2, "seed": 1, **audit.to_dict()},
+        "trust": {"factor": 1.0, "off": False, "events": [{"step": 3, "finding": "a finding"}]},
+        "cost": {"sentence": "the cache pays", "pays": True},
+    }

@@ -1,0 +1,192 @@
+"""The page of runs: what stands in it, what it leaves out, and that it asks nobody for anything."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import tomllib
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError
+from surrofe2.io.files import plain
+from surrofe2.io.run_folder import read_record, write_record
+from surrofe2.recipe import load_recipe, make_recipe
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.page.origin import recipe_text
+from surrofe2.report.page.svg import chart
+from surrofe2.report.page.trust import domain_outlines
+from surrofe2.surrogate.domain import Domain
+from surrofe2.workflow.report import see_runs, write_report
+from tests.report.page.made_runs import BOUND, EVIL, made_runs
+from tests.source_contract import ROOT
+
+VOID = {"meta", "input", "img", "br"}
+
+
+class Whole(HTMLParser):
+    """Checks that all elements end, and collects words, attributes and scripts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.words, self.attributes, self.scripts = [], [], [], []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        self.attributes += [(tag, *each) for each in attributes]
+        if tag not in VOID:
+            self.open.append(tag)
+            if tag == "script":
+                self.scripts.append([dict(attributes), ""])
+
+    def handle_startendtag(self, tag, attributes):
+        self.attributes += [(tag, *each) for each in attributes]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open[-1:] == ["script"]:
+            self.scripts[-1][1] += data
+        elif self.open[-1:] != ["style"]:
+            self.words.append(data)
+
+
+@pytest.fixture
+def runs(recipe, tmp_path):
+    return made_runs(recipe, tmp_path)
+
+
+@pytest.fixture
+def page(runs, tmp_path):
+    text = write_report(runs, tmp_path / "report.html").read_text(encoding="utf-8")
+    return text, Whole(text)
+
+
+def test_what_ran_stands_in_the_page(page):
+    words = " ".join(" ".join(page[1].words).split())
+    for sentence in (
+        "cached differs from rve by at most 0.1 % of the largest displacement and is 6 times as",
+        "20 s to make and 0.5 s to run against 3 s: 0.15 times as fast with everything counted",
+        "it pays from 8 such runs",
+        "200 answers of kept steps came from the cache, 6 from true RVEs (6 out of range), 2.91 %",
+        "cached, step 3: a finding",
+        "40 answers audited, 0 above the tolerance; the worst error is 0.003 µN/µm",
+        f"where the bound was {BOUND} µN/µm (step 7, point 3)",
+        "cached: 2 events",
+        "No surrogate's file was found",
+        "No look into the plant cells",
+        "surrofe2 run recipe.toml --law cached",
+    ):
+        assert sentence in words
+    assert EVIL in words
+    assert len(page[0]) < 3e6
+
+
+def test_the_policy_allows_what_is_in_the_page_and_nothing_else(page):
+    text, whole = page
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', text)
+    assert policy.startswith("default-src 'none'; img-src data:; ")
+    (style,) = re.findall(r"<style>(.*?)</style>", text, re.S)
+    data, script = whole.scripts
+    assert data[0]["type"] == "application/json"
+    for content, rule in ((style, "style-src"), (script[1], "script-src")):
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert f"{rule} 'sha256-{digest}'" in policy
+    names = {name for _, name, _ in whole.attributes}
+    assert "style" not in names
+    assert not any(name.startswith("on") for name in names)
+    links = [v for _, name, v in whole.attributes if name in ("src", "href")]
+    assert links
+    assert all(link.startswith(("#", "data:")) for link in links)
+
+
+def test_the_script_is_given_the_motion_and_the_sources(page, runs):
+    data = json.loads(page[1].scripts[0][1])["runs"]
+    fields = [each.fields for each in see_runs(runs).runs]
+    assert [each["name"] for each in data] == ["rve", "cached"]
+    for found, known in zip(data, fields, strict=True):
+        motion = np.frombuffer(base64.b64decode(found["motion"]), "<i2")
+        u = found["largest"] / 32767.0 * motion.reshape(known.displacement.shape)
+        np.testing.assert_allclose(u, known.displacement, atol=found["largest"] / 65000.0)
+        points = np.frombuffer(base64.b64decode(found["points"]), "<f4").reshape(-1, 2)
+        np.testing.assert_allclose(points, known.points, rtol=1e-6)
+    assert "stress source" not in [colour["name"] for colour in data[0]["colours"]]
+    (source,) = [colour for colour in data[1]["colours"] if colour["name"] == "stress source"]
+    codes = np.frombuffer(base64.b64decode(source["data"]), np.uint8)
+    np.testing.assert_array_equal(codes, fields[1].values["stress_source"].ravel())
+    assert {*source["sources"]} == {"0", "3"}
+
+
+def test_a_bare_run_is_shown_with_sentences_for_what_it_lacks(runs, tmp_path):
+    true = runs[0]
+    for name in ("fields.h5", "points.h5", "energies.csv"):
+        (true / name).unlink()
+    failed = replace(read_record(true), status="failed", error="it broke at t = 1 µs")
+    write_record(true, failed)
+    text = write_report([true], tmp_path / "one.html").read_text(encoding="utf-8")
+    words = " ".join(Whole(text).words)
+    for sentence in (
+        "rve: failed; it broke at t = 1 µs",
+        "rve: no fields in its folder",
+        "rve: no energies.csv in its folder",
+        "One run, so there is nothing to compare it with",
+        "no log of events",
+    ):
+        assert sentence in words
+
+
+def test_runs_of_other_loads_are_shown_but_not_compared(runs, tmp_path):
+    record = read_record(runs[1])
+    load = {**record.recipe["load"], "body_force": [0.0, -0.4]}
+    write_record(runs[1], replace(record, recipe={**record.recipe, "load": load}))
+    text = write_report(runs, tmp_path / "two.html").read_text(encoding="utf-8")
+    words = " ".join(Whole(text).words)
+    assert "Not compared: " in words
+    assert "load.body_force" in words
+
+
+def test_no_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match="report: no run folder; give at least one"):
+        write_report([], tmp_path / "report.html")
+
+
+def test_a_recorded_recipe_reads_back():
+    for path in sorted((ROOT / "data").glob("*.toml")):
+        recipe = load_recipe(path)
+        text = recipe_text(plain(recipe.to_dict()))
+        again = make_recipe(tomllib.loads(text), path)
+        assert again.to_dict() == recipe.to_dict()
+
+
+def test_curves_are_where_their_numbers_are():
+    """Two points at a quarter and three quarters of both axes, on a scale and on logarithms."""
+    for log, x in ((False, [0.0, 1.0, 3.0, 4.0]), (True, [1.0, 10.0, 1e3, 1e4])):
+        drawn = chart(Panel("x", "y", (Curve("", np.array(x), np.array(x), "c"),), "", log, log))
+        (path,) = re.findall(r'class="line k0" d="([^"]+)"', drawn)[:1]
+        at = np.array([pair.split() for pair in re.split("[ML]", path)[1:]], dtype=float)
+        share = (at - at[0]) / (at[-1] - at[0])
+        np.testing.assert_allclose(share, np.array([[0, 0], [1, 1], [3, 3], [4, 4]]) / 4, atol=2e-3)
+        assert (np.diff(at[:, 0]) > 0.0).all()
+        assert (np.diff(at[:, 1]) < 0.0).all(), "up the page"
+
+
+def test_outlines_hold_what_the_half_spaces_of_two_inputs_allow():
+    """|d| + |g| ≤ 1.2 within |d| ≤ 1, |g| ≤ 0.9, which another pair's half-space leaves alone."""
+    pairs = np.array([[1, 2], [1, 1], [2, 2], [1, 3]])
+    signs = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    limits, scale = np.array([1.2, 1.0, 0.9, 0.1]), np.full(7, 2.0)
+    domain = Domain(scale, True, pairs, signs, limits, np.empty(0))
+    outlines = domain_outlines(domain, 1, 2)
+    assert len(outlines) == 4
+    corners = np.abs(np.vstack(outlines)) / 2.0
+    corners = corners[np.isfinite(corners).all(axis=1)]
+    assert {(round(x, 9), round(y, 9)) for x, y in corners} >= {(1.0, 0.2), (0.3, 0.9)}
+    assert (corners.sum(axis=1) <= 1.2 + 1e-12).all()
+    assert corners.max(axis=0) == pytest.approx([1.0, 0.9])
