@@ -11,6 +11,7 @@ from surrofe2.cli import console
 from surrofe2.cli.study import KEPT, show_study
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.demo import demo_recipe, run_demo
+from surrofe2.workflow.study import REPORT
 
 
 def demo(
@@ -44,5 +45,5 @@ def demo(
     )
     told = {title: bar.comparison and bar.comparison.to_dict() for title, bar in found}
     console.done(
-        out / "comparison/comparison.png", "data set, surrogate and two bars", comparisons=told
+        out / REPORT, "data set, surrogate and two bars", comparisons=told
     )

@@ -28,4 +28,4 @@ def report(
     Example: [bold]surrofe2 report out/rve out/cached[/bold]
     """
     path = write_report(runs, runs[0].parent / "report.html" if out is None else out)
-    console.print_line(f"{path}: {path.stat().st_size / 1e6:.2g} MB")
+    console.done(path, f"{path.stat().st_size / 1e6:.2g} MB")

@@ -43,7 +43,7 @@ def study(
     """All of a recipe: data set, training, true run, cached run, comparison.
 
     Does what is missing of these, and goes on where it was interrupted. DIR receives a run folder
-    for each law, [bold]rve[/bold] and [bold]cached[/bold], and [bold]comparison[/bold]; data set
+    for each law, [bold]rve[/bold] and [bold]cached[/bold], [bold]comparison[/bold] and the page report.html; data set
     and surrogate are the recipe's.
 
     Example: [bold]surrofe2 study data/bending-bar.toml[/bold]

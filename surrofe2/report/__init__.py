@@ -4,7 +4,9 @@ tables           one list of quantities, rendered for console, CSV, JSON and Mar
 figures          panels of curves in one style, as PNG
 study            what a study hands over, and its files
 damped_fit       period and decrement of a displacement curve
-comparison       runs against a reference, with their picture
+comparison       runs against a reference
+comparison_plot  their picture
+page             runs as one HTML page
 grid             a parameter study
 run_views        a run as a picture, and for pandas and xarray
 notebook         runs, samples and laws as HTML

@@ -14,6 +14,7 @@ from surrofe2.report.comparison import Comparison
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import data_summary, generate_data_set
 from surrofe2.workflow.recipe_check import refuse_faults
+from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study, run_summary
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.train import is_trained, large_errors, train_surrogate, training_summary
@@ -24,8 +25,8 @@ Tell = Callable[[str], None]
 """Is told what a step came to."""
 
 LAWS = ("rve", "cached")
-COMPARISON = "comparison"
-"""Folder of the comparison among those of the runs."""
+COMPARISON, REPORT = "comparison", "report.html"
+"""Folder of the comparison, and the page on it, among the folders of the runs."""
 
 
 def untold(sentence: str) -> None:
@@ -119,7 +120,7 @@ def compared(
     true: Path | None = None,
     fresh: bool = False,
 ) -> Studied:
-    """Runs of the recipe's problem by each law, from the step `first` on, and their comparison."""
+    """Runs of the recipe's problem by each law, from the step `first` on, and what they show."""
     folders, records = [] if true is None else [true], []
     for k, law in enumerate(laws):
         stage, tell = steps.step(first + k)
@@ -129,4 +130,5 @@ def compared(
         folders.append(out / law)
     # the comparison is made anew: it takes no time, and its table is what people come for
     result = compare_runs(folders, out / COMPARISON, fresh=True) if len(folders) > 1 else None
+    steps.tell(f"{write_report(folders, out / REPORT)}: all of it on one page")
     return Studied(tuple(folders), tuple(records), result)

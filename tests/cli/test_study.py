@@ -60,7 +60,7 @@ def test_without_a_true_run(invoke, recipe_path, tmp_path):
     out = tmp_path / "study"
     done = invoke("study", recipe_path, "--out", out, "--without-true")
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in out.iterdir()) == ["cached"]
+    assert sorted(path.name for path in out.iterdir()) == ["cached", "report.html"]
     assert "audit: " in done.stdout
     both = invoke("study", recipe_path, "--without-true", "--true", tmp_path)
     assert both.exit_code == 1
