@@ -44,6 +44,4 @@ def demo(
         "data set and training are not in them"
     )
     told = {title: bar.comparison and bar.comparison.to_dict() for title, bar in found}
-    console.done(
-        out / REPORT, "data set, surrogate and two bars", comparisons=told
-    )
+    console.done(out / REPORT, "data set, surrogate and two bars", comparisons=told)

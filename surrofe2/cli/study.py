@@ -43,8 +43,8 @@ def study(
     """All of a recipe: data set, training, true run, cached run, comparison.
 
     Does what is missing of these, and goes on where it was interrupted. DIR receives a run folder
-    for each law, [bold]rve[/bold] and [bold]cached[/bold], [bold]comparison[/bold] and the page report.html; data set
-    and surrogate are the recipe's.
+    for each law, [bold]rve[/bold] and [bold]cached[/bold], [bold]comparison[/bold], and all of it
+    on one page, report.html; data set and surrogate are the recipe's.
 
     Example: [bold]surrofe2 study data/bending-bar.toml[/bold]
 

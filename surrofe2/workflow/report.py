@@ -11,6 +11,7 @@ from typing import Any
 
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.columns import read_columns
+from surrofe2.io.events import EVENTS
 from surrofe2.io.files import read_bytes, write_text
 from surrofe2.io.point_fields import read_point_fields
 from surrofe2.io.run_folder import RunRecord, StoredRun, read_run
@@ -21,7 +22,6 @@ from surrofe2.report.page.document import page_of
 from surrofe2.report.page.seen import FIELDS, Seen, SeenRun
 from surrofe2.surrogate.domain import Domain
 
-EVENTS = "events.jsonl"
 _ABOVE = 5
 """Folders above a run's in which its surrogate is looked for."""
 _MOST_PICTURES = 4
