@@ -149,19 +149,23 @@ def show_table(title: str, table: Table[Any], names: int = 1) -> None:
     columns, rows = table.for_people()
     console = Console()
     heads = [max(map(len, column.split())) for column in columns]
-    widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
+    figures = [max((len(row[k]) for row in rows), default=0) for k in range(len(columns))]
+    widths = [1 + max(len(name), most) for name, most in zip(columns, figures, strict=True)]
+    if sum(widths) >= console.width:  # headings take several lines
+        widths = [1 + max(both) for both in zip(heads, figures, strict=True)]
     parts: list[list[int]] = [[]]
     for k in range(names, len(columns)):
         if parts[-1] and sum(widths[j] for j in (*range(names), *parts[-1], k)) >= console.width:
             parts.append([])
         parts[-1].append(k)
-    for part in parts:
+    for k, part in enumerate(parts):
+        named = f"{title}, continued" if k else title
         shown = [*range(names), *part]
         fits = sum(widths[k] for k in shown) < console.width
-        drawn = ShownTable(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
-        for k in shown:
-            how = {"width": widths[k] - 1} if fits else {"min_width": heads[k]}
-            drawn.add_column(columns[k], justify="right" if k else "left", **how)
+        drawn = ShownTable(title=named, title_justify="left", box=SIMPLE_HEAD, padding=0)
+        for j in shown:
+            how = {"width": widths[j] - 1} if fits else {"min_width": heads[j]}
+            drawn.add_column(columns[j], justify="right" if j else "left", **how)
         for row in rows:
-            drawn.add_row(*(row[k] for k in shown))
+            drawn.add_row(*(row[j] for j in shown))
         console.print(drawn)

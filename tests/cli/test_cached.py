@@ -120,15 +120,6 @@ def test_demo(invoke, recipe_path, tmp_path):
     assert "(already trained)" in again.stdout
 
 
-def test_demo_away_from_the_repository(invoke, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    refused = invoke("demo")
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        "error: data/bending-bar.toml: cannot be read: No such file or directory\n"
-    )
-
-
 @pytest.fixture
 def bias(_trained, monkeypatch):
     """The trained surrogate as if it knew its error; bias[0] µN/µm is added to its stress."""
