@@ -165,7 +165,7 @@ class StressNetwork(torch.nn.Module):
         return found - elastic - shapes.x[:, STRETCH:] @ slopes[STRETCH:]
 
     def rest_slopes(self) -> torch.Tensor:
-        """(7, 4) slopes at rest of what the networks give, if the baseline takes them away; else 0."""
+        """(7, 4) slopes at rest of what the networks give, if the baseline takes them; else 0."""
         if not (self.second_order and self.features.monomials):
             return self.input_scale.new_zeros(INPUTS, 4)
         rest = self.input_scale.new_zeros(INPUTS, INPUTS)
