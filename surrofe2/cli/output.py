@@ -149,10 +149,7 @@ def show_table(title: str, table: Table[Any], names: int = 1) -> None:
     columns, rows = table.for_people()
     console = Console()
     heads = [max(map(len, column.split())) for column in columns]
-    figures = [max((len(row[k]) for row in rows), default=0) for k in range(len(columns))]
-    widths = [1 + max(len(name), most) for name, most in zip(columns, figures, strict=True)]
-    if sum(widths) >= console.width:  # headings take several lines
-        widths = [1 + max(both) for both in zip(heads, figures, strict=True)]
+    widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
     parts: list[list[int]] = [[]]
     for k in range(names, len(columns)):
         if parts[-1] and sum(widths[j] for j in (*range(names), *parts[-1], k)) >= console.width:
