@@ -28,7 +28,7 @@ def check(
 
     Reads all of it, mesh, names, ranges and files, and tells everything that is wrong. Then a dry
     run by the tangents of the RVE at rest and a few timed solves say what memory, data set,
-    training and runs will take, within a factor of 1.5 on an idle machine. Nothing is written.
+    training and runs will take. Nothing is written.
 
     Example: [bold]surrofe2 check data/large-bar.toml[/bold]
 

@@ -23,8 +23,9 @@ from surrofe2.workflow.run_lifecycle import Report, untold
 
 Array = NDArray[np.float64]
 
-WINDOWS, STEPS = 5, 4
-"""Windows along a run, and the steps in each; the first of them only warms up."""
+WINDOWS, STEPS, WARM = 5, 10, 4
+"""Windows along a run, the steps in each, and how many of these only warm up: a run's factors of
+RVEs are some steps old."""
 _COARSEST = 4
 
 
@@ -179,18 +180,29 @@ def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         calls=calls + left * (calls - before),
         steps=steps + left * (steps - earlier),
         macro=law.macro,
-        windows=[window for window in law.windows if sum(a.ends_step for a in window) > 1],
+        windows=_fullest(law.windows),
         is_whole=t >= duration,
     )
 
 
+def _steps_in(window: Window) -> int:
+    return sum(each.ends_step for each in window)
+
+
+def _fullest(windows: list[Window]) -> list[Window]:
+    """Those with steps to time behind the warm ones; of a short run the longest."""
+    full = [window for window in windows if _steps_in(window) > WARM]
+    return full or [max(windows, key=_steps_in)]
+
+
 def replayed(law: StressLaw, window: Window, rows: NDArray[np.intp]) -> tuple[float, int, Any]:
-    """Seconds and number of the questions of a window behind its first step, and the state left.
+    """Seconds and number of the questions of a window behind its first steps, and the state left.
 
     Args:
         rows: points of the window that are asked.
     """
-    state, seconds, asked, is_warm = None, 0.0, 0, False
+    state, seconds, asked, steps = None, 0.0, 0, 0
+    warm = min(WARM, _steps_in(window) - 1)
     for each in window:
         F, F_dot = each.F[rows], each.F_dot[rows]
         start = perf_counter()
@@ -200,9 +212,9 @@ def replayed(law: StressLaw, window: Window, rows: NDArray[np.intp]) -> tuple[fl
             answer = replace(answer, switched=None)
         if each.ends_step:
             state = law.accept(F, F_dot, answer).state
-        if is_warm:
+        if steps >= warm:
             seconds, asked = seconds + perf_counter() - start, asked + 1
-        is_warm = is_warm or each.ends_step
+        steps += each.ends_step
     return seconds, asked, state
 
 
@@ -214,8 +226,10 @@ def seconds_a_call(
     Args:
         seconds: after so many no further window is begun; the middle of the run comes first.
     """
+    order = sorted(range(len(windows)), key=lambda k: abs(k - len(windows) // 2))
+    replayed(law, windows[order[0]], rows)  # loads kernels
     total, count, state, until = 0.0, 0, None, perf_counter() + seconds
-    for k in sorted(range(len(windows)), key=lambda k: abs(k - len(windows) // 2)):
+    for k in order:
         taken, asked, state = replayed(law, windows[k], rows)
         total, count = total + taken, count + asked
         if perf_counter() > until:

@@ -6,7 +6,6 @@ Nothing is written. Compilation and the start of commands are not counted, as no
 from __future__ import annotations
 
 import math
-import resource
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
@@ -29,6 +28,8 @@ Rows = NDArray[np.intp]
 SECONDS = 8.0
 """For the dry run on one mesh; a fourth of it for what else is timed, each."""
 _MOST_POINTS, _LEAST_POINTS = 2048, 64
+_PROCESS = 2e8
+"""Bytes of a run of a few points."""
 _FRAME = 96.0
 """Bytes that a frame keeps of a point: F, its rate and the stress."""
 
@@ -129,8 +130,7 @@ def _bytes_of(law: StressLaw, state: Any) -> float:
 
 
 def _memory(recipe: Recipe, run: DryRun, states: float) -> dict[str, float]:
-    base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    kept = base + _FRAME * recipe.macro.frames * run.points
+    kept = _PROCESS + _FRAME * recipe.macro.frames * run.points
     return {"rve": kept + states, "table": kept, "cached": kept}
 
 

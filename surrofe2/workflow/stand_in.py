@@ -30,8 +30,8 @@ from surrofe2.workflow.train import is_trained
 
 _FEW, _MANY = 16, 512
 _ITERATIONS = 60
-_NOISE = 0.01
-"""Of the stress of a stand-in, so that there is something to learn."""
+_PART, _WAVES = 0.01, 3.0
+"""Of the stress of a stand-in that is no quadratic law's, so that there is something to learn."""
 _ROUND = 20
 """Iterations between two reports of a training."""
 _SHAPING = 1.0 + 1.0 / 3.0
@@ -98,13 +98,13 @@ def seconds_each(work: Callable[[int], Any], seconds: float) -> float:
 
 
 def _samples(part: Recipe, true: RveLaw) -> StressSamples:
-    """As many samples as the recipe's, of the quadratic law and a little noise."""
+    """As many samples as the recipe's, of the quadratic law and a little more."""
     settings, wanted, law = part.samples, part.sampling_range(), laws.quadratic_law(part)
     F, F_dot = sample(wanted, settings.count, settings.seed)
     F[:1], F_dot[:1] = np.eye(2), 0.0
     answer = law.respond(F, F_dot, tangents=settings.tangents)
-    noise = np.random.default_rng(settings.seed).uniform(-_NOISE, _NOISE, (len(F), 1, 1))
-    stress, slopes = (1.0 + noise) * answer.stress, answer.tangents
+    wave = np.sin(_WAVES * (F - np.eye(2)) / np.abs(F - np.eye(2)).max()).sum(axis=(1, 2))
+    stress, slopes = (1.0 + _PART * wave[:, None, None]) * answer.stress, answer.tangents
     return StressSamples(
         F=F,
         F_dot=F_dot,
@@ -129,7 +129,7 @@ def _trained(part: Recipe, samples: StressSamples) -> tuple[SurrogateLaw, float]
     surrogate = train(samples, few, progress=lambda *_: marks.append(perf_counter()))
     taken = perf_counter() - began
     if len(marks) > 1:
-        a_round = (marks[-1] - marks[0]) / (len(marks) - 1)
+        a_round = float(np.diff(marks).min())  # the first have more trials along a line
         taken += (most / _ROUND - len(marks)) * a_round
     return surrogate, taken
 
