@@ -8,7 +8,8 @@ The bound, by split conformal prediction over paths:
 
 The local scale s(F, Ḟ) > 0 is fitted to errors on some paths; on n others of each kind the score
 of a path is the largest error/s at its states within the domain, infinite where the true law has
-no stress there. With q the ⌈(n + 1)(1 − α)⌉-th smallest score, the largest over the kinds,
+no stress there; one that never enters the domain has none. With q the ⌈(n + 1)(1 − α)⌉-th smallest
+score, the largest over the kinds,
 
     error_bound = q s(F, Ḟ).
 
@@ -107,19 +108,24 @@ def calibrate(
     law = replace(law, domain=domain, calibration=None)
     spread = stress_spread(samples.valid.stress)
     scale = _fit_scale(law, domain.scale, shaping, spread)
-    kinds = {}
+    kinds: dict[str, dict[str, float]] = {}
+    measured = {}
     for truth in testing:
         error, inside = errors_along(law, truth)
-        x = scaled_inputs(*truth.paths.states, domain.scale)
-        ratio = np.where(inside, error / local_scale(scale, x), 0.0)
+        local = local_scale(scale, scaled_inputs(*truth.paths.states, domain.scale))
+        ratio = np.where(inside, error / local, 0.0)
+        measured[truth.paths.kind] = local[inside], error[inside]
         kinds[truth.paths.kind] = {
             "paths": truth.paths.count,
             "states": int(inside.sum()),
-            "quantile": conformal_quantile(truth.paths.largest(ratio), share),
+            "quantile": _quantile(truth.paths, ratio, inside, share),
         }
+    quantile = max(kind["quantile"] for kind in kinds.values() if kind["paths"])
+    for name, (local, error) in measured.items():
+        kinds[name] |= bound_against_error(quantile * local, error)
     calibration = Calibration(
         scale=scale,
-        quantile=max(kind["quantile"] for kind in kinds.values() if kind["paths"]),
+        quantile=quantile,
         share=share,
         kinds=kinds,
         stress_spread=spread,
@@ -145,6 +151,33 @@ def conformal_quantile(scores: Array, share: float) -> float:
     likely = bdtr(np.arange(count + 1.0), count, share)  # that so many or fewer scores are above
     above = max(int((likely <= _DOUBT).sum()) - 1, 0)
     return float(np.sort(scores)[max(rank, count - above) - 1])
+
+
+def _quantile(
+    paths: DeformationPaths, ratio: Array, inside: NDArray[np.bool_], share: float
+) -> float:
+    """That of the paths that enter the domain, or of all where those are too few for one."""
+    scores = paths.largest(ratio)
+    entering = conformal_quantile(scores[paths.largest(inside.astype(float)) > 0.0], share)
+    return entering if np.isfinite(entering) else conformal_quantile(scores, share)
+
+
+def bound_against_error(bound: Array, error: Array) -> dict[str, float]:
+    """How sharp a bound (n,) is, and how well it tells large errors (n,) from small ones.
+
+    `sharpness`, the median bound over the error that 99 % keep, and `rank_correlation` by
+    Spearman; nothing where one of them is no number.
+    """
+    known = np.isfinite(error)
+    bound, error = bound[known], error[known]
+    if len(error) < 2 or not (np.isfinite(bound).all() and np.ptp(bound) > 0.0):
+        return {}
+    largest = float(np.quantile(error, 0.99))
+    if not (np.ptp(error) > 0.0 and largest > 0.0):
+        return {}
+    by_bound, by_error = (each.argsort(kind="stable").argsort() for each in (bound, error))
+    correlation = float(np.corrcoef(by_bound, by_error)[0, 1])
+    return {"sharpness": float(np.median(bound)) / largest, "rank_correlation": correlation}
 
 
 def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:

@@ -12,10 +12,17 @@ from surrofe2.simd import TILE, load, spread, store, where_less
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.compiled_frame import TILES, scale_inputs
 from surrofe2.surrogate.domain import FEATURES, Domain, cliff_table
-from surrofe2.surrogate.error_bound import COMPRESSION, NORM, Calibration, scale_table
+from surrofe2.surrogate.error_bound import (
+    COMPRESSION,
+    NEAR,
+    NORM,
+    REACH,
+    Calibration,
+    scale_table,
+)
 from surrofe2.tensors import INPUTS
 
-_ROWS = NORM + 1
+_ROWS = NEAR + 1
 _SIDES = 2 * FEATURES + 1
 _HEIGHT, _BEYOND, _BOUND = _ROWS + _SIDES, _ROWS + _SIDES + 1, _ROWS + _SIDES + 2
 BOUND_ROWS = _BOUND + 1
@@ -142,7 +149,8 @@ def _test_half_spaces(features, arrays, room):  # type: ignore[no-untyped-def]
 
 @kernel
 def _square_rows(x):  # type: ignore[no-untyped-def]
-    """Rows 0 to 6 squared, row 8: the square of s where negative, row 9: the mean square."""
+    """Rows 0 to 6 squared, row 8: the square of s where negative, row 9: the mean square m, row 10:
+    m/(m + `REACH`)."""
     for t in range(TILES):
         low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
         store(low * low, x, COMPRESSION, t)
@@ -151,7 +159,9 @@ def _square_rows(x):  # type: ignore[no-untyped-def]
             square = load(x, k, t) * load(x, k, t)
             store(square, x, k, t)
             total += square
-        store(total * (1.0 / INPUTS), x, NORM, t)
+        norm = total * (1.0 / INPUTS)
+        store(norm, x, NORM, t)
+        store(norm / (norm + REACH), x, NEAR, t)
 
 
 @kernel

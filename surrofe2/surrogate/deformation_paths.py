@@ -1,8 +1,8 @@
 """Paths of deformation in (F, Ḟ): what calibration exchanges, and the true stress along them.
 
 A bound is believed on histories like those of a run, where neighbouring states share their error;
-so a whole path counts once. Three kinds: random walks within a sampling range, single states of
-it, and runs of the macro scale, all of whose points together are one path.
+so a whole path counts once. Four kinds: random walks within a sampling range, single states of
+it, those of its corners, and runs of the macro scale, all of whose points together are one path.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ State = tuple[Array, Array]
 
 CHUNK = 512  # histories asked at once: true laws keep a warm start of each
 _KNOTS = 8  # states that a walk passes through
+_OUTER = 0.1  # of the half width: a corner
 _TURN = 0.5  # radians between two of them, at most
 _LOAD_TIMES = 4
 _LOAD_FACTOR = (0.25, 3.0)  # of the body force
@@ -73,6 +74,25 @@ def random_states(range: SamplingRange, count: int, seed: int) -> DeformationPat
     U = _symmetric(middle + half * rng.uniform(-1.0, 1.0, (count, 3)))
     A = range.rate * rng.uniform(-1.0, 1.0, (count, 2, 2))
     return DeformationPaths("states", U[None], A[None], np.arange(count))
+
+
+def random_corners(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
+    """Paths of a single state each, where U₁₁, U₂₂ and U₁₂ are all near a bound of the range.
+
+    Each is within the outer tenth of its half width, on either side; RᵀḞ is uniform over the range
+    in one half of the states, and near its bounds likewise in the other.
+    """
+    middle, half = _box(range)
+    rng = np.random.default_rng(seed)
+
+    def outer(*shape: int) -> Array:
+        ends: Array = rng.choice([-1.0, 1.0], shape) * rng.uniform(1.0 - _OUTER, 1.0, shape)
+        return ends
+
+    U = _symmetric(middle + half * outer(count, 3))
+    is_fast = rng.random((count, 1, 1)) < 0.5
+    A = range.rate * np.where(is_fast, outer(count, 2, 2), rng.uniform(-1.0, 1.0, (count, 2, 2)))
+    return DeformationPaths("corners", U[None], A[None], np.arange(count))
 
 
 def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:

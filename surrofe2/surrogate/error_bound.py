@@ -21,8 +21,11 @@ from surrofe2.tensors import INPUTS, check_arrays
 
 Array = NDArray[np.float64]
 
-COMPRESSION, NORM = 8, 9
+COMPRESSION, NORM, NEAR = 8, 9, 10
 """Columns of `even_rows` behind the squared inputs and 1."""
+REACH = 0.01
+"""Mean square of the inputs at which `NEAR` is half of what it comes to: the error is exactly 0 at
+rest, grows from there with the square, and soon no more."""
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -33,7 +36,8 @@ class Calibration:
         scale: (k,) coefficients ≥ 0 of `scale_table`, µN/µm.
         quantile: q; infinite where no bound can be given.
         share: nominal share α of paths that may break the bound.
-        kinds: by kind of path, `paths`, `states` within the domain, and their own `quantile`.
+        kinds: by kind of path, `paths`, `states` within the domain, their own `quantile` and, as
+            of `calibration.bound_against_error`, `sharpness` and `rank_correlation`.
         stress_spread: of the data's stress, µN/µm.
         data_fingerprint: of the samples that were trained on.
         subject: fingerprint of the weights and the range that were calibrated.
@@ -62,18 +66,20 @@ def local_scale(scale: Array, x: Array) -> Array:
 
 
 def even_rows(x: Array) -> Array:
-    """(n, 10) rows that never fall on the way out from (I, 0).
+    """(n, 11) rows that never fall on the way out from (I, 0).
 
-    The squares of the seven inputs, 1, the square of s where it is negative (`COMPRESSION`) and
-    the mean square of all inputs (`NORM`).
+    The squares of the seven inputs, 1, the square of s where it is negative (`COMPRESSION`), the
+    mean square m of all inputs (`NORM`) and m/(m + `REACH`) (`NEAR`).
     """
     squares = x**2
+    norm = squares.mean(axis=1)
     return np.column_stack(
         [
             squares,
             np.ones(len(x)),
             np.minimum(x[:, 0], 0.0) ** 2,
-            squares.mean(axis=1),
+            norm,
+            norm / (norm + REACH),
         ]
     )
 
@@ -86,4 +92,5 @@ def scale_table() -> Table:
     found += [(NORM,) * power for power in (1, 2, 3, 4)]
     found += [(k,) for k in squares]
     found += list(combinations_with_replacement(squares, 2))
+    found += [(NEAR,)]
     return padded_table(found)

@@ -25,12 +25,14 @@ from surrofe2.surrogate.deformation_paths import (
     DeformationPaths,
     State,
     WatchedLaw,
+    random_corners,
     random_loads,
     random_states,
     random_walks,
     run_paths,
     true_stress,
 )
+from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
@@ -145,14 +147,14 @@ def _make_paths(
     report: Report,
 ) -> Iterator[DeformationPaths]:
     """Paths of every kind that is asked for; one `stream` knows nothing of another."""
-    walks, states, count = (
-        int(np.ceil(share * number)) for number in (settings.walks, settings.states, settings.runs)
-    )
-    seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(3).tolist()
+    wanted = settings.walks, settings.states, settings.runs
+    walks, states, count = (int(np.ceil(share * number)) for number in wanted)
+    seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(4).tolist()
     if walks:
         yield random_walks(range, walks, settings.length, seeds[0])
     if states:
         yield random_states(range, states, seeds[1])
+        yield random_corners(range, states, seeds[3])
     if count:
         met = []
         for along_a_run in runs(count, seeds[2]):
@@ -260,5 +262,16 @@ def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
     paths = sum(kind["paths"] for kind in calibration.kinds.values())
     return (
         f"bound: {centre:.2g} % of the spread of stress at the centre, {edge:.2g} % at the edge, "
-        f"{paths} paths, nominal share {100.0 * calibration.share:g} %"
+        f"{paths} paths, nominal share {100.0 * calibration.share:g} %{_sharpness(calibration)}"
     )
+
+
+def _sharpness(calibration: Calibration) -> str:
+    """How the bound goes with the true error, by kind of path, in words."""
+    told = [
+        f"{name} {kind['sharpness']:.2g} ({kind['rank_correlation']:.2g})"
+        for name, kind in calibration.kinds.items()
+        if "sharpness" in kind
+    ]
+    said = "; median bound / error that 99 % keep (rank correlation of both): "
+    return said + ", ".join(told) if told else ""

@@ -10,7 +10,13 @@ from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.calibration import Truth, calibrate, conformal_quantile, errors_along
+from surrofe2.surrogate.calibration import (
+    Truth,
+    bound_against_error,
+    calibrate,
+    conformal_quantile,
+    errors_along,
+)
 from surrofe2.surrogate.deformation_paths import random_states, random_walks
 from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.tensors import stress_error, stress_spread
@@ -121,6 +127,29 @@ def test_a_file_without_domain_and_bound(calibrated, tmp_path):
     F, F_dot = random_states(RANGE, 100, seed=3).states
     assert np.isinf(loaded.error_bound(F, F_dot)).all()
     assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
+
+
+def test_a_file_from_before_a_product_of_the_local_scale_keeps_its_bound(calibrated, tmp_path):
+    """Its scale has one coefficient less; the last is then zero."""
+    shorter = calibrated.calibration.scale.copy()
+    shorter[-1] = 0.0
+    old = replace(calibrated, calibration=replace(calibrated.calibration, scale=shorter))
+    path = tmp_path / "a.safetensors"
+    object.__setattr__(old.calibration, "scale", shorter[:-1])
+    write_surrogate(old, path)
+    F, F_dot = random_states(RANGE, 100, seed=3).states
+    object.__setattr__(old.calibration, "scale", shorter)
+    assert np.array_equal(read_surrogate(path).error_bound(F, F_dot), old.error_bound(F, F_dot))
+
+
+def test_a_bound_against_its_error():
+    error = np.random.default_rng(0).exponential(1.0, 2000)
+    told = bound_against_error(3.0 * error, error)
+    assert told["rank_correlation"] == pytest.approx(1.0)
+    assert told["sharpness"] == pytest.approx(3.0 * np.median(error) / np.quantile(error, 0.99))
+    assert bound_against_error(10.0 - error, error)["rank_correlation"] == pytest.approx(-1.0)
+    assert bound_against_error(np.full(5, np.inf), np.ones(5)) == {}
+    assert bound_against_error(np.arange(5.0), np.zeros(5)) == {}
 
 
 def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):

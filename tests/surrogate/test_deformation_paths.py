@@ -10,6 +10,7 @@ from surrofe2.surrogate.deformation_paths import (
     CHUNK,
     DeformationPaths,
     WatchedLaw,
+    random_corners,
     random_loads,
     random_states,
     random_walks,
@@ -20,6 +21,20 @@ from surrofe2.tensors import rotation, transpose
 from tests.laws import SoftLaw
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)
+
+
+def test_corners_are_where_all_stretches_are_near_a_bound():
+    F, F_dot = random_corners(RANGE, 4000, seed=3).states
+    assert contains(RANGE, F, F_dot).all()
+    low, high = RANGE.stretch
+    x = np.stack([F[:, 0, 0], F[:, 1, 1], F[:, 0, 1]], axis=1) - [*[0.5 * (low + high)] * 2, 0.0]
+    x /= [0.5 * (high - low), 0.5 * (high - low), RANGE.shear]
+    assert abs(x).min() >= 0.9 - 1e-12
+    corners = np.unique(np.sign(x), axis=0, return_counts=True)[1]
+    assert len(corners) == 8
+    assert corners.min() > 400
+    fast = (abs(F_dot) >= 0.9 * RANGE.rate - 1e-15).all(axis=(1, 2))
+    assert 0.45 < fast.mean() < 0.55
 
 
 @pytest.mark.parametrize("narrow", [{}, {"shear": 0.0}, {"rate": 0.0}])
