@@ -21,7 +21,7 @@ sys.path.insert(0, str(DOCS / "extensions"))
 from recorded import STORE, blocks_of, digest_of, store_of  # noqa: E402 (beside this file)
 
 WIDTH = "88"
-PROGRESS = re.compile(r"[a-z][\w .]*:\s+\d+\s?%.*")
+PROGRESS = re.compile(r"[a-z][\w .]*: +\d+\s?%.*")
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 

@@ -1,5 +1,7 @@
 """The directive `commands`: every command of surrofe2 with its options, from the command line."""
 
+import re
+
 import typer
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -7,6 +9,8 @@ from sphinx.util.docutils import SphinxDirective
 
 from surrofe2.cli import app as command_line
 from surrofe2.interruption import end_work
+
+EXAMPLE = re.compile(r"([^\[]*)\[bold\](surrofe2 [^\[]*)\[/bold\]")
 
 
 def all_commands():
@@ -30,10 +34,10 @@ def text_of(name, command) -> list[str]:
     arguments = [each for each in command.params if each.param_type_name == "argument"]
     options = [each for each in command.params if each.param_type_name == "option"]
     call = " ".join(["surrofe2", name, *(metavar(each) for each in arguments)])
-    lines = [f".. rubric:: {name}", f"   :name: command-{name.replace(' ', '-')}", ""]
-    lines += [".. code-block:: none", "", f"   {call}{' [OPTIONS]' if options else ''}", ""]
+    lines = [".. code-block:: none", "", f"   {call}{' [OPTIONS]' if options else ''}", ""]
     for paragraph in (command.help or "").split("\n\n"):
-        lines += example(paragraph) if "[bold]" in paragraph else [escaped(paragraph), ""]
+        found = EXAMPLE.fullmatch(" ".join(paragraph.split()))
+        lines += example(*found.groups()) if found else [escaped(paragraph), ""]
     rows = [
         (", ".join([*each.opts, *each.secondary_opts]), each)
         for each in options
@@ -60,11 +64,9 @@ def escaped(text: str) -> str:
     return "".join(f"\\{sign}" if sign in "\\*`|_" else sign for sign in plain)
 
 
-def example(paragraph: str) -> list[str]:
-    """A paragraph with a command to copy."""
-    plain = " ".join(paragraph.split()).replace("[/bold]", "")
-    head, _, call = plain.partition("[bold]")
-    return [escaped(head), "", ".. code-block:: sh", "", f"   {call.strip()}", ""]
+def example(head: str, call: str) -> list[str]:
+    """A command to copy, with the words before it."""
+    return [escaped(head), "", ".. code-block:: sh", "", f"   {call}", ""]
 
 
 class Commands(SphinxDirective):
@@ -76,7 +78,7 @@ class Commands(SphinxDirective):
         for name, command in all_commands():
             section = nodes.section(ids=[f"command-{name.replace(' ', '-')}"])
             section += nodes.title(name, name)
-            lines = text_of(name, command)[3:]
+            lines = text_of(name, command)
             self.state.nested_parse(StringList(lines, source=name), 0, section)
             made.append(section)
         return made
