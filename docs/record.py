@@ -62,9 +62,8 @@ def record(page: Path, store: Path = STORE) -> dict[str, str]:
             if done.returncode and "fails" not in block.options:
                 sys.exit(f"{page.name}: {block.text}\n{done.stdout}")
             text = CONTROL.sub("", done.stdout).replace(str(folder), "")
-            said[block.text.strip()] = "\n".join(
-                line.rstrip() for line in text.splitlines()
-            ).strip()
+            lines = [line.rstrip() for line in text.splitlines() if not PROGRESS.fullmatch(line)]
+            said[block.text.strip()] = "\n".join(lines).strip()
             for picture in block.options.get("keep", "").split():
                 target = store / f"{page.stem}-{Path(picture).name}"
                 target.parent.mkdir(exist_ok=True)
