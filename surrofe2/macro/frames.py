@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +91,33 @@ class Frames:
         )
 
     def followed_by(self, other: Frames) -> Frames:
-        """Both, one after the other."""
-        pairs = zip(astuple(self), astuple(other), strict=True)
-        return Frames(*(np.concatenate(pair) for pair in pairs))
+        """Both, one after the other; behind these in memory where that has room.
+
+        These stay as they are, and are followed once: a second time begins from `copy`.
+        """
+        return Frames(*map(_appended, self._arrays(), other._arrays()))
+
+    def copy(self) -> Frames:
+        """The same in memory of its own."""
+        return Frames(*(each.copy() for each in self._arrays()))
+
+    def _arrays(self) -> tuple[Array, ...]:
+        motion = self.t, self.displacement, self.velocity, self.stress, self.F, self.F_dot
+        points = self.point_t, self.point_stress, self.point_source, self.point_bound
+        return *motion, self.source, self.bound, self.dissipated, *points
+
+
+def _appended(first: Array, last: Array) -> Array:
+    """(k + m, …) both; `first` (k, …) is copied only where the array it begins has no room left."""
+    k, n = len(first), len(first) + len(last)
+    room = first.base
+    begins = room is not None and room.shape[1:] == first.shape[1:] and len(room) >= n
+    if room is None or not begins or first.ctypes.data != room.ctypes.data:
+        room = np.empty((2 * n, *first.shape[1:]))
+        room[:k] = first
+    room[k:n] = last
+    both: Array = room[:n]
+    return both
 
 
 def _of_points(values: NDArray | None, kept: bool) -> Array:

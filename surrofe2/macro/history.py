@@ -163,7 +163,7 @@ class Recorder:
         self._cpu_started = process_time() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
         self._state: MacroState
         if resume is not None:
-            self._state = resume
+            self._state = replace(resume, frames=resume.frames.copy())
 
     def begin(self, stepper: Stepper, work: Array) -> None:
         """Record the start; `work` is that of the jump of prescribed velocities there."""

@@ -114,18 +114,21 @@ def deformation(elements: Any, gradients: Any, u: Any, v: Any) -> Any:
                 nodal[a, 2 + i] = v[row, i]
         for q in range(n_q):
             p = n_q * e + q
-            for i in range(2):
-                for j in range(2):
-                    strain = 0.0
-                    rate = 0.0
-                    for a in range(k):
-                        strain += nodal[a, i] * gradients[e, q, a, j]
-                        rate += nodal[a, 2 + i] * gradients[e, q, a, j]
-                    F[p, i, j] = strain
-                    F_dot[p, i, j] = rate
-            F[p, 0, 0] += 1.0
-            F[p, 1, 1] += 1.0
-            J[p] = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]
+            xx, xy, yx, yy, vxx, vxy, vyx, vyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for a in range(k):
+                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
+                xx += nodal[a, 0] * gx
+                xy += nodal[a, 0] * gy
+                yx += nodal[a, 1] * gx
+                yy += nodal[a, 1] * gy
+                vxx += nodal[a, 2] * gx
+                vxy += nodal[a, 2] * gy
+                vyx += nodal[a, 3] * gx
+                vyy += nodal[a, 3] * gy
+            xx, yy = xx + 1.0, yy + 1.0
+            F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = xx, xy, yx, yy
+            F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1] = vxx, vxy, vyx, vyy
+            J[p] = xx * yy - xy * yx
     return F, F_dot, J
 
 

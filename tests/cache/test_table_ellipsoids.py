@@ -10,7 +10,7 @@ from surrofe2.cache.table.records import (
     limited,
     make_records,
 )
-from surrofe2.cache.table.search_tree import find_all, make_tree
+from surrofe2.cache.table.search_tree import DEPTH, find_all, make_tree
 
 
 def random_records(count, seed=0):
@@ -33,7 +33,8 @@ def bounds(records, x):
 def find(x, limit, records, tree):
     """(record, bound) of the least bound at x; −1 where none is at most the limit."""
     found, bound = np.empty(1000, dtype=np.int32), np.empty(1000)
-    count = find_all(x, limit, records.centre, records.curvature, tree, found, bound)
+    stack = np.empty(DEPTH, dtype=np.int32)
+    count = find_all(x, limit, records.centre, records.curvature, tree, stack, found, bound)
     assert (np.diff(found[:count]) > 0).all()
     return (found[:count][bound[:count].argmin()], bound[:count].min()) if count else (-1, limit)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.table.records import OUTPUTS, Records, joined
-from surrofe2.cache.table.search_tree import Tree, enlarge, find_all, make_tree, quadratic
+from surrofe2.cache.table.search_tree import DEPTH, Tree, enlarge, find_all, make_tree, quadratic
 from surrofe2.compilation import kernel
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.tensors import INPUTS
@@ -78,6 +78,7 @@ def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore
     reach = rule.reach * tolerance
     p, candidate = np.empty(INPUTS), np.empty(INPUTS)
     found, bounds = np.empty(images * _MOST, dtype=np.int32), np.empty(_MOST)
+    stack = np.empty(DEPTH, dtype=np.int32)
     for point in range(x.shape[0]):
         many = 0
         for flips in range(images):
@@ -89,6 +90,7 @@ def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore
                 records.centre,
                 records.curvature,
                 tree,
+                stack,
                 found[many : many + _MOST],
                 bounds,
             )
@@ -176,5 +178,7 @@ def merged(first: Records, second: Records, tolerance: float, images: int) -> Re
 def _hold_any(x, limit, records, tree, held):  # type: ignore[no-untyped-def]
     """Fill held (m,): whether the bound of any record at x (m, 7) is at most `limit`."""
     found, bounds = np.empty(1, dtype=np.int32), np.empty(1)
+    stack = np.empty(DEPTH, dtype=np.int32)
     for p in range(x.shape[0]):
-        held[p] = find_all(x[p], limit, records.centre, records.curvature, tree, found, bounds) > 0
+        many = find_all(x[p], limit, records.centre, records.curvature, tree, stack, found, bounds)
+        held[p] = many > 0

@@ -15,7 +15,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from surrofe2.cache.table.records import OUTPUTS
-from surrofe2.cache.table.search_tree import find_all
+from surrofe2.cache.table.search_tree import DEPTH, find_all
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.stress_law import Status
@@ -54,6 +54,7 @@ def _some(first, last, asked, tolerances, images, records, tree, answer):  # typ
     (F, F_dot), (tolerance, own), (stress, status, bound) = asked, tolerances, answer
     x, image, s = np.empty(INPUTS), np.empty(INPUTS), np.empty(OUTPUTS)
     found, bounds = np.empty(_MOST, dtype=np.int32), np.empty(_MOST)
+    stack = np.empty(DEPTH, dtype=np.int32)
     limit = min(own, tolerance * abs(tolerance) / own)
     for p in range(first, last):
         stress[p] = np.nan
@@ -67,7 +68,9 @@ def _some(first, last, asked, tolerances, images, records, tree, answer):  # typ
         for flips in range(images):
             for i in range(INPUTS):
                 image[i] = x[i] * INPUT_SIGNS[flips, i]
-            count = find_all(image, own, records.centre, records.curvature, tree, found, bounds)
+            count = find_all(
+                image, own, records.centre, records.curvature, tree, stack, found, bounds
+            )
             for n in range(count):
                 k, b = found[n], bounds[n]
                 least = min(least, b)

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 
 LEAF = 4
 """Most records of a leaf."""
-_DEPTH = 128
+DEPTH = 128
+"""Nodes that wait while a tree is searched, at most."""
 _SLACK = 1.0 + 1e-6  # so that rounding leaves no point of an ellipsoid outside its box
 _EVEN = 0.3  # by how much of their sum the children of a new node may differ
 _UNBALANCED = 0.7  # largest share of a node's records in one child
@@ -213,7 +214,7 @@ def _insert(k, centre, extent, tree):  # type: ignore[no-untyped-def]
 @kernel
 def _below(node, tree):  # type: ignore[no-untyped-def]
     """The records below a node."""
-    ids, stack = np.empty(tree.size[node], dtype=np.int32), np.empty(_DEPTH, dtype=np.int32)
+    ids, stack = np.empty(tree.size[node], dtype=np.int32), np.empty(DEPTH, dtype=np.int32)
     stack[0] = node
     height, found = 1, 0
     while height > 0:
@@ -238,21 +239,21 @@ def enlarge(k, centre, extent, tree):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_all(x, limit, centre, curvature, tree, records, bounds):  # type: ignore[no-untyped-def]
+def find_all(x, limit, centre, curvature, tree, stack, records, bounds):  # type: ignore[no-untyped-def]
     """Number of records whose bound at x (7,) is at most `limit`, in rising order in `records`.
 
     The bound of record k is dᵀ curvature[k] d with d = x − centre[k], put into `bounds`. What does
     not fit into the arrays is left out. A box that holds ellipsoids of half width h holds those
     for another limit, s times as wide, when it is s − 1 times its own half width wider.
+
+    stack: (`DEPTH`,) int32 room to work in.
     """
     found = 0
     if tree.used[1] == 0:
         return found
     wider = max(0.5 * (np.sqrt(limit / tree.tolerance) - 1.0), 0.0)
-    stack = np.empty(_DEPTH, dtype=np.int32)
     stack[0] = 0
     height = 1
-    d = np.empty(INPUTS)
     while height > 0:
         height -= 1
         node = stack[height]
@@ -270,9 +271,7 @@ def find_all(x, limit, centre, curvature, tree, records, bounds):  # type: ignor
             continue
         for n in range(tree.size[node]):
             k = tree.member[node, n]
-            for i in range(INPUTS):
-                d[i] = x[i] - centre[k, i]
-            bound = quadratic(d, curvature[k])
+            bound = _bound(x, centre, curvature, k)
             if bound <= limit and found < records.shape[0]:
                 place = found
                 while place > 0 and records[place - 1] > k:
@@ -281,6 +280,19 @@ def find_all(x, limit, centre, curvature, tree, records, bounds):  # type: ignor
                 records[place], bounds[place] = k, bound
                 found += 1
     return found
+
+
+@kernel
+def _bound(x, centre, curvature, k):  # type: ignore[no-untyped-def]
+    """dᵀ C d of record k: half of C is read, which is symmetric."""
+    total = 0.0
+    for i in range(INPUTS):
+        row = 0.0
+        for j in range(i):
+            row += curvature[k, i, j] * (x[j] - centre[k, j])
+        d = x[i] - centre[k, i]
+        total += (2.0 * row + curvature[k, i, i] * d) * d
+    return total
 
 
 @kernel
