@@ -19,7 +19,8 @@ from surrofe2.rve.particles import Particles, look_into
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
-from surrofe2.rve.solve import covered_by, dashpot_rate, solve_rves
+from surrofe2.rve.solution import covered_by, dashpot_rate
+from surrofe2.rve.solve import solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.simd import TILE
 from surrofe2.stress_law import (

@@ -17,7 +17,8 @@ from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import rest_state
 from surrofe2.rve.settings import RveSettings
-from surrofe2.rve.solve import Solution, solve_rves
+from surrofe2.rve.solution import Solution
+from surrofe2.rve.solve import solve_rves
 from surrofe2.stress_law import Status
 from surrofe2.surface.bent_slab import bend
 from surrofe2.surface.side_free import SideFree, side_free

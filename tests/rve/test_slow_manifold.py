@@ -165,3 +165,43 @@ def test_micro_integration_with_too_long_a_step_says_so():
 def test_micro_integration_refuses_times_that_do_not_increase():
     with pytest.raises(InputError, match="times must increase"):
         integrate_rve(law("printed"), shear, np.array([0.0, 0.0]))
+
+
+WAY = np.array([[-0.067905, 0.0412889], [-0.117382, 0.00033]])
+"""Of the plant cell in the corner of a clamped bar of `water`, from rest to where walls buckle."""
+
+
+def through_a_bifurcation():
+    """(F, answer of the step) along 1.2 times the way, each from the state before."""
+    slow, state, passed = law("water", "slow-manifold"), None, []
+    for part in np.linspace(0.0, 1.2, 61)[1:]:
+        F = np.eye(2)[None] + part * WAY
+        answer = slow.respond(F, 0.02 * WAY[None], state, tangents=True)
+        accepted = slow.accept(F, 0.02 * WAY[None], answer)
+        assert accepted.status[0] == Status.OK
+        state = accepted.state
+        passed.append((F, answer))
+    return passed
+
+
+def test_from_a_bifurcation_on_velocities_are_affine():
+    """So the law has a stress all the way, and its tangents are those of what it does."""
+    passed = through_a_bifurcation()
+    left = np.array([answer.state.left_points[0] for _, answer in passed])
+    assert 0 < left.argmax() < 60
+    assert left[left.argmax() :].all()
+    for (_, answer), is_left in zip(passed, left, strict=True):
+        assert answer.state.beyond_affine.any() != is_left
+    slow, F_dot, h = law("water", "slow-manifold"), 0.02 * WAY, 1e-6
+    F, answer = passed[-1]
+    for way, slopes in enumerate((answer.tangents.P_by_F, answer.tangents.P_by_F_dot)):
+        for a, b in np.ndindex(2, 2):
+            values = []
+            for sign in (1.0, -1.0):
+                change = np.zeros((2, 1, 2, 2))
+                change[way, 0, a, b] = sign * h
+                moved, rate = F + change[0], F_dot[None] + change[1]
+                stress = slow.respond(moved, rate, answer.state).stress
+                values.append(np.linalg.det(moved[0]) * stress[0] @ np.linalg.inv(moved[0]).T)
+            difference = (values[0] - values[1]) / (2.0 * h)
+            np.testing.assert_allclose(slopes[0, :, :, a, b], difference, rtol=1e-5, atol=1e-3)

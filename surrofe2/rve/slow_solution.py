@@ -1,0 +1,108 @@
+"""What one call finds on the slow manifold; see `slow_manifold`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.rve.newton import SKIP, SOLVE, newton, solve_tiles
+from surrofe2.rve.particle_state import Drive, empty_answer
+from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
+from surrofe2.rve.solution import Solution
+from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
+from surrofe2.simd import TILE
+from surrofe2.stress_law import Array, Status
+
+_OK = int(Status.OK)
+
+
+class SlowSolution(Solution):
+    """`Solution` where velocities are those of the elastic equilibrium as F moves.
+
+    At a bifurcation the slopes of that equilibrium have no bound, and neither have the velocities.
+    From there on, where the state's `left` says so, they are affine as in constrained runs.
+    """
+
+    def solve(self) -> None:
+        """Warm where possible, else from a fresh elastic equilibrium."""
+        before, iterations = self.before, self.answer.iterations
+        moving = Moving(before.z.copy(), before.relaxed.copy(), before.beyond_affine.copy())
+        self.state = replace(
+            self.state, z=moving.z, elastic=moving.elastic, fluctuation=moving.fluctuation
+        )
+        iterations[:] = -1
+        if not self.cold:
+            self._follow_from(moving, Drive(before.F, before.F_dot))
+        lost = iterations < 0
+        if lost.any():
+            self._follow_anew(moving, lost)
+        if self.state.left.any():
+            self._hold_back(moving)
+
+    def _follow_anew(self, moving: Moving, lost: NDArray[np.bool_]) -> None:
+        """Where the warm start missed: from a fresh elastic equilibrium."""
+        before, iterations, F = self.before, self.answer.iterations, self.drive.F
+        lanes = lost[:, None, None, :]
+        elastic = np.where(lanes, before.relaxed, moving.elastic)
+        self._newton_where_open(elastic, before.relaxed)
+        found = lost & (iterations > 0) & (self.status == _OK)
+        np.copyto(moving.elastic, elastic, where=lanes)
+        np.copyto(moving.z, elastic, where=lanes)
+        tiles = np.asarray(lost.any(axis=1))
+        factors = self.state.factors.renewed(tiles)
+        self.state = replace(self.state, factors=factors)
+        renew_slow(F, moving.elastic, factors.address, tiles, *self.law, np.empty_like(lost))
+        solved, stress, z = iterations.copy(), self.answer.stress.copy(), moving.z.copy()
+        self._follow_from(moving, Drive(F, np.where(lanes, 0.0, self.given.rate)))
+        self._newton_slow(moving, lost & found & (iterations < 0))
+        # lanes of the same tiles that were warm stay as they were
+        np.copyto(iterations, solved, where=~lost)
+        np.copyto(self.answer.stress, stress, where=~lanes)
+        np.copyto(moving.z, z, where=~lanes)
+        self.status[lost & ~found & (self.status == _OK)] = Status.NOT_CONVERGED
+        missed = lost & found & (iterations < 0)
+        if missed.any():
+            self.state = replace(self.state, left=self.state.left | missed)
+
+    def _hold_back(self, moving: Moving) -> None:
+        """Positions with affine velocities where a bifurcation was met."""
+        iterations = self.answer.iterations
+        wanted = self.state.left & (self.status == _OK)
+        counts = np.where(wanted, -1, 1).astype(np.int32)
+        answer = empty_answer(len(counts))._replace(iterations=counts)
+        tiles = np.asarray(wanted.any(axis=1))
+        task, z = np.where(tiles, SOLVE, SKIP).astype(np.int8), moving.elastic.copy()
+        scratch, tolerance = self.state.factors.renewed(tiles), self.settings.tolerance
+        solve_tiles(newton, self.given, z, scratch.address, task, *self.law, tolerance, answer)
+        lanes = wanted[:, None, None, :]
+        np.copyto(moving.z, z, where=lanes)
+        np.copyto(moving.fluctuation, 0.0, where=lanes)
+        np.copyto(self.answer.stress, answer.stress, where=lanes)
+        np.copyto(iterations, counts, where=wanted)
+        self.status[wanted & (counts < 0)] = Status.NOT_CONVERGED
+
+    def _follow_from(self, moving: Moving, at: Drive) -> None:
+        address, tolerance = self.state.factors.address, self.settings.tolerance
+        follow(self.given, moving, at, address, *self.law, tolerance, self.answer)
+
+    def _newton_slow(self, moving: Moving, soft: NDArray[np.bool_]) -> None:
+        """Where z_el is stable but so soft that `follow` misses z."""
+        if not soft.any():
+            return
+        iterations = self.answer.iterations
+        counts = np.where(soft, 0, 1).astype(np.int32)
+        answer = self.answer._replace(iterations=counts)
+        newton_slow(self.given, moving, *self.law, self.settings.tolerance, answer)
+        iterations[soft] = counts[soft]
+
+    def _all_tangents(self) -> Array:
+        values, state = np.empty((len(self.status), 2, 2, 8, TILE)), self.state
+        slow_tangents(self.given, state.z, state.relaxed, *self.law, values)
+        if state.left.any():
+            affine = np.empty_like(values)
+            kind = KINDS.index("constrained-runs")
+            affine_tangents(self.given, state.z, kind, *self.law, affine)
+            np.copyto(values, affine, where=state.left[:, None, None, None, :])
+        return values
