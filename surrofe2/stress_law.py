@@ -288,13 +288,3 @@ def _as_tensors(name: str, value: Any) -> Array:
         point = int(np.argwhere(~finite)[0, 0])
         raise InputError(f"{name}: not finite at point {point}; every entry must be a number")
     return array
-
-
-def is_ready(tensors: Any) -> bool:
-    """Whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
-    return (
-        isinstance(tensors, np.ndarray)
-        and tensors.dtype == np.float64
-        and tensors.shape[1:] == (2, 2)
-        and tensors.flags.c_contiguous
-    )

@@ -22,6 +22,16 @@ STAY, RETURN = 0.9, 0.8
 surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
 
 
+def is_ready(tensors: Any) -> bool:
+    """Whether tensors are a contiguous float64 array (n, 2, 2), as it must be."""
+    return (
+        isinstance(tensors, np.ndarray)
+        and tensors.dtype == np.float64
+        and tensors.shape[1:] == (2, 2)
+        and tensors.flags.c_contiguous
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class PointSet:
     """Points in any order, each once.

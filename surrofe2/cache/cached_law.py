@@ -20,6 +20,7 @@ from surrofe2.cache.branches import (
     answer_both,
     check_state,
     choose_branches,
+    is_ready,
     look_up,
     part_of,
     tangents_of_both,
@@ -36,7 +37,6 @@ from surrofe2.stress_law import (
     Status,
     StressResponse,
     check_deformation,
-    is_ready,
     require_tangents,
 )
 from surrofe2.views import Viewed

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
+from surrofe2.surrogate.error_bound import REACH
 
 _STATUSES = (Status.OK, Status.OUT_OF_RANGE, Status.NOT_FINITE, Status.NOT_TRUSTED)
 _PER_LINE = 6
@@ -78,6 +79,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "BOUND": len(bounds.bound),
     }
     yield from (f"#define {name} {value}" for name, value in sizes.items())
+    yield f"#define REACH {REACH!r}"
     yield ""
     arrays = {
         "range": network.bounds,

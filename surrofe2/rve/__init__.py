@@ -1,11 +1,11 @@
 """Representative volume elements: (F, Ḟ) in, stress out.
 
-In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `solution` and
-`slow_solution` (what it finds), `unit_cell` (what an RVE is at rest), `rve_state` (the warm start),
-`particle_state` (forces and stress of given positions), `newton` and `block_lu` (equilibria),
-`constrained_runs` (the paper's iteration), `equilibrium_modes` and `slow_manifold`, `continuation`
-(far loads), `tangents`, `constant_slopes` and `parameter_gradients` (identification),
-`micro_integration` (the reference of all initialisations).
+In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `unit_cell` (what an
+RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and stress of given
+positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's iteration),
+`equilibrium_modes`, `slow_manifold` and `slow_solution`, `continuation` (far loads), `tangents`,
+`constant_slopes` and `parameter_gradients` (identification), `micro_integration` (the reference of
+all initialisations).
 """
 
 from __future__ import annotations

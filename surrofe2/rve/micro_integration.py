@@ -19,7 +19,7 @@ from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace, pack
 from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine, place
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.solution import covered_by
+from surrofe2.rve.solve import covered_by
 from surrofe2.simd import TILE, load, store
 
 Array = NDArray[np.float64]

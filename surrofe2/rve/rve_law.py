@@ -19,8 +19,8 @@ from surrofe2.rve.particles import Particles, look_into
 from surrofe2.rve.rve_state import RveState, rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_manifold import renew_slow
-from surrofe2.rve.solution import covered_by, dashpot_rate
-from surrofe2.rve.solve import solve_rves
+from surrofe2.rve.slow_solution import solution_kind
+from surrofe2.rve.solve import covered_by, dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
 from surrofe2.simd import TILE
 from surrofe2.stress_law import (
@@ -83,6 +83,7 @@ class RveLaw(Viewed):
         )
         self.cell = cell
         self.unit_cell = make_unit_cell(cell, reference)
+        self._kind = solution_kind(self.settings.initialisation)
         self._name = f"{cell.fingerprint} {self.settings.initialisation} {self.settings.solver}"
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -180,7 +181,7 @@ class RveLaw(Viewed):
                 "use solver direct"
             )
         drive = Drive(pack(F), pack(F_dot))
-        solution = solve_rves(self.unit_cell, self.settings, drive, state, cold)
+        solution = solve_rves(self._kind, self.unit_cell, self.settings, drive, state, cold)
         status = unpack(solution.status, points)
         stress = unpack(solution.answer.stress, points)
         if status.any():
@@ -235,7 +236,7 @@ class RveLaw(Viewed):
         """
         part = response.state.take(index)
         drive = Drive(part.F, part.F_dot)
-        found = solve_rves(self.unit_cell, self.settings, drive, part, cold=True)
+        found = solve_rves(self._kind, self.unit_cell, self.settings, drive, part, cold=True)
         count = len(index)
         way = np.abs(unpack(found.state.z, count) - unpack(part.z, count)).max(axis=(1, 2))
         status, stress = response.status.copy(), response.stress.copy()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surrofe2.rve.newton import SKIP, SOLVE, newton, solve_tiles
 from surrofe2.rve.particle_state import Drive, empty_answer
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
-from surrofe2.rve.solution import Solution
+from surrofe2.rve.solve import Solution
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Array, Status
@@ -106,3 +106,8 @@ class SlowSolution(Solution):
             affine_tangents(self.given, state.z, kind, *self.law, affine)
             np.copyto(values, affine, where=state.left[:, None, None, None, :])
         return values
+
+
+def solution_kind(initialisation: str) -> type[Solution]:
+    """What `solve_rves` is to find."""
+    return SlowSolution if initialisation == "slow-manifold" else Solution

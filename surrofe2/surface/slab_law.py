@@ -17,8 +17,8 @@ from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import rest_state
 from surrofe2.rve.settings import RveSettings
-from surrofe2.rve.solution import Solution
-from surrofe2.rve.solve import solve_rves
+from surrofe2.rve.slow_solution import solution_kind
+from surrofe2.rve.solve import Solution, solve_rves
 from surrofe2.stress_law import Status
 from surrofe2.surface.bent_slab import bend
 from surrofe2.surface.side_free import SideFree, side_free
@@ -155,7 +155,8 @@ class SlabLaw:
         F, F_dot = np.where(known, bulk.F, np.eye(2)), np.where(known, bulk.F_dot, 0.0)
         start = rest_state(self.unit.position, self.unit.factors, len(F), "slab")
         drive = Drive(pack(F), pack(F_dot))
-        solution = solve_rves(self.unit, self.law.settings, drive, start, cold=True)
+        kind = solution_kind(self.law.initialisation)
+        solution = solve_rves(kind, self.unit, self.law.settings, drive, start, cold=True)
         stress = unpack(solution.answer.stress, len(F))
         resultant = self.unit.reference.lattice[1, 1] * stress[:, 0, 0] * F[:, 1, 1]
         valid = bulk.valid & (unpack(solution.status, len(F)) == Status.OK)
