@@ -184,6 +184,7 @@ def stated(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, monkeypatch):
     """Two cell types, sliding base, driven side and plate: the names are those of FE²."""
     from tests.laws import SoftLaw

@@ -251,6 +251,7 @@ def test_law_without_tangents_is_named():
         simulate(LOAD_CASE, DryFriction(), IMPLICIT)
 
 
+@pytest.mark.slow
 def test_bar_of_rves_moves_as_the_explicit_run_says():
     law = RveLaw(CellParameters.preset("water"), initialisation="slow-manifold")
     load_case = LoadCase(duration=15.0)

@@ -84,6 +84,7 @@ def test_fading_time():
     assert memory.fading_time(t, np.ones_like(t), 0.5) is None
 
 
+@pytest.mark.slow
 def test_bar_with_water_has_the_model_s_decrements():
     """docs/theory.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
     for name, decrement in (("elastic", 0.0678), ("slow-manifold", 0.0411)):

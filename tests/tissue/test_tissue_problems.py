@@ -135,6 +135,7 @@ def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, rough):
     assert (lost[-1] > 0.01 * start) if rough else (lost[-1] == 0.0)
 
 
+@pytest.mark.slow
 def test_energy_balance_falls_with_the_step(reference):
     """Motion of a boundary, of a plate and a load at once: first order, for the dashpots."""
     grip = Support(
