@@ -129,6 +129,10 @@ def _slopes(law: RveLaw, point: _Point, names: Sequence[str]) -> Array:
     topology = law.covering_topology(state)
     if law.initialisation == "slow-manifold":
         slow_constant_slopes(drive, state.z, state.relaxed, topology, given, values, slopes)
+        if state.left.any():  # velocities are affine there, see `slow_solution`
+            held, kind = np.empty_like(slopes), KINDS.index("constrained-runs")
+            affine_constant_slopes(drive, state.z, kind, topology, given, values, held)
+            np.copyto(slopes, held, where=state.left[:, None, None, :])
     else:
         kind = KINDS.index(law.initialisation)
         affine_constant_slopes(drive, state.z, kind, topology, given, values, slopes)

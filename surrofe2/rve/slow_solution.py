@@ -80,7 +80,9 @@ class SlowSolution(Solution):
         np.copyto(moving.z, z, where=lanes)
         np.copyto(moving.fluctuation, 0.0, where=lanes)
         np.copyto(self.answer.stress, answer.stress, where=lanes)
-        np.copyto(iterations, counts, where=wanted)
+        spent = np.where(counts > 0, np.abs(iterations) + counts, counts)
+        np.copyto(iterations, spent, where=wanted)
+        self.newton_solves += int(wanted.sum())
         self.status[wanted & (counts < 0)] = Status.NOT_CONVERGED
 
     def _follow_from(self, moving: Moving, at: Drive) -> None:

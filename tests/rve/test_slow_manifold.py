@@ -10,6 +10,7 @@ from surrofe2.errors import InputError, SimulationError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
+from surrofe2.rve.parameter_gradients import parameter_gradients
 from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
 from tests.rve.rves import PRESETS, deformations, law, particles
@@ -205,3 +206,20 @@ def test_from_a_bifurcation_on_velocities_are_affine():
                 values.append(np.linalg.det(moved[0]) * stress[0] @ np.linalg.inv(moved[0]).T)
             difference = (values[0] - values[1]) / (2.0 * h)
             np.testing.assert_allclose(slopes[0, :, :, a, b], difference, rtol=1e-5, atol=1e-3)
+
+
+def test_beyond_a_bifurcation_it_is_constrained_runs():
+    """Both leave at the same place: stress, tangents and gradients by parameters are the same."""
+    F, F_dot = np.diag([0.92, 1.0])[None], 0.02 * WAY[None]
+    slow, runs = law("water", "slow-manifold"), law("water", "constrained-runs")
+    here, there = (each.respond(F, F_dot, tangents=True) for each in (slow, runs))
+    assert here.state.left_points.all()
+    assert there.state.left_points.all()
+    np.testing.assert_allclose(here.stress, there.stress, rtol=0, atol=1e-8)
+    for name in ("P_by_F", "P_by_F_dot"):
+        pair = (getattr(each.tangents, name) for each in (here, there))
+        np.testing.assert_allclose(*pair, rtol=1e-6, atol=1e-6)
+    names = ("wall_stiffness", "viscosity")
+    by = [parameter_gradients(each, F, F_dot, names).P_by for each in (slow, runs)]
+    for name in names:
+        np.testing.assert_allclose(by[0][name], by[1][name], rtol=1e-6, atol=1e-12)
