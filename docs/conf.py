@@ -29,6 +29,7 @@ extensions = [
     "sphinx.ext.mathjax",
     "commands",
     "docstrings",
+    "equations",
     "recorded",
 ]
 suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]

@@ -1,6 +1,6 @@
 """Contact repulsion of wall particles from fluid and from walls not bonded to them (eq. 2).
 
-Tension on i along n (negative: repulsion) for |r| < x₀, else 0, docs/theory.md (6)::
+Tension on i along n (negative: repulsion) for |r| < x₀, else 0, docs/theory.md (2)::
 
     t = −[λ (|r|⁻⁶ − x₀⁻⁶) − c(|r|) n·w]
     c(r) = 2 √(6 λ m_wall / r⁷) (1 − (r/x₀)⁶) · damping ratio

@@ -1,4 +1,4 @@
-"""A surface law from a table: Chebyshev polynomials in stretch and rate (docs/theory.md, (53)).
+"""A surface law from a table: Chebyshev polynomials in stretch and rate (docs/theory.md, (A47)).
 
 With x and y in −1 … 1 across the table's range of λ and λ̇::
 
