@@ -34,6 +34,8 @@ AHEAD = 2
 """Pieces for each worker that are sent before the first of them is back."""
 MANY = 128
 """Pieces on their way to an executor that does not say how many workers it has."""
+PATIENCE = 60.0
+"""s until a scheduler must answer and have a worker: a job may have started both just now."""
 ATTEMPTS = 4
 """How often a piece is sent before its workers are taken to be lost for a reason of its own."""
 
@@ -139,12 +141,16 @@ def _cluster(address: str) -> Iterator[Any]:
             "--scheduler: dask.distributed is not installed; pip install 'surrofe2[cluster]'"
         ) from None
     try:
-        client = Client(address, timeout=10)
+        client = Client(address, timeout=PATIENCE)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"--scheduler: {address}; no scheduler answers there: {error}") from None
     with client:
-        if not client.ncores():
-            raise InputError(f"--scheduler: {address}; the scheduler has no workers")
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise InputError(
+                f"--scheduler: {address}; the scheduler has no workers after {PATIENCE:g} s"
+            ) from None
         with client.get_executor() as executor:
             yield executor
 

@@ -1,0 +1,184 @@
+"""The scripts for SLURM, by stand-ins for its commands on the PATH."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from surrofe2.io.data_sets import read_data_set
+from surrofe2.io.run_folder import read_record
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow.generate import generate_data_set
+from tests.conftest import RECIPE
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "examples" / "slurm"
+SCRIPTS = sorted(FOLDER.glob("*.sh"))
+JOB = "77"
+
+SRUN = f"""#!/bin/bash
+cores=$SLURM_CPUS_PER_TASK
+while [[ $1 == --* ]]; do # options of srun
+    [[ $1 == --cpus-per-task=$cores ]] || exit 98
+    shift
+done
+exec {Path(sys.executable).with_name("mpiexec")} -rmk user -launcher fork -n "$SLURM_NTASKS" "$@"
+"""
+SCONTROL = '#!/bin/bash\necho "$@" >> scontrol.log\n'
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_a_script_is_whole_and_on_the_page(script):
+    text = script.read_text(encoding="utf-8")
+    subprocess.run(["bash", "-n", script], check=True)
+    lines = text.splitlines()
+    assert lines[0] == "#!/bin/bash"
+    asked = [line for line in lines if line.startswith("#SBATCH")]
+    assert all(re.fullmatch(r"#SBATCH --[a-z-]+(=[\w:@-]+)?", line) for line in asked)
+    # SLURM reads no more of them behind the first command
+    assert not any("#SBATCH" in line for line in lines if line not in asked)
+    commands = [k for k, line in enumerate(lines) if line and not line.startswith("#")]
+    assert max(k for k, line in enumerate(lines) if line in asked) < commands[0]
+    assert f"examples/slurm/{script.name} RECIPE" in text
+    page = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")
+    assert f"{{literalinclude}} ../examples/slurm/{script.name}\n" in page
+
+
+def test_there_are_four():
+    assert [path.stem for path in SCRIPTS] == ["data", "grid", "run", "study"]
+
+
+@pytest.fixture
+def job(tmp_path):
+    """job(script, *arguments, ntasks): the script as SLURM starts it, in a folder of its own."""
+    pytest.importorskip("mpi4py")
+    commands = tmp_path / "commands"
+    commands.mkdir()
+    for name, text in (("srun", SRUN), ("scontrol", SCONTROL)):
+        (commands / name).write_text(text, encoding="utf-8")
+        (commands / name).chmod(0o755)
+    own = Path(sys.executable).parent
+    (tmp_path / "recipe.toml").write_text(RECIPE, encoding="utf-8")
+
+    def start(script, *arguments, ntasks=1, **settings):
+        known = {"SLURM_JOB_ID": JOB, "SLURM_NTASKS": str(ntasks), "SLURM_CPUS_PER_TASK": "1"}
+        return subprocess.Popen(
+            ["bash", FOLDER / f"{script}.sh", "recipe.toml", *arguments],
+            cwd=tmp_path,
+            env={
+                **os.environ,
+                "PATH": f"{commands}:{own}:{os.environ['PATH']}",
+                "PYTHONPATH": str(ROOT),
+                **known,
+                **settings,
+            },
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    start.folder = tmp_path
+    return start
+
+
+def done(process, code=0):
+    said, _ = process.communicate(timeout=300)
+    assert process.returncode == code, said
+    return said
+
+
+def step_of(process):
+    """What the script's srun became."""
+    own = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    return [int(number) for number in own.read_text(encoding="utf-8").split()]
+
+
+def interrupt(process, sign):
+    """SIGINT to the step, not to the script, soon after a file is there."""
+    until = time.monotonic() + 120.0
+    while not sign.exists() and time.monotonic() < until:
+        assert process.poll() is None, process.communicate()[0]
+        time.sleep(0.02)
+    (step,) = step_of(process)
+    os.kill(step, 2)
+
+
+def requeued(folder):
+    return (folder / "scontrol.log").read_text(encoding="utf-8").splitlines()
+
+
+@pytest.mark.slow
+def test_a_run_over_ranks_goes_back_into_the_queue_and_goes_on(job):
+    text = RECIPE.replace("duration = 4.0", "duration = 4000.0")
+    (job.folder / "recipe.toml").write_text(text, encoding="utf-8")
+    process = job("run", "rve", "out/rve", ntasks=2)
+    interrupt(process, job.folder / "out" / "rve" / "run.json")
+    assert "interrupted: out/rve keeps the run" in done(process, 130)
+    assert requeued(job.folder) == [f"requeue {JOB}"]
+    assert read_record(job.folder / "out" / "rve").status == "interrupted"
+    (job.folder / "scontrol.log").unlink()
+    done(job("run", "rve", "out/rve", ntasks=3))
+    assert not (job.folder / "scontrol.log").exists()
+    record = read_record(job.folder / "out" / "rve")
+    assert record.status == "finished"
+    assert record.ranks["ranks"] == 3
+
+
+@pytest.mark.slow
+def test_data_by_workers_and_training(job):
+    text = RECIPE.replace("count = 40", "count = 300")
+    (job.folder / "recipe.toml").write_text(text, encoding="utf-8")
+    done(job("data", ntasks=2))
+    assert (job.folder / "cells.safetensors").exists()
+    made = read_data_set(job.folder / "cells.h5")
+    (job.folder / "alone.toml").write_text(text.replace("cells.", "alone."), encoding="utf-8")
+    alone = load_recipe(job.folder / "alone.toml")
+    generate_data_set(alone)
+    assert made.fingerprint == read_data_set(alone.data_path()).fingerprint
+
+
+@pytest.mark.slow
+def test_a_grid_by_an_array_and_its_table(job):
+    parts = {"SLURM_ARRAY_JOB_ID": "76"}
+    for k in (0, 8):
+        done(job("grid", SLURM_ARRAY_TASK_ID=str(k), **parts))
+    finished = [*job.folder.glob("out/grid/part-*/*/run.json")]
+    before = [path.stat().st_mtime_ns for path in finished]
+    assert len(before) == 2
+    done(job("grid"))
+    rows = json.loads((job.folder / "out/grid/grid.json").read_text(encoding="utf-8"))["rows"]
+    assert [row["wall_stiffness"] for row in rows] == [*range(3000, 5001, 250)]
+    for path, stamp in zip(finished, before, strict=True):
+        assert (job.folder / "out/grid" / path.parent.name / "run.json").samefile(path)
+        assert path.stat().st_mtime_ns == stamp  # not done again
+
+
+@pytest.mark.slow
+def test_an_interrupted_member_of_an_array_goes_back_alone(job):
+    text = RECIPE.replace("duration = 4.0", "duration = 4000.0")
+    (job.folder / "recipe.toml").write_text(text, encoding="utf-8")
+    process = job("grid", SLURM_ARRAY_JOB_ID="76", SLURM_ARRAY_TASK_ID="3")
+    folder = job.folder / "out/grid/part-3/rve,cell.wall_stiffness=3750"
+    interrupt(process, folder / "run.json")
+    done(process, 130)
+    assert requeued(job.folder) == ["requeue 76_3"]
+
+
+@pytest.mark.slow
+def test_a_study_interrupted_and_whole(job):
+    process = job("study")
+    interrupt(process, job.folder / "cells.h5")
+    done(process, 130)
+    assert requeued(job.folder) == [f"requeue {JOB}"]
+    done(job("study"))
+    assert (job.folder / "out" / "study" / "report.html").exists()
+    for law in ("rve", "cached"):
+        assert read_record(job.folder / "out" / "study" / law).status == "finished"
