@@ -53,16 +53,10 @@ def test_they_are_the_slopes_of_whole_laws():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs"])
+@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
 def test_all_of_them_are(initialisation):
+    """On the slow manifold velocities move with the parameters, too."""
     check(law("printed", initialisation, tolerance=1e-10), PARAMETERS, 100)
-
-
-@pytest.mark.slow
-def test_so_are_those_of_the_slow_manifold():
-    """Velocities move with the parameters, too."""
-    names = ("wall_stiffness", "viscosity", "fluid_particle_mass", "wall_damping_ratio")
-    check(law("printed", "slow-manifold", tolerance=1e-10), names, 100)
 
 
 @pytest.mark.slow
