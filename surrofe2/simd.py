@@ -27,7 +27,7 @@ from surrofe2.compilation import FAST, compiled
 
 TILE = 8
 
-_FLAGS = tuple(sorted(FAST))
+_FLAGS = tuple(sorted(FAST - {"reassoc"}))
 _Indices: Any = types.StarArgTuple  # type: ignore[attr-defined]
 _DOUBLES = ir.VectorType(ir.DoubleType(), TILE)
 _SINGLES = ir.VectorType(ir.FloatType(), TILE)
@@ -220,6 +220,23 @@ def where_less(typing: Any, left: Any, right: Any, yes: Any, no: Any) -> Any:
 
     kinds = [LANES if kind is LANES else types.float64 for kind in (left, right, yes, no)]
     return LANES(*kinds), generate
+
+
+@intrinsic
+def any_less(typing: Any, left: Any, right: Any) -> Any:
+    """Whether left < right in any lane; each lanes or a float."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (
+            value if kind is LANES else _spread(builder, value)
+            for kind, value in zip(sig.args, args, strict=True)
+        )
+        lanes = ir.IntType(TILE)
+        bits = builder.bitcast(builder.fcmp_ordered("<", left, right), lanes)
+        return builder.icmp_unsigned("!=", bits, ir.Constant(lanes, 0))
+
+    kinds = [LANES if kind is LANES else types.float64 for kind in (left, right)]
+    return types.boolean(*kinds), generate
 
 
 # without nnan and ninf, so that NaN stays NaN; without reassoc, so that the split of ln 2 holds

@@ -38,7 +38,7 @@ class BoundArrays(NamedTuple):
         factor: (7,) 1/scale of the inputs.
         square: (1,) int64, 1 where moduli are taken.
         sides: (m, 2) int64, the two features of each half-space: 0 to 8, 9 more for the negative,
-            18 for none; limits: (m,) of their sum; m is even.
+            18 for none; limits: (m,) of their sum.
         cliff_table: (k, 4) int64; cliff: (k,) float64.
         bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
     """
@@ -73,14 +73,10 @@ class BoundArrays(NamedTuple):
 
 
 def _half_spaces(domain: Domain) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Sides and limits; where their number is odd, with a half-space that holds everything."""
+    """Sides and limits as of `BoundArrays`."""
     sides = np.where(domain.signs < 0.0, domain.pairs + FEATURES, domain.pairs)
     sides[domain.signs == 0.0] = 2 * FEATURES
-    odd = len(sides) % 2
-    return (
-        np.concatenate([sides, np.full((odd, 2), 2 * FEATURES)]),
-        np.concatenate([domain.limits, np.full(odd, np.inf)]),
-    )
+    return sides, domain.limits
 
 
 @kernel
@@ -137,14 +133,14 @@ def _larger(one, other):  # type: ignore[no-untyped-def]
 def _test_half_spaces(features, arrays, room):  # type: ignore[no-untyped-def]
     """How far each point is beyond the half-space that it violates most, 0 where within all."""
     sides, limits = arrays.sides, arrays.limits
-    for t in range(TILES):
-        most, other = spread(0.0), spread(0.0)
-        for k in range(0, limits.shape[0], 2):  # two at a time, as one has to wait for the last
-            over = load(features, sides[k, 0], t) + load(features, sides[k, 1], t) - limits[k]
-            most = _larger(over, most)
-            over = load(features, sides[k + 1, 0], t) + load(features, sides[k + 1, 1], t)
-            other = _larger(over - limits[k + 1], other)
-        store(_larger(other, most), room, _BEYOND, t)
+    for t in range(0, TILES, 2):
+        most, other = spread(0.0), spread(0.0)  # of two tiles, as one has to wait for the last
+        for k in range(limits.shape[0]):
+            i, j, limit = sides[k, 0], sides[k, 1], spread(limits[k])
+            most = _larger(load(features, i, t) + load(features, j, t) - limit, most)
+            other = _larger(load(features, i, t + 1) + load(features, j, t + 1) - limit, other)
+        store(most, room, _BEYOND, t)
+        store(other, room, _BEYOND, t + 1)
 
 
 @kernel
@@ -169,7 +165,7 @@ def _add_products(table, coefficients, x, room, row):  # type: ignore[no-untyped
     for t in range(TILES):
         total = load(room, row, t)
         for k in range(table.shape[0]):
-            a, b, c, d = table[k]
-            product = (load(x, a, t) * load(x, b, t)) * (load(x, c, t) * load(x, d, t))
+            product = load(x, table[k, 0], t) * load(x, table[k, 1], t)
+            product = product * (load(x, table[k, 2], t) * load(x, table[k, 3], t))
             total += coefficients[k] * product
         store(total, room, row, t)

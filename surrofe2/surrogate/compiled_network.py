@@ -26,9 +26,9 @@ COMPONENTS = BIOT + STRETCH
 class Room(NamedTuple):
     """What a block is worked out in, used again for the next.
 
-    x: (8, …) scaled inputs and ones; y: (7, …) components; products: (rows, TILE) of polynomials;
-    units: (all units, …) of the factors; hidden: those of the energy, back: (2, units, …); the
-    others, with K before, are their slopes.
+    x: (8, …) scaled inputs and ones; y: (7, …) components; products: (rows, 2, TILE) of
+    polynomials; units: (all units, …) of the factors; hidden: those of the energy, back: (2,
+    units, …); the others, with K before, are their slopes.
     """
 
     x: Any
@@ -57,7 +57,7 @@ def make_room(arrays, slope_polynomial, inputs):  # type: ignore[no-untyped-def]
         np.empty((INPUTS + 1, TILES, TILE)),
         np.empty((COMPONENTS, TILES, TILE)),
         np.empty((inputs, COMPONENTS, TILES, TILE)),
-        np.empty((ROWS + made, TILE)),
+        np.empty((ROWS + made, 2, TILE)),
         np.empty((units, TILES, TILE)),
         np.empty((inputs, units, TILES, TILE)),
         np.empty((units_of_energy, TILES, TILE)),
@@ -92,16 +92,16 @@ def set_polynomial_slopes(slope_polynomial, room):  # type: ignore[no-untyped-de
 def evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
     """Fill the units of the factors, and their slopes; returns the row of the first factor."""
     x, units, slopes = room.x, room.units, room.unit_slopes
-    units[: arrays.sizes[0]] = 0.0
-    slopes[:, : arrays.sizes[0]] = 0.0
+    units[arrays.invariants.shape[0] : arrays.sizes[0]] = 0.0
     for row in range(arrays.invariants.shape[0]):
-        a, b, c = arrays.invariants[row]
+        a, b, c = three(arrays.invariants, row)
         for t in range(TILES):
-            first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
-            store(first * second * third, units, row, t)
-            _add_to(slopes, a, row, t, second * third)
-            _add_to(slopes, b, row, t, first * third)
-            _add_to(slopes, c, row, t, first * second)
+            store(load(x, a, t) * load(x, b, t) * load(x, c, t), units, row, t)
+    if slopes.shape[0]:
+        slopes[:, : arrays.sizes[0]] = 0.0
+        for row in range(arrays.invariants.shape[0]):
+            for t in range(TILES):
+                _add_product_slopes(arrays.invariants, row, x, spread(1.0), slopes, row, t)
     layers = arrays.sizes.shape[0]
     first, _ = _forward(arrays.sizes, layers, arrays.weights, arrays.biases, units, slopes)
     return first
@@ -149,20 +149,28 @@ def _add_terms(arrays, room, first_factor):  # type: ignore[no-untyped-def]
     x, y, y_slopes = room.x, room.y, room.y_slopes
     inputs = y_slopes.shape[0]
     for term in range(arrays.terms.shape[0]):
-        a, b, c, component = arrays.terms[term]
+        a, b, c = three(arrays.terms, term)
+        component = arrays.terms[term, 3]
         scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
         for t in range(TILES):
-            first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
             factor = (load(room.units, first_factor + term, t) - at_rest) * scale
-            product = first * second * third
+            product = load(x, a, t) * load(x, b, t) * load(x, c, t)
             store(load(y, component, t) + factor * product, y, component, t)
             for k in range(inputs):
                 slope = load(room.unit_slopes, k, first_factor + term, t) * (product * scale)
                 store(load(y_slopes, k, component, t) + slope, y_slopes, k, component, t)
             if inputs:
-                _add_to(y_slopes, a, component, t, factor * second * third)
-                _add_to(y_slopes, b, component, t, factor * first * third)
-                _add_to(y_slopes, c, component, t, factor * first * second)
+                _add_product_slopes(arrays.terms, term, x, factor, y_slopes, component, t)
+
+
+@kernel
+def _add_product_slopes(table, row, x, factor, slopes, component, t):  # type: ignore[no-untyped-def]
+    """Add those of factor × the product of the three inputs that a row of the table names."""
+    a, b, c = three(table, row)
+    first, second, third = load(x, a, t), load(x, b, t), load(x, c, t)
+    _add_to(slopes, a, component, t, factor * second * third)
+    _add_to(slopes, b, component, t, factor * first * third)
+    _add_to(slopes, c, component, t, factor * first * second)
 
 
 @kernel
@@ -265,19 +273,36 @@ def _add_elastic(frame, arrays, room, last):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def three(table, row):  # type: ignore[no-untyped-def]
+    """The first three entries of a row; to unpack the row itself takes longer than its use."""
+    return table[row, 0], table[row, 1], table[row, 2]
+
+
+@kernel
 def apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
-    """target = matrix source + bias, (rows, …); four rows at a time stay in registers."""
-    for t in range(TILES):
+    """target = matrix source + bias, (rows, …); four rows of two tiles stay in registers."""
+    for t in range(0, TILES, 2):
         for j in range(0, matrix.shape[0], 4):
             a, b = spread(bias[j]), spread(bias[j + 1])
             c, d = spread(bias[j + 2]), spread(bias[j + 3])
+            e, f, g, h = a, b, c, d
             for k in range(matrix.shape[1]):
-                row = load(source, k, t)
-                a += matrix[j, k] * row
-                b += matrix[j + 1, k] * row
-                c += matrix[j + 2, k] * row
-                d += matrix[j + 3, k] * row
+                one, two = load(source, k, t), load(source, k, t + 1)
+                first, second = spread(matrix[j, k]), spread(matrix[j + 1, k])
+                third, fourth = spread(matrix[j + 2, k]), spread(matrix[j + 3, k])
+                a += first * one
+                b += second * one
+                c += third * one
+                d += fourth * one
+                e += first * two
+                f += second * two
+                g += third * two
+                h += fourth * two
             store(a, target, j, t)
             store(b, target, j + 1, t)
             store(c, target, j + 2, t)
             store(d, target, j + 3, t)
+            store(e, target, j, t + 1)
+            store(f, target, j + 1, t + 1)
+            store(g, target, j + 2, t + 1)
+            store(h, target, j + 3, t + 1)

@@ -137,30 +137,42 @@ def _groups(component: int, monomials: dict[Product, float]) -> Iterator[_Group]
 def add_polynomial(x, polynomial, rows, y):  # type: ignore[no-untyped-def]
     """Add to the rows of y (components, TILES, TILE) at inputs x (8, TILES, TILE).
 
-    The last row of x are ones. rows: (`ROWS` + m, TILE) room for the products made.
+    The last row of x are ones. rows: (`ROWS` + m, 2, TILE) room for the products made, of two
+    tiles, as one alone has to wait for its own sums.
     """
     made, begins = polynomial.made, polynomial.begins
     tails, coefficients = polynomial.tails, polynomial.tail_coefficients
-    for t in range(TILES):
+    for t in range(0, TILES, 2):
         for k in range(ROWS):
-            store(load(x, k, t), rows, k)
+            store(load(x, k, t), rows, k, 0)
+            store(load(x, k, t + 1), rows, k, 1)
         for k in range(made.shape[0]):
-            store(load(rows, made[k, 0]) * load(rows, made[k, 1]), rows, ROWS + k)
+            i, j = made[k, 0], made[k, 1]
+            store(load(rows, i, 0) * load(rows, j, 0), rows, ROWS + k, 0)
+            store(load(rows, i, 1) * load(rows, j, 1), rows, ROWS + k, 1)
         for four in range(begins.shape[0] - 1):
             a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+            e, f, g, h = a, b, c, d
             for k in range(begins[four], begins[four + 1]):
-                tail = load(rows, tails[k])
-                a += coefficients[k, 0] * tail
-                b += coefficients[k, 1] * tail
-                c += coefficients[k, 2] * tail
-                d += coefficients[k, 3] * tail
-            _add_group(polynomial.heads, 4 * four, rows, a, y, t)
-            _add_group(polynomial.heads, 4 * four + 1, rows, b, y, t)
-            _add_group(polynomial.heads, 4 * four + 2, rows, c, y, t)
-            _add_group(polynomial.heads, 4 * four + 3, rows, d, y, t)
+                one, two = load(rows, tails[k], 0), load(rows, tails[k], 1)
+                first, second = spread(coefficients[k, 0]), spread(coefficients[k, 1])
+                third, fourth = spread(coefficients[k, 2]), spread(coefficients[k, 3])
+                a += first * one
+                b += second * one
+                c += third * one
+                d += fourth * one
+                e += first * two
+                f += second * two
+                g += third * two
+                h += fourth * two
+            _add_group(polynomial.heads, 4 * four, rows, a, e, y, t)
+            _add_group(polynomial.heads, 4 * four + 1, rows, b, f, y, t)
+            _add_group(polynomial.heads, 4 * four + 2, rows, c, g, y, t)
+            _add_group(polynomial.heads, 4 * four + 3, rows, d, h, y, t)
 
 
 @kernel
-def _add_group(heads, group, rows, inner, y, t):  # type: ignore[no-untyped-def]
-    head, component = heads[group]
-    store(load(y, component, t) + inner * load(rows, head), y, component, t)
+def _add_group(heads, group, rows, one, two, y, t):  # type: ignore[no-untyped-def]
+    head, component = heads[group, 0], heads[group, 1]
+    store(load(y, component, t) + one * load(rows, head, 0), y, component, t)
+    store(load(y, component, t + 1) + two * load(rows, head, 1), y, component, t + 1)

@@ -130,6 +130,16 @@ def test_many_points_on_all_cores_give_the_same():
     assert np.array_equal(whole, np.concatenate(parts))
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_the_bits_of_an_answer_do_not_depend_on_its_place(form):
+    arrays = make_arrays(make_network((12, 12), 3, form=form))
+    F, F_dot = turned_points(4 * BLOCK)
+    whole = evaluate(F, F_dot, arrays)[0]
+    for k in range(1, BLOCK + 1):
+        part = evaluate(F[k:].copy(), F_dot[k:].copy(), arrays)[0]
+        assert np.array_equal(part, whole[k:], equal_nan=True), k
+
+
 def test_no_points():
     stress, status = evaluate(
         np.empty((0, 2, 2)), np.empty((0, 2, 2)), make_arrays(make_network((4,), 1))

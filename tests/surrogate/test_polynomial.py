@@ -30,7 +30,7 @@ def test_polynomials_are_sums_of_their_monomials(degree, symmetric):
     for (product, component), value in zip(listed, values, strict=True):
         expected[component] += value * x[list(product)].prod(axis=0)
     polynomials = make_polynomial(listed, values)
-    add_polynomial(x, polynomials, np.empty((ROWS + len(polynomials.made), TILE)), y)
+    add_polynomial(x, polynomials, np.empty((ROWS + len(polynomials.made), 2, TILE)), y)
     assert np.abs(y - expected).max() < 1e-12 * np.abs(expected).max()
 
 
@@ -45,5 +45,5 @@ def test_common_factors_save_multiplications():
 def test_no_polynomials_add_nothing():
     polynomials = make_polynomial([], np.empty(0))
     x, y = np.ones((INPUTS + 1, TILES, TILE)), np.ones((4, TILES, TILE))
-    add_polynomial(x, polynomials, np.empty((ROWS, TILE)), y)
+    add_polynomial(x, polynomials, np.empty((ROWS, 2, TILE)), y)
     assert (y == 1.0).all()
