@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import StressTable, sampled_spread
+from surrofe2.cache.table import screen
 from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
@@ -94,6 +95,21 @@ def test_many_points_are_answered_as_few():
     parts = [table.lookup(F[k : k + 500], F_dot[k : k + 500]) for k in range(0, 3000, 500)]
     for k in range(3):
         np.testing.assert_array_equal(whole[k], np.concatenate([part[k] for part in parts]))
+
+
+def test_a_table_searched_whole_answers_as_by_its_tree(monkeypatch):
+    """To the bit, and whatever place among eight points a point has."""
+    table = taught(*states(300))
+    F, F_dot = sample(RANGE, 1500, 78)
+    F[700] = np.nan
+    whole = table.lookup(F, F_dot)
+    assert 0.3 < (whole[1] == 0).mean() < 1.0
+    moved = table.lookup(F[3:].copy(), F_dot[3:].copy())
+    monkeypatch.setattr(screen, "MOST_SCREENED", 0)
+    by_tree = taught(*states(300)).lookup(F, F_dot)
+    for k in range(3):
+        np.testing.assert_array_equal(whole[k], by_tree[k])
+        np.testing.assert_array_equal(whole[k][3:], moved[k])
 
 
 def test_lookup_is_pure_and_learning_leaves_older_records_alone():

@@ -1,9 +1,11 @@
-"""Stress from a table's linear models, point by point, in one compiled pass.
+"""Stress from a table's linear models, eight points at a time, in one compiled pass.
 
 All models answer whose ellipsoids hold the point or an image of it, each with a weight that is 0
 at the surface of its ellipsoid and infinite at its centre, so that the answer is continuous
 wherever there is one: a macro scale that chooses its steps by their error sees no jumps. With b
-the bound of a model and L the largest that is allowed, the weight is (L/b − 1)².
+the bound of a model and L the largest that is allowed, the weight is (L/b − 1)². Eight points at a
+time are asked of each record that may hold one of them; where it does not, its weight is 0, so an
+answer does not depend on what else is asked.
 """
 
 from __future__ import annotations
@@ -15,8 +17,10 @@ from numba import prange
 from numpy.typing import NDArray
 
 from surrofe2.cache.table.records import OUTPUTS
+from surrofe2.cache.table.screen import PRODUCTS, fill_bounds, fill_products
 from surrofe2.cache.table.search_tree import DEPTH, find_all
 from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.simd import TILE, any_less, load, root, spread, store, where_less
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.stress_law import Status
 from surrofe2.tensors import INPUTS
@@ -25,91 +29,166 @@ MANY = 1000  # points from which on more than one core pays
 
 _OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
-_AT_ONCE = 100  # points a core answers at once
-_MOST = 256  # models that answer for a point
+_AT_ONCE = 16 * TILE  # points a core answers at once
+_MOST = 256  # models that answer for an image of a point
 _NEAREST = 1e-9  # of the tolerance: a bound that is as good as none
+_SLACK = 1.0 + 1e-6  # for the rounding of screened bounds
+
+# rows of what eight points are worked out in: inputs and a 1, distances from a centre, components
+_ONE, _AWAY, _S = INPUTS, INPUTS + 1, 2 * INPUTS + 1
+_TOTAL, _RADIUS, _LEAST, _COS, _SIN = range(_S + OUTPUTS, _S + OUTPUTS + 5)
+_IMAGES, _PRODUCTS = _SIN + 1, _SIN + 1 + len(INPUT_SIGNS)
+_ROWS = _PRODUCTS + PRODUCTS
 
 
 def look_up(
-    F: Any, F_dot: Any, tolerance: float, own_tolerance: float, images: int, records: Any, tree: Any
+    F: Any,
+    F_dot: Any,
+    tolerances: tuple[float, float],
+    images: int,
+    records: Any,
+    tree: Any,
+    screen: Any,
 ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
-    """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them."""
+    """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them.
+
+    Args:
+        tolerances: that is asked for, and the table's own.
+        screen: of all records, see `make_screen`; without rows the tree is searched.
+    """
     count = len(F)
     answer = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
     compute = _all_parallel if count >= MANY else _some
-    compute(0, count, (F, F_dot), (tolerance, own_tolerance), images, records, tree, answer)
+    compute(0, count, (F, F_dot), tolerances, images, records, tree, screen, answer)
     return answer
 
 
 @parallel_kernel
-def _all_parallel(first, last, asked, tolerances, images, records, tree, answer):  # type: ignore[no-untyped-def]
+def _all_parallel(first, last, asked, tolerances, images, records, tree, screen, answer):  # type: ignore[no-untyped-def]
     for part in prange((last - first + _AT_ONCE - 1) // _AT_ONCE):
         begin = first + part * _AT_ONCE
         end = min(begin + _AT_ONCE, last)
-        _some(begin, end, asked, tolerances, images, records, tree, answer)
+        _some(begin, end, asked, tolerances, images, records, tree, screen, answer)
 
 
 @kernel
-def _some(first, last, asked, tolerances, images, records, tree, answer):  # type: ignore[no-untyped-def]
-    (F, F_dot), (tolerance, own), (stress, status, bound) = asked, tolerances, answer
-    x, image, s = np.empty(INPUTS), np.empty(INPUTS), np.empty(OUTPUTS)
-    found, bounds = np.empty(_MOST, dtype=np.int32), np.empty(_MOST)
-    stack = np.empty(DEPTH, dtype=np.int32)
+def _some(first, last, asked, tolerances, images, records, tree, screen, answer):  # type: ignore[no-untyped-def]
+    (F, F_dot), (tolerance, own) = asked, tolerances
+    room, x = np.zeros((_ROWS, TILE)), np.empty(INPUTS)
+    inputs, bounds, products = room[: _ONE + 1], room[_IMAGES:_PRODUCTS], room[_PRODUCTS:]
+    candidates = np.empty(TILE * images * _MOST, dtype=np.int32)
     limit = min(own, tolerance * abs(tolerance) / own)
-    for p in range(first, last):
-        stress[p] = np.nan
-        bound[p] = np.inf
-        status[p] = _OUT_OF_RANGE
-        cosine, sine = read_inputs(F[p], F_dot[p], x)
-        if not np.isfinite(cosine):
-            continue
-        least, total, radius = np.inf, 0.0, 0.0
-        s[:] = 0.0
+    store(1.0, room, _ONE)
+    for start in range(first, last, TILE):
+        for lane in range(TILE):
+            p = min(start + lane, last - 1)
+            room[_COS, lane], room[_SIN, lane] = _read_inputs(F, F_dot, p, x)
+            for i in range(INPUTS):
+                room[i, lane] = x[i]
+        for row in range(_S, _LEAST):
+            store(0.0, room, row)
+        store(np.inf, room, _LEAST)
+        if screen.shape[0]:
+            fill_products(inputs, products)
+            for k in range(screen.shape[0]):
+                fill_bounds(screen, k, products, bounds)
+                for flips in range(images):
+                    if any_less(load(bounds, flips), _SLACK * own):
+                        _ask(k, flips, limit, own, records, room)
+        else:
+            many = _find_candidates(room, images, own, records, tree, candidates)
+            for n in range(many):
+                for flips in range(images):
+                    _ask(candidates[n], flips, limit, own, records, room)
+        for lane in range(min(TILE, last - start)):
+            _write(room, lane, own, start + lane, answer)
+
+
+@kernel
+def _find_candidates(room, images, own, records, tree, candidates):  # type: ignore[no-untyped-def]
+    """How many records hold an image of any of eight points, in rising order in `candidates`."""
+    image, found = np.empty(INPUTS), np.empty(_MOST, dtype=np.int32)
+    bounds, stack = np.empty(_MOST), np.empty(DEPTH, dtype=np.int32)
+    many = 0
+    for lane in range(TILE):
         for flips in range(images):
             for i in range(INPUTS):
-                image[i] = x[i] * INPUT_SIGNS[flips, i]
+                image[i] = room[i, lane] * INPUT_SIGNS[flips, i]
             count = find_all(
                 image, own, records.centre, records.curvature, tree, stack, found, bounds
             )
             for n in range(count):
-                k, b = found[n], bounds[n]
-                least = min(least, b)
-                if b <= limit:
-                    weight = ((limit - b) / max(b, _NEAREST * own) + _NEAREST) ** 2
-                    total += weight
-                    radius += weight * np.sqrt(b * own)
-                    _add(weight, image, k, records, COMPONENT_SIGNS[flips], s)
-        if least == np.inf:
-            continue
-        if total == 0.0:
-            status[p] = _NOT_TRUSTED
-            bound[p] = np.sqrt(least * own)
-            continue
-        bound[p] = radius / total
-        for k in range(OUTPUTS):
-            s[k] /= total
-        write_stress(s, cosine, sine, stress[p])
-        finite = np.isfinite(stress[p, 0, 0] + stress[p, 0, 1] + stress[p, 1, 0] + stress[p, 1, 1])
-        status[p] = _OK if finite else _NOT_FINITE
+                many = _put_in(found[n], many, candidates)
+    return many
 
 
 @kernel
-def _add(weight, image, record, records, signs, s):  # type: ignore[no-untyped-def]
-    """Add a linear model's components, turned back by the signs of the image, to s."""
-    for k in range(OUTPUTS):
-        value = records.stress[record, k]
+def _put_in(k, many, candidates):  # type: ignore[no-untyped-def]
+    """Put k into its place among so many candidates, once; how many there are then."""
+    place = many
+    while place > 0 and candidates[place - 1] > k:
+        place -= 1
+    if place > 0 and candidates[place - 1] == k:
+        return many
+    for n in range(many, place, -1):
+        candidates[n] = candidates[n - 1]
+    candidates[place] = k
+    return many + 1
+
+
+@kernel
+def _ask(k, flips, limit, own, records, room):  # type: ignore[no-untyped-def]
+    """Add record k's model at an image of eight points, turned back, with its weight."""
+    for i in range(INPUTS):
+        away = load(room, i) * INPUT_SIGNS[flips, i] - records.centre[k, i]
+        store(away, room, _AWAY + i)
+    bound = spread(0.0)
+    for i in range(INPUTS):
+        row, away = spread(0.0), load(room, _AWAY + i)
+        for j in range(i):
+            row += records.curvature[k, i, j] * load(room, _AWAY + j)
+        bound += (row + row + records.curvature[k, i, i] * away) * away
+    bound = where_less(bound, 0.0, 0.0, bound)
+    least = load(room, _LEAST)
+    store(where_less(bound, least, bound, least), room, _LEAST)
+    nearest = _NEAREST * own
+    root_of_weight = (limit - bound) / where_less(bound, nearest, nearest, bound) + _NEAREST
+    weight = where_less(limit, bound, 0.0, root_of_weight * root_of_weight)
+    store(load(room, _TOTAL) + weight, room, _TOTAL)
+    store(load(room, _RADIUS) + weight * root(bound * own), room, _RADIUS)
+    for c in range(OUTPUTS):
+        value = spread(records.stress[k, c])
         for i in range(INPUTS):
-            value += records.slope[record, k, i] * (image[i] - records.centre[record, i])
-        s[k] += weight * signs[k] * value
+            value += records.slope[k, c, i] * load(room, _AWAY + i)
+        turned = weight * COMPONENT_SIGNS[flips, c]
+        store(load(room, _S + c) + turned * value, room, _S + c)
 
 
 @kernel
-def read_inputs(F, F_dot, x):  # type: ignore[no-untyped-def]
+def _write(room, lane, own, p, answer):  # type: ignore[no-untyped-def]
+    """Stress, status and bound of point p, which is in this lane."""
+    stress, status, bound = answer
+    least, total, cosine = room[_LEAST, lane], room[_TOTAL, lane], room[_COS, lane]
+    for i in range(4):
+        stress[p, i // 2, i % 2] = np.nan
+    if not (np.isfinite(cosine) and least <= own):
+        status[p], bound[p] = _OUT_OF_RANGE, np.inf
+    elif total == 0.0:
+        status[p], bound[p] = _NOT_TRUSTED, np.sqrt(least * own)
+    else:
+        bound[p] = room[_RADIUS, lane] / total
+        is_finite = _write_stress(room, lane, total, stress, p)
+        status[p] = _OK if is_finite else _NOT_FINITE
+
+
+@kernel
+def _read_inputs(F, F_dot, p, x):  # type: ignore[no-untyped-def]
     """Fill x (7,) and return cos and sin of R; NaN where F is no deformation or not finite."""
-    xx, xy, yx, yy = F[0, 0], F[0, 1], F[1, 0], F[1, 1]
-    vxx, vxy, vyx, vyy = F_dot[0, 0], F_dot[0, 1], F_dot[1, 0], F_dot[1, 1]
+    xx, xy, yx, yy = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
+    vxx, vxy, vyx, vyy = F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1]
     total = xx + xy + yx + yy + vxx + vxy + vyx + vyy
     if not (np.isfinite(total) and xx * yy - xy * yx > 0.0):
+        x[:] = np.nan  # in no ellipsoid
         return np.nan, np.nan
     along, across = xx + yy, yx - xy
     length = 1.0 / np.sqrt(along * along + across * across)
@@ -125,13 +204,16 @@ def read_inputs(F, F_dot, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def write_stress(s, c, sine, stress):  # type: ignore[no-untyped-def]
-    """σ = R S Rᵀ from the components of S."""
-    xx, yy = 0.5 * (s[0] + s[1]), 0.5 * (s[0] - s[1])
-    xy, yx = 0.5 * (s[2] - s[3]), 0.5 * (s[2] + s[3])
+def _write_stress(room, lane, total, stress, p):  # type: ignore[no-untyped-def]
+    """σ = R S Rᵀ from sums that are `total` times the components of S; whether it is finite."""
+    c, sine, half = room[_COS, lane], room[_SIN, lane], 0.5 / total
+    mean, difference = half * room[_S, lane], half * room[_S + 1, lane]
+    shear, spin = half * room[_S + 2, lane], half * room[_S + 3, lane]
+    xx, yy, xy, yx = mean + difference, mean - difference, shear - spin, shear + spin
     left_xx, left_xy = c * xx - sine * yx, c * xy - sine * yy
     left_yx, left_yy = sine * xx + c * yx, sine * xy + c * yy
-    stress[0, 0] = left_xx * c - left_xy * sine
-    stress[0, 1] = left_xx * sine + left_xy * c
-    stress[1, 0] = left_yx * c - left_yy * sine
-    stress[1, 1] = left_yx * sine + left_yy * c
+    stress[p, 0, 0] = left_xx * c - left_xy * sine
+    stress[p, 0, 1] = left_xx * sine + left_xy * c
+    stress[p, 1, 0] = left_yx * c - left_yy * sine
+    stress[p, 1, 1] = left_yx * sine + left_yy * c
+    return np.isfinite(stress[p, 0, 0] + stress[p, 0, 1] + stress[p, 1, 0] + stress[p, 1, 1])

@@ -19,6 +19,7 @@ from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.table.ellipsoids import update_ellipsoids
 from surrofe2.cache.table.lookup import MANY, look_up
 from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
+from surrofe2.cache.table.screen import make_screen
 from surrofe2.cache.table.search_tree import Tree, insert, make_tree
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.sampling import SamplingRange, half_widths, sample
@@ -84,6 +85,7 @@ class StressTable:
         self.most_records = most_records
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = half_widths(range)
+        self._screen: Array | None = None
         self.restore(records if records is not None else no_records())
 
     @property
@@ -104,9 +106,10 @@ class StressTable:
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        return look_up(
-            F, F_dot, float(tolerance), self.tolerance, self.images, self._records, self._tree
-        )
+        if self._screen is None:
+            self._screen = make_screen(self._records, self.size)
+        tolerances = float(tolerance), self.tolerance
+        return look_up(F, F_dot, tolerances, self.images, self._records, self._tree, self._screen)
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
@@ -129,6 +132,7 @@ class StressTable:
             F, F_dot, stress: (m, 2, 2) true answers, be they a fallback's or an audit's.
             state: the law's warm start at these points (`PointStates`), or None.
         """
+        self._screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
         covered, counts = update_ellipsoids(x, s, self.images, self._records, self._tree)
@@ -159,7 +163,7 @@ class StressTable:
 
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
-        self.size = len(records.centre)
+        self.size, self._screen = len(records.centre), None
         self._make_room(records, self.size)
         self._tree = make_tree(records.centre, records.extent, self.tolerance, 2 * self.size)
 
