@@ -62,8 +62,7 @@ def modes(
         for method, numbers in of_state.items():
             if not numbers["stable"]:
                 print_warning(f"{state}, {method}: a motion grows; the tissue is not stable there")
-    if out is not None:
-        done(out, f"modes by {', '.join(methods)}")
+    done(out, f"by {', '.join(methods)}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,10 @@ from surrofe2.cli.console import (
     Fresh,
     JsonFile,
     done,
+    on_interrupt,
     print_line,
     show_table,
+    stages,
 )
 from surrofe2.io.files import is_there, write_json
 from surrofe2.report.study import NamedCell
@@ -58,20 +60,32 @@ def moduli(
     if out is not None and not fresh and is_there(out, asked):
         print_line(f"{out}: there already")
         return
-    pressure = turgor_of(of.cell)
+    chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
+    with on_interrupt("nothing was changed"), stages() as stage:
+        found = {}
+        with stage("moduli", len(chosen), "initialisations") as report:
+            pressure = turgor_of(of.cell)
+            for name in chosen:
+                found[name] = cell_moduli(of.cell, name)
+                report(len(found), "")
+        method = "slow-manifold" if initialisation == "all" else initialisation
+        over = {}
+        for name, change in CHANGES.items() if tables else ():
+            values = change[1](of.cell)
+            with stage(f"over {name}", len(values), "plant cells") as report:
+                over[name] = changed_cells(
+                    of.cell, method, change, values, lambda k, tell=report: tell(k, "")
+                )
     print_line(
         f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
         f"fluid), {pressure.walls:.4g} MPa (carried by the walls)"
     )
-    chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
-    shown = moduli_tables(of.cell, {name: cell_moduli(of.cell, name) for name in chosen})
+    shown = moduli_tables(of.cell, found)
     for title, table in shown.items():
         show_table(title, table)
-    for name, change in CHANGES.items() if tables else ():
-        method = "slow-manifold" if initialisation == "all" else initialisation
+    for name, table in over.items():
         title = f"Over {name}, {method}: MPa, MPa µs"
-        table = changed_cells(of.cell, method, change)
         show_table(title, table)
         for row in table.rows:
             if row.trouble:
@@ -82,4 +96,4 @@ def moduli(
         turgors["turgor_walls_MPa"] = pressure.walls
         records = {title: table.to_records() for title, table in shown.items()}
         write_json(out, {**asked, "fingerprint": of.cell.fingerprint, **turgors, "tables": records})
-        done(out, f"moduli of {of}")
+    done(out, f"elastic and viscous, of {of}")

@@ -126,16 +126,17 @@ def print_line(sentence: str) -> None:
         typer.echo(sentence)
 
 
-def done(where: str | Path, what: str, *, timed: bool = True, **result: Any) -> None:
+def done(where: str | Path | None, what: str, *, timed: bool = True, **result: Any) -> None:
     """The line that sums up: where the outcome is, what it is and how long the command took.
 
     Args:
+        where: None of a command that wrote no file; its name stands there.
         timed: whether to say how long; not where `what` does.
         result: numbers for `--json`.
     """
-    now().result |= {"output": str(where), **result}
+    now().result |= {"output": None if where is None else str(where), **result}
     seconds = time.perf_counter() - now().began
-    print_line(f"{where}: {what}{f', {time_text(seconds)}' if timed else ''}")
+    print_line(f"{where or now().command}: {what}{f', {time_text(seconds)}' if timed else ''}")
 
 
 def show_table(title: str, table: Table[Any], names: int = 1) -> None:

@@ -33,9 +33,10 @@ def zoom(
     use_threads(threads)
     x, y = _position(point)
     folder = run / f"zoom-{x:g}-{y:g}" if out is None else out
-    with console.on_interrupt(f"{folder} may lack files"):
+    with console.working("zoom", 1.0, "parts", f"{folder} may lack files") as report:
+        report(0.0, "plant cells")
         found = zoom_into(run, (x, y))
-        write_zoom(found, folder)
+        write_zoom(found, folder, report)
     last = {name: values[-1] for name, values in found.seen.extremes().items()}
     console.done(
         folder,

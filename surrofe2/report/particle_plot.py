@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -48,9 +48,18 @@ def write_particle_picture(
 
 
 def write_particle_animation(
-    path: Path, title: str, seen: Particles, t: Array, clock: str = CLOCK
+    path: Path,
+    title: str,
+    seen: Particles,
+    t: Array,
+    clock: str = CLOCK,
+    progress: Callable[[int, int], object] | None = None,
 ) -> None:
-    """Draw the RVE at up to `ANIMATED` times of t (n,), as `clock` tells, as an animated GIF."""
+    """Draw the RVE at up to `ANIMATED` times of t (n,), as `clock` tells, as an animated GIF.
+
+    Args:
+        progress: called with the number of the picture and how many there are.
+    """
     shown = np.unique(np.linspace(0, len(t) - 1, min(ANIMATED, len(t))).round().astype(int))
     figure = _new_figure(5.6, 4.6)
     place = figure.subplots()
@@ -69,7 +78,8 @@ def write_particle_animation(
     with TemporaryDirectory() as folder:
         # Pillow takes the format from the name's ending.
         drawn_file = Path(folder) / "animation.gif"
-        animation.save(drawn_file, writer=PillowWriter(fps=_FRAMES_PER_SECOND), dpi=80)
+        writer = PillowWriter(fps=_FRAMES_PER_SECOND)
+        animation.save(drawn_file, writer=writer, dpi=80, progress_callback=progress)
         write_bytes(path, drawn_file.read_bytes())
 
 

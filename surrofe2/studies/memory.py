@@ -7,6 +7,7 @@ meet at t = 0 with the same F and Ḟ and go on alike; the difference of their s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,13 +108,26 @@ class Memory:
         return f"sound: a cache on (F, Ḟ) holds {found}, against motions of {period}"
 
 
-def memory(cell: CellParameters, settings: MemorySettings | None = None) -> Memory:
-    """Integrate both pasts, one and a half periods before they meet, and watch them after."""
+def memory(
+    cell: CellParameters,
+    settings: MemorySettings | None = None,
+    *,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Memory:
+    """Integrate both pasts, one and a half periods before they meet, and watch them after.
+
+    Args:
+        progress: called with the share that is done.
+    """
     s = settings or MemorySettings()
     law, t, steady = RveLaw(cell), np.linspace(0.0, s.after, 201), steady_shear(s.rate)
     times = np.concatenate([[-1.5 * s.period], t])
     pasts = steady, returning(steady, s.stretch, s.shear, s.period)
-    return Memory(s, t, *(integrate_rve(law, past, times, s.micro_step)[1:] for past in pasts))
+    stresses = []
+    for past in pasts:
+        stresses.append(integrate_rve(law, past, times, s.micro_step)[1:])
+        progress(len(stresses) / len(pasts))
+    return Memory(s, t, *stresses)
 
 
 def fading_time(t: Array, difference: Array, part: float) -> float | None:

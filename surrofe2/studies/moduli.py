@@ -257,8 +257,13 @@ def changed_cells(
     initialisation: str,
     change: Change,
     values: Sequence[float] | None = None,
+    progress: Callable[[float], None] = lambda done: None,
 ) -> Table[ChangedCell]:
-    """Moduli over a parameter in MPa and MPa µs; those of some are in files alone."""
+    """Moduli over a parameter in MPa and MPa µs; those of some are in files alone.
+
+    Args:
+        progress: called with the number of values that are done.
+    """
     t = cell.tissue_thickness
     heading, usual, make = change
 
@@ -283,4 +288,8 @@ def changed_cells(
         *_moduli_of(lambda row: row.moduli and row.moduli.viscous / t, ("shear",), "viscous "),
         Quantity("trouble", "", None, lambda row: row.trouble or None),
     )
-    return Table(quantities, [changed(value) for value in values or usual(cell)])
+    rows = []
+    for value in values or usual(cell):
+        rows.append(changed(value))
+        progress(len(rows))
+    return Table(quantities, rows)

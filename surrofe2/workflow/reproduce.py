@@ -84,7 +84,9 @@ def reproduce_figure(
         wanted = memory.MemorySettings(period=bars.duration)
 
         def remember() -> Study:
-            return memory.describe(memory.memory(of.cell, wanted))
+            with stage(figure, 1.0, "parts") as report:
+                found = memory.memory(of.cell, wanted, progress=lambda done: report(done, ""))
+            return memory.describe(found)
 
         return keep_study(out, figure, of, asdict(wanted), remember, fresh=fresh)
     if figure == PROBLEMS:

@@ -21,6 +21,7 @@ from surrofe2.rve.particles import Particles
 from surrofe2.stress_law import describe
 from surrofe2.workflow.cell_fields import cell_numbers, recipes_of
 from surrofe2.workflow.laws import true_law
+from surrofe2.workflow.run_lifecycle import Report, untold
 
 Array = NDArray[np.float64]
 
@@ -85,8 +86,12 @@ def _law_at(record: RunRecord, motion: ElementMotion, element: int) -> tuple[str
     return name, true_law(recipe)
 
 
-def write_zoom(found: Zoom, out: str | Path) -> None:
-    """Write zoom.png, zoom.gif, zoom.csv, zoom.xyz for OVITO and fields.xdmf for ParaView."""
+def write_zoom(found: Zoom, out: str | Path, report: Report = untold) -> None:
+    """Write zoom.png, zoom.gif, zoom.csv, zoom.xyz for OVITO and fields.xdmf for ParaView.
+
+    Args:
+        report: called with the share that is done and what is made.
+    """
     out = Path(out)
     clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
     x, y = found.centre
@@ -94,8 +99,17 @@ def write_zoom(found: Zoom, out: str | Path) -> None:
     title = f"RVE of {of}element {found.element} about ({x:.4g}, {y:.4g}) µm"
     columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
     with locked_folder(out):
+        report(0.1, "picture")
         write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
-        write_particle_animation(out / "zoom.gif", title, found.seen, found.t, clock)
+        write_particle_animation(
+            out / "zoom.gif",
+            title,
+            found.seen,
+            found.t,
+            clock,
+            lambda k, n: report(0.2 + 0.7 * k / n, "animation"),
+        )
+        report(0.9, "tables and fields")
         write_columns(out / "zoom.csv", list(columns), list(columns.values()))
         write_extended_xyz(out / "zoom.xyz", found.seen, found.t)
         write_rve_fields(out, found.seen, found.t)

@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from surrofe2.cli import app
+from surrofe2.cli import app, progress
 from surrofe2.io.files import read_json, write_json
 from surrofe2.io.lock import file_lock, locked_file
 from tests.io.test_locks import leave_lock
@@ -60,12 +60,15 @@ def test_reproduce_fig8_without_the_tissue_says_so(tmp_path):
     assert "--meshes: 'four'; it must be integers" in refused.stderr
 
 
-def test_moduli(tmp_path):
+def test_moduli(tmp_path, monkeypatch):
+    monkeypatch.setattr(progress, "SELDOM", 0.0)
     path = tmp_path / "moduli.json"
     done = invoke("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
     assert done.exit_code == 0, done.output
     assert "turgor 2.5 MPa" in done.stdout
     assert "Viscous moduli, MPa µs" in done.stdout
+    assert "moduli: 50 %" in done.stderr
+    assert done.stdout.splitlines()[-1].startswith(f"{path}: elastic and viscous, of ")
     record = json.loads(path.read_text(encoding="utf-8"))
     assert record["turgor_mean_MPa"] == pytest.approx(2.5)
     rows = record["tables"]["Elastic moduli, MPa"]

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from surrofe2.cli import app
+from surrofe2.cli import app, progress
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.fields import read_element_motion
 from surrofe2.io.lock import locked_folder
@@ -149,11 +149,16 @@ def test_no_stress_no_extremes():
     assert np.isnan(found[1, 0])
 
 
-def test_zoom_into_a_rest(study, tmp_path):
+def test_zoom_into_a_rest(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(progress, "SELDOM", 0.0)
     done = call("rest", study[0], "--load-steps", 2, "--out", tmp_path / "rest")
     assert done.exit_code == 0, done.output
     done = call("zoom", tmp_path / "rest", "--point", "10,10", "--out", tmp_path / "look")
     assert done.exit_code == 0, done.output
+    told = [line.split(" %")[0] for line in done.stderr.splitlines()]
+    assert told[0] == "zoom: 0"
+    assert "zoom: 43" in told  # the second of three pictures
+    assert told[-1] == "zoom: 90"
     table = np.genfromtxt(tmp_path / "look" / "zoom.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["factor"], [0.0, 0.5, 1.0])
 
