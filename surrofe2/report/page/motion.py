@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.io.fields import SOURCE_NAME
 from surrofe2.io.stored_fields import StoredFields
+from surrofe2.report.page.bodies import MARGIN, DrawnBody, bodies_of
 from surrofe2.report.page.colours import (
     LEVELS,
     NO_COLOUR,
@@ -47,11 +49,7 @@ def motion_section(seen: Seen) -> tuple[str, list[dict[str, Any]]]:
     data = [_arrays(each, _BUDGET // len(shown)) for each in shown]
     if data:
         parts.insert(0, _PLAYER)
-    stills = [
-        _still(each.name, each.fields, arrays["factor"])
-        for each, arrays in zip(shown, data, strict=True)
-        if each.fields is not None
-    ]
+    stills = [_still(each, arrays["factor"]) for each, arrays in zip(shown, data, strict=True)]
     parts.append(f'<div class="still">{grid(stills)}</div>')
     return section("motion", "The tissue in motion", parts), data
 
@@ -68,7 +66,8 @@ _PLAYER = (
     '<input type="range" id="frame" min="0" value="0" aria-label="Time">'
     '<output id="clock" for="frame"></output></div>'
     '<p class="keys" id="keys">Keys on the picture: space plays and pauses, ← and → step, Home and '
-    "End go to the first and last time.</p></div>"
+    "End go to the first and last time. Rigid bodies are grey; their motion has the same factor."
+    "</p></div>"
 )
 
 
@@ -100,9 +99,8 @@ def _arrays(run: SeenRun, budget: int) -> dict[str, Any]:
     u = fields.displacement[at]
     largest = float(abs(u).max()) or 1.0
     order = _OUTLINE.get(fields.cells.shape[1], list(range(fields.cells.shape[1])))
-    factor = _factor(fields)
-    reached = fields.points + factor * u
-    (x0, y0), (x1, y1) = reached.min(axis=(0, 1)), reached.max(axis=(0, 1))
+    factor, bodies = _factor(fields), bodies_of(run)
+    (x0, y0), (x1, y1) = _box(fields.points + factor * u, bodies)
     return {
         "name": run.name,
         "clock": "load factor" if "rest" in run.record.recipe else "µs",
@@ -115,6 +113,10 @@ def _arrays(run: SeenRun, budget: int) -> dict[str, Any]:
         "box": [float(value) for value in (x0, y0, x1, y1)],
         "factor": factor,
         "factors": list(_FACTORS),
+        "bodies": [
+            {"outline": each.outline.round(3).tolist(), "moved": each.moved[at].round(3).tolist()}
+            for each in bodies
+        ],
         "levels": LEVELS,
         "unknown": UNKNOWN,
         "colours": [_colour(name, unit, values[at]) for name, (unit, values) in colours.items()],
@@ -147,8 +149,18 @@ def _base64(values: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
 
 
-def _still(name: str, fields: StoredFields, factor: int) -> str:
+def _box(reached: Array, bodies: Sequence[DrawnBody]) -> tuple[Array, Array]:
+    """Corners of what a picture shows: points (…, 2), with room for bodies."""
+    points = reached.reshape(-1, 2)
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = MARGIN * float((high - low).max()) if bodies else 0.0
+    return low - room, high + room
+
+
+def _still(run: SeenRun, factor: int) -> str:
     """The tissue where it has moved farthest, by stress, for paper and without the script."""
+    name, fields = run.name, run.fields
+    assert fields is not None
     if len(fields.cells) > _STILL:
         return missing(
             f"{name}: {len(fields.cells):,} cells of the mesh; a still picture is left out."
@@ -157,7 +169,7 @@ def _still(name: str, fields: StoredFields, factor: int) -> str:
     colours = _colours(fields)
     what = "von Mises stress" if "von Mises stress" in colours else "displacement"
     unit, values = colours[what]
-    drawn = mesh_picture(fields, values[k], k, factor)
+    drawn = mesh_picture(fields, values[k], k, factor, bodies=bodies_of(run))
     low, high = np.nanmin(values[k]), np.nanmax(values[k])
     caption = (
         f"{name} where it has moved farthest, t = {fields.t[k]:.4g}, displacement × {factor}; "
@@ -172,19 +184,29 @@ def mesh_picture(
     k: int,
     factor: float = 1.0,
     ends: tuple[float, float] | None = None,
+    bodies: Sequence[DrawnBody] = (),
 ) -> str:
     """Cells at time k coloured by values (e,) from the lowest to the highest, or between ends."""
     at = fields.points + factor * fields.displacement[k]
-    low, high = at.min(axis=0), at.max(axis=0)
+    low, high = _box(at, bodies)
     scale = (_WIDTH - 8) / float((high - low).max() or 1.0)
-    place = np.rint(10.0 * (4.0 + scale * (at - low))).astype(int)
     height = 8.0 + scale * float(high[1] - low[1])
-    place[:, 1] = round(10.0 * height) - place[:, 1]
+
+    def on_page(points: Array) -> NDArray[np.int64]:
+        """In tenths of a pixel, y downward."""
+        found = np.rint(10.0 * (4.0 + scale * (points - low))).astype(int)
+        found[:, 1] = round(10.0 * height) - found[:, 1]
+        return found
+
+    place = on_page(at)
     first, last = ends or (float(np.nanmin(values)), float(np.nanmax(values)))
     band = np.floor(_BANDS * (values - first) / ((last - first) or 1.0)).clip(0, _BANDS - 1)
     corners = fields.cells.shape[1]
     order = _OUTLINE.get(corners, list(range(corners)))
     paths = []
+    for body in bodies:
+        words = "L".join(f"{x / 10:g} {y / 10:g}" for x, y in on_page(body.at(k, factor)).tolist())
+        paths.append(f'<path class="body" d="M{words}z"/>')
     for each in np.unique(band[np.isfinite(band)]):
         outlines = place[fields.cells[band == each][:, order]]
         closed = "z" if corners > 2 else ""

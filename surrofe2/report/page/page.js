@@ -83,6 +83,17 @@
       y[n] = bottom - scale * (run.points[2 * n + 1] + unit * run.motion[at + 1] - y0);
     }
     context.clearRect(0, 0, canvas.width, canvas.height);
+    context.lineWidth = 1.5;
+    context.fillStyle = "rgba(128,128,128,.3)";
+    context.strokeStyle = "#808080";
+    for (const body of run.bodies) {
+      const [dx, dy] = body.moved[k];
+      context.beginPath();
+      for (const [px, py] of body.outline) context.lineTo(left + scale * (px + factor * dx - x0), bottom - scale * (py + factor * dy - y0));
+      context.closePath();
+      context.fill();
+      context.stroke();
+    }
     const corners = run.corners, cells = run.cells.length / corners;
     context.lineWidth = corners > 2 ? (cells > 2000 ? 0 : 1) : 1.5;
     for (let e = 0; e < cells; e++) {

@@ -18,9 +18,13 @@ from surrofe2.io.files import plain
 from surrofe2.io.run_folder import read_record, write_record
 from surrofe2.recipe import load_recipe, make_recipe
 from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.page.bodies import bodies_of, outline
+from surrofe2.report.page.motion import motion_section
 from surrofe2.report.page.origin import recipe_text
+from surrofe2.report.page.seen import Seen
 from surrofe2.report.page.svg import chart
 from surrofe2.report.page.trust import domain_outlines
+from surrofe2.rigid_bodies import Circle, Corner, Plane
 from surrofe2.surrogate.domain import Domain
 from surrofe2.workflow.report import see_runs, write_report
 from tests.report.page.made_runs import BOUND, EVIL, made_runs
@@ -122,6 +126,39 @@ def test_the_script_is_given_the_motion_and_the_sources(page, runs):
     codes = np.frombuffer(base64.b64decode(source["data"]), np.uint8)
     np.testing.assert_array_equal(codes, fields[1].values["stress_source"].ravel())
     assert {*source["sources"]} == {"0", "3"}
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Plane(normal=(0.6, -0.8)),
+        Circle(radius=3.0),
+        Corner(axis=(1.0, -2.0), angle=70.0, radius=2.0),
+    ],
+    ids=lambda shape: type(shape).__name__,
+)
+def test_outlines_of_bodies_are_where_their_gap_is_zero(shape):
+    line = outline(shape, 50.0)
+    shown = line[:2] if isinstance(shape, Plane) else line
+    np.testing.assert_allclose(shape.gap(shown)[0], 0.0, atol=1e-9)
+    middles = 0.5 * (line + np.roll(line, -1, axis=0))
+    assert (shape.gap(middles)[0] < 1e-9).all(), "the line is around the body"
+
+
+def test_bodies_move_as_the_history_says(runs):
+    """In the picture for paper and for the script; a body without a history stays."""
+    (seen, _) = see_runs(runs).runs
+    t = seen.run.curve.t
+    stated = {"circle": {"radius": 20.0}, "on": "top", "position": [50.0, 130.0], "mass": 1.0}
+    record = replace(seen.record, recipe={**seen.record.recipe, "bodies": {"ball": stated}})
+    history = {"position ball x": 50.0 + 0.0 * t, "position ball y": 130.0 - t}
+    for told, fall in ((history, seen.fields.t), ({}, 0.0 * seen.fields.t)):
+        run = replace(seen, run=replace(seen.run, record=record, history=told))
+        (body,) = bodies_of(run)
+        np.testing.assert_allclose(body.moved, np.stack([0.0 * fall, -fall], axis=1), atol=1e-9)
+        drawn, (data,) = motion_section(Seen((run,), None, ""))
+        assert drawn.count('class="body"') == 1
+        np.testing.assert_allclose(data["bodies"][0]["moved"], body.moved, atol=1e-3)
 
 
 def test_a_bare_run_is_shown_with_sentences_for_what_it_lacks(runs, tmp_path):
