@@ -92,7 +92,8 @@ def _table(kind: type) -> str:
     ]
     if not rows:
         return ""
-    return "\n".join(["| key | allowed | default | unit | |", "|---|---|---|---|---|", *rows])
+    head = "| key | allowed | default | unit | meaning |", "|---|---|---|---|---|"
+    return "\n".join([*head, *rows])
 
 
 def _items(kind: type) -> Iterator[Field[Any]]:

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 # What commands say, for `console.…` in each of them.
-from surrofe2.cli.output import done, now, print_line, print_warning, show_table  # noqa: F401
+from surrofe2.cli.output import (  # noqa: F401
+    done,
+    now,
+    print_line,
+    print_warning,
+    show_table,
+    took,
+)
 from surrofe2.cli.progress import Report, progress, stages  # noqa: F401
 from surrofe2.errors import InputError, quoted
 

@@ -135,8 +135,12 @@ def done(where: str | Path | None, what: str, *, timed: bool = True, **result: A
         result: numbers for `--json`.
     """
     now().result |= {"output": None if where is None else str(where), **result}
-    seconds = time.perf_counter() - now().began
-    print_line(f"{where or now().command}: {what}{f', {time_text(seconds)}' if timed else ''}")
+    print_line(f"{where or now().command}: {what}{f', {took()}' if timed else ''}")
+
+
+def took() -> str:
+    """How long the command has taken."""
+    return time_text(time.perf_counter() - now().began)
 
 
 def show_table(title: str, table: Table[Any], names: int = 1) -> None:

@@ -39,5 +39,6 @@ def range(
         console.print_line(range_section(wanted, cell))
         console.print_line(
             f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
-            f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
+            f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %, "
+            f"{console.took()}"
         )
