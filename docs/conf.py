@@ -75,7 +75,11 @@ copyright = "the surrofe2 authors, BSD-3-Clause"
 # MathJax from its package, so that the site needs no network.
 mathjax_path = "mathjax/tex-chtml.js"
 mathjax3_config = {"chtml": {"displayAlign": "center"}, "tex": {"tags": "none"}}
-_MATHJAX = ("static/mathjax/tex-chtml.js", "static/mathjax/output/chtml/fonts/woff-v2/")
+_MATHJAX = (
+    "static/mathjax/tex-chtml.js",
+    "static/mathjax/output/chtml/fonts/woff-v2/",
+    "static/mathjax/input/tex/extensions/boldsymbol.js",
+)
 
 _FRONT = """<!doctype html><meta charset="utf-8"><title>surrofe2</title>
 <meta http-equiv="refresh" content="0; url=docs/index.html"><a href="docs/index.html">surrofe2</a>

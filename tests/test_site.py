@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import surrofe2
+from tests.report.browser import PROGRAM, Browser
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -46,11 +47,19 @@ def test_it_builds_without_a_warning(tmp_path):
     text = (DOCS / "theory.md").read_text(encoding="utf-8")
     for number in {"1", "57b", "66", *re.findall(r"\((A\d+)\)", text)}:  # as the paper has them
         assert f'id="equation-{number.lower()}"' in theory
-    assert 'href="#equation-a6"' in theory
+    assert 'href="#equation-a7"' in theory
     assert (tmp_path / "site/_static/mathjax/tex-chtml.js").stat().st_size > 1e6
     for page in (tmp_path / "site/docs").rglob("*.html"):
         loaded = re.findall(r'(?:src|href)="(https?://[^"]+\.(?:js|css))"', page.read_text("utf-8"))
         assert not loaded, page  # it works offline
+    if PROGRAM:
+        with Browser(tmp_path / "profile") as browser:
+            browser.show(tmp_path / "site/docs/theory.html", 360)
+            count = "document.querySelectorAll('mjx-container').length"
+            drawn = browser.value(f"MathJax.startup.promise.then(() => {count})")
+            assert drawn >= text.count("```math")
+            assert browser.value("document.documentElement.scrollWidth") <= 360
+            assert not [each for each in browser.complaints if "theme" not in each]
 
 
 def test_every_public_name_is_on_one_page_of_the_reference():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -12,6 +13,7 @@ from surrofe2.cli.console import (
     CellName,
     Fresh,
     JsonFile,
+    Report,
     done,
     on_interrupt,
     print_line,
@@ -73,9 +75,7 @@ def moduli(
         for name, change in CHANGES.items() if tables else ():
             values = change[1](of.cell)
             with stage(f"over {name}", len(values), "plant cells") as report:
-                over[name] = changed_cells(
-                    of.cell, method, change, values, lambda k, tell=report: tell(k, "")
-                )
+                over[name] = changed_cells(of.cell, method, change, values, _counted(report))
     print_line(
         f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
@@ -97,3 +97,8 @@ def moduli(
         records = {title: table.to_records() for title, table in shown.items()}
         write_json(out, {**asked, "fingerprint": of.cell.fingerprint, **turgors, "tables": records})
     done(out, f"elastic and viscous, of {of}")
+
+
+def _counted(report: Report) -> Callable[[float], None]:
+    """A report of numbers alone."""
+    return lambda done: report(done, "")
