@@ -49,13 +49,6 @@ def test_json_of_a_failure_and_of_an_interruption(invoke, recipe_path, tmp_path)
     assert "go on with: surrofe2 --json run" in said["error"]
 
 
-def test_a_command_without_a_file_ends_with_its_name(invoke, recipe_path):
-    done = invoke("modes", recipe_path, "--initialisation", "elastic", "--count", 1)
-    assert done.stdout.splitlines()[-1].startswith("modes: by elastic, ")
-    said = json.loads(invoke("moduli", "--initialisation", "elastic", "--json").stdout)
-    assert said["result"]["output"] is None
-
-
 def test_quiet_says_nothing_but_errors(invoke, recipe_path, tmp_path):
     command = ("run", recipe_path, "--law", "rve", "--quiet", "--out", tmp_path / "a")
     done = invoke(*command)

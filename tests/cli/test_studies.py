@@ -76,6 +76,8 @@ def test_moduli(tmp_path, monkeypatch):
         "cauchy-born", "elastic", "constrained-runs", "slow-manifold"
     ]  # fmt: skip
     assert rows[0]["bulk"] > rows[1]["bulk"] > 0.0
+    alone = invoke("moduli", "--preset", "water", "--initialisation", "elastic")
+    assert alone.stdout.splitlines()[-1].startswith("moduli: elastic and viscous, of "), "no file"
 
 
 @pytest.mark.slow
