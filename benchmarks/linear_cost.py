@@ -13,7 +13,8 @@ from benchmarks.row import Row
 from benchmarks.setting import Array, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.problem import bar
 from surrofe2.macro.system import System, make_system
 from surrofe2.report.figures import Curve, Panel, write_figure

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.protocols import Fallback, Surrogate
+from surrofe2.cache.protocols import ElementSurrogate, Fallback, Surrogate
+from surrofe2.element_kernels import ElementArrays, add_forces_of_points, deformation_of_points
 from surrofe2.errors import InputError
-from surrofe2.stress_law import Status, StressResponse, Tangents
+from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -239,6 +241,60 @@ def answer_both(
         added(warm.effort, cold.effort),
         joined_tangents(warm.tangents, cold.tangents),
     )
+
+
+def accept_known(
+    law: Fallback,
+    F: Array,
+    F_dot: Array,
+    response: StressResponse,
+    timed: AbstractContextManager[None],
+) -> tuple[CachedState, Acceptance]:
+    """The state after the fallback has accepted its points, and what it said, for all points."""
+    state: CachedState = response.state
+    points = state.on_fallback.points
+    if not len(points):
+        return state, Acceptance(response.status)
+    answer = StressResponse(
+        response.stress[points], response.status[points], state.on_fallback.state
+    )
+    with timed:
+        accepted = law.accept(F[points], F_dot[points], answer)
+    status = response.status.copy()
+    status[points] = accepted.status
+    said = Acceptance(status)
+    if accepted.stress is not None and accepted.left_bifurcation is not None:
+        stress, left = response.stress.copy(), np.zeros(len(status), dtype=np.bool_)
+        stress[points], left[points] = accepted.stress, accepted.left_bifurcation
+        said = Acceptance(status, None, stress, left)
+    return replace(state, on_fallback=replace(state.on_fallback, state=accepted.state)), said
+
+
+def forces_of_both(
+    surrogate: Surrogate,
+    law: Fallback,
+    space: ElementArrays,
+    motion: tuple[Array, Array],
+    state: CachedState,
+    timed: AbstractContextManager[None],
+) -> tuple[Array, Mapping[str, int]] | None:
+    """Forces (n_el, k, 2) by the surrogate, and at its points by the fallback, with its effort.
+
+    None where the surrogate does not go from motion to forces, or one of them has no stress.
+    """
+    if not isinstance(surrogate, ElementSurrogate) or state.tolerance < 0.0:
+        return None
+    known = state.on_fallback
+    forces = surrogate.motion_to_forces(space, motion, state.tolerance, known.points)
+    if forces is None or not len(known):
+        return None if forces is None else (forces, {})
+    F, F_dot = deformation_of_points(known.points, space, *motion)
+    with timed:
+        answer = law.respond(F, F_dot, known.state)
+    if answer.status.any():
+        return None
+    add_forces_of_points(known.points, space, F, answer.stress, forces)
+    return forces, answer.effort
 
 
 def joined_tangents(first: Tangents | None, second: Tangents | None) -> Tangents | None:

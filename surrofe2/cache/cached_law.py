@@ -16,10 +16,12 @@ from surrofe2.cache.branches import (
     CachedState,
     Indices,
     PointSet,
+    accept_known,
     added,
     answer_both,
     check_state,
     choose_branches,
+    forces_of_both,
     is_ready,
     look_up,
     part_of,
@@ -29,10 +31,12 @@ from surrofe2.cache.branches import (
 from surrofe2.cache.monitor import NO_EFFORT, Monitor, effort_of
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
+from surrofe2.element_kernels import ElementArrays
 from surrofe2.stress_law import (
     SURROGATE,
     TABLE,
     Acceptance,
+    ElementForces,
     Sources,
     Status,
     StressResponse,
@@ -231,6 +235,21 @@ class CachedLaw(Viewed):
         source[known.points], bound[known.points] = known.why, 0.0
         return Sources(source, bound)
 
+    def element_forces(
+        self, space: ElementArrays, u: Array, v: Array, state: CachedState
+    ) -> ElementForces | None:
+        """As of `ElementLaw`; only where each point is answered as at the start of the step."""
+        meter = self._monitor.meter
+        with meter.part("total"):
+            found = forces_of_both(
+                self.surrogate, self.fallback, space, (u, v), state, meter.part("fallback")
+            )
+        if found is None:
+            return None
+        meter.answered(state.count, 0.0)
+        forces, effort = found
+        return ElementForces(forces, added(effort_of(state.count, state.on_fallback.why), effort))
+
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
         answered by which part in the next step."""
@@ -241,7 +260,9 @@ class CachedLaw(Viewed):
     ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
         """As of `LearningLaw`: the fallback's check, and the rest."""
         with self._monitor.meter.part("total"):
-            state, accepted = self._accept_fallback(F, F_dot, response, response.state)
+            state, accepted = accept_known(
+                self.fallback, F, F_dot, response, self._monitor.meter.part("fallback")
+            )
         if accepted.status.any():
             return accepted.status, lambda: Acceptance(accepted.status, state)
         return accepted.status, partial(self._learn, F, F_dot, response, state, accepted)
@@ -282,27 +303,6 @@ class CachedLaw(Viewed):
             stress[new], status[new] = answer.stress, answer.status
             known = state.on_fallback.and_also(new, switched[new], answer.state)
             return Acceptance(status, replace(state, on_fallback=known), stress)
-
-    def _accept_fallback(
-        self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
-    ) -> tuple[CachedState, Acceptance]:
-        """The state after the fallback has accepted, and what it said, for all points."""
-        points = state.on_fallback.points
-        if not len(points):
-            return state, Acceptance(response.status)
-        answer = StressResponse(
-            response.stress[points], response.status[points], state.on_fallback.state
-        )
-        with self._monitor.meter.part("fallback"):
-            accepted = self.fallback.accept(F[points], F_dot[points], answer)
-        status = response.status.copy()
-        status[points] = accepted.status
-        said = Acceptance(status)
-        if accepted.stress is not None and accepted.left_bifurcation is not None:
-            stress, left = response.stress.copy(), np.zeros(len(status), dtype=np.bool_)
-            stress[points], left[points] = accepted.stress, accepted.left_bifurcation
-            said = Acceptance(status, None, stress, left)
-        return replace(state, on_fallback=replace(state.on_fallback, state=accepted.state)), said
 
     def _choose_branches(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import InputError
 from surrofe2.macro.mesh import Mesh
 
@@ -50,6 +51,11 @@ class Discretisation:
     gradients: Array
     weights: Array
     shape: Array
+
+    @property
+    def arrays(self) -> ElementArrays:
+        """What kernels read."""
+        return ElementArrays(self.elements, self.gradients, self.weights)
 
     @property
     def points_per_element(self) -> int:

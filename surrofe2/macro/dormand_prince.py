@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.macro.equations_of_motion import Evaluation, NoStress, Switched
+from surrofe2.macro.evaluation import Evaluation, NoStress, Stage, Switched
 from surrofe2.macro.time_stepping import NO_MEMORY, StepControl, StepResult
 
 Array = NDArray[np.float64]
@@ -64,12 +64,15 @@ class DormandPrince:
         mass: (m, m) of the free unknowns, ng, where a step must also keep energy to a tenth of
             the relative tolerance. A stiff contact needs that: it is damped where stability
             limits the step, which the error of y does not see.
+        stage: the same for stages within a step, of which no more is wanted than the rate; None:
+            `rhs`.
     """
 
     rhs: Callable[[float, Array], Evaluation | NoStress | Switched]
     absolute_tolerance: float
     relative_tolerance: float
     mass: Any = None
+    stage: Callable[[float, Array], Stage | NoStress | Switched] | None = None
 
     control = StepControl(order=5, gain=0.4, largest_growth=10.0, splits_rest=False)
 
@@ -81,16 +84,22 @@ class DormandPrince:
         Its work is what the method itself would find were the work two more components of y
         without a say in the error.
         """
-        h, now = t - start.t, start
+        h = t - start.t
         rates, powers = np.empty((STAGES, start.y.size)), np.empty((STAGES, start.powers.size))
         rates[0], powers[0], residuals = start.rate, start.powers, [start.residual]
-        for stage in range(1, STAGES):
-            y = start.y + h * (WEIGHTS[stage] @ rates[:stage])
-            trial = self.rhs(start.t + TIMES[stage] * h if stage < STAGES - 2 else t, y)
-            if not isinstance(trial, Evaluation):
+        for number in range(1, STAGES - 1):
+            y = start.y + h * (WEIGHTS[number] @ rates[:number])
+            at = start.t + TIMES[number] * h if number < STAGES - 2 else t
+            trial = (self.stage or self.rhs)(at, y)
+            if not isinstance(trial, Stage):
                 return trial
-            now, rates[stage], powers[stage] = trial, trial.rate, trial.powers
+            rates[number], powers[number] = trial.rate, trial.powers
             residuals.append(trial.residual)
+        now = self.rhs(t, start.y + h * (WEIGHTS[-1] @ rates[:-1]))
+        if not isinstance(now, Evaluation):
+            return now
+        rates[-1], powers[-1] = now.rate, now.powers
+        residuals.append(now.residual)
         allowed = self._allowed(np.maximum(abs(start.y), abs(now.y)))
         error = _root_mean_square(h * (ERROR @ rates) / allowed)
         if self.mass is not None:

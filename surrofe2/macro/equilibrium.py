@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.macro.contact import Contact, Grip
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.frames import Frames

@@ -24,7 +24,8 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where a step is implicit
 from numpy.typing import NDArray
 
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.forces import Matrix
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix

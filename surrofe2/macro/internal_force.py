@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
+from surrofe2.element_kernels import add_force, set_deformation
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.tensors import cofactor, det
 
@@ -22,7 +23,7 @@ def deformation_gradient(
     discretisation: Discretisation, u: Array, v: Array
 ) -> tuple[Array, Array, Array]:
     """F, Ḟ (n_points, 2, 2) and det F (n_points,) from u, v (n, 2), n at least the nodes."""
-    F, F_dot, J = deformation(discretisation.elements, discretisation.gradients, u, v)
+    F, F_dot, J = deformation(discretisation.arrays, u, v)
     return F, F_dot, J
 
 
@@ -43,9 +44,7 @@ def internal_force(
     """
     space = discretisation
     rows = len(space.nodes) if n is None else n
-    force: Array = nodal_forces(
-        space.elements, space.gradients, space.weights, F, stress, np.zeros((rows, 2))
-    )
+    force: Array = nodal_forces(space.arrays, F, stress, np.zeros((rows, 2)))
     return force
 
 
@@ -89,84 +88,47 @@ def stress_power(discretisation: Discretisation, F: Array, F_dot: Array, stress:
 
 
 @kernel
-def deformation(elements: Any, gradients: Any, u: Any, v: Any) -> Any:
-    """F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F at all points.
+def deformation(space: Any, u: Any, v: Any) -> Any:
+    """F, Ḟ and J = det F at all points, see `set_deformation`.
 
     Args:
-        elements: (n_el, k) rows of each element's nodes in u and v.
-        gradients: (n_el, n_q, k, 2) reference gradients.
+        space: `ElementArrays`.
         u, v: (n, 2).
 
     Returns:
         F, F_dot: (n_q n_el, 2, 2); J: (n_q n_el,).
     """
-    n_elements, n_q, k = gradients.shape[0], gradients.shape[1], gradients.shape[2]
-    n_points = n_q * n_elements
+    n_points = space.weights.size
     F = np.empty((n_points, 2, 2))
     F_dot = np.empty((n_points, 2, 2))
     J = np.empty(n_points)
-    nodal = np.zeros((k, 4))
-    for e in range(n_elements):
-        for a in range(k):
-            row = elements[e, a]
-            for i in range(2):
-                nodal[a, i] = u[row, i]
-                nodal[a, 2 + i] = v[row, i]
-        for q in range(n_q):
-            p = n_q * e + q
-            xx, xy, yx, yy, vxx, vxy, vyx, vyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for a in range(k):
-                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
-                xx += nodal[a, 0] * gx
-                xy += nodal[a, 0] * gy
-                yx += nodal[a, 1] * gx
-                yy += nodal[a, 1] * gy
-                vxx += nodal[a, 2] * gx
-                vxy += nodal[a, 2] * gy
-                vyx += nodal[a, 3] * gx
-                vyy += nodal[a, 3] * gy
-            xx, yy = xx + 1.0, yy + 1.0
-            F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = xx, xy, yx, yy
-            F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1] = vxx, vxy, vyx, vyy
-            J[p] = xx * yy - xy * yx
+    set_deformation(0, space, u, v, F, F_dot)
+    for p in range(n_points):
+        J[p] = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]
     return F, F_dot, J
 
 
 @kernel
-def nodal_forces(
-    elements: Any, gradients: Any, weights: Any, F: Any, stress: Any, force: Any
-) -> Any:
-    """f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a, see `internal_force`.
-
-    Of triangles Σ_Gauss J w σ F⁻ᵀ∇N_a. J F⁻ᵀ is the cofactor of F, so nothing is divided. Elements
-    add up in their order.
+def nodal_forces(space: Any, F: Any, stress: Any, total: Any) -> Any:
+    """The forces of all elements, see `set_forces`; elements add up in their order.
 
     Args:
-        elements, gradients: as for `deformation`.
-        weights: (n_el, n_q) reference areas.
+        space: `ElementArrays`.
         F, stress: (n_q n_el, 2, 2).
-        force: (n, 2) µN, to which it is added.
+        total: (n, 2) µN, to which they are added.
 
     Returns:
-        force.
+        total.
     """
-    n_q, k = gradients.shape[1], gradients.shape[2]
-    for e in range(elements.shape[0]):
+    n_q, k = space.gradients.shape[1], space.gradients.shape[2]
+    force = np.empty((k, 2))
+    for e in range(space.elements.shape[0]):
+        force[:] = 0.0
         for q in range(n_q):
             p = n_q * e + q
-            pressure = 0.5 * (stress[p, 0, 0] + stress[p, 1, 1]) if k == 4 else 0.0
-            if q < n_q - 1 or k != 4:
-                s00, s11 = stress[p, 0, 0] - pressure, stress[p, 1, 1] - pressure
-                s01, s10 = stress[p, 0, 1], stress[p, 1, 0]
-            else:
-                s00, s11, s01, s10 = pressure, pressure, 0.0, 0.0
-            w = weights[e, q]
-            c00, c01, c10, c11 = F[p, 1, 1], -F[p, 1, 0], -F[p, 0, 1], F[p, 0, 0]
-            p00, p01 = w * (s00 * c00 + s01 * c10), w * (s00 * c01 + s01 * c11)
-            p10, p11 = w * (s10 * c00 + s11 * c10), w * (s10 * c01 + s11 * c11)
-            for a in range(k):
-                row = elements[e, a]
-                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
-                force[row, 0] += p00 * gx + p01 * gy
-                force[row, 1] += p10 * gx + p11 * gy
-    return force
+            add_force(e, q, space, F[p], stress[p], force)
+        for a in range(k):
+            row = space.elements[e, a]
+            total[row, 0] += force[a, 0]
+            total[row, 1] += force[a, 1]
+    return total

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.system import System
 
 Array = NDArray[np.float64]

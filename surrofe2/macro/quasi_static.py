@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, NoStress, Switched, Tally
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Tally
 from surrofe2.macro.equilibrium import Newton, Rest
+from surrofe2.macro.evaluation import NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.macro.posed import as_problem, system_of
 from surrofe2.macro.problem import Problem

@@ -10,7 +10,7 @@ import scipy  # scipy.sparse is loaded where tangents are added up
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.macro.equations_of_motion import Evaluation
+from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.forces import Matrix
 from surrofe2.macro.system import System
 from surrofe2.stress_law import StressResponse

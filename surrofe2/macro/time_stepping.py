@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import SimulationError
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
 
 Array = NDArray[np.float64]

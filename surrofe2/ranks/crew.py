@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import SimulationError, Surrofe2Error
 from surrofe2.interruption import exit_code, held
 from surrofe2.ranks.desk import Desk, Told
@@ -71,7 +72,7 @@ class Crew:
         if self in _at_work:
             _at_work.remove(self)
             with held():
-                self.desk.comm.bcast((Stop(code), []))
+                self.desk.order(Stop(code))
 
     def reset_counts(self) -> None:
         """Count from here on."""
@@ -87,8 +88,8 @@ class Crew:
         """Nobody refers to that state any more."""
         self._dropped.append(number)
 
-    def adopt(self, law: StressLaw) -> int:
-        """The number of a law that all ranks have from now on."""
+    def adopt(self, law: StressLaw | ElementArrays) -> int:
+        """The number of a law, or of elements, that all ranks have from now on."""
         number = self.new_number()
         self.do(Adopt(number, law))
         return number
@@ -103,8 +104,7 @@ class Crew:
         with held():
             dropped, self._dropped = self._dropped, []
             began = perf_counter()
-            self.desk.comm.bcast((task, dropped))
-            self._forget(dropped)
+            self.desk.order(task, dropped)
             found = task.run(self.desk, given)
             self._elapsed = perf_counter() - began
         self.tasks += 1
@@ -131,15 +131,11 @@ class Crew:
             **self.seconds,
         }
 
-    def _forget(self, dropped: list[int]) -> None:
-        for number in dropped:
-            self.desk.states.pop(number, None)
-
 
 class Adopt:
-    """A law that all ranks are to have."""
+    """A law, or elements, that all ranks are to have."""
 
-    def __init__(self, number: int, law: StressLaw) -> None:
+    def __init__(self, number: int, law: StressLaw | ElementArrays) -> None:
         self.number, self.law = number, law
 
     def run(self, desk: Desk, given: tuple[Any, ...] | None) -> None:
@@ -174,9 +170,7 @@ def serve(comm: Any) -> int:
     desk = Desk(comm)
     with held():  # rank 0 says when it is over
         while True:
-            task, dropped = comm.bcast(None)
-            for number in dropped:
-                desk.states.pop(number, None)
+            task = desk.order()
             if isinstance(task, Stop):
                 return task.code
             task.run(desk, None)

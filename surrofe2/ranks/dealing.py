@@ -45,3 +45,29 @@ def is_uneven(seconds: Array) -> bool:
     """Whether the slowest rank takes so much longer than the mean that dealing anew pays."""
     mean = float(seconds.mean())
     return mean > 0.0 and float(seconds.max()) > UNEVEN * mean
+
+
+_CALLS = 64
+"""Calls after which blocks may be dealt anew."""
+
+
+class Blocks:
+    """Who has what of a number of points or elements, by how long the ranks took lately.
+
+    Attributes:
+        cuts: (ranks + 1,), as of `deal`.
+    """
+
+    def __init__(self, count: int, ranks: int) -> None:
+        self.cuts = deal(count, ranks)
+        self._seconds, self._calls = np.zeros(ranks), 0
+
+    def took(self, seconds: Array) -> None:
+        """That ranks took so long (ranks,) for one call."""
+        self._seconds += seconds
+        self._calls += 1
+        if self._calls == _CALLS:
+            ranks = len(self._seconds)
+            if is_uneven(self._seconds) and tiles_for(int(self.cuts[-1])) > 4 * ranks:
+                self.cuts = redeal(self.cuts, self._seconds)
+            self._seconds, self._calls = np.zeros(ranks), 0

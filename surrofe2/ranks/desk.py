@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.ranks.dealing import Index
-from surrofe2.stress_law import StressLaw
 
 Array = NDArray[np.float64]
 Sparse = tuple[NDArray[np.intp], NDArray[Any]]
@@ -26,6 +25,7 @@ class Told:
         seconds: that it took to compute.
         error: the sentence of what went wrong; then nothing else holds.
         has_state: whether there is a state of its points.
+        has_none: whether it has no forces to give.
         status: numbers and codes of points without stress.
         left: numbers of the points that its state has beyond a bifurcation.
         newly_left, stress: numbers of points that left their branch, and stresses that changed.
@@ -35,6 +35,7 @@ class Told:
     seconds: float = 0.0
     error: str | None = None
     has_state: bool = False
+    has_none: bool = False
     status: Sparse | None = None
     left: NDArray[np.intp] | None = None
     newly_left: NDArray[np.intp] | None = None
@@ -42,46 +43,84 @@ class Told:
     effort: dict[str, int] = field(default_factory=dict)
     reasons: dict[int, str] = field(default_factory=dict)
 
+    @property
+    def has_more(self) -> bool:
+        """Whether it says more than how long it took."""
+        told = (self.error, self.status, self.left, self.newly_left, self.stress)
+        is_said = any(each is not None for each in told)
+        return is_said or self.has_state or self.has_none or bool(self.effort) or bool(self.reasons)
+
 
 class Desk:
     """One rank's.
 
     Attributes:
         comm: mpi4py's communicator.
-        laws, states: by the numbers that rank 0 gave them; a state is that of own points.
+        laws, states: by the numbers that rank 0 gave them; elements stand among laws, and a state
+            is that of own points.
     """
 
     def __init__(self, comm: Any) -> None:
         self.comm = comm
         self.rank, self.ranks = int(comm.rank), int(comm.size)
-        self.laws: dict[int, StressLaw] = {}
+        self.laws: dict[int, Any] = {}
         self.states: dict[int, Any] = {}
+        self._last: Any = None
+        self._on_the_way: list[Any] = []
+
+    def order(self, task: Any = None, dropped: Sequence[int] = ()) -> Any:
+        """The task that rank 0 orders, on all ranks, and without the states that are dropped.
+
+        The very task of the last time is not sent again.
+        """
+        is_new = np.array([task is not self._last or len(dropped) > 0])
+        self.comm.Bcast(is_new)
+        if is_new[0]:
+            sent = self.comm.bcast((task, dropped))
+            self._last, dropped = sent if self.rank else (task, dropped)
+            for number in dropped:
+                self.states.pop(number, None)
+        return self._last
 
     def own(self, cuts: Index) -> slice:
         """The points of this rank."""
         return slice(int(cuts[self.rank]), int(cuts[self.rank + 1]))
 
+    def shared(self, shape: tuple[int, ...], whole: Array | None) -> Array:
+        """An array that rank 0 has."""
+        values = np.empty(shape) if whole is None else np.ascontiguousarray(whole)
+        self.comm.Bcast(values)
+        return values
+
     def scattered(self, cuts: Index, whole: Array | None) -> Array:
-        """The rows of this rank of an array (n, 2, 2) that rank 0 has."""
-        own, sizes = self.own(cuts), (4 * np.diff(cuts), 4 * cuts[:-1])
-        if whole is not None:
-            self.comm.Scatterv([whole, sizes, "d"], None)
-            return whole[own]
-        part = np.empty((own.stop - own.start, 2, 2))
-        self.comm.Scatterv(None, [part, "d"])
-        return part
+        """The rows of this rank of an array (n, 2, 2) that rank 0 has.
+
+        Rank 0 goes on while they are on the way, until it tells.
+        """
+        own = self.own(cuts)
+        if whole is None:
+            part = np.empty((own.stop - own.start, 2, 2))
+            if part.size:
+                self.comm.Recv(part, 0)
+            return part
+        for rank in self._others(cuts):
+            part = whole[int(cuts[rank]) : int(cuts[rank + 1])]
+            self._on_the_way.append(self.comm.Isend(np.ascontiguousarray(part), rank))
+        return whole[own]
 
     def gathered(self, cuts: Index, part: Array | None, row: tuple[int, ...]) -> Array | None:
         """On rank 0 the rows of all ranks, (n, *row); NaN where a rank has none to give."""
-        own, size = self.own(cuts), int(np.prod(row, dtype=np.int64))
+        own = self.own(cuts)
         if part is None:
             part = np.full((own.stop - own.start, *row), np.nan)
         if self.rank:
-            self.comm.Gatherv([np.ascontiguousarray(part), "d"], None)
+            if part.size:
+                self.comm.Send(np.ascontiguousarray(part), 0)
             return None
         whole = np.empty((int(cuts[-1]), *row))
         whole[own] = part
-        self.comm.Gatherv(None, [whole, (size * np.diff(cuts), size * cuts[:-1]), "d"])
+        for rank in self._others(cuts):
+            self.comm.Recv(whole[int(cuts[rank]) : int(cuts[rank + 1])], rank)
         return whole
 
     def worked(self, told: Told, work: Callable[[], Any]) -> Any:
@@ -96,9 +135,27 @@ class Desk:
             told.seconds = perf_counter() - began
 
     def tell(self, told: Told) -> list[Told] | None:
-        """On rank 0 what all ranks tell."""
-        everything: list[Told] | None = self.comm.gather(told)
-        return everything
+        """On rank 0 what all ranks tell; most tell but how long they took."""
+        said = np.array([told.seconds, float(told.has_more)])
+        if self.rank:
+            self.comm.Gather(said, None)
+            if told.has_more:
+                self.comm.send(told, 0)
+            return None
+        for each in self._on_the_way:
+            each.Wait()
+        self._on_the_way.clear()
+        of_all = np.empty((self.ranks, 2))
+        self.comm.Gather(said, of_all)
+        others = enumerate(of_all[1:].tolist(), start=1)
+        return [
+            told,
+            *(self.comm.recv(source=k) if more else Told(seconds) for k, (seconds, more) in others),
+        ]
+
+    def _others(self, cuts: Index) -> list[int]:
+        """Ranks but 0 that have points."""
+        return [rank for rank in range(1, self.ranks) if cuts[rank + 1] > cuts[rank]]
 
 
 def sparse(values: NDArray[Any], first: int) -> Sparse | None:

@@ -79,9 +79,9 @@ class DistributedLaw(CrewLaw[RveLaw]):
         effort: Counter[str] = Counter()
         for each in told:
             effort.update(each.effort)
-        assert answer.stress is not None
+        assert answer.values is not None
         return StressResponse(
-            answer.stress,
+            answer.values,
             dense(len(F), [each.status for each in told], np.int8),
             after,
             dict(effort),

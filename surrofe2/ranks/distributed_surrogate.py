@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.plant_cell.tiles import tiles_for
+from surrofe2.element_kernels import ElementArrays
 from surrofe2.ranks.crew import Crew
 from surrofe2.ranks.crew_law import CrewLaw
-from surrofe2.ranks.dealing import Index, deal, is_uneven, redeal
+from surrofe2.ranks.dealing import Blocks, Index
 from surrofe2.ranks.desk import dense
-from surrofe2.ranks.tasks import Answered, LookUp, Slopes
+from surrofe2.ranks.tasks import Answered, Forces, LookUp, Slopes
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import (
     Acceptance,
@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 
 LEAST = 32
 """Points a rank from which on it pays to send them."""
-_CALLS = 64
-"""Lookups after which points may be dealt anew."""
 _BYTES = {"lookup": 104, "test": 72, "tangents": 320}
 """A point that came and went."""
 
@@ -45,8 +43,9 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
 
     def __init__(self, law: SurrogateLaw, crew: Crew) -> None:
         super().__init__(law, crew)
-        self._cuts: dict[int, Index] = {}
-        self._seconds, self._calls = np.zeros(crew.ranks), 0
+        self._blocks: dict[tuple[str, int], Blocks] = {}
+        self._forces: Forces | None = None
+        self._space: tuple[ElementArrays, int] | None = None
 
     @property
     def range(self) -> SamplingRange:
@@ -67,32 +66,75 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
         """As of `SurrogateLaw`."""
-        cuts = self._dealt(len(F))
-        if cuts is None:
+        blocks = self._dealt("points", len(F))
+        if blocks is None:
             return self.law.lookup(F, F_dot, tolerance)
-        answer = self._ask(LookUp(self._number, cuts, tolerance, True), F, F_dot, "lookup")
-        assert answer.stress is not None
+        answer = self._ask(LookUp(self._number, blocks.cuts, tolerance, True), F, F_dot, "lookup")
+        assert answer.values is not None
         assert answer.bound is not None
         status = dense(len(F), [each.status for each in answer.told], np.int8)
-        return answer.stress, status, answer.bound
+        return answer.values, status, answer.bound
+
+    def motion_to_forces(
+        self,
+        space: ElementArrays,
+        motion: tuple[Array, Array],
+        tolerance: float,
+        held: NDArray[np.intp],
+    ) -> Array | None:
+        """As of `SurrogateLaw`, dealt by elements: displacements go out, forces come back."""
+        count, rows = len(space.elements), len(motion[0])
+        blocks = self._dealt("elements", count)
+        if blocks is None:
+            return self.law.motion_to_forces(space, motion, tolerance, held)
+        task = self._task_of(space, blocks.cuts, tolerance, held, rows)
+        answer: Answered = self.crew.do(task, *motion)
+        away = count - int(blocks.cuts[1])
+        sent = 32 * rows * (self.crew.ranks - 1) + 16 * space.elements.shape[1] * away
+        self._took("elements", count, self.crew.count(answer.told, sent))
+        return None if any(each.has_none for each in answer.told) else answer.values
+
+    def _task_of(
+        self,
+        space: ElementArrays,
+        cuts: Index,
+        tolerance: float,
+        held: NDArray[np.intp],
+        rows: int,
+    ) -> Forces:
+        """The last one where it says the same: ranks are not told it twice."""
+        if self._space is None or self._space[0].gradients is not space.gradients:
+            self._space = space, self.crew.adopt(space)
+        same = self._forces
+        if (
+            same is None
+            or same.space != self._space[1]
+            or same.cuts is not cuts
+            or same.tolerance != tolerance
+            or same.held is not held
+            or same.rows != rows
+        ):
+            same = Forces(self._number, self._space[1], cuts, tolerance, held, rows)
+            self._forces = same
+        return same
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
         """As of `SurrogateLaw`."""
-        cuts = self._dealt(len(F))
-        if cuts is None:
+        blocks = self._dealt("points", len(F))
+        if blocks is None:
             return self.law.status_and_bound(F, F_dot, tolerance)
-        answer = self._ask(LookUp(self._number, cuts, tolerance, False), F, F_dot, "test")
+        answer = self._ask(LookUp(self._number, blocks.cuts, tolerance, False), F, F_dot, "test")
         assert answer.bound is not None
         return dense(len(F), [each.status for each in answer.told], np.int8), answer.bound
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """As of `SurrogateLaw`."""
-        cuts = self._dealt(len(F))
-        if cuts is None:
+        blocks = self._dealt("points", len(F))
+        if blocks is None:
             return self.law.tangents(F, F_dot)
-        slopes = self._ask(Slopes(self._number, cuts), F, F_dot, "tangents").tangents
+        slopes = self._ask(Slopes(self._number, blocks.cuts), F, F_dot, "tangents").tangents
         assert slopes is not None
         return slopes
 
@@ -132,23 +174,23 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         """Nowhere."""
         return np.zeros(len(F), dtype=np.bool_)
 
-    def _dealt(self, points: int) -> Index | None:
-        """Whose points are whose; None where rank 0 had better answer alone."""
-        if points < LEAST * self.crew.ranks:
+    def _dealt(self, what: str, count: int) -> Blocks | None:
+        """Who has what of so many points or elements; None where rank 0 had better have all."""
+        if count < LEAST * self.crew.ranks:
             return None
-        if points not in self._cuts:
-            if len(self._cuts) > 100:
-                self._cuts.clear()
-            self._cuts[points] = deal(points, self.crew.ranks)
-        return self._cuts[points]
+        if (what, count) not in self._blocks:
+            if len(self._blocks) > 100:
+                self._blocks.clear()
+            self._blocks[what, count] = Blocks(count, self.crew.ranks)
+        return self._blocks[what, count]
 
     def _ask(self, task: LookUp | Slopes, F: Array, F_dot: Array, what: str) -> Answered:
         answer: Answered = self.crew.do(task, np.ascontiguousarray(F), np.ascontiguousarray(F_dot))
         away = len(F) - int(task.cuts[1])
-        self._seconds += self.crew.count(answer.told, _BYTES[what] * away)
-        self._calls += 1
-        if self._calls == _CALLS:
-            if is_uneven(self._seconds) and tiles_for(len(F)) > 4 * self.crew.ranks:
-                self._cuts[len(F)] = redeal(task.cuts, self._seconds)
-            self._seconds, self._calls = np.zeros(self.crew.ranks), 0
+        self._took("points", len(F), self.crew.count(answer.told, _BYTES[what] * away))
         return answer
+
+    def _took(self, what: str, count: int, seconds: Array) -> None:
+        blocks = self._dealt(what, count)
+        if blocks is not None:
+            blocks.took(seconds)

@@ -40,7 +40,7 @@ _PART = 16 * BLOCK  # points that a core takes at a time
 _OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
 
 
-class _Answer(NamedTuple):
+class Answer(NamedTuple):
     """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and bound (n,), µN/µm."""
 
     stress: Array
@@ -48,7 +48,8 @@ class _Answer(NamedTuple):
     bound: Array
 
     @classmethod
-    def empty(cls, count: int) -> _Answer:
+    def empty(cls, count: int) -> Answer:
+        """Room for so many points."""
         return cls(np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count))
 
 
@@ -59,7 +60,7 @@ def lookup(
 
     F, F_dot: (n, 2, 2) contiguous float64. tolerance: of the bound, µN/µm.
     """
-    answer = _Answer.empty(len(F))
+    answer = Answer.empty(len(F))
     compute = _lookup_parallel if len(F) >= MANY else _lookup_serial
     compute(F, F_dot, network, bounds, float(tolerance), answer)
     return answer.stress, answer.status, answer.bound
@@ -89,20 +90,21 @@ def evaluate_slopes(
 
 @kernel
 def _lookup_serial(F, F_dot, network, bounds, tolerance, answer):  # type: ignore[no-untyped-def]
-    _lookup_part(0, F.shape[0], F, F_dot, network, bounds, tolerance, answer)
+    lookup_part(0, F.shape[0], F, F_dot, network, bounds, tolerance, answer)
 
 
 @parallel_kernel
 def _lookup_parallel(F, F_dot, network, bounds, tolerance, answer):  # type: ignore[no-untyped-def]
     for part in prange((F.shape[0] + _PART - 1) // _PART):
         end = min((part + 1) * _PART, F.shape[0])
-        _lookup_part(part * _PART, end, F, F_dot, network, bounds, tolerance, answer)
+        lookup_part(part * _PART, end, F, F_dot, network, bounds, tolerance, answer)
 
 
 @kernel
-def _lookup_part(  # type: ignore[no-untyped-def]
+def lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, tolerance, answer
 ):
+    """Set the answer at points `begin` to `end`."""
     frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((BOUND_ROWS, TILES, TILE))
     room = make_room(network, network, np.int64(0))  # one signature for all numbers of inputs
     for start in range(begin, end, BLOCK):

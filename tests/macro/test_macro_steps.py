@@ -9,7 +9,7 @@ from scipy.integrate import RK45
 from surrofe2.errors import SimulationError
 from surrofe2.macro import simulate
 from surrofe2.macro.dormand_prince import WEIGHTS, DormandPrince
-from surrofe2.macro.equations_of_motion import Evaluation
+from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import NO_MEMORY, Stepper
 from surrofe2.stress_law import Status
@@ -193,7 +193,7 @@ class Oscillator:
         rate = np.array([y[1], -y[0]])
         powers = np.array([3.0 * y[0] ** 2 * y[1], -y[0] * y[1]])
         nothing = np.empty((0, 2, 2))
-        return Evaluation(t, t, y, *[nothing] * 8, powers, rate)
+        return Evaluation(t, t, y, *[nothing] * 5, powers, rate, *[nothing] * 3)
 
 
 def exact(t):
