@@ -24,7 +24,7 @@ class DrawnBody:
     """A body at the times of the fields.
 
     Attributes:
-        outline: (n, 2) at the first time, a plane's and a corner's cut off far from the tissue, µm.
+        outline: (n, 2) where it began, a plane's and a corner's cut off far from the tissue, µm.
         moved: (m, 2) how far it is from there, µm.
     """
 
@@ -45,11 +45,11 @@ def bodies_of(run: SeenRun) -> list[DrawnBody]:
     found = []
     for name, stated in run.record.recipe.get("bodies", {}).items():
         body = body_of(name, stated)
-        place = np.tile(np.array(body.position), (len(fields.t), 1))
-        if f"position {name} x" in history:
+        moved = np.zeros((len(fields.t), 2))
+        if f"position {name} x" in history:  # counted from where the body began
             told = [history[f"position {name} {axis}"] for axis in "xy"]
-            place = np.stack([np.interp(fields.t, run.run.curve.t, each) for each in told], axis=1)
-        found.append(DrawnBody(place[0] + outline(body.shape, far), place - place[0]))
+            moved = np.stack([np.interp(fields.t, run.run.curve.t, each) for each in told], axis=1)
+        found.append(DrawnBody(np.array(body.position) + outline(body.shape, far), moved))
     return found
 
 

@@ -13,6 +13,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from surrofe2 import Fixed, Mesh, Problem, Ramp, RigidBody, save_run, simulate
 from surrofe2.errors import InputError
 from surrofe2.io.files import plain
 from surrofe2.io.run_folder import read_record, write_record
@@ -27,6 +28,7 @@ from surrofe2.report.page.trust import domain_outlines
 from surrofe2.rigid_bodies import Circle, Corner, Plane
 from surrofe2.surrogate.domain import Domain
 from surrofe2.workflow.report import see_runs, write_report
+from tests.laws import KelvinVoigt
 from tests.report.page.made_runs import BOUND, EVIL, made_runs
 from tests.source_contract import ROOT
 
@@ -145,20 +147,33 @@ def test_outlines_of_bodies_are_where_their_gap_is_zero(shape):
     assert (shape.gap(middles)[0] < 1e-9).all(), "the line is around the body"
 
 
-def test_bodies_move_as_the_history_says(runs):
-    """In the picture for paper and for the script; a body without a history stays."""
-    (seen, _) = see_runs(runs).runs
-    t = seen.run.curve.t
-    stated = {"circle": {"radius": 20.0}, "on": "top", "position": [50.0, 130.0], "mass": 1.0}
-    record = replace(seen.record, recipe={**seen.record.recipe, "bodies": {"ball": stated}})
-    history = {"position ball x": 50.0 + 0.0 * t, "position ball y": 130.0 - t}
-    for told, fall in ((history, seen.fields.t), ({}, 0.0 * seen.fields.t)):
-        run = replace(seen, run=replace(seen.run, record=record, history=told))
-        (body,) = bodies_of(run)
-        np.testing.assert_allclose(body.moved, np.stack([0.0 * fall, -fall], axis=1), atol=1e-9)
-        drawn, (data,) = motion_section(Seen((run,), None, ""))
-        assert drawn.count('class="body"') == 1
-        np.testing.assert_allclose(data["bodies"][0]["moved"], body.moved, atol=1e-3)
+def test_bodies_are_where_they_touch_the_tissue(tmp_path):
+    """In the picture for paper and for the script: a plate that presses the upper side."""
+    plate = RigidBody(
+        name="plate",
+        shape=Plane(normal=(0.0, -1.0)),
+        on="top",
+        position=(0.0, 101.0),
+        displacement=(0.0, -6.0),
+        amplitude=Ramp(end=30.0, smooth=True),
+    )
+    problem = Problem(
+        mesh=Mesh.rectangle(100.0, 100.0, (2, 2)),
+        conditions=(Fixed(on="bottom"),),
+        bodies=(plate,),
+        duration=30.0,
+        watched={"middle": (50.0, 50.0)},
+    )
+    save_run(simulate(problem, KelvinVoigt()), tmp_path / "run")
+    (run,) = see_runs([tmp_path / "run"]).runs
+    (body,) = bodies_of(run)
+    last = run.fields.points + run.fields.displacement[-1]
+    assert body.outline[:2, 1] == pytest.approx([101.0, 101.0])
+    assert body.at(-1, 1.0)[:2, 1] == pytest.approx([95.0, 95.0])
+    assert last[:, 1].max() == pytest.approx(95.0, abs=0.1)
+    drawn, (data,) = motion_section(Seen((run,)))
+    assert drawn.count('class="body"') == 1
+    np.testing.assert_allclose(data["bodies"][0]["moved"], body.moved, atol=1e-3)
 
 
 def test_a_bare_run_is_shown_with_sentences_for_what_it_lacks(runs, tmp_path):
