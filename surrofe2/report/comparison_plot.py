@@ -96,9 +96,8 @@ def comparison_title(runs: Sequence[StoredRun]) -> str:
     reference = (order_runs(runs) if len(runs) > 1 else runs)[0]
     recipe = reference.record.recipe
     notes = [cell_title(recipe), _usual(reference)]
-    return f"{watched_title(reference)}: {problem_title(recipe)},\n" + ", ".join(
-        filter(None, notes)
-    )
+    told = ", ".join(filter(None, notes))
+    return f"{watched_title(reference)}: {problem_title(recipe)}" + (told and f",\n{told}")
 
 
 def watched_title(run: StoredRun) -> str:

@@ -165,7 +165,7 @@ def describe(found: Memory) -> Study:
         log_y=True,
     )
     return Study(
-        title="Two pasts that end in the same $(F, \\dot F)$:\ndifference of the stresses",
+        title="Two pasts that end in the same (F, Ḟ):\ndifference of the stresses",
         panels=(panel,),
         table=Table(QUANTITIES, (found,)),
         series={"t (µs)": found.t, **stresses, "difference (µN/µm)": found.difference},

@@ -164,7 +164,7 @@ def describe(ways: dict[str, Relaxation]) -> Study:
         return np.concatenate([values(way) for way in ways.values()])
 
     return Study(
-        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01 µs$^{-1}$",
+        title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01/µs",
         panels=(panel(error, lambda way: way.error), panel(force, lambda way: way.mean_force)),
         columns=2,
         table=Table(QUANTITIES, tuple(ways.items())),
