@@ -30,7 +30,12 @@ class TrainingSettings:
     held_out: float = setting(
         0.1, "share of the samples on which errors are measured", above=0.0, below=1.0
     )
-    iterations: int = setting(1000, "of L-BFGS", least=0, most=1_000_000)
+    iterations: int = setting(1000, "of L-BFGS, at most", least=0, most=1_000_000)
+    bound: float = setting(
+        0.0,
+        "of the error, as a share of the spread of stress, that ends training; 0: none does",
+        least=0.0,
+    )
     history: int = setting(100, "pairs of steps and gradients it keeps", least=1, most=10_000)
     checkpoint_interval: int = setting(
         100, "iterations between two checkpoints", least=1, most=1_000_000

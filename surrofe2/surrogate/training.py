@@ -4,11 +4,16 @@ Samples with tangents are trained on those as well (Sobolev): the polynomial on 
 network on the slope along one random direction of the inputs a sample. For a network this small
 and a stress this smooth, full-batch quasi-Newton steps in float64 reach errors that stochastic
 gradients do not in the same time.
+
+Where somebody says whether a surrogate is good enough, training goes by rounds: it begins with
+`FIRST` samples, asks after every `ROUND` iterations, and takes twice as many samples where the
+network is better on those it has seen than on others. So what an error needs is spent, no more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -29,7 +34,11 @@ from surrofe2.surrogate.training_task import Task, fit_baseline, make_task, read
 Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 20
-_ITERATIONS_A_ROUND = 20
+FIRST = 512
+ROUND = 100
+_SEEN = 0.8  # error on samples seen / error on others, below which more samples help
+_MANY_UNITS = 300_000
+_ITERATIONS_AT_ONCE = 20
 _LISTS = ("old_dirs", "old_stps", "ro")  # of the optimiser: one entry a kept step
 _NUMBERS = ("func_evals", "n_iter", "t", "H_diag", "prev_loss")
 _VECTORS = ("d", "prev_flat_grad")
@@ -42,7 +51,8 @@ class TrainingState:
     Attributes:
         identity: fingerprint of the samples and the settings, as text.
         iterations: done.
-        arrays: weights of the network and state of the optimiser, by name.
+        arrays: weights of the network, state of the optimiser and how many samples are used, by
+            name.
     """
 
     identity: Mapping[str, str]
@@ -51,6 +61,7 @@ class TrainingState:
 
 
 Progress = Callable[[int, int, dict[str, float]], None]
+Enough = Callable[[SurrogateLaw], bool]
 Checkpoint = Callable[[TrainingState], None]
 
 
@@ -62,6 +73,7 @@ def train(
     checkpoint: Checkpoint | None = None,
     resume: TrainingState | None = None,
     symmetry: str | None = None,
+    enough: Enough | None = None,
 ) -> SurrogateLaw:
     """Fit a surrogate to the valid samples; the same seed and threads give the same surrogate.
 
@@ -71,6 +83,7 @@ def train(
         checkpoint: called now and then, and when interrupted by the keyboard.
         resume: a state that `checkpoint` was given, to carry on from.
         symmetry: "D4" or "none"; None: that of the plant cell's arrangement.
+        enough: says whether a surrogate is good enough; None: all iterations on all samples.
 
     Raises:
         InputError: fewer than `LEAST_SAMPLES` valid samples.
@@ -94,32 +107,63 @@ def train(
     set_scales(network, task)
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
     minimisation = _Minimisation(network, settings, identity)
+    minimisation.used = len(fitted) if enough is None else min(FIRST, len(fitted))
     done = 0 if resume is None else minimisation.restore(resume)
-    minimisation.run(task, test, done, progress, checkpoint)
+    domain = fit_domain(samples)
 
-    law = SurrogateLaw(
-        network=network.to_parameters(),
-        cell=samples.cell,
-        initialisation=samples.initialisation,
-        range=samples.range,
-        settings=settings,
-        errors={},
-        data_fingerprint=samples.fingerprint,
-        rest_length=samples.rest_length,
-        version=version("surrofe2"),
-        domain=fit_domain(samples),
-    )
-    return replace(law, errors=law.score(valid.at(held_out)))
+    def law() -> SurrogateLaw:
+        found = SurrogateLaw(
+            network=network.to_parameters(),
+            cell=samples.cell,
+            initialisation=samples.initialisation,
+            range=samples.range,
+            settings=settings,
+            errors={},
+            data_fingerprint=samples.fingerprint,
+            rest_length=samples.rest_length,
+            version=version("surrofe2"),
+            domain=domain,
+        )
+        return replace(found, errors=found.score(valid.at(held_out)))
+
+    gains = True
+    with _threads_for(len(fitted) * max(settings.hidden)):
+        while done < settings.iterations and (gains or minimisation.used < len(fitted)):
+            task = make_task(network, data.at(fitted[: minimisation.used]), settings)
+            if enough is not None and done and (done % ROUND == 0 or not gains):
+                if enough(law()):
+                    break
+                if not gains or minimisation.knows_by_heart(task, test):
+                    minimisation.use(min(2 * minimisation.used, len(fitted)))
+                    task = make_task(network, data.at(fitted[: minimisation.used]), settings)
+            to = settings.iterations if enough is None else done - done % ROUND + ROUND
+            done, gains = minimisation.run(task, test, done, to, progress, checkpoint)
+    return law()
+
+
+@contextmanager
+def _threads_for(units: int) -> Iterator[None]:
+    """One thread of torch for so few units of all samples: more wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if units < _MANY_UNITS else before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class _Minimisation:
-    """L-BFGS on the weights of a network."""
+    """L-BFGS on the weights of a network.
+
+    Attributes:
+        used: how many samples the loss is taken on.
+    """
 
     def __init__(
         self, network: StressNetwork, settings: TrainingSettings, identity: Mapping[str, str]
     ) -> None:
         self.network, self.settings, self.identity = network, settings, identity
-        self.parameters = list(network.parameters())
+        self.parameters, self.used = list(network.parameters()), 0
         self.optimiser = torch.optim.LBFGS(
             self.parameters,
             history_size=settings.history,
@@ -133,10 +177,11 @@ class _Minimisation:
         task: Task,
         test: Task,
         done: int,
+        to: int,
         progress: Progress | None,
         checkpoint: Checkpoint | None,
-    ) -> None:
-        """Iterate until the settings' number or until nothing is gained."""
+    ) -> tuple[int, bool]:
+        """Iterate `to` a number or until nothing is gained; (iterations done, whether it gains)."""
         # the first steps of L-BFGS want a loss of order 1
         scale = 1.0 / float((task.weight * self.network.output_scale**2).max())
 
@@ -147,11 +192,10 @@ class _Minimisation:
             return loss
 
         most = self.settings.iterations
-        state = self.snapshot(done)
-        best = np.inf
+        to, state, best = min(to, most), self.snapshot(done), np.inf
         try:
-            while done < most:
-                count = min(_ITERATIONS_A_ROUND, most - done)
+            while done < to:
+                count = min(_ITERATIONS_AT_ONCE, to - done)
                 self.optimiser.param_groups[0].update(max_iter=count, max_eval=4 * count)
                 self.optimiser.step(loss_and_gradient)
                 done += count
@@ -167,12 +211,26 @@ class _Minimisation:
                 if checkpoint is not None and done % self.settings.checkpoint_interval < count:
                     checkpoint(state)
                 if loss >= best:
-                    break
+                    return done, False
                 best = loss
         except KeyboardInterrupt:
             if checkpoint is not None:
                 checkpoint(state)
             raise
+        return done, True
+
+    def use(self, samples: int) -> None:
+        """Go on with so many samples; what is known of the curvature is kept.
+
+        A step of length 0 stands before the next: gradients of two losses have no difference.
+        """
+        self.used = samples
+        self.optimiser.state[self.parameters[0]]["t"] = 0.0
+
+    def knows_by_heart(self, task: Task, test: Task) -> bool:
+        """Whether the error on samples seen is well below that on others."""
+        figures, _ = self.figures(task, test)
+        return figures["loss"] < _SEEN * figures["held_out_rms"]
 
     def figures(self, task: Task, test: Task) -> tuple[dict[str, float], float]:
         """Errors of stress for the eye, and the loss that is minimised."""
@@ -184,6 +242,7 @@ class _Minimisation:
     def snapshot(self, done: int) -> TrainingState:
         """All that is needed to carry on after so many iterations."""
         found = {f"network.{k}": v.numpy().copy() for k, v in self.network.state_dict().items()}
+        found["samples.used"] = np.array([self.used])
         state = self.optimiser.state[self.parameters[0]]
         for name in _LISTS if state else ():
             entries = state[name]
@@ -208,11 +267,12 @@ class _Minimisation:
         return state.iterations
 
     def _put_back(self, state: TrainingState) -> None:
-        parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}}
+        parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}, "samples": {}}
         for name, array in state.arrays.items():
             part, key = name.split(".", 1)
             parts[part][key] = torch.from_numpy(np.array(array))
         self.network.load_state_dict(parts["network"])
+        self.used = int(parts["samples"]["used"].item())
         found = parts["optimiser"]
         size = sum(each.numel() for each in self.parameters)
         steps = len(found["old_dirs"]) if found else 0

@@ -34,6 +34,7 @@ from surrofe2.surrogate.deformation_paths import (
 )
 from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.settings import CalibrationSettings
+from surrofe2.tensors import stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.run_lifecycle import Report, untold
@@ -43,8 +44,11 @@ _MOST_ELEMENTS = 4  # of a rectangle in each direction, in runs that make paths
 _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrates it
 
 
+_MARGIN = 0.75  # of the bound wanted: the paths that calibrate are others
+
 log = logging.getLogger(__name__)
 
+Enough = Callable[[SurrogateLaw], bool]
 Runs = Callable[[int, int], Iterator[list[State]]]
 """What so many runs by a seed meet, one after the other."""
 
@@ -66,6 +70,29 @@ def calibrate_surrogate(
         lambda count, seed: _runs(recipe, surrogate, count, seed),
         report,
     )
+
+
+def enough_for(recipe: Recipe, samples: StressSamples) -> Enough | None:
+    """Whether a surrogate has the bound that the recipe's training wants; None: it wants none.
+
+    Asked of the paths in the range that will shape the bound. Those that calibrate it are not
+    looked at, so what it promises does not depend on when training ended.
+    """
+    wanted = recipe.training.bound * stress_spread(samples.valid.stress)
+    if not wanted:
+        return None
+    law, settings = laws.true_law(recipe), replace(recipe.calibration, runs=0)
+    paths = _make_paths(samples.range, settings, lambda *_: iter(()), 1, _SHAPING, untold)
+    truths = [_ask(each, law, lambda _: None) for each in paths]
+    fewest = min((truth.paths.count for truth in truths), default=0)
+
+    def enough(surrogate: SurrogateLaw) -> bool:
+        bounded = calibrate_by(
+            surrogate, samples, truths, truths, max(settings.share, 1.0 / (1.0 + fewest))
+        )
+        return _edge(bounded, samples) <= _MARGIN * wanted
+
+    return enough
 
 
 def calibrate(
@@ -250,15 +277,21 @@ def _at_rest(surrogate: SurrogateLaw) -> float:
     return float(surrogate.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
 
 
+def _edge(surrogate: SurrogateLaw, samples: StressSamples) -> float:
+    """The largest bound at any sample that the surrogate answers; infinite where it has none."""
+    everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
+    return float(everywhere[np.isfinite(everywhere)].max(initial=_at_rest(surrogate)))
+
+
 def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
     """What the calibration found, in a line."""
     why, calibration = _unbounded(surrogate), surrogate.calibration
     if why or calibration is None:
         return f"bound: none, because {why}"
-    at_rest = _at_rest(surrogate)
-    everywhere = surrogate.error_bound(samples.valid.F, samples.valid.F_dot)
-    edge = everywhere[np.isfinite(everywhere)].max(initial=at_rest)
-    centre, edge = (100.0 * bound / calibration.stress_spread for bound in (at_rest, edge))
+    centre, edge = (
+        100.0 * bound / calibration.stress_spread
+        for bound in (_at_rest(surrogate), _edge(surrogate, samples))
+    )
     paths = sum(kind["paths"] for kind in calibration.kinds.values())
     return (
         f"bound: {centre:.2g} % of the spread of stress at the centre, {edge:.2g} % at the edge, "

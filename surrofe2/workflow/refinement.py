@@ -35,7 +35,7 @@ from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
 from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
-from surrofe2.workflow.calibrate import calibrate_surrogate
+from surrofe2.workflow.calibrate import calibrate_surrogate, enough_for
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rounds import SURROGATE, Round, open_rounds, write_rounds
 from surrofe2.workflow.run import run_study
@@ -214,6 +214,7 @@ def _trained(
             samples,
             recipe.training,
             progress=lambda i, n, figures: report(i, training_note(figures)),
+            enough=enough_for(replace(recipe, range=samples.range), samples),
         )
     with stage(f"{name}: calibrate", 1.0, "of the paths") as report:
         training, meter = meter.cost, Meter()

@@ -29,7 +29,8 @@ from surrofe2.workflow.generate import sample_stress
 from surrofe2.workflow.train import is_trained
 
 _FEW, _MANY = 16, 512
-_ITERATIONS = 60
+_ITERATIONS, _TO_BOUND = 60, 400
+"""Of the stand-in, and of a training that ends when it meets its bound, as it did for the bar."""
 _PART, _WAVES = 0.01, 3.0
 """Of the stress of a stand-in that is no quadratic law's, so that there is something to learn."""
 _ROUND = 20
@@ -124,6 +125,8 @@ def _trained(part: Recipe, samples: StressSamples) -> tuple[SurrogateLaw, float]
     """A surrogate after a few iterations, and the seconds of all that the recipe wants."""
     marks: list[float] = []
     most = part.training.iterations
+    if part.training.bound:
+        most = min(most, _TO_BOUND)
     few = replace(part.training, iterations=min(_ITERATIONS, most))
     began = perf_counter()
     surrogate = train(samples, few, progress=lambda *_: marks.append(perf_counter()))

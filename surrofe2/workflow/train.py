@@ -32,7 +32,7 @@ from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.surrogate.training import TrainingState, train
 from surrofe2.tensors import stress_error, stress_spread
 from surrofe2.workflow import laws
-from surrofe2.workflow.calibrate import bound_summary, calibrate_surrogate
+from surrofe2.workflow.calibrate import bound_summary, calibrate_surrogate, enough_for
 from surrofe2.workflow.run_lifecycle import Stage, silent
 
 STRESSES = ("xx", "xy", "yx", "yy")
@@ -127,6 +127,7 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
                     unfinished, state.identity, state.iterations, state.arrays, meter.cost
                 ),
                 resume=state,
+                enough=enough_for(recipe, samples),
             )
         except MismatchError as error:
             raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None

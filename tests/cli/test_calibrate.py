@@ -10,9 +10,11 @@ import pytest
 from surrofe2 import simulate
 from surrofe2.amplitude import Pulse, Ramp, Sine
 from surrofe2.errors import SimulationError
+from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import load_recipe
+from surrofe2.surrogate import training
 from surrofe2.workflow import calibrate as calibrating
 from surrofe2.workflow.varied_loads import FACTOR, PACE, Varied, varied_problems
 from tests.laws import SoftLaw
@@ -44,6 +46,31 @@ def test_train_calibrates_and_says_what_it_found(invoke, recipe_path, surrogate_
     assert counts == {"walks": 9, "states": 20, "corners": 20, "runs": 9}
     assert calibration.settings == asdict(recipe.calibration)
     assert calibration.data_fingerprint == surrogate.data_fingerprint
+
+
+@pytest.mark.parametrize(("bound", "iterations"), [(10.0, 20), (1e-18, 40)])
+def test_training_ends_when_the_bound_is_met(
+    invoke, recipe_path, surrogate_path, changed_recipe, monkeypatch, bound, iterations
+):
+    """A bound that any surrogate keeps, and one that none does."""
+    monkeypatch.setattr(training, "ROUND", 20)
+    done = []
+    run = training._Minimisation.run
+
+    def counted(*arguments):
+        done.append(run(*arguments))
+        return done[-1]
+
+    monkeypatch.setattr(training._Minimisation, "run", counted)
+    path = changed_recipe("iterations = 40", f"iterations = 40\nbound = {bound}")
+    assert invoke("train", path).exit_code == 0
+    assert done[-1][0] == iterations
+    surrogate, samples = (
+        read_surrogate(surrogate_path),
+        read_data_set(load_recipe(path).data_path()),
+    )
+    edge = calibrating._edge(surrogate, samples) / surrogate.stress_spread
+    assert (edge <= bound) == (bound > 1.0)
 
 
 def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):

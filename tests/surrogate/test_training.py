@@ -9,7 +9,7 @@ import torch
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.surrogates import read_training, write_training
 from surrofe2.sampling import sample
-from surrofe2.surrogate import TrainingSettings, train
+from surrofe2.surrogate import TrainingSettings, train, training
 from surrofe2.surrogate.training import TrainingState
 from tests.laws import (
     CELL,
@@ -152,6 +152,77 @@ def test_interrupted_training_carries_on_as_if_it_had_not_been(few, tmp_path):
     F, F_dot = sample(WELL_INSIDE, 20, seed=0)
     resumed = train(few, SMALL, resume=state).respond(F, F_dot).stress
     assert np.array_equal(resumed, train(few, SMALL).respond(F, F_dot).stress)
+
+
+@pytest.fixture
+def _short_rounds(monkeypatch):
+    monkeypatch.setattr(training, "FIRST", 100)
+    monkeypatch.setattr(training, "ROUND", 40)
+
+
+def by_rounds(few, good, **more):
+    """(surrogate, iterations and samples used at its checkpoints), good enough when asked so often.
+
+    `good` is how often.
+    """
+    asked, states = [], []
+
+    def enough(surrogate):
+        asked.append(surrogate.errors["rms"])
+        return len(asked) == good
+
+    surrogate = train(few, SMALL, enough=enough, checkpoint=states.append, **more)
+    used = {state.iterations: int(state.arrays["samples.used"][0]) for state in states}
+    return surrogate, used, asked
+
+
+@pytest.mark.usefixtures("_short_rounds")
+def test_training_ends_when_a_surrogate_is_good_enough(few, monkeypatch):
+    monkeypatch.setattr(training, "_SEEN", 0.0)
+    surrogate, used, asked = by_rounds(few, good=1)
+    assert used == {20: 100, 40: 100}
+    assert asked[0] == surrogate.errors["rms"]
+    _, used, asked = by_rounds(few, good=2)
+    assert used == {20: 100, 40: 100, 60: 100}  # all iterations
+    assert len(asked) == 1
+
+
+@pytest.mark.usefixtures("_short_rounds")
+def test_what_is_known_by_heart_takes_more_samples(few, monkeypatch):
+    """A hundred samples less than twice as well known as others: all samples help."""
+    monkeypatch.setattr(training, "ROUND", 20)
+    monkeypatch.setattr(training, "_SEEN", 2.0)
+    surrogate, used, _ = by_rounds(few, good=-1)
+    assert used == {20: 100, 40: 200, 60: 400}
+    whole = train(few, SMALL)
+    for name, error in whole.errors["rms"].items():
+        assert surrogate.errors["rms"][name] < 2.0 * error
+
+
+@pytest.mark.usefixtures("_short_rounds")
+def test_where_nothing_is_gained_more_samples_are_taken(few, monkeypatch):
+    monkeypatch.setattr(training, "_SEEN", 0.0)
+    run = training._Minimisation.run
+
+    def gains_nothing(*arguments):
+        return run(*arguments)[0], False
+
+    monkeypatch.setattr(training._Minimisation, "run", gains_nothing)
+    _, used, asked = by_rounds(few, good=-1)
+    assert used == {20: 100, 40: 100, 60: 200}
+    assert len(asked) == 1
+
+
+@pytest.mark.usefixtures("_short_rounds")
+def test_rounds_that_were_interrupted_go_on_as_if_they_had_not_been(few, monkeypatch):
+    monkeypatch.setattr(training, "ROUND", 20)
+    monkeypatch.setattr(training, "_SEEN", 2.0)
+    states = []
+    whole = train(few, SMALL, enough=lambda _: False, checkpoint=states.append)
+    F, F_dot = sample(WELL_INSIDE, 20, seed=0)
+    for state in states[:2]:
+        resumed = train(few, SMALL, enough=lambda _: False, resume=state)
+        assert np.array_equal(resumed.respond(F, F_dot).stress, whole.respond(F, F_dot).stress)
 
 
 def test_a_state_of_another_training_is_refused(few):
