@@ -73,13 +73,15 @@ class Meter:
         cold = law.respond(*old)
         if not cold.status.any():
             state = law.accept(*old, cold).state
-            start = perf_counter()
-            answer = law.respond(*new, state)
-            asked = perf_counter()
-            law.accept(*new, answer)
             calls_a_step = max(self.calls / self.steps, 1.0)
-            self.true = asked - start + (perf_counter() - asked) / calls_a_step
-            self.true /= len(new[0])
+            found = []
+            for _ in range(2):  # the first call finds cold caches of the processor
+                start = perf_counter()
+                answer = law.respond(*new, state)
+                asked = perf_counter()
+                law.accept(*new, answer)
+                found.append(asked - start + (perf_counter() - asked) / calls_a_step)
+            self.true = min(found) / len(new[0])
         self.seconds["sampling"] += perf_counter() - began
 
     def report(self, *, all_true: bool) -> dict[str, Any] | None:
