@@ -74,7 +74,8 @@ def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     of = "" if study.cell_name is None else f" of {study.cell_name}"
     title = f"Held-out errors{of}, {errors['points']} samples"
     console.show_table(title, Table(quantities, STRESSES))
-    console.print_line(trained.bound)
+    for line in trained.bound.splitlines():
+        console.print_line(line)
     summary = training_summary(trained)
     console.done(trained.path, summary, of=study.cell_name, kept=trained.kept, errors=errors)
     warning = large_errors(study, trained)

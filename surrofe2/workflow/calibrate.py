@@ -284,7 +284,7 @@ def _edge(surrogate: SurrogateLaw, samples: StressSamples) -> float:
 
 
 def bound_summary(surrogate: SurrogateLaw, samples: StressSamples) -> str:
-    """What the calibration found, in a line."""
+    """What the calibration found, in a line or two."""
     why, calibration = _unbounded(surrogate), surrogate.calibration
     if why or calibration is None:
         return f"bound: none, because {why}"
@@ -306,5 +306,5 @@ def _sharpness(calibration: Calibration) -> str:
         for name, kind in calibration.kinds.items()
         if "sharpness" in kind
     ]
-    said = "; median bound / error that 99 % keep (rank correlation of both): "
+    said = "\nsharpness: median bound over the error that 99 % keep (rank correlation of both): "
     return said + ", ".join(told) if told else ""
