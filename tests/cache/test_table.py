@@ -25,12 +25,13 @@ def test_what_it_learnt_it_knows_within_the_tolerance():
     F, F_dot = states(500)
     table = taught(F, F_dot)
     stress, status, bound = table.lookup(F, F_dot)
-    assert (status == 0).all()
-    error = stress_error(stress, square_stress(F, F_dot))
+    known = status == 0
+    assert known.mean() > 0.99  # where a later answer made an ellipsoid shrink, one may be lost
+    error = stress_error(stress, square_stress(F, F_dot))[known]
     assert error.max() <= table.tolerance
-    assert bound.max() <= table.tolerance
+    assert bound[known].max() <= table.tolerance
     assert error.max() > 0.1 * table.tolerance  # linear models, not stored answers
-    assert 10 < table.size < 300
+    assert 10 < table.size < 100
 
 
 def test_new_states_among_known_ones_are_known_within_the_tolerance():
@@ -38,9 +39,9 @@ def test_new_states_among_known_ones_are_known_within_the_tolerance():
     F, F_dot = sample(RANGE, 3000, 77)
     stress, status, bound = table.lookup(F, F_dot)
     known = status == 0
-    assert known.mean() > 0.8
+    assert known.mean() > 0.99
     error = stress_error(stress, square_stress(F, F_dot))[known]
-    assert np.quantile(error, 0.99) <= table.tolerance
+    assert np.quantile(error, 0.99) <= 0.7 * table.tolerance
     assert (error > bound[known]).mean() < 0.01
 
 

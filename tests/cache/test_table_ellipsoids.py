@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surrofe2.cache.branches import RETURN
 from surrofe2.cache.table.ellipsoids import Rule, set_bound, update_ellipsoids
 from surrofe2.cache.table.records import (
     curvature_from_constant,
@@ -102,11 +103,18 @@ def weighed(radius, error, rule=None):
     return covered[0], counts, bounds(records, x)[0]
 
 
-def test_a_right_answer_near_by_makes_an_ellipsoid_grow_to_it():
-    covered, counts, bound = weighed(1.3, 0.3)
+@pytest.mark.parametrize("radius", [0.8, 1.3])
+def test_a_right_answer_near_by_makes_an_ellipsoid_grow_beyond_it(radius):
+    """So near to its centre that a cache takes the point back."""
+    covered, counts, bound = weighed(radius, 0.3)
     assert covered
     assert counts == {"grown": 1, "shrunk": 0}
-    assert bound == pytest.approx(1.0)
+    assert bound == pytest.approx(Rule().grown)
+    assert np.sqrt(bound) < RETURN
+
+
+def test_a_right_answer_well_within_changes_nothing():
+    assert weighed(0.7, 0.3) == (True, {"grown": 0, "shrunk": 0}, pytest.approx(0.49))
 
 
 @pytest.mark.parametrize(("radius", "error"), [(1.3, 0.5), (1.5, 0.0)])

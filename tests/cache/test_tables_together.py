@@ -35,7 +35,7 @@ def test_a_merged_table_is_cut_where_the_other_knows_better():
     records = merged(sound.records, table.records._replace(slope=slope), table.tolerance, 4)
     volume = np.linalg.det(records.curvature)
     before = np.concatenate([np.linalg.det(t.records.curvature) for t in (sound, table)])
-    assert volume.sum() > 2.0 * before.sum()
+    assert volume.sum() > 1.5 * before.sum()
 
 
 class Half(Untaught):

@@ -1,8 +1,8 @@
 """Grows and shrinks the ellipsoids of a table by true answers; compiled.
 
-Growing is ISAT's (Pope 1997, section 3.3): where the linear model of a near record is right at a
-point outside its ellipsoid, this becomes the least ellipsoid that holds the old one and the point.
-Along the point p, in the metric of the ellipsoid, that is a change of rank one:
+Growing is like ISAT's (Pope 1997, section 3.3): where the linear model of a near record is right at
+a point outside its ellipsoid or near its surface, the ellipsoid grows along the point p until that
+is well inside. In the metric of the ellipsoid that is a change of rank one:
 
     C ← C + (target − b)/b² (C p)(C p)ᵀ,    b = pᵀ C p,    so that pᵀ C p becomes `target`.
 
@@ -33,18 +33,21 @@ class Rule(NamedTuple):
             tolerances
         growing: … and the error seen there at most this share of the tolerance, for the same is
             then claimed of the opposite point, and of those between.
+        grown: … so far that its bound there is this share of the tolerance, for the error grows
+            with the bound, and a cache takes a point back only well within an ellipsoid.
         shrinking: errors above the bound are let pass up to this share of the tolerance.
         margin: a shrunk ellipsoid bounds so many times the error that was seen.
     """
 
     reach: float = 2.0
     growing: float = 0.4
+    grown: float = 0.56
     shrinking: float = 0.7
     margin: float = 1.5
 
 
 _RULE = Rule()
-_NO_GROWTH = Rule(reach=1.0)
+_NO_GROWTH = Rule(reach=1.0, growing=-1.0)
 SAME = 0.01
 """A record within so small a share of the tolerance of another, by its bound, adds nothing."""
 _MOST = 4096  # records that may have something to say of a point
@@ -94,7 +97,7 @@ def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore
                 found[many : many + _MOST],
                 bounds,
             )
-        nearest, least, last = -1, reach, -1
+        nearest, least, last, within = -1, reach, -1, False
         for k in np.sort(found[:many]):
             if k == last:
                 continue
@@ -106,20 +109,19 @@ def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore
                 if bound > reach:
                     continue
                 error = _error(p, s[point], flips, records.stress[k], records.slope[k])
-                if bound > tolerance:
-                    if error <= rule.growing * tolerance and bound < least:
-                        nearest, least = k, bound
-                        candidate[:] = p
-                elif error > max(bound, rule.shrinking * tolerance):
+                if bound <= tolerance and error > max(bound, rule.shrinking * tolerance):
                     counts[1] += 1
                     set_bound(p, rule.margin * error, records.curvature[k], records.extent[k])
                     bound = rule.margin * error
-                    covered[point] |= bound <= tolerance
-                else:
-                    covered[point] = True
-        if not covered[point] and nearest >= 0:
+                elif bound <= rule.grown * tolerance:
+                    within = True
+                elif error <= rule.growing * tolerance and bound < least:
+                    nearest, least = k, bound
+                    candidate[:] = p
+                covered[point] |= bound <= tolerance
+        if nearest >= 0 and not within:
             counts[0] += 1
-            target = (1.0 - 1e-9) * tolerance
+            target = rule.grown * tolerance
             set_bound(candidate, target, records.curvature[nearest], records.extent[nearest])
             enlarge(nearest, records.centre, records.extent, tree)
             covered[point] = True
