@@ -70,9 +70,10 @@ def figures_of(recipe: Path, folder: Path, laws: Sequence[str], longest: float) 
     own = folder / "data" / recipe.name
     estimate, _ = called("check", own)
     learns = "cached" in laws and estimate["cached"] is not None
-    for command in ("generate", "train") if learns else ():
-        _, peak = called(command, own)
-        yield Figure(recipe.stem, f"{command}, memory", "GB", None, peak / 1e9)
+    if learns:
+        peak = max(called(command, own)[1] for command in ("generate", "train"))
+        making = estimate["making"] / 1e9
+        yield Figure(recipe.stem, "data set, training, memory", "GB", making, peak / 1e9)
     part = min(1.0, longest / estimate["rve"])
     text = own.read_text(encoding="utf-8")
     shorter = DURATION.sub(lambda found: f"{found[1]}{float(found[2]) * part!r}", text, count=1)

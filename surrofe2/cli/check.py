@@ -52,8 +52,8 @@ def check(
         with console.on_interrupt("nothing was changed"), console.stages() as stage:
             found = estimate(study, stage)
         _show(found)
-        numbers = {**asdict(found), "totals": found.totals, "best": found.best}
-        console.done(recipe, f"take --law {found.best}", **numbers)
+        whole = {"totals": found.totals, "peaks": found.peaks, "best": found.best}
+        console.done(recipe, f"take --law {found.best}", **asdict(found), **whole)
 
 
 def _show(found: Estimate) -> None:
@@ -72,7 +72,7 @@ def _show(found: Estimate) -> None:
         Quantity("run", "s", ".3g", lambda law: found.runs[law]),
         Quantity("data set", "s", ".3g", of_cached(found.data)),
         Quantity("training", "s", ".3g", of_cached(found.training)),
-        Quantity("memory", "GB", ".2g", lambda law: 1e-9 * found.memory[law]),
+        Quantity("memory", "GB", ".2g", lambda law: 1e-9 * found.peaks[law]),
     ]
     console.show_table("Estimates", Table(quantities, list(found.totals)))
     if found.in_range < 1.0:

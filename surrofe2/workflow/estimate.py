@@ -6,21 +6,26 @@ Nothing is written. Compilation and the start of commands are not counted, as no
 from __future__ import annotations
 
 import math
+import resource
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache import CachedLaw
 from surrofe2.macro.mesh import Mesh
 from surrofe2.recipe import Recipe
-from surrofe2.stress_law import StressLaw
+from surrofe2.rve.rve_state import MANY_BYTES
+from surrofe2.simd import TILE
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_arrays, law_by_region
 from surrofe2.workflow.dry_run import DryRun, dry_run, seconds_a_call
-from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.generate import CHUNK
+from surrofe2.workflow.run_lifecycle import CHECKPOINT_INTERVAL, Stage, silent
 from surrofe2.workflow.stand_in import Learnt, learnt_of
 
 Rows = NDArray[np.intp]
@@ -28,10 +33,17 @@ Rows = NDArray[np.intp]
 SECONDS = 8.0
 """For the dry run on one mesh; a fourth of it for what else is timed, each."""
 _MOST_POINTS, _LEAST_POINTS = 2048, 64
-_PROCESS = 2e8
-"""Bytes of a run of a few points."""
-_FRAME = 96.0
-"""Bytes that a frame keeps of a point: F, its rate and the stress."""
+_PROCESS = 1.9e8
+"""Bytes of a run of a few points, measured."""
+_MATRICES = 20.0
+"""Blocks of factors that a thread works in, with what the reference and its lists take."""
+_STATES, _AND_CHECKPOINT = 1.5, 3.5
+"""States of the law that are there at once, for some factors are new and old; and copies of them
+as a checkpoint is made in memory."""
+_COLD = 3.0
+"""Blocks of factors for each tile of a chunk of samples, solved cold."""
+_FRAME = 210.0
+"""Bytes that a frame takes for a point, most of them in three copies of the file at the end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +55,7 @@ class Estimate:
         rve, cached, table: of a run by each law; None where there can be none.
         data, training: of what is missing, with the calibration.
         memory: bytes at the peak of a run, by law.
+        making: bytes at the peak of what makes data set and surrogate; 0 if they are there.
         is_whole: whether the dry run came to its end; else steps are extrapolated.
         solve: of an RVE, warm, along the run.
         in_range: share of the points along the run that a surrogate knows; NaN without one.
@@ -56,6 +69,7 @@ class Estimate:
     cached: float | None = None
     table: float | None = None
     memory: dict[str, float] = field(default_factory=dict)
+    making: float = 0.0
     is_whole: bool = True
     solve: float = 0.0
     in_range: float = math.nan
@@ -71,6 +85,12 @@ class Estimate:
         """Of a first run by each law, with what must be made for it."""
         made = {"cached": self.data + self.training}
         return {law: time + made.get(law, 0.0) for law, time in self.runs.items()}
+
+    @property
+    def peaks(self) -> dict[str, float]:
+        """Bytes at the peak of a first run by each law, and of what makes its surrogate."""
+        made = {"cached": self.making}
+        return {law: max(each, made.get(law, 0.0)) for law, each in self.memory.items()}
 
     @property
     def best(self) -> str:
@@ -101,17 +121,27 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
             points=run.points,
             calls=run.calls,
             rve=run.calls * (share * ask + run.macro),
-            memory=_memory(recipe, run, share * _bytes_of(true, state)),
             is_whole=run.is_whole,
             solve=ask / len(rows),
         )
+        kept = law_arrays(true, state)
+        block = _block_of(kept)
+        least = _PROCESS + _FRAME * min(recipe.macro.frames, run.steps) * run.points
+        least += _MATRICES * numba.get_num_threads() * block
+        found.memory["rve"] = least + _states(kept, share, found.rve)
         if _can_learn(recipe):
             learnt = {name: learnt_of(part, each) for name, part in recipe.parts().items()}
+            is_there = all(own.is_true for own in learnt.values())
             report(2.0, "surrogate")
-            found = _with_cache(found, recipe, run, learnt, each)
+            found = replace(
+                _with_cache(found, recipe, run, learnt, each, least),
+                making=0.0 if is_there else _making(block),
+            )
         report(3.0, "cached run")
         if _can_tabulate(recipe):
-            found = replace(found, table=_by_table(recipe, mesh, run, rows, each))
+            seconds, states = _by_table(recipe, mesh, run, rows, each)
+            memory = {**found.memory, "table": least + states}
+            found = replace(found, table=seconds, memory=memory)
         report(4.0, "table")
     return found
 
@@ -125,13 +155,27 @@ def _rows(run: DryRun, recipe: Recipe) -> Rows:
     return np.unique(np.linspace(0, count - 1, few).round().astype(np.intp))
 
 
-def _bytes_of(law: StressLaw, state: Any) -> float:
-    return float(sum(array.nbytes for array in law_arrays(law, state).values()))
+def _block_of(arrays: Mapping[str, NDArray[Any]]) -> float:
+    """Bytes of the factors of a tile of the RVEs that are largest."""
+    blocks = [each for name, each in arrays.items() if name.endswith("blocks")]
+    return max((each.nbytes / len(each) for each in blocks), default=0.0)
 
 
-def _memory(recipe: Recipe, run: DryRun, states: float) -> dict[str, float]:
-    kept = _PROCESS + _FRAME * recipe.macro.frames * run.points
-    return {"rve": kept + states, "table": kept, "cached": kept}
+def _making(block: float) -> float:
+    """Bytes at the peak of data set and training, of which this process has done a part."""
+    this = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return max(this, _PROCESS + _COLD * block * CHUNK / TILE)
+
+
+def _states(arrays: Mapping[str, NDArray[Any]], share: float, seconds: float) -> float:
+    """Bytes at the peak of a run of so many seconds, of what its law knows of its points.
+
+    Args:
+        arrays: of the law, for a part of the points. share: all of them over these.
+    """
+    states = share * sum(np.asarray(each).nbytes for each in arrays.values())
+    is_kept = seconds > CHECKPOINT_INTERVAL and states < MANY_BYTES
+    return states * (_STATES + (_AND_CHECKPOINT if is_kept else 0.0))
 
 
 def _can_learn(recipe: Recipe) -> bool:
@@ -147,9 +191,18 @@ def _can_tabulate(recipe: Recipe) -> bool:
 
 
 def _with_cache(
-    found: Estimate, recipe: Recipe, run: DryRun, learnt: dict[str, Learnt], seconds: float
+    found: Estimate,
+    recipe: Recipe,
+    run: DryRun,
+    learnt: dict[str, Learnt],
+    seconds: float,
+    least: float,
 ) -> Estimate:
-    """The estimate with what a surrogate costs, and a run by it with its audits."""
+    """The estimate with what a surrogate costs, and a run by it with its audits.
+
+    Args:
+        seconds: for the questions. least: bytes of a run but for states of its law.
+    """
     mesh = recipe.problem().mesh
     by_cell: list[CachedLaw] = []
 
@@ -161,21 +214,28 @@ def _with_cache(
 
     law = law_by_region(recipe, mesh, law_of)
     rows = np.resize(np.arange(len(run.windows[0][0].F)), run.points)
-    ask, _ = seconds_a_call(law, run.windows, rows, seconds)
+    ask, state = seconds_a_call(law, run.windows, rows, seconds)
     hits, missed = (sum(each.counts[name] for each in by_cell) for name in ("hits", "fallbacks"))
     audits = recipe.cache.audit * run.points * run.steps
     cold = max(each.cold for each in learnt.values())
+    cached = run.calls * (ask + run.macro) + audits * cold
+    states = _states(law_arrays(law, state), 1.0, cached)
     return replace(
         found,
         data=sum(each.data for each in learnt.values()),
         training=sum(each.training for each in learnt.values()),
-        cached=run.calls * (ask + run.macro) + audits * cold,
+        cached=cached,
+        memory={**found.memory, "cached": least + states},
         in_range=hits / max(hits + missed, 1),
     )
 
 
-def _by_table(recipe: Recipe, mesh: Mesh, run: DryRun, rows: Rows, seconds: float) -> float:
-    """Seconds of a run by a table: that of the second time it sees the windows, and learning."""
+def _by_table(
+    recipe: Recipe, mesh: Mesh, run: DryRun, rows: Rows, seconds: float
+) -> tuple[float, float]:
+    """Seconds of a run by a table: that of the second time it sees the windows, and learning; and
+    bytes of the states of its RVEs.
+    """
 
     def law_of(part: Recipe) -> CachedLaw:
         true = laws.true_law(part)
@@ -189,6 +249,7 @@ def _by_table(recipe: Recipe, mesh: Mesh, run: DryRun, rows: Rows, seconds: floa
     seconds_a_call(law, run.windows, rows, seconds)
     first = perf_counter() - began
     began = perf_counter()
-    ask, _ = seconds_a_call(law, run.windows, rows, seconds)
+    ask, state = seconds_a_call(law, run.windows, rows, seconds)
     second = perf_counter() - began
-    return run.calls * (share * ask + run.macro) + share * max(0.0, first - second)
+    taken = run.calls * (share * ask + run.macro) + share * max(0.0, first - second)
+    return taken, _states(law_arrays(law, state), share, taken)

@@ -94,7 +94,9 @@ def test_estimates(invoke, recipe_path, tmp_path):
     assert all(0.0 < found[name] < 60.0 for name in ("rve", "cached", "table", "data", "training"))
     assert found["totals"]["cached"] == found["data"] + found["training"] + found["cached"]
     assert found["best"] == min(found["totals"], key=found["totals"].get) == "rve"
-    assert found["memory"]["rve"] >= found["memory"]["cached"] > 1e7
+    few = found["memory"]["rve"]  # of a few points, whose law keeps next to nothing
+    assert found["memory"] == pytest.approx(dict.fromkeys(found["totals"], few), rel=1e-3)
+    assert 1e8 < few < found["making"]
     assert "take --law rve" in done.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
 
