@@ -52,8 +52,9 @@ def check(
         with console.on_interrupt("nothing was changed"), console.stages() as stage:
             found = estimate(study, stage)
         _show(found)
-        whole = {"totals": found.totals, "peaks": found.peaks, "best": found.best}
-        console.done(recipe, f"take --law {found.best}", **asdict(found), **whole)
+        numbers = {**asdict(found), "totals": found.totals, "peaks": found.peaks}
+        numbers["best"] = found.best
+        console.done(recipe, f"take --law {found.best}", **numbers)
 
 
 def _show(found: Estimate) -> None:

@@ -35,7 +35,7 @@ SECONDS = 8.0
 _MOST_POINTS, _LEAST_POINTS = 2048, 64
 _PROCESS = 1.9e8
 """Bytes of a run of a few points, measured."""
-_MATRICES = 20.0
+_MATRICES = 10.0
 """Blocks of factors that a thread works in, with what the reference and its lists take."""
 _STATES, _AND_CHECKPOINT = 1.5, 3.5
 """States of the law that are there at once, for some factors are new and old; and copies of them
