@@ -35,7 +35,7 @@ bench-quick: .venv/.installed
 	$(BIN)/python -m benchmarks --quick
 
 accept-cache: .venv/.installed
-	$(BIN)/python -m benchmarks --only trust
+	$(BIN)/python -m benchmarks --only trust climb
 
 paper: .venv/.installed
 	for preset in printed water; do \

@@ -32,8 +32,8 @@ NAMES = (
     "peers",
     "ranks",
 )
-ON_REQUEST = ("ablation",)
-"""Left out unless named by --only: minutes of training."""
+ON_REQUEST = ("ablation", "climb")
+"""Left out unless named by --only: minutes of training, or of RVEs."""
 BUSY = 0.5
 """Load average above which times are not to be trusted."""
 

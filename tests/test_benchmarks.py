@@ -16,6 +16,7 @@ from benchmarks import (
     __main__ as runner,
 )
 from benchmarks import (
+    climb,
     force_evaluation,
     inference,
     initialisations,
@@ -34,6 +35,7 @@ from benchmarks.watched_law import RecordingLaw, TimedLaw
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings
 from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate.settings import CalibrationSettings
 from tests.laws import Learnt, Truth
 
@@ -240,6 +242,40 @@ def test_trust_compares_every_accepted_answer_with_the_tolerance(error, kept):
     assert ("missed" in page.split("Errors incurred")[0]) is not all(
         row.met is not False for row in rows
     )
+
+
+class Peaked(Learnt):
+    """Wrong by twice the tolerance on a peak that few states are near."""
+
+    range = SamplingRange(stretch=(0.9, 1.1), shear=0.1, rate=0.01)
+
+    def __init__(self):
+        def error(F, F_dot):
+            far = (F[:, 0, 0] - 1.05) ** 2 + (F[:, 1, 1] - 0.97) ** 2 + (F[:, 0, 1] - 0.03) ** 2
+            return 2e-3 * self.stress_spread / (1.0 + 1e4 * far)
+
+        super().__init__(error, lambda F, F_dot: np.full(len(F), 5e-4 * self.stress_spread))
+
+
+def test_a_search_finds_the_error_that_random_states_do_not():
+    found = climb.Search(Peaked(), Truth(), CacheSettings())
+    at = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 7))
+    some = found.judge(at)
+    np.testing.assert_allclose(
+        climb.from_state(*climb.to_state(at, Peaked.range), Peaked.range), at
+    )
+    np.testing.assert_allclose(some.over_bound, 2.0 * some.over_tolerance)
+    starts = some.of(np.argsort(some.over_bound)[-20:])
+    assert starts.over_tolerance.max() < 1.0
+    best = found.climb(starts, "over_bound", 60, seed=1)
+    assert best.over_tolerance.max() > 1.9
+
+
+def test_the_section_of_the_search_is_written_once():
+    page = "# Trust\n\nSome.\n"
+    once = trust.with_search(page, f"{trust.SEARCH}\n\nold\n")
+    assert trust.with_search(once, f"{trust.SEARCH}\n\nnew\n") == f"{page}\n{trust.SEARCH}\n\nnew\n"
+    assert trust.with_search(once, "") == page
 
 
 def test_the_push_of_the_trust_cases_reverses():

@@ -60,6 +60,13 @@ def the_surrogate() -> SurrogateLaw:
     return law
 
 
+@cache
+def the_bound() -> SurrogateLaw:
+    """Its surrogate, held to the tolerances of the cache."""
+    settings = the_recipe().cache
+    return the_surrogate().held_to(settings.tolerance, settings.relative_tolerance)
+
+
 class PointSimulation(MicroSimulationInterface):
     """A stress law at one point.
 
@@ -137,7 +144,7 @@ def switching_function(
     Back, −1, where it does not, but in a later time window: within one a point changes once, so
     that its iterations converge.
     """
-    surrogate = the_surrogate()
+    surrogate = the_bound()
     tolerance = the_recipe().cache.tolerance * surrogate.stress_spread
     status, _ = surrogate.status_and_bound(*deformation_of(input), tolerance)
     here = np.asarray(location, dtype=np.float64).tobytes()

@@ -30,7 +30,7 @@ QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
 @dataclass
 class ErrorRecord:
-    """Audited answers of a cache and the error each had, µN/µm.
+    """Audited answers of a cache and the error each had, as often as it counts, µN/µm.
 
     Attributes:
         tolerance: allowed error, µN/µm; inf: none is.
@@ -109,6 +109,7 @@ class Question(NamedTuple):
     Attributes:
         step: (k,) accepted steps before them. points: (k,) where.
         F, F_dot, stress: (k, 2, 2) what was asked and answered. bound: (k,) of the error, µN/µm.
+        weight: (k,) how many times an error counts, as the bound does.
     """
 
     step: NDArray[np.int64]
@@ -117,6 +118,7 @@ class Question(NamedTuple):
     F_dot: Array
     stress: Array
     bound: Array
+    weight: Array
 
 
 class Finding(NamedTuple):
@@ -166,7 +168,7 @@ class Audit:
             return None
         asked, self._waiting = self._joined(), []
         truth = self._solve(asked)
-        error = stress_error(asked.stress, truth.stress)
+        error = asked.weight * stress_error(asked.stress, truth.stress)
         error[truth.status != 0] = np.nan
         broken = self.record.add(error)
         self._note_worst(asked, truth.stress, error)

@@ -74,10 +74,10 @@ class CachedLaw(Viewed):
         on_true_answer: OnTrueAnswer | None = None,
     ) -> None:
         check_match(surrogate, fallback)
-        self.surrogate = surrogate
+        own = self.settings = settings or CacheSettings()
+        self.surrogate = surrogate.held_to(own.tolerance, own.relative_tolerance)
         self.fallback = fallback
         self.density = fallback.density
-        self.settings = settings or CacheSettings()
         self.on_true_answer = on_true_answer
         self.reset_counts()
 

@@ -101,17 +101,12 @@ class Monitor:
         if self.trust.is_off or state.bound is None:
             return
         chosen = self._audit.choose(hits)
-        if len(chosen) and self._audit.wait(
-            Question(
-                np.full(len(chosen), step),
-                chosen,
-                F[chosen],
-                F_dot[chosen],
-                stress[chosen],
-                state.bound[chosen],
-            )
-        ):
-            self.run_audit()
+        if len(chosen):
+            at = F[chosen], F_dot[chosen]
+            steps, weight = np.full(len(chosen), step), self._surrogate.weight(*at, state.tolerance)
+            asked = Question(steps, chosen, *at, stress[chosen], state.bound[chosen], weight)
+            if self._audit.wait(asked):
+                self.run_audit()
         fault = self._faults.check(F, stress, state.bound, hits, known.why, state.tolerance)
         if fault is not None and not self.trust.is_off:
             self.trust.switch_off(step, fault)
@@ -212,6 +207,7 @@ class Monitor:
         return {
             "tolerance": {
                 "share": self._settings.tolerance,
+                "relative": self._settings.relative_tolerance,
                 "spread": self._spread,
                 "absolute": self.trust.allowed,
             },

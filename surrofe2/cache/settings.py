@@ -9,11 +9,21 @@ from surrofe2.settings import check_settings, setting
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CacheSettings:
-    """Tolerance and audit of a cached law."""
+    """Tolerance and audit of a cached law.
+
+    The local stress is that of the moduli at rest, see `surrogate.allowance`; a table knows the
+    first tolerance alone.
+    """
 
     tolerance: float = setting(
         1e-3,
         "allowed error of a stress relative to the spread of stress; inf: range alone decides",
+        above=0.0,
+        inf=True,
+    )
+    relative_tolerance: float = setting(
+        5e-3,
+        "allowed error relative to the local stress too, where that is less; inf: the other alone",
         above=0.0,
         inf=True,
     )

@@ -62,6 +62,14 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         """Whether the bound of its error is known."""
         return self.law.is_calibrated
 
+    def held_to(self, tolerance: float, relative: float) -> DistributedSurrogate:
+        """As of `SurrogateLaw`; every rank has it besides this one."""
+        return DistributedSurrogate(self.law.held_to(tolerance, relative), self.crew)
+
+    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
+        """As of `SurrogateLaw`."""
+        return self.law.weight(F, F_dot, tolerance)
+
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:

@@ -63,7 +63,8 @@ from surrofe2.tensors import INPUTS, stress_error, stress_spread
 Array = NDArray[np.float64]
 
 _DOUBT = 0.05  # that a set of paths gives a bound that breaks more often than it says
-_LEAST_SCALE = 1e-2  # of the largest error: s never is below this
+_LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way out from rest
+_LEAST_AT_REST = 1e-5  # and everywhere above this
 _EXACT = 1e-13  # of the spread: errors below are rounding
 _MOST_ADDED = 300  # states that bind the local scale, in one round
 _SLACK = 1e-6  # of the largest error
@@ -221,9 +222,10 @@ def _fit_scale(
         errors.append(error[kept])
     largest = max((error.max(initial=0.0) for error in errors), default=0.0)
     floor = np.zeros(len(table))
-    floor[0] = max(_LEAST_SCALE * largest, _EXACT * spread)
+    floor[0] = max(_LEAST_AT_REST * largest, _EXACT * spread)
     if largest <= floor[0]:
         return floor
+    floor[-1] = _LEAST_SCALE * largest
     cost = sum(basis.mean(axis=0) for basis in bases if len(basis))
     basis, error = np.concatenate(bases), np.concatenate(errors) / largest
     return largest * _smallest_cover(cost, basis, error, floor / largest)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.simd import TILE, load, spread, store, where_less
+from surrofe2.simd import TILE, load, root, spread, store, where_less
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.compiled_frame import TILES, scale_inputs
 from surrofe2.surrogate.domain import FEATURES, Domain, cliff_table
@@ -41,6 +41,7 @@ class BoundArrays(NamedTuple):
             18 for none; limits: (m,) of their sum.
         cliff_table: (k, 4) int64; cliff: (k,) float64.
         bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
+        allowance: (8,) of `allowance`; empty: bounds count once everywhere.
     """
 
     factor: NDArray[np.float64]
@@ -51,9 +52,15 @@ class BoundArrays(NamedTuple):
     cliff: NDArray[np.float64]
     bound_table: NDArray[np.int64]
     bound: NDArray[np.float64]
+    allowance: NDArray[np.float64]
 
     @classmethod
-    def of(cls, domain: Domain | None, calibration: Calibration | None) -> BoundArrays:
+    def of(
+        cls,
+        domain: Domain | None,
+        calibration: Calibration | None,
+        allowance: NDArray[np.float64] | None = None,
+    ) -> BoundArrays:
         """The arrays of a domain (None: everywhere) and a bound (None: infinite)."""
         sides, limits = np.empty((0, 2), dtype=np.int64), np.empty(0)
         table, cliff = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
@@ -68,8 +75,8 @@ class BoundArrays(NamedTuple):
                 used = calibration.scale > 0.0
                 bound_table = scale_table()[used]
                 bound = calibration.quantile * calibration.scale[used]
-        flag = np.array([int(square)])
-        return cls(factor, flag, sides, limits, table, cliff, bound_table, bound)
+        flag, counted = np.array([int(square)]), np.empty(0) if allowance is None else allowance
+        return cls(factor, flag, sides, limits, table, cliff, bound_table, bound, counted)
 
 
 def _half_spaces(domain: Domain) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -94,6 +101,8 @@ def apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: 
     _square_rows(x)
     room[_BOUND] = 0.0
     _add_products(arrays.bound_table, arrays.bound, x, room, _BOUND)
+    if arrays.allowance.shape[0]:
+        _weigh(arrays.allowance, x, room)
     known = arrays.bound.shape[0] > 0
     for p in range(min(TILES * TILE, status.shape[0] - start)):
         point, t, lane = start + p, p // TILE, p % TILE
@@ -158,6 +167,18 @@ def _square_rows(x):  # type: ignore[no-untyped-def]
         norm = total * (1.0 / INPUTS)
         store(norm, x, NORM, t)
         store(norm / (norm + REACH), x, NEAR, t)
+
+
+@kernel
+def _weigh(allowance, x, room):  # type: ignore[no-untyped-def]
+    """The bound as often as `allowance.weight` says, by squared inputs."""
+    for t in range(TILES):
+        square = spread(0.0)
+        for k in range(INPUTS):
+            square += allowance[k] * load(x, k, t)
+        share = root(square) + allowance[INPUTS]
+        share = where_less(share, 1.0, share, 1.0)
+        store(load(room, _BOUND, t) / share, room, _BOUND, t)
 
 
 @kernel

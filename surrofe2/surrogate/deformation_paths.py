@@ -1,8 +1,9 @@
 """Paths of deformation in (F, Ḟ): what calibration exchanges, and the true stress along them.
 
 A bound is believed on histories like those of a run, where neighbouring states share their error;
-so a whole path counts once. Four kinds: random walks within a sampling range, single states of
-it, those of its corners, and runs of the macro scale, all of whose points together are one path.
+so a whole path counts once. Five kinds: random walks within a sampling range, single states of
+it, of its corners and of small size, and runs of the macro scale, all of whose points together are
+one path.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ State = tuple[Array, Array]
 CHUNK = 512  # histories asked at once: true laws keep a warm start of each
 _KNOTS = 8  # states that a walk passes through
 _OUTER = 0.1  # of the half width: a corner
+_SMALLEST = 1e-3  # of a state, among those of small size
 _TURN = 0.5  # radians between two of them, at most
 _LOAD_TIMES = 4
 _LOAD_FACTOR = (0.25, 3.0)  # of the body force
@@ -93,6 +95,17 @@ def random_corners(range: SamplingRange, count: int, seed: int) -> DeformationPa
     is_fast = rng.random((count, 1, 1)) < 0.5
     A = range.rate * np.where(is_fast, outer(count, 2, 2), rng.uniform(-1.0, 1.0, (count, 2, 2)))
     return DeformationPaths("corners", U[None], A[None], np.arange(count))
+
+
+def random_small_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
+    """Paths of a single state each: random ones, drawn towards rest by a factor.
+
+    Its logarithm is uniform down to that of `_SMALLEST`, so that no size of load is left out.
+    """
+    U, A = random_states(range, count, seed).states
+    factor = _SMALLEST ** np.random.default_rng([seed, 1]).uniform(0.0, 1.0, (count, 1, 1))
+    F = np.eye(2) + factor * (U - np.eye(2))
+    return DeformationPaths("small", F[None], (factor * A)[None], np.arange(count))
 
 
 def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:

@@ -196,6 +196,19 @@ def slope_polynomial(network: NetworkParameters) -> Polynomial:
     )
 
 
+def sizes_at_rest(network: NetworkParameters) -> Array:
+    """(7,) Frobenius norm of what each input adds to the linear stress, by a unit of it, µN/µm.
+
+    That of the baseline, which has all slopes at rest where they were known to the training.
+    """
+    slopes = np.zeros((BIOT, INPUTS))
+    for (product, component), value in _monomials(network):
+        if len(product) == 1:
+            slopes[component % BIOT, product[0]] += value
+    sizes: Array = np.sqrt(0.5 * (slopes**2).sum(axis=0)) / network.tensors["input_scale"]
+    return sizes
+
+
 def _monomials(network: NetworkParameters) -> list[tuple[tuple[Product, int], float]]:
     """Product, component and coefficient of the baseline and, from `BIOT` on, of its energy."""
     features, given, to_biot = network.features, network.tensors, _to_biot(network).tolist()

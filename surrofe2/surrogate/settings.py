@@ -58,7 +58,9 @@ class CalibrationSettings:
     """
 
     walks: int = setting(500, "random walks in the sampling range", least=0)
-    states: int = setting(2000, "single random states of it, and as many of its corners", least=0)
+    states: int = setting(
+        2000, "single random states of it, as many of its corners, as many near rest", least=0
+    )
     runs: int = setting(
         100, "runs of the recipe's problem under varied loads; all points are one path", least=0
     )

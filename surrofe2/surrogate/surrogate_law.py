@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -25,12 +25,18 @@ from surrofe2.stress_law import (
     check_deformation,
 )
 from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate.allowance import make_allowance, weight
 from surrofe2.surrogate.compiled_bound import BoundArrays
 from surrofe2.surrogate.compiled_forces import motion_to_forces
 from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
-from surrofe2.surrogate.domain import Domain, why_outside
+from surrofe2.surrogate.domain import Domain, scaled_inputs, why_outside
 from surrofe2.surrogate.error_bound import Calibration
-from surrofe2.surrogate.network_arrays import NetworkArrays, NetworkParameters, slope_polynomial
+from surrofe2.surrogate.network_arrays import (
+    NetworkArrays,
+    NetworkParameters,
+    sizes_at_rest,
+    slope_polynomial,
+)
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.surrogate.scoring import errors_of
@@ -61,6 +67,7 @@ class SurrogateLaw(Viewed):
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
         cost: of its `data`, its `training` and its `calibration`, as far as known.
+        allowance: how often bounds count, see `held_to`; None: once.
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
 
@@ -79,13 +86,15 @@ class SurrogateLaw(Viewed):
     calibration: Calibration | None = None
     reference: ReferenceState | None = None
     cost: Mapping[str, Cost] = field(default_factory=dict)
+    allowance: Array | None = field(default=None, repr=False)
     arrays: NetworkArrays = field(init=False, repr=False)
     bound_arrays: BoundArrays = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arrays", NetworkArrays.of(self.network, self.range))
         calibration = self.calibration if self.is_calibrated else None
-        object.__setattr__(self, "bound_arrays", BoundArrays.of(self.domain, calibration))
+        bounds = BoundArrays.of(self.domain, calibration, self.allowance)
+        object.__setattr__(self, "bound_arrays", bounds)
 
     def __repr__(self) -> str:
         bound = "bound calibrated" if self.is_calibrated else "no bound"
@@ -169,6 +178,30 @@ class SurrogateLaw(Viewed):
         if self.calibration is not None:
             return self.calibration.stress_spread
         return float(np.hypot.reduce([self.errors["spread"][k] for k in ("xx", "xy", "yx", "yy")]))
+
+    def held_to(self, tolerance: float, relative: float) -> SurrogateLaw:
+        """This law, whose bounds count more often where less than the tolerance is allowed.
+
+        See `allowance`. Where tolerance or bound are infinite they count once.
+
+        Args:
+            tolerance: share of the spread of stress; relative: share of the local stress.
+        """
+        plain = self if self.allowance is None else replace(self, allowance=None)
+        at_rest = float(plain.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
+        if self.domain is None or not np.isfinite([tolerance, relative, at_rest]).all():
+            return plain
+        sizes = sizes_at_rest(self.network) * self.domain.scale
+        return replace(
+            self,
+            allowance=make_allowance(sizes, at_rest, self.stress_spread, tolerance, relative),
+        )
+
+    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
+        """(n,) how many times an error counts, as a bound does."""
+        if self.allowance is None or self.domain is None:
+            return np.ones(len(F))
+        return weight(scaled_inputs(F, F_dot, self.domain.scale), self.allowance)
 
     def error_bound(self, F: Array, F_dot: Array) -> Array:
         """(n,) bound of the error of the stress in µN/µm; see `calibration` for what it promises.

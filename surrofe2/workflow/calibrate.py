@@ -27,6 +27,7 @@ from surrofe2.surrogate.deformation_paths import (
     WatchedLaw,
     random_corners,
     random_loads,
+    random_small_states,
     random_states,
     random_walks,
     run_paths,
@@ -176,12 +177,13 @@ def _make_paths(
     """Paths of every kind that is asked for; one `stream` knows nothing of another."""
     wanted = settings.walks, settings.states, settings.runs
     walks, states, count = (int(np.ceil(share * number)) for number in wanted)
-    seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(4).tolist()
+    seeds = np.random.SeedSequence([settings.seed, stream]).generate_state(5).tolist()
     if walks:
         yield random_walks(range, walks, settings.length, seeds[0])
     if states:
         yield random_states(range, states, seeds[1])
         yield random_corners(range, states, seeds[3])
+        yield random_small_states(range, states, seeds[4])
     if count:
         met = []
         for along_a_run in runs(count, seeds[2]):

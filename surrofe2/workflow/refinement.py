@@ -137,7 +137,8 @@ def _row(
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
     source = folder / "run" / of_cell(HARVEST, name)
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
-    unknown, audit = unknown_states(harvest, surrogate, tolerance * spread)
+    held = surrogate.held_to(tolerance, recipe.cache.relative_tolerance)
+    unknown, audit = unknown_states(harvest, held, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
         states = harvest.F[unknown], harvest.F_dot[unknown]
@@ -246,6 +247,7 @@ def unknown_states(
     if len(audited):
         answer, status, _ = surrogate.lookup(harvest.F[audited], harvest.F_dot[audited])
         error = stress_error(answer, harvest.stress[audited])
+        error *= surrogate.weight(harvest.F[audited], harvest.F_dot[audited], allowed)
         error = np.where(status == 0, error, np.inf)
         unknown[audited[error > allowed]] = True
         quantile = float(np.quantile(error, AUDIT_QUANTILE))

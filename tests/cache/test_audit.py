@@ -150,7 +150,8 @@ def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
         F = np.eye(2) * np.ones((len(points), 1, 1))
         F[:, 0, 1] = shears
         zero = np.zeros_like(F)
-        audit.wait(Question(np.zeros(len(F), int), np.array(points), F, zero, zero, zero[:, 0, 0]))
+        none = np.zeros(len(F))
+        audit.wait(Question(none.astype(int), np.array(points), F, zero, zero, none, none + 1.0))
         audit.run()
 
     asked([3, 5, 9], [0.1, 0.2, 0.4])

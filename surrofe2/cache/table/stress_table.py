@@ -93,6 +93,14 @@ class StressTable:
         """What the table knows now, a copy."""
         return Records(*(part[: self.size].copy() for part in self._records))
 
+    def held_to(self, tolerance: float, relative: float) -> StressTable:
+        """Itself: it is grown for one tolerance."""
+        return self
+
+    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
+        """(n,) ones."""
+        return np.ones(len(F))
+
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
@@ -279,6 +287,15 @@ class ChainedSurrogate:
         self.is_calibrated = surrogate.is_calibrated
         self.tangents, self.learn = table.tangents, table.learn
         self.to_arrays, self.from_arrays = table.to_arrays, table.from_arrays
+
+    def held_to(self, tolerance: float, relative: float) -> ChainedSurrogate:
+        """With the surrogate held to them."""
+        return ChainedSurrogate(self.surrogate.held_to(tolerance, relative), self.table)
+
+    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
+        """(n,) that of the surrogate, 1 where the table answers."""
+        of_table = self.is_of_table(F, F_dot, tolerance)
+        return np.where(of_table, 1.0, self.surrogate.weight(F, F_dot, tolerance))
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf

@@ -1,0 +1,130 @@
+"""What is allowed near rest, what audits make of it, and that a surrogate can keep it."""
+
+from operator import attrgetter
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw
+from surrofe2.sampling import SamplingRange
+from surrofe2.stress_law import Status
+from surrofe2.surrogate import TrainingSettings, train
+from surrofe2.surrogate.deformation_paths import random_small_states, random_states
+from surrofe2.tensors import INPUTS, from_inputs, stress_error, to_inputs
+from surrofe2.workflow.generate import sample_stress
+from tests.laws import RANGE, Learnt, Truth, stretched
+from tests.surrogate.failing_samples import G
+from tests.surrogate.networks import with_bound
+
+TOLERANCE, RELATIVE = 0.4, 0.05
+NEAR = SamplingRange(stretch=(0.96, 1.04), shear=0.04, rate=0.01)
+REST = np.eye(2)[None], np.zeros((1, 2, 2))
+
+
+@pytest.fixture(scope="module")
+def trusted(law):
+    """The analytic law's surrogate with an arbitrary bound, which is small beside `TOLERANCE`."""
+    return with_bound(law, quantile=0.01)
+
+
+@pytest.fixture(scope="module")
+def held(trusted):
+    return trusted.held_to(TOLERANCE, RELATIVE)
+
+
+@pytest.fixture(scope="module", params=[random_states, random_small_states])
+def states(request, trusted):
+    F, F_dot = request.param(RANGE, 2000, seed=5).states
+    inside = trusted.in_range(F, F_dot)
+    return F[inside], F_dot[inside]
+
+
+def test_the_kernel_is_its_numpy_twin(trusted, held, states):
+    weight = held.weight(*states, 0.0)
+    assert (weight >= 1.0).all()
+    assert weight.max() > 1.2
+    found = held.error_bound(*states)
+    np.testing.assert_allclose(found, weight * trusted.error_bound(*states), rtol=1e-10)
+    _, status, bound = held.lookup(*states, float(np.median(found)))
+    assert np.array_equal(bound, found)
+    assert np.array_equal(status == Status.NOT_TRUSTED, found > np.median(found))
+
+
+def test_what_is_allowed_is_as_stated(trusted, held, states):
+    h = 1e-6
+    F, F_dot = from_inputs(h * np.eye(INPUTS), np.tile(np.eye(2), (INPUTS, 1, 1)))
+    sizes = stress_error(trusted.extrapolate(F, F_dot), 0.0 * F) / h
+    local = np.sqrt(to_inputs(*states)[0] ** 2 @ sizes**2)
+    at_rest = 2.0 * trusted.error_bound(*REST)
+    most = TOLERANCE * trusted.stress_spread
+    allowed = np.minimum(most, at_rest + RELATIVE * local)
+    np.testing.assert_allclose(held.weight(*states, 0.0), most / allowed, rtol=1e-3)
+
+
+def test_rotation_and_D4_make_no_difference(held):
+    F, F_dot = random_small_states(RANGE, 300, seed=2).states
+    bound = held.error_bound(F, F_dot)
+    for g in G:
+        left = np.eye(2) if np.linalg.det(g) > 0 else g.T
+        image = held.error_bound(left @ F @ g, left @ F_dot @ g)
+        np.testing.assert_allclose(image, bound, rtol=1e-9)
+
+
+def test_rest_itself_is_far_from_the_threshold(trusted, held):
+    most = TOLERANCE * trusted.stress_spread
+    assert held.error_bound(*REST)[0] == pytest.approx(0.5 * most)
+
+
+@pytest.mark.parametrize("given", [(np.inf, RELATIVE), (TOLERANCE, np.inf)])
+def test_without_one_of_them_bounds_count_once(trusted, held, states, given):
+    free = held.held_to(*given)
+    assert np.array_equal(free.error_bound(*states), trusted.error_bound(*states))
+    assert (free.weight(*states, 0.0) == 1.0).all()
+
+
+def test_a_surrogate_without_a_bound_has_no_allowance(law):
+    assert law.held_to(TOLERANCE, RELATIVE).allowance is None
+
+
+class Strict(Learnt):
+    """Where F₁₂ is small, an error counts four times."""
+
+    def weight(self, F, F_dot, tolerance):
+        return np.where(abs(F[:, 0, 1]) < 0.05, 4.0, 1.0)
+
+
+def test_audits_judge_by_the_same_rule():
+    """An error of half the tolerance breaks it where it counts four times."""
+    F, F_dot = stretched(*np.linspace(1.0, 1.2, 40))
+    F[::2, 0, 1] = 0.1
+    size = 0.5e-3 * Learnt.stress_spread
+    for kind, broken in ((Learnt, 0), (Strict, 20)):
+        surrogate = kind(lambda F, F_dot: np.full(len(F), size), lambda F, F_dot: 1e-3 * F[:, 0, 0])
+        law = CachedLaw(surrogate, Truth(), CacheSettings(audit=1.0))
+        assert not law.accept(F, F_dot, law.respond(F, F_dot)).status.any()
+        audit = law.report()["audit"]
+        assert (audit["audited"], audit["violations"]) == (40, broken)
+        assert audit["largest"] == pytest.approx((4.0 if broken else 1.0) * size)
+
+
+@pytest.mark.parametrize("preset", ["printed", "water"])
+def test_stress_and_moduli_at_rest_are_those_of_the_RVE(preset):
+    """However little was learnt; so the error falls with the square of the load."""
+    rve = RveLaw(CellParameters.preset(preset))
+    samples = sample_stress(rve, NEAR, 64)
+    surrogate = train(samples, TrainingSettings(hidden=(4,), iterations=3))
+    found, true = (law.respond(*REST, tangents=True) for law in (surrogate, rve))
+    assert np.abs(true.stress).max() < 1e-9 * surrogate.stress_spread
+    assert (found.stress == 0.0).all()
+    for name in ("P_by_F", "P_by_F_dot"):
+        wanted = attrgetter(name)(true.tangents)
+        wrong = np.abs(attrgetter(name)(found.tangents) - wanted).max()
+        assert wrong < 1e-6 * np.abs(wanted).max()
+    F, F_dot = random_states(NEAR, 100, seed=3).states
+    errors = [
+        stress_error(*(law.respond(REST[0] + t * (F - REST[0]), t * F_dot).stress for law in both))
+        for t, both in ((0.1, (surrogate, rve)), (0.01, (surrogate, rve)))
+    ]
+    assert errors[1].max() < 0.02 * errors[0].max()
