@@ -103,6 +103,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "cliff": bounds.cliff,
         "bound_table": bounds.bound_table,
         "bound_coefficients": bounds.bound,
+        "near": bounds.near,
     }
     if sizes["ENERGY_LAYERS"]:
         arrays |= {

@@ -163,7 +163,7 @@ static double sum_of_products(const int (*table)[4], const double *coefficients,
 /* Whether a point is where the data are, and the bound of the error there, in uN/um. */
 static int domain_and_bound(const double *inputs, double tolerance, double *bound)
 {
-    double x[11], features[19] = {0.0}, mean = 0.0;
+    double x[11], features[19] = {0.0}, mean = 0.0, size = 0.0;
     for (int k = 0; k < INPUTS; k++)
         x[k] = inputs[k] * domain_factor[k];
     x[ONE] = 1.0;
@@ -184,10 +184,11 @@ static int domain_and_bound(const double *inputs, double tolerance, double *boun
     for (int k = 0; k < INPUTS; k++) {
         x[k] *= x[k];
         mean += x[k] / INPUTS;
+        size += near[k] * x[k];
     }
     x[8] = low * low;
     x[9] = mean;
-    x[10] = mean / (mean + REACH);
+    x[10] = size / (size + REACH);
     if (BOUND)
         *bound = sum_of_products(bound_table, bound_coefficients, BOUND, x);
     return *bound <= tolerance ? SURROFE2_OK : SURROFE2_NOT_TRUSTED;

@@ -57,6 +57,7 @@ from surrofe2.surrogate.domain import (
     with_one,
 )
 from surrofe2.surrogate.error_bound import Calibration, even_rows, local_scale, scale_table
+from surrofe2.surrogate.network_arrays import sizes_at_rest
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.tensors import INPUTS, stress_error, stress_spread
 
@@ -65,6 +66,7 @@ Array = NDArray[np.float64]
 _DOUBT = 0.05  # that a set of paths gives a bound that breaks more often than it says
 _LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way out from rest
 _LEAST_AT_REST = 1e-5  # and everywhere above this
+_LEAST_SIZE = 1e-3  # of a state: it does not matter how small those below are
 _EXACT = 1e-13  # of the spread: errors below are rounding
 _MOST_ADDED = 300  # states that bind the local scale, in one round
 _SLACK = 1e-6  # of the largest error
@@ -108,12 +110,13 @@ def calibrate(
     domain = fit_domain(samples, _failures(shaping))
     law = replace(law, domain=domain, calibration=None)
     spread = stress_spread(samples.valid.stress)
-    scale = _fit_scale(law, domain.scale, shaping, spread)
+    near = _shares(sizes_at_rest(law.network) * domain.scale)
+    scale = _fit_scale(law, near, shaping, spread)
     kinds: dict[str, dict[str, float]] = {}
     measured = {}
     for truth in testing:
         error, inside = errors_along(law, truth)
-        local = local_scale(scale, scaled_inputs(*truth.paths.states, domain.scale))
+        local = local_scale(scale, near, scaled_inputs(*truth.paths.states, domain.scale))
         ratio = np.where(inside, error / local, 0.0)
         measured[truth.paths.kind] = local[inside], error[inside]
         kinds[truth.paths.kind] = {
@@ -133,6 +136,7 @@ def calibrate(
         data_fingerprint=law.data_fingerprint,
         subject=law.network.fingerprint(law.range),
         settings=dict(settings or {}),
+        near=near,
     )
     return replace(law, calibration=calibration)
 
@@ -205,20 +209,30 @@ def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
     return (F, F_dot) if len(F) else None
 
 
-def _fit_scale(
-    law: SurrogateLaw, input_scale: Array, shaping: Sequence[Truth], spread: float
-) -> Array:
-    """Coefficients of the smallest scale, in the mean over all kinds, that covers all errors.
+def _shares(sizes: Array) -> Array:
+    """(7,) shares of the squares of what inputs give, all the same where they give nothing."""
+    squares = sizes**2
+    total = float(squares.sum())
+    return squares / total if total > 0.0 else np.full(INPUTS, 1.0 / INPUTS)
 
-    A linear program: minimise mean s subject to s ≥ error at every state, coefficients ≥ 0.
+
+def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread: float) -> Array:
+    """Coefficients of the smallest scale relative to the size of states that covers all errors.
+
+    A linear program: minimise the mean of s/size over all kinds, subject to s ≥ error at every
+    state, coefficients ≥ 0.
     """
-    table = scale_table()
+    assert law.domain is not None
+    table, cost = scale_table(), np.zeros(len(scale_table()))
     bases, errors = [], []
     for truth in shaping:
         error, inside = errors_along(law, truth)
         kept = inside & np.isfinite(error)
-        x = scaled_inputs(*truth.paths.states, input_scale)[kept]
-        bases.append(products(even_rows(x), table))
+        x = scaled_inputs(*truth.paths.states, law.domain.scale)[kept]
+        bases.append(products(even_rows(x, near), table))
+        if len(x):
+            size = np.sqrt(x**2 @ near) + _LEAST_SIZE
+            cost += (bases[-1] / size[:, None]).mean(axis=0)
         errors.append(error[kept])
     largest = max((error.max(initial=0.0) for error in errors), default=0.0)
     floor = np.zeros(len(table))
@@ -226,9 +240,8 @@ def _fit_scale(
     if largest <= floor[0]:
         return floor
     floor[-1] = _LEAST_SCALE * largest
-    cost = sum(basis.mean(axis=0) for basis in bases if len(basis))
     basis, error = np.concatenate(bases), np.concatenate(errors) / largest
-    return largest * _smallest_cover(cost, basis, error, floor / largest)
+    return largest * _smallest_cover(cost / cost.max(), basis, error, floor / largest)
 
 
 def _smallest_cover(cost: Array, basis: Array, error: Array, least: Array) -> Array:

@@ -41,6 +41,7 @@ class BoundArrays(NamedTuple):
             18 for none; limits: (m,) of their sum.
         cliff_table: (k, 4) int64; cliff: (k,) float64.
         bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
+        near: (7,) share of each squared input in the size of a state.
         allowance: (8,) of `allowance`; empty: bounds count once everywhere.
     """
 
@@ -52,6 +53,7 @@ class BoundArrays(NamedTuple):
     cliff: NDArray[np.float64]
     bound_table: NDArray[np.int64]
     bound: NDArray[np.float64]
+    near: NDArray[np.float64]
     allowance: NDArray[np.float64]
 
     @classmethod
@@ -65,7 +67,7 @@ class BoundArrays(NamedTuple):
         sides, limits = np.empty((0, 2), dtype=np.int64), np.empty(0)
         table, cliff = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
         bound_table, bound = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
-        factor, square = np.ones(INPUTS), False
+        factor, near, square = np.ones(INPUTS), np.ones(INPUTS), False
         if domain is not None:
             sides, limits = _half_spaces(domain)
             factor, square = 1.0 / domain.scale, domain.square
@@ -75,8 +77,9 @@ class BoundArrays(NamedTuple):
                 used = calibration.scale > 0.0
                 bound_table = scale_table()[used]
                 bound = calibration.quantile * calibration.scale[used]
+                near = calibration.near
         flag, counted = np.array([int(square)]), np.empty(0) if allowance is None else allowance
-        return cls(factor, flag, sides, limits, table, cliff, bound_table, bound, counted)
+        return cls(factor, flag, sides, limits, table, cliff, bound_table, bound, near, counted)
 
 
 def _half_spaces(domain: Domain) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -98,7 +101,7 @@ def apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: 
     _add_products(arrays.cliff_table, arrays.cliff, x, room, _HEIGHT)
     _set_features(x, arrays.square[0] == 1, features)
     _test_half_spaces(features, arrays, room)
-    _square_rows(x)
+    _square_rows(arrays.near, x)
     room[_BOUND] = 0.0
     _add_products(arrays.bound_table, arrays.bound, x, room, _BOUND)
     if arrays.allowance.shape[0]:
@@ -153,20 +156,20 @@ def _test_half_spaces(features, arrays, room):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _square_rows(x):  # type: ignore[no-untyped-def]
-    """Rows 0 to 6 squared, row 8: the square of s where negative, row 9: the mean square m, row 10:
-    m/(m + `REACH`)."""
+def _square_rows(near, x):  # type: ignore[no-untyped-def]
+    """Rows 0 to 6 squared, row 8: the square of s where negative, row 9: the mean square, row 10:
+    m/(m + `REACH`), m their mean by the shares `near`."""
     for t in range(TILES):
         low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
         store(low * low, x, COMPRESSION, t)
-        total = spread(0.0)
+        total, size = spread(0.0), spread(0.0)
         for k in range(INPUTS):
             square = load(x, k, t) * load(x, k, t)
             store(square, x, k, t)
             total += square
-        norm = total * (1.0 / INPUTS)
-        store(norm, x, NORM, t)
-        store(norm / (norm + REACH), x, NEAR, t)
+            size += near[k] * square
+        store(total * (1.0 / INPUTS), x, NORM, t)
+        store(size / (size + REACH), x, NEAR, t)
 
 
 @kernel

@@ -8,7 +8,7 @@ what the bound promises.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from typing import Any
 
@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 
 COMPRESSION, NORM, NEAR = 8, 9, 10
 """Columns of `even_rows` behind the squared inputs and 1."""
-REACH = 0.01
-"""Mean square of the inputs at which `NEAR` is half of what it comes to: the error is exactly 0 at
-rest, grows from there with the square, and soon no more."""
+REACH = 3e-4
+"""Mean square of the inputs, by the stress each gives, at which `NEAR` is half of what it comes to:
+the error is exactly 0 at rest, grows from there with the square, and soon no more."""
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -34,6 +34,7 @@ class Calibration:
 
     Attributes:
         scale: (k,) coefficients ≥ 0 of `scale_table`, µN/µm.
+        near: (7,) share of each squared input in the size of a state, which `NEAR` goes by.
         quantile: q; infinite where no bound can be given.
         share: nominal share α of paths that may break the bound.
         kinds: by kind of path, `paths`, `states` within the domain, their own `quantile` and, as
@@ -52,34 +53,37 @@ class Calibration:
     data_fingerprint: str
     subject: str
     settings: Mapping[str, Any]
+    near: Array = field(default_factory=lambda: np.full(INPUTS, 1.0 / INPUTS))
 
     def __post_init__(self) -> None:
-        check_arrays("calibration", {"scale": self.scale}, {"scale": (len(scale_table()),)})
+        shapes = {"scale": (len(scale_table()),), "near": (INPUTS,)}
+        check_arrays("calibration", {"scale": self.scale, "near": self.near}, shapes)
         if not (self.quantile >= 0.0 and (self.scale >= 0.0).all() and self.stress_spread > 0.0):
             raise InputError("calibration: scale, quantile and stress_spread; none may be negative")
 
 
-def local_scale(scale: Array, x: Array) -> Array:
+def local_scale(scale: Array, near: Array, x: Array) -> Array:
     """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""
-    values: Array = products(even_rows(x), scale_table()) @ scale
+    values: Array = products(even_rows(x, near), scale_table()) @ scale
     return values
 
 
-def even_rows(x: Array) -> Array:
+def even_rows(x: Array, near: Array) -> Array:
     """(n, 11) rows that never fall on the way out from (I, 0).
 
     The squares of the seven inputs, 1, the square of s where it is negative (`COMPRESSION`), the
-    mean square m of all inputs (`NORM`) and m/(m + `REACH`) (`NEAR`).
+    mean square of all inputs (`NORM`) and, with their mean m by the shares `near`, m/(m + `REACH`)
+    (`NEAR`).
     """
     squares = x**2
-    norm = squares.mean(axis=1)
+    norm, size = squares.mean(axis=1), squares @ near
     return np.column_stack(
         [
             squares,
             np.ones(len(x)),
             np.minimum(x[:, 0], 0.0) ** 2,
             norm,
-            norm / (norm + REACH),
+            size / (size + REACH),
         ]
     )
 

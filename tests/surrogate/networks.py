@@ -46,6 +46,7 @@ def with_bound(law, quantile=0.7):
         data_fingerprint=law.data_fingerprint,
         subject=law.network.fingerprint(law.range),
         settings={},
+        near=np.array([0.3, 0.25, 0.2, 0.1, 0.05, 0.06, 0.04]),
     )
     domain = fit_domain(samples_that_fail(buckles, 2000))
     return replace(law, domain=domain, calibration=calibration)

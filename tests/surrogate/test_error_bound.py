@@ -37,7 +37,9 @@ def test_the_kernel_is_its_numpy_twin(trusted, count):
     F, F_dot = turned(count)
     inside = contains(RANGE, F, F_dot) & within(trusted.domain, F, F_dot)
     bound = 0.7 * local_scale(
-        trusted.calibration.scale, scaled_inputs(F, F_dot, trusted.domain.scale)
+        trusted.calibration.scale,
+        trusted.calibration.near,
+        scaled_inputs(F, F_dot, trusted.domain.scale),
     )
     found = trusted.error_bound(F, F_dot)
     assert np.array_equal(np.isfinite(found), inside)
