@@ -22,7 +22,7 @@ class CacheSettings:
         inf=True,
     )
     relative_tolerance: float = setting(
-        2e-3,
+        3e-3,
         "allowed error relative to the local stress too, where that is less; inf: the other alone",
         above=0.0,
         inf=True,
