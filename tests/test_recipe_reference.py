@@ -37,6 +37,7 @@ def test_a_table_names_every_key_of_its_section(reference):
     rows = reference.page().split("## [cache]")[1].split("## ")[0]
     assert [row.split("`")[1] for row in rows.splitlines() if row.startswith("| `")] == [
         "tolerance",
+        "relative_tolerance",
         "audit",
         "seed",
     ]
