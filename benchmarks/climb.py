@@ -58,7 +58,7 @@ class Search:
 
     def __init__(self, surrogate: SurrogateLaw, law: RveLaw, settings: CacheSettings) -> None:
         self.law, self.range = law, surrogate.range
-        self.surrogate = surrogate.held_to(settings.tolerance, settings.relative_tolerance)
+        self.surrogate = surrogate.held_to(settings.tolerance, settings.relative)
         self.allowed = settings.tolerance * surrogate.stress_spread
 
     def judge(self, at: Array) -> Judged:

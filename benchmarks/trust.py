@@ -215,7 +215,7 @@ def to_page(report: Mapping[str, Any], outcome: Outcome, reports: list[dict[str,
         "# The cache against its tolerance\n\n"
         "This page shows how large the errors of the cache are against its tolerance, which is "
         f"{TOLERANCE:g} of the spread of stress and, by the network, at most "
-        f"{CacheSettings().relative_tolerance:g} of the local stress. A true RVE audited every "
+        f"{CacheSettings().relative:g} of the local stress. A true RVE audited every "
         "accepted answer.\n\n"
         "Written by `make accept-cache`; do not edit. "
         f"surrofe2 {report['version']}, {report['date'][:10]}.\n"

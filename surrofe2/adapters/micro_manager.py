@@ -64,7 +64,7 @@ def the_surrogate() -> SurrogateLaw:
 def the_bound() -> SurrogateLaw:
     """Its surrogate, held to the tolerances of the cache."""
     settings = the_recipe().cache
-    return the_surrogate().held_to(settings.tolerance, settings.relative_tolerance)
+    return the_surrogate().held_to(settings.tolerance, settings.relative)
 
 
 class PointSimulation(MicroSimulationInterface):

@@ -207,7 +207,7 @@ class Monitor:
         return {
             "tolerance": {
                 "share": self._settings.tolerance,
-                "relative": self._settings.relative_tolerance,
+                "relative": self._settings.relative,
                 "spread": self._spread,
                 "absolute": self.trust.allowed,
             },

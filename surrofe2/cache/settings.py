@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from surrofe2.settings import check_settings, setting
 
+_RELATIVE = 3.0  # times the tolerance
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CacheSettings:
@@ -21,9 +23,10 @@ class CacheSettings:
         above=0.0,
         inf=True,
     )
-    relative_tolerance: float = setting(
-        3e-3,
-        "allowed error relative to the local stress too, where that is less; inf: the other alone",
+    relative_tolerance: float | None = setting(
+        None,
+        "allowed error relative to the local stress, where that is less; left out: 3 × tolerance; "
+        "inf: the other alone",
         above=0.0,
         inf=True,
     )
@@ -37,6 +40,12 @@ class CacheSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "cache")
+
+    @property
+    def relative(self) -> float:
+        """`relative_tolerance`, stated or not."""
+        stated = self.relative_tolerance
+        return _RELATIVE * self.tolerance if stated is None else stated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

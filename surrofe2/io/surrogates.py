@@ -143,10 +143,10 @@ def _calibration(content: Mapping[str, Any]) -> Calibration:
     scale, quantile = np.array(content["scale"]), float(content["quantile"])
     newer = max(0, len(scale_table()) - len(scale))  # products that older files know nothing of
     scale = np.concatenate([scale, np.zeros(newer)])
-    known = {"scale": scale, "quantile": quantile, "kinds": kinds}
+    known: dict[str, Any] = {"scale": scale, "quantile": quantile, "kinds": kinds}
     if "near" in content:
         known["near"] = np.array(content["near"])
-    return Calibration(**content | known)
+    return Calibration(**{**content, **known})
 
 
 def write_training(

@@ -137,7 +137,7 @@ def _row(
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
     source = folder / "run" / of_cell(HARVEST, name)
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
-    held = surrogate.held_to(tolerance, recipe.cache.relative_tolerance)
+    held = surrogate.held_to(tolerance, recipe.cache.relative)
     unknown, audit = unknown_states(harvest, held, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:

@@ -37,14 +37,14 @@ def test_train_calibrates_and_says_what_it_found(invoke, recipe_path, surrogate_
     assert done.exit_code == 0, done.output
     line = next(line for line in done.stdout.splitlines() if line.startswith("bound: "))
     assert "% of the spread of stress at the centre" in line
-    assert line.endswith("at the edge, 58 paths, nominal share 10 %")
+    assert line.endswith("at the edge, 78 paths, nominal share 10 %")
     assert "\nsharpness: median bound over the error that 99 % keep" in done.stdout
     surrogate = read_surrogate(surrogate_path)
     assert surrogate.is_calibrated
     assert np.isfinite(surrogate.error_bound(*AT_REST)).all()
     calibration = surrogate.calibration
     counts = {kind: figures["paths"] for kind, figures in calibration.kinds.items()}
-    assert counts == {"walks": 9, "states": 20, "corners": 20, "runs": 9}
+    assert counts == {"walks": 9, "states": 20, "corners": 20, "small": 20, "runs": 9}
     assert calibration.settings == asdict(recipe.calibration)
     assert calibration.data_fingerprint == surrogate.data_fingerprint
 

@@ -83,7 +83,7 @@ def test_the_bound_holds_on_random_states(calibrated):
     error = stress_error(stress, lattice_stress(F, F_dot))
     assert (error[inside] > bound[inside]).mean() <= SHARE
     typical = np.median(error[inside])
-    assert np.quantile(bound[inside], 0.99) < 30.0 * typical  # and it says something
+    assert np.quantile(bound[inside], 0.99) < 30.0 * MARGIN * typical  # and it says something
 
 
 def test_the_bound_holds_on_fresh_paths(calibrated):
