@@ -44,6 +44,7 @@ CASES = {
     "cached and table": ("cached", BOTH),
 }
 LONG_CASES = {
+    "cached on many": ("cached", CACHED.replace("[2, 2]", "[6, 4]")),
     "rve implicit": ("rve", STRONG + IMPLICIT),
     "slow-manifold": ("rve", by("slow-manifold")),
     "elastic": ("rve", by("elastic")),

@@ -21,8 +21,16 @@ from tests.on_ranks import recipe_of
 from tests.test_going_on import home, interrupted, numbers  # noqa: F401 - a fixture
 
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
-FAST = ("rve", "rve implicit", "cached")
-LONG = ("slow-manifold", "iterated", "cached implicit", "cached and table", "table", "cells by rve")
+FAST = ("rve", "rve implicit", "surrogate", "cached on many")
+LONG = (
+    "cached",
+    "slow-manifold",
+    "iterated",
+    "cached implicit",
+    "cached and table",
+    "table",
+    "cells by rve",
+)
 OF_RANKS = ("ranks", "threads")
 
 
@@ -89,7 +97,7 @@ def test_two_ranks_leave_what_one_leaves(name, by_one, by_two):
 
 
 def test_the_cached_run_has_hits_fallbacks_and_audits(by_two):
-    record = read_record(by_two / "cached")
+    record = read_record(by_two / "cached on many")
     assert record.counts["hits"] > 100
     assert record.counts["fallbacks"] > 100
     assert record.cache["audit"]["audited"] > 5

@@ -88,9 +88,12 @@ class Crew:
         """Nobody refers to that state any more."""
         self._dropped.append(number)
 
-    def adopt(self, law: StressLaw | ElementArrays) -> int:
-        """The number of a law, or of elements, that all ranks have from now on."""
-        number = self.new_number()
+    def adopt(self, law: StressLaw | ElementArrays, number: int | None = None) -> int:
+        """The number of a law, or of elements, that all ranks have from now on.
+
+        number: of what it takes the place of, if anything.
+        """
+        number = self.new_number() if number is None else number
         self.do(Adopt(number, law))
         return number
 

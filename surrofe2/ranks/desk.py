@@ -66,17 +66,15 @@ class Desk:
         self.laws: dict[int, Any] = {}
         self.states: dict[int, Any] = {}
         self._last: Any = None
-        self._on_the_way: list[Any] = []
 
     def order(self, task: Any = None, dropped: Sequence[int] = ()) -> Any:
         """The task that rank 0 orders, on all ranks, and without the states that are dropped.
 
         The very task of the last time is not sent again.
         """
-        is_new = np.array([task is not self._last or len(dropped) > 0])
-        self.comm.Bcast(is_new)
-        if is_new[0]:
-            sent = self.comm.bcast((task, dropped))
+        is_new = task is not self._last or len(dropped) > 0
+        sent = self.comm.bcast((task, dropped) if is_new else None)
+        if sent is not None:
             self._last, dropped = sent if self.rank else (task, dropped)
             for number in dropped:
                 self.states.pop(number, None)
@@ -93,19 +91,18 @@ class Desk:
         return values
 
     def scattered(self, cuts: Index, whole: Array | None) -> Array:
-        """The rows of this rank of an array (n, 2, 2) that rank 0 has.
-
-        Rank 0 goes on while they are on the way, until it tells.
-        """
+        """The rows of this rank of an array (n, 2, 2) that rank 0 has."""
         own = self.own(cuts)
         if whole is None:
             part = np.empty((own.stop - own.start, 2, 2))
             if part.size:
                 self.comm.Recv(part, 0)
             return part
-        for rank in self._others(cuts):
-            part = whole[int(cuts[rank]) : int(cuts[rank + 1])]
-            self._on_the_way.append(self.comm.Isend(np.ascontiguousarray(part), rank))
+        parts = [
+            (rank, whole[int(cuts[rank]) : int(cuts[rank + 1])]) for rank in self._others(cuts)
+        ]
+        for each in [self.comm.Isend(np.ascontiguousarray(part), rank) for rank, part in parts]:
+            each.Wait()  # before this rank computes: a send may need its hand
         return whole[own]
 
     def gathered(self, cuts: Index, part: Array | None, row: tuple[int, ...]) -> Array | None:
@@ -142,9 +139,6 @@ class Desk:
             if told.has_more:
                 self.comm.send(told, 0)
             return None
-        for each in self._on_the_way:
-            each.Wait()
-        self._on_the_way.clear()
         of_all = np.empty((self.ranks, 2))
         self.comm.Gather(said, of_all)
         others = enumerate(of_all[1:].tolist(), start=1)

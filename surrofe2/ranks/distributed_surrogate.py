@@ -17,6 +17,7 @@ from surrofe2.ranks.tasks import Answered, Forces, LookUp, Slopes
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import (
     Acceptance,
+    ElementForces,
     Status,
     StressResponse,
     Tangents,
@@ -30,6 +31,7 @@ LEAST = 32
 """Points a rank from which on it pays to send them."""
 _BYTES = {"lookup": 104, "test": 72, "tangents": 320}
 """A point that came and went."""
+_NONE = np.empty(0, dtype=np.intp)
 
 
 class DistributedSurrogate(CrewLaw[SurrogateLaw]):
@@ -64,7 +66,8 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
 
     def held_to(self, tolerance: float, relative: float) -> DistributedSurrogate:
         """As of `SurrogateLaw`; every rank has it besides this one."""
-        return DistributedSurrogate(self.law.held_to(tolerance, relative), self.crew)
+        law = self.law.held_to(tolerance, relative)
+        return self if law is self.law else DistributedSurrogate(law, self.crew)
 
     def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
         """As of `SurrogateLaw`."""
@@ -82,6 +85,14 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         assert answer.bound is not None
         status = dense(len(F), [each.status for each in answer.told], np.int8)
         return answer.values, status, answer.bound
+
+    def element_forces(
+        self, space: ElementArrays, u: Array, v: Array, state: Any = None
+    ) -> ElementForces | None:
+        """As of `SurrogateLaw`."""
+        forces = self.motion_to_forces(space, (u, v), np.inf, _NONE)
+        effort = {"surrogate_points": space.weights.size}
+        return None if forces is None else ElementForces(forces, effort)
 
     def motion_to_forces(
         self,
@@ -112,7 +123,8 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
     ) -> Forces:
         """The last one where it says the same: ranks are not told it twice."""
         if self._space is None or self._space[0].gradients is not space.gradients:
-            self._space = space, self.crew.adopt(space)
+            number = None if self._space is None else self._space[1]
+            self._space, self._forces = (space, self.crew.adopt(space, number)), None
         same = self._forces
         if (
             same is None
@@ -187,8 +199,8 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         if count < LEAST * self.crew.ranks:
             return None
         if (what, count) not in self._blocks:
-            if len(self._blocks) > 100:
-                self._blocks.clear()
+            if len(self._blocks) > 100:  # of points that change in number, on the fallback
+                self._blocks = {key: each for key, each in self._blocks.items() if key[0] != what}
             self._blocks[what, count] = Blocks(count, self.crew.ranks)
         return self._blocks[what, count]
 

@@ -19,6 +19,7 @@ from surrofe2.sampling import SamplingRange
 from tests.laws import TrueLattice
 from tests.macro.bars import bar_system, random_state, state_vector
 from tests.macro.meshes import KINDS, plate
+from tests.surrogate.networks import with_bound
 
 ANY = CacheSettings(tolerance=np.inf)
 NONE = np.empty(0, dtype=np.intp)
@@ -80,6 +81,21 @@ def test_points_that_are_held_give_no_force_and_need_no_stress(answering, rng):
     everything = np.arange(space.n_points)
     assert not narrow.motion_to_forces(space.arrays, (u, v), np.inf, everything).any()
     assert narrow.motion_to_forces(space.arrays, (u, v), np.inf, everything[1:]) is None
+
+
+def test_points_that_are_not_trusted_have_no_forces(answering, rng):
+    """By the bound of each point, and at none by a tolerance of which it is the largest."""
+    law = with_bound(answering)
+    space = make_discretisation(plate("quads", rng))
+    u, v = motion_of(space, rng)
+    F, F_dot, _ = deformation_gradient(space, u, v)
+    bound = law.lookup(F, F_dot)[2]
+    worst = bound.max()
+    assert np.isfinite(worst)
+    assert law.motion_to_forces(space.arrays, (u, v), worst, NONE) is not None
+    assert law.motion_to_forces(space.arrays, (u, v), 0.999 * worst, NONE) is None
+    held = (bound > 0.999 * worst).nonzero()[0]
+    assert law.motion_to_forces(space.arrays, (u, v), 0.999 * worst, held) is not None
 
 
 @pytest.mark.parametrize("spoilt", [np.nan, -60.0])
