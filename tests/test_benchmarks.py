@@ -130,7 +130,7 @@ def test_plain_and_lane_forces_are_those_of_the_twin(setting):
     [
         macro_overhead,
         inference,
-        initialisations,
+        pytest.param(initialisations, marks=pytest.mark.slow),
         linear_cost,
         pytest.param(table_learning, marks=pytest.mark.slow),
     ],

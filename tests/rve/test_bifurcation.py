@@ -112,7 +112,10 @@ def test_where_no_stable_state_is_found_there_is_no_stress(preset):
     assert np.isnan(answer.stress[1]).all()
 
 
-@pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
+@pytest.mark.parametrize(
+    "initialisation",
+    ["elastic", "constrained-runs", pytest.param("slow-manifold", marks=pytest.mark.slow)],
+)
 def test_no_solve_fails_near_the_reference(initialisation):
     for preset in PRESETS:
         F, F_dot = near(preset, 400)

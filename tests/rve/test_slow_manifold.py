@@ -208,6 +208,7 @@ def test_from_a_bifurcation_on_velocities_are_affine():
             np.testing.assert_allclose(slopes[0, :, :, a, b], difference, rtol=1e-5, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_beyond_a_bifurcation_it_is_constrained_runs():
     """Both leave at the same place: stress, tangents and gradients by parameters are the same."""
     F, F_dot = np.diag([0.92, 1.0])[None], 0.02 * WAY[None]

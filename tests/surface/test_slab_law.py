@@ -48,7 +48,7 @@ def moving(law, stretch, rate):
     return z @ F.T, z @ F_dot.T + beyond, at.resultant[0]
 
 
-@pytest.mark.parametrize("outer_wall", [1.0, 1.7])
+@pytest.mark.parametrize("outer_wall", [1.7, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_columns_pull_each_other_with_the_resultant_and_every_particle_is_in_balance(outer_wall):
     law = slab(rows=2, outer_wall=outer_wall)
     x, v, resultant = moving(law, 0.985, 0.004)
