@@ -8,7 +8,9 @@ it, for at a corner itself both sides may differ.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -74,7 +76,7 @@ class Table:
 
     def at(self, t: float, within: float) -> Value:
         """As of `Amplitude`."""
-        k = int(np.searchsorted([time for time, _ in self.points], within, side="right"))
+        k = bisect_right(self.points, within, key=itemgetter(0))
         if k in (0, len(self.points)):
             return self.points[0 if k == 0 else -1][1], 0.0, 0.0
         (begin, first), (end, last) = self.points[k - 1], self.points[k]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ class System:
         discretisation: its finite elements.
         mass: (n, n) mass of one displacement component, ng; n nodes and bodies.
         free: (m,) unknowns that move freely, increasing.
-        supports: of the others; `moving` those with a motion.
+        supports: of the others.
         forces: besides the tissue's own.
         solve_mass: inverse of the mass of the free unknowns, applied to (m,).
         initial_velocity: (n, 2) µm/µs.
@@ -48,6 +48,7 @@ class System:
         boundary_weights: (n_nodes,) weights of the mean over each boundary that is acted on.
         rest: (n, 2) displacement of the mesh at rest under surface tension alone, from which all
             others count, µm; None: none.
+        moving: supports that move.
     """
 
     problem: Problem
@@ -61,16 +62,16 @@ class System:
     watched: tuple[tuple[Index, Array], ...]
     boundary_weights: Mapping[str, Array]
     rest: Array | None = None
+    moving: tuple[Support, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        moving = tuple(support for support in self.supports if support.largest.any())
+        object.__setattr__(self, "moving", moving)
 
     @property
     def n_rows(self) -> int:
         """Nodes and rigid bodies."""
         return int(self.mass.shape[0])
-
-    @property
-    def moving(self) -> tuple[Support, ...]:
-        """Supports that move."""
-        return tuple(support for support in self.supports if support.largest.any())
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -105,8 +106,8 @@ class System:
 
     def spread(self, y: Array, t: float, within: float) -> tuple[Array, Array]:
         """Displacement and velocity (n, 2) of all rows from y (2 m,) and the prescribed motion."""
-        u, v = np.zeros((2, 2 * self.n_rows))
-        u[self.free], v[self.free] = np.split(y, 2)
+        (u, v), m = np.zeros((2, 2 * self.n_rows)), self.free.size
+        u[self.free], v[self.free] = y[:m], y[m:]
         for support in self.moving:
             value, rate, _ = support.amplitude.at(t, within)
             u[support.unknowns] = value * support.largest

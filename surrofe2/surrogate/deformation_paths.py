@@ -153,7 +153,13 @@ def random_loads(load: LoadCase, count: int, seed: int) -> list[LoadCase]:
         force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
         amplitude = tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist())
         loads.append(
-            replace(load, body_force=tuple(force.tolist()), amplitude=amplitude, duration=duration)
+            replace(
+                load,
+                body_force=tuple(force.tolist()),
+                amplitude=amplitude,
+                duration=duration,
+                output_interval=duration,
+            )
         )
     return loads
 

@@ -79,11 +79,9 @@ class Task:
 
     def loss(self, network: StressNetwork) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes."""
-        if self.moving is None:
+        if self.moving is None or self.slope is None:
             return self._mean_square(network.correction(self.shapes) - self.target)
-        found, slope = along(
-            lambda *shapes: network.correction(Shapes(*shapes)), self.shapes, self.moving
-        )
+        found, slope = network.correction_along(self.shapes, self.moving)
         by_stress = self._mean_square(found - self.target)
         return by_stress + (self.slope_weight * self._squares(slope - self.slope)).mean()
 

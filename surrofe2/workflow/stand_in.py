@@ -37,6 +37,8 @@ _ROUND = 20
 """Iterations between two reports of a training."""
 _SHAPING = 1.0 + 1.0 / 3.0
 """Paths in all for each that calibrates."""
+_SINGLE = 3.0
+"""Kinds of paths of one state, each solved cold: anywhere, in corners, near rest."""
 _COARSE = 4
 """Elements of a bar in each direction, in runs that make paths."""
 
@@ -169,4 +171,5 @@ def _asking(part: Recipe, true: RveLaw, cold: float, seconds: float) -> float:
         nx, ny = part.macro.elements
         points = points * min(nx, _COARSE) * min(ny, _COARSE) // (nx * ny)
     along_runs = paths.runs * -(-length // 3) * points
-    return _SHAPING * ((paths.walks * length + along_runs) * warm + paths.states * cold)
+    solved = (paths.walks * length + along_runs) * warm + _SINGLE * paths.states * cold
+    return _SHAPING * solved

@@ -66,7 +66,8 @@ _PLAYER = (
     '<input type="range" id="frame" min="0" value="0" aria-label="Time">'
     '<output id="clock" for="frame"></output></div>'
     '<p class="keys" id="keys">Keys on the picture: space plays and pauses, ← and → step, Home and '
-    "End go to the first and last time. Rigid bodies are grey; their motion has the same factor."
+    "End go to the first and last time. Rigid bodies are grey; their motion has the same factor, "
+    "so above × 1 one that stood apart seems to enter the tissue."
     "</p></div>"
 )
 
@@ -99,7 +100,8 @@ def _arrays(run: SeenRun, budget: int) -> dict[str, Any]:
     u = fields.displacement[at]
     largest = float(abs(u).max()) or 1.0
     order = _OUTLINE.get(fields.cells.shape[1], list(range(fields.cells.shape[1])))
-    factor, bodies = _factor(fields), bodies_of(run)
+    bodies = bodies_of(run)
+    factor = 1 if bodies else _factor(fields)  # multiplied, a gap closes before it should
     (x0, y0), (x1, y1) = _box(fields.points + factor * u, bodies)
     return {
         "name": run.name,
