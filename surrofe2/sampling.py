@@ -18,7 +18,11 @@ from surrofe2.units import RATE
 
 Array = NDArray[np.float64]
 
+NEAREST = 0.03
+"""Of the size of a sample: how near to rest it is drawn, at most."""
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
+_DRAWN = 3  # every so many samples of a data set, one
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
 _BITS = 30
 _MOST_SAMPLES = 2**_BITS  # points of the scrambled Sobol sequence
 # primitive polynomial and first direction numbers of each input but the first (Joe and Kuo)
@@ -72,6 +76,24 @@ def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple
     lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
     points = lower + (upper - lower) * _sobol(int(count), int(seed), int(start))
     return points[:, [0, 2, 2, 1]].reshape(-1, 2, 2), points[:, 3:].reshape(-1, 2, 2).copy()
+
+
+def training_points(
+    range: SamplingRange, count: int, seed: int, start: int = 0
+) -> tuple[Array, Array]:
+    """Points of a data set: those of `sample`, the very first at rest, every third drawn to it.
+
+    A point is drawn by a factor whose logarithm is uniform down to that of `NEAREST`. A tissue is
+    mostly near rest, and there are few points of seven inputs where all are small.
+
+    Returns:
+        F (count, 2, 2) symmetric and F_dot (count, 2, 2) in 1/µs, as of `sample`.
+    """
+    F, F_dot = sample(range, count, seed, start)
+    n = np.arange(start, start + count)
+    share = np.where(n % _DRAWN == _DRAWN - 1, NEAREST ** (n * _GOLDEN % 1.0), 1.0)
+    share = np.where(n == 0, 0.0, share)[:, None, None]
+    return np.eye(2) + share * (F - np.eye(2)), share * F_dot
 
 
 def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from surrofe2.sampling import (
     farthest_out,
     out_of_range,
     sample,
+    training_points,
 )
 from surrofe2.stress_samples import StressSamples
 
@@ -91,6 +92,26 @@ def test_the_sequence_may_be_cut_anywhere():
         assert np.array_equal(whole[k], np.concatenate([part[k] for part in parts]))
     assert not np.array_equal(whole[0], sample(RANGE, 1000, seed=6)[0])
     assert sample(RANGE, 0, seed=5)[0].shape == (0, 2, 2)
+
+
+def test_points_of_a_data_set_begin_at_rest_and_a_third_is_near_it():
+    F, F_dot = training_points(RANGE, 3000, seed=5)
+    even = sample(RANGE, 3000, seed=5)
+    assert np.array_equal(F[0], np.eye(2))
+    assert not F_dot[0].any()
+    size, was = ([np.abs(U - np.eye(2)).max(axis=(1, 2)), np.abs(A).max(axis=(1, 2))]
+                 for U, A in ((F, F_dot), even))  # fmt: skip
+    share = size[0] / was[0]
+    np.testing.assert_allclose(size[1], share * was[1], rtol=1e-12)
+    drawn = share < 1.0 - 1e-9
+    assert drawn[1:].sum() == 1000
+    # the logarithm of the factor is even from that of 0.03 to 0
+    counts = np.histogram(np.log(share[1:][drawn[1:]]) / np.log(0.03), 10, (0.0, 1.0))[0]
+    assert np.abs(counts - 100).max() <= 2
+    assert contains(RANGE, F, F_dot).all()
+    later = training_points(RANGE, 1500, seed=5, start=1500)
+    assert np.array_equal(F[1500:], later[0])
+    assert np.array_equal(F_dot[1500:], later[1])
 
 
 @pytest.mark.parametrize(

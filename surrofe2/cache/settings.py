@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from surrofe2.settings import check_settings, setting
 
-_RELATIVE = 3.0  # times the tolerance
+_RELATIVE = 30.0  # times the tolerance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +25,7 @@ class CacheSettings:
     )
     relative_tolerance: float | None = setting(
         None,
-        "allowed error relative to the local stress, where that is less; left out: 3 × tolerance; "
+        "allowed error relative to the local stress, where that is less; left out: 30 × tolerance; "
         "inf: the other alone",
         above=0.0,
         inf=True,

@@ -98,14 +98,19 @@ def random_corners(range: SamplingRange, count: int, seed: int) -> DeformationPa
 
 
 def random_small_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
-    """Paths of a single state each: random ones, drawn towards rest by a factor.
+    """Paths of a single state each: random ones, drawn towards rest by factors.
 
-    Its logarithm is uniform down to that of `_SMALLEST`, so that no size of load is left out.
+    One is of the whole state and one of each component of U and of RᵀḞ. Their logarithms are
+    uniform down to that of `_SMALLEST`, so no size of load is left out, and no motion either that
+    has few of the components: a shear wave begins with its rate alone.
     """
     U, A = random_states(range, count, seed).states
-    factor = _SMALLEST ** np.random.default_rng([seed, 1]).uniform(0.0, 1.0, (count, 1, 1))
-    F = np.eye(2) + factor * (U - np.eye(2))
-    return DeformationPaths("small", F[None], (factor * A)[None], np.arange(count))
+    rng = np.random.default_rng([seed, 1])
+    whole, stretch, rate = (
+        _SMALLEST ** rng.uniform(0.0, 1.0, (count, *each)) for each in ((1, 1), (3,), (2, 2))
+    )
+    F = np.eye(2) + whole * _symmetric(stretch) * (U - np.eye(2))
+    return DeformationPaths("small", F[None], (whole * rate * A)[None], np.arange(count))
 
 
 def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:

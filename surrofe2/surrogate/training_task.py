@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from surrofe2.sampling import NEAREST
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.features import STRETCH, input_scale
 from surrofe2.surrogate.network import Shapes, StressNetwork, along
@@ -66,35 +67,40 @@ class Task:
 
     `weight` (4,): of the squared error of a component of S = Rᵀ σ R. `slope` (n, 4): of P̂ along
     one direction a sample, along which the shapes have the slopes `moving`; both None where there
-    are no tangents. `slope_weight` (n, 1): of its squared error, 0 at outliers.
+    are no tangents. `slope_weight` (n, 1): of its squared error, 0 at outliers. `share` (n, 1): of
+    a sample in the loss, of mean 1.
     """
 
     shapes: Shapes
     target: torch.Tensor
     to_cauchy: torch.Tensor
     weight: torch.Tensor
+    share: torch.Tensor
     moving: Shapes | None = None
     slope: torch.Tensor | None = None
     slope_weight: torch.Tensor | float = 0.0
 
     def loss(self, network: StressNetwork) -> torch.Tensor:
-        """Mean square error relative to the spread of each component, with that of slopes."""
-        if self.moving is None or self.slope is None:
-            return self._mean_square(network.correction(self.shapes) - self.target)
-        found, slope = network.correction_along(self.shapes, self.moving)
-        by_stress = self._mean_square(found - self.target)
-        return by_stress + (self.slope_weight * self._squares(slope - self.slope)).mean()
+        """Mean square error relative to the spread of each component, with that of slopes.
 
-    def _mean_square(self, error: torch.Tensor) -> torch.Tensor:
-        return self._squares(error).mean()
+        Samples count by the inverse square of their size, so that an error tends to be a share of
+        the stress.
+        """
+        if self.moving is None or self.slope is None:
+            squares = self._squares(network.correction(self.shapes) - self.target)
+        else:
+            found, slope = network.correction_along(self.shapes, self.moving)
+            squares = self._squares(found - self.target)
+            squares = squares + self.slope_weight * self._squares(slope - self.slope)
+        return (self.share * squares).mean()
 
     def _squares(self, error: torch.Tensor) -> torch.Tensor:
         cauchy = torch.matmul(self.to_cauchy, error[:, :, None])[:, :, 0]
         return cauchy**2 * self.weight
 
     def stress_loss(self, network: StressNetwork) -> torch.Tensor:
-        """The mean square error of stress alone."""
-        return replace(self, moving=None).loss(network)
+        """The mean square error of stress alone, each sample counted once."""
+        return self._squares(network.correction(self.shapes) - self.target).mean()
 
 
 def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings) -> None:
@@ -158,11 +164,13 @@ def _spread(target: torch.Tensor) -> torch.Tensor:
 def make_task(network: StressNetwork, data: Data, settings: TrainingSettings) -> Task:
     """What the polynomial of the network leaves of the data."""
     to_cauchy = network.to_cauchy(data.x)
+    share = (data.x.square().mean(dim=1, keepdim=True).sqrt() + NEAREST) ** -2
     task = Task(
         shapes=network.shapes(data.x),
         target=data.target - network.baseline(data.x),
         to_cauchy=to_cauchy,
         weight=1.0 / _spread(torch.einsum("nij,nj->ni", to_cauchy, data.target)) ** 2,
+        share=share / share.mean(),
     )
     if data.slopes is None:
         return task

@@ -21,6 +21,7 @@ from surrofe2.macro.mesh import Mesh
 from surrofe2.recipe import Recipe
 from surrofe2.rve.rve_state import MANY_BYTES
 from surrofe2.simd import TILE
+from surrofe2.stress_law import StressLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_arrays, law_by_region
 from surrofe2.workflow.dry_run import DryRun, dry_run, seconds_a_call
@@ -116,6 +117,7 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
         laws.warm_up((true,) if not recipe.types else (), recipe.macro, points=len(rows))
         share = run.points / len(rows)
         ask, state = seconds_a_call(true, run.windows, rows, each)
+        cold = _cold(true, run, rows)
         report(1.0, "RVEs")
         found = Estimate(
             points=run.points,
@@ -134,7 +136,7 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
             is_there = all(own.is_true for own in learnt.values())
             report(2.0, "surrogate")
             found = replace(
-                _with_cache(found, recipe, run, learnt, each, least),
+                _with_cache(found, recipe, run, learnt, each, least, cold),
                 making=0.0 if is_there else _making(block),
             )
         report(3.0, "cached run")
@@ -153,6 +155,14 @@ def _rows(run: DryRun, recipe: Recipe) -> Rows:
     most = max(_LEAST_POINTS, _MOST_POINTS // recipe.cell.cells**2)
     few = count if recipe.types else min(count, most)
     return np.unique(np.linspace(0, count - 1, few).round().astype(np.intp))
+
+
+def _cold(true: StressLaw, run: DryRun, rows: Rows) -> float:
+    """Seconds of an RVE solved cold in the middle of a run, as audits do."""
+    asked = run.windows[len(run.windows) // 2][-1]
+    began = perf_counter()
+    true.respond(asked.F[rows], asked.F_dot[rows])
+    return (perf_counter() - began) / len(rows)
 
 
 def _block_of(arrays: Mapping[str, NDArray[Any]]) -> float:
@@ -197,11 +207,13 @@ def _with_cache(
     learnt: dict[str, Learnt],
     seconds: float,
     least: float,
+    cold: float,
 ) -> Estimate:
     """The estimate with what a surrogate costs, and a run by it with its audits.
 
     Args:
         seconds: for the questions. least: bytes of a run but for states of its law.
+        cold: seconds of an audit.
     """
     mesh = recipe.problem().mesh
     by_cell: list[CachedLaw] = []
@@ -217,7 +229,6 @@ def _with_cache(
     ask, state = seconds_a_call(law, run.windows, rows, seconds)
     hits, missed = (sum(each.counts[name] for each in by_cell) for name in ("hits", "fallbacks"))
     audits = recipe.cache.audit * run.points * run.steps
-    cold = max(each.cold for each in learnt.values())
     cached = run.calls * (ask + run.macro) + audits * cold
     states = _states(law_arrays(law, state), 1.0, cached)
     return replace(

@@ -17,7 +17,7 @@ from surrofe2.errors import InputError
 from surrofe2.io.data_sets import DataSetHeader, writing_data_set
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import SamplingRange, sample
+from surrofe2.sampling import SamplingRange, training_points
 from surrofe2.stress_law import StressLaw, StressResponse, describe
 from surrofe2.stress_samples import StressSamples
 from surrofe2.workflow import laws
@@ -103,13 +103,8 @@ def generate_data_set(
 def _sampled(
     law: StressLaw, wanted: SamplingRange, seed: int, tangents: bool, first: int, count: int
 ) -> tuple[Array, Array, StressResponse]:
-    """Points `first` to `first + count` of a sequence, F and Ḟ, and the answers there.
-
-    The very first is at rest, so that a surrogate can have the moduli there exactly.
-    """
-    F, F_dot = sample(wanted, count, seed, start=first)
-    if first == 0:
-        F[:1], F_dot[:1] = np.eye(2), 0.0
+    """Points `first` to `first + count` of a sequence, F and Ḟ, and the answers there."""
+    F, F_dot = training_points(wanted, count, seed, start=first)
     answer = law.respond(F, F_dot, tangents=tangents)
     return F, F_dot, replace(answer, state=None)  # a warm start takes 20 kB a sample
 

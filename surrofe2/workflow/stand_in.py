@@ -17,7 +17,7 @@ from surrofe2.io.surrogates import read_surrogate
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import sample
+from surrofe2.sampling import training_points
 from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw
@@ -49,13 +49,11 @@ class Learnt:
 
     Attributes:
         is_true: whether it is the recipe's, finished before; else a stand-in.
-        cold: seconds of a cold solve of an RVE.
         data, training: s.
     """
 
     law: SurrogateLaw
     is_true: bool
-    cold: float
     data: float = 0.0
     training: float = 0.0
 
@@ -74,18 +72,17 @@ def learnt_of(part: Recipe, seconds: float) -> Learnt:
 
         return seconds_each(work, seconds)
 
-    cold = sampled(False)
     if is_trained(part):
-        return Learnt(read_surrogate(part.training_path()), True, cold)
+        return Learnt(read_surrogate(part.training_path()), True)
+    cold = sampled(False)
     data = 0.0
     if not part.data_path().exists():
         data = settings.count * (sampled(True) if settings.tangents else cold)
     samples, stand_in = _samples(part, true), laws.quadratic_law(part)
     surrogate, learning = _trained(part, samples)
     surrogate, fitting = _calibrated(part, surrogate, samples, stand_in)
-    return Learnt(
-        surrogate, False, cold, data, learning + fitting + _asking(part, true, cold, seconds)
-    )
+    asking = _asking(part, true, cold, seconds)
+    return Learnt(surrogate, False, data, learning + fitting + asking)
 
 
 def seconds_each(work: Callable[[int], Any], seconds: float) -> float:
@@ -103,8 +100,7 @@ def seconds_each(work: Callable[[int], Any], seconds: float) -> float:
 def _samples(part: Recipe, true: RveLaw) -> StressSamples:
     """As many samples as the recipe's, of the quadratic law and a little more."""
     settings, wanted, law = part.samples, part.sampling_range(), laws.quadratic_law(part)
-    F, F_dot = sample(wanted, settings.count, settings.seed)
-    F[:1], F_dot[:1] = np.eye(2), 0.0
+    F, F_dot = training_points(wanted, settings.count, settings.seed)
     answer = law.respond(F, F_dot, tangents=settings.tangents)
     wave = np.sin(_WAVES * (F - np.eye(2)) / np.abs(F - np.eye(2)).max()).sum(axis=(1, 2))
     stress, slopes = (1.0 + _PART * wave[:, None, None]) * answer.stress, answer.tangents

@@ -149,7 +149,7 @@ def test_a_table_behind_the_network_takes_what_it_may_not_answer(
     invoke, recipe_path, changed_recipe, tmp_path
 ):
     changed_recipe("-0.1]", "-2.0]")
-    changed_recipe("[load]", "[cache]\ntolerance = 1e-4\n\n[load]")
+    changed_recipe("[load]", "[cache]\ntolerance = 1e-5\n\n[load]")
     alone = run(invoke, recipe_path, tmp_path / "alone", "--law", "cached")
     changed_recipe("[load]", "[table]\nenabled = true\ntolerance = 1e-2\n\n[load]")
     both = run(invoke, recipe_path, tmp_path / "both", "--law", "cached")

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2 import RveLaw, sample, simulate
+from surrofe2 import RveLaw, simulate
 from surrofe2.errors import SimulationError
 from surrofe2.recipe import load_recipe
-from surrofe2.sampling import SamplingRange, contains
+from surrofe2.sampling import SamplingRange, contains, training_points
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
@@ -54,7 +54,7 @@ class Study:
             calibration=calibration,
         )
         self.rve = RveLaw(recipe.cell, recipe.rve)
-        F, F_dot = sample(recipe.range, samples, seed=1)
+        F, F_dot = training_points(recipe.range, samples, seed=1)
         answer = self.rve.respond(F, F_dot, tangents=True)
         self.samples = StressSamples(
             F=F, F_dot=F_dot, stress=answer.stress, status=answer.status, cell=recipe.cell,

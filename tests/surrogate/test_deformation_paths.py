@@ -12,6 +12,7 @@ from surrofe2.surrogate.deformation_paths import (
     WatchedLaw,
     random_corners,
     random_loads,
+    random_small_states,
     random_states,
     random_walks,
     run_paths,
@@ -35,6 +36,20 @@ def test_corners_are_where_all_stretches_are_near_a_bound():
     assert corners.min() > 400
     fast = (abs(F_dot) >= 0.9 * RANGE.rate - 1e-15).all(axis=(1, 2))
     assert 0.45 < fast.mean() < 0.55
+
+
+def test_small_states_are_of_all_sizes_and_have_few_components_too():
+    F, F_dot = random_small_states(RANGE, 9000, seed=3).states
+    assert contains(RANGE, F, F_dot).all()
+    U, half = F - np.eye(2), 0.5 * np.diff(RANGE.stretch)
+    x = np.stack([U[:, 0, 0] / half, U[:, 1, 1] / half, U[:, 0, 1] / RANGE.shear], axis=1)
+    x = abs(np.hstack([x.reshape(-1, 3), F_dot.reshape(-1, 4) / RANGE.rate]))
+    decades = np.histogram(np.log10(x.max(axis=1)), [-4, -3, -2, -1, 0.5])[0]
+    assert decades.min() > 200
+    # one component large, all others below a tenth of it: each of the seven
+    order = np.sort(x, axis=1)
+    alone = (order[:, -1] > 0.1) & (order[:, -2] < 0.1 * order[:, -1])
+    assert np.bincount(x[alone].argmax(axis=1), minlength=7).min() > 5
 
 
 @pytest.mark.parametrize("narrow", [{}, {"shear": 0.0}, {"rate": 0.0}])
