@@ -28,6 +28,7 @@ CHUNK = 512  # histories asked at once: true laws keep a warm start of each
 _KNOTS = 8  # states that a walk passes through
 _OUTER = 0.1  # of the half width: a corner
 _SMALLEST = 1e-3  # of a state, among those of small size
+_LEAST = 0.1  # of a component of these
 _TURN = 0.5  # radians between two of them, at most
 _LOAD_TIMES = 4
 _LOAD_FACTOR = (0.25, 3.0)  # of the body force
@@ -100,15 +101,14 @@ def random_corners(range: SamplingRange, count: int, seed: int) -> DeformationPa
 def random_small_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
     """Paths of a single state each: random ones, drawn towards rest by factors.
 
-    One is of the whole state and one of each component of U and of RᵀḞ. Their logarithms are
-    uniform down to that of `_SMALLEST`, so no size of load is left out, and no motion either that
-    has few of the components: a shear wave begins with its rate alone.
+    One is of the whole state, its logarithm uniform down to that of `_SMALLEST`, so that no size of
+    load is left out. Others are of each component of U − I and RᵀḞ, down to `_LEAST`: a shear wave
+    begins with its rate alone.
     """
     U, A = random_states(range, count, seed).states
     rng = np.random.default_rng([seed, 1])
-    whole, stretch, rate = (
-        _SMALLEST ** rng.uniform(0.0, 1.0, (count, *each)) for each in ((1, 1), (3,), (2, 2))
-    )
+    whole = _SMALLEST ** rng.uniform(0.0, 1.0, (count, 1, 1))
+    stretch, rate = (_LEAST ** rng.uniform(0.0, 1.0, (count, *each)) for each in ((3,), (2, 2)))
     F = np.eye(2) + whole * _symmetric(stretch) * (U - np.eye(2))
     return DeformationPaths("small", F[None], (whole * rate * A)[None], np.arange(count))
 
