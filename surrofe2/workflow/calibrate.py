@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 
@@ -55,13 +55,18 @@ Runs = Callable[[int, int], Iterator[list[State]]]
 
 
 def calibrate_surrogate(
-    recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples, report: Report
+    recipe: Recipe,
+    surrogate: SurrogateLaw,
+    samples: StressSamples,
+    report: Report,
+    known: Sequence[Truth] = (),
 ) -> SurrogateLaw:
     """The surrogate with a calibrated bound, by true answers along paths of the recipe.
 
     Args:
         samples: that it was trained on.
         report: called with the share that is done, up to 1, and a remark.
+        known: what `shaping_truths` gave.
     """
     return _calibrated(
         surrogate,
@@ -70,27 +75,35 @@ def calibrate_surrogate(
         recipe.calibration,
         lambda count, seed: _runs(recipe, surrogate, count, seed),
         report,
+        known,
     )
 
 
-def enough_for(recipe: Recipe, samples: StressSamples) -> Enough | None:
+def shaping_truths(recipe: Recipe, samples: StressSamples) -> list[Truth]:
+    """True answers along the paths in the range that will shape the bound; none where the recipe
+    wants no bound of its training.
+    """
+    if not recipe.training.bound:
+        return []
+    law, settings = laws.true_law(recipe), replace(recipe.calibration, runs=0)
+    paths = _make_paths(samples.range, settings, lambda *_: iter(()), 1, _SHAPING, untold)
+    return [_ask(each, law, lambda _: None) for each in paths]
+
+
+def enough_for(recipe: Recipe, samples: StressSamples, truths: Sequence[Truth]) -> Enough | None:
     """Whether a surrogate has the bound that the recipe's training wants; None: it wants none.
 
-    Asked of the paths in the range that will shape the bound. Those that calibrate it are not
-    looked at, so what it promises does not depend on when training ended.
+    Asked of the paths that will shape the bound. Those that calibrate it are not looked at, so
+    what it promises does not depend on when training ended.
     """
     wanted = recipe.training.bound * stress_spread(samples.valid.stress)
     if not wanted:
         return None
-    law, settings = laws.true_law(recipe), replace(recipe.calibration, runs=0)
-    paths = _make_paths(samples.range, settings, lambda *_: iter(()), 1, _SHAPING, untold)
-    truths = [_ask(each, law, lambda _: None) for each in paths]
     fewest = min((truth.paths.count for truth in truths), default=0)
+    share = max(recipe.calibration.share, 1.0 / (1.0 + fewest))
 
     def enough(surrogate: SurrogateLaw) -> bool:
-        bounded = calibrate_by(
-            surrogate, samples, truths, truths, max(settings.share, 1.0 / (1.0 + fewest))
-        )
+        bounded = calibrate_by(surrogate, samples, truths, truths, share)
         return _edge(bounded, samples) <= _MARGIN * wanted
 
     return enough
@@ -148,11 +161,13 @@ def _calibrated(
     settings: CalibrationSettings,
     runs: Runs,
     report: Report,
+    known: Sequence[Truth] = (),
 ) -> SurrogateLaw:
     shaping, testing = (
         list(_make_paths(samples.range, settings, runs, seed, share, report))
         for seed, share in ((1, _SHAPING), (0, 1.0))
     )
+    shaping = shaping[len(known) :]
     total = sum(len(paths.states[0]) for paths in (*shaping, *testing))
     done = 0
 
@@ -163,6 +178,7 @@ def _calibrated(
         return truth
 
     shapes, tests = ([asked(paths) for paths in part] for part in (shaping, testing))
+    shapes = [*known, *shapes]
     return calibrate_by(surrogate, samples, shapes, tests, settings.share, asdict(settings))
 
 

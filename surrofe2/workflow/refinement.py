@@ -35,7 +35,7 @@ from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
 from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
-from surrofe2.workflow.calibrate import calibrate_surrogate, enough_for
+from surrofe2.workflow.calibrate import calibrate_surrogate, enough_for, shaping_truths
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rounds import SURROGATE, Round, open_rounds, write_rounds
 from surrofe2.workflow.run import run_study
@@ -209,18 +209,18 @@ def _trained(
     Args:
         data: what they cost, the rounds before included.
     """
-    meter = Meter()
+    meter, wider = Meter(), replace(recipe, range=samples.range)
+    known = shaping_truths(wider, samples)
     with stage(f"{name}: train", recipe.training.iterations, "iterations") as report:
         surrogate = train(
             samples,
             recipe.training,
             progress=lambda i, n, figures: report(i, training_note(figures)),
-            enough=enough_for(replace(recipe, range=samples.range), samples),
+            enough=enough_for(wider, samples, known),
         )
     with stage(f"{name}: calibrate", 1.0, "of the paths") as report:
         training, meter = meter.cost, Meter()
-        wider = replace(recipe, range=samples.range)
-        surrogate = calibrate_surrogate(wider, surrogate, samples, report)
+        surrogate = calibrate_surrogate(wider, surrogate, samples, report, known)
     spent = {"data": data, "training": training, "calibration": meter.cost}
     return replace(surrogate, cost=spent)
 

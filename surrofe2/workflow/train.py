@@ -28,11 +28,17 @@ from surrofe2.io.surrogates import (
 from surrofe2.recipe import Recipe
 from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import TANGENTS, StressSamples
+from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.surrogate.training import TrainingState, train
 from surrofe2.tensors import stress_error, stress_spread
 from surrofe2.workflow import laws
-from surrofe2.workflow.calibrate import bound_summary, calibrate_surrogate, enough_for
+from surrofe2.workflow.calibrate import (
+    bound_summary,
+    calibrate_surrogate,
+    enough_for,
+    shaping_truths,
+)
 from surrofe2.workflow.run_lifecycle import Stage, silent
 
 STRESSES = ("xx", "xy", "yx", "yy")
@@ -79,8 +85,9 @@ def train_surrogate(
                     pass
             return Trained(path, surrogate, True, bound_summary(surrogate, samples))
     with locked_file(path):
+        truths: list[Truth] = []
         if surrogate is None:
-            surrogate = _train(recipe, samples, fresh, stage)
+            surrogate, truths = _train(recipe, samples, fresh, stage)
             data = [read_cost(each) for each in (source, *recipe.added_paths(), *add)]
             known = sum((each for each in data if each), start=NOTHING)
             spent = surrogate.cost if None in data else {"data": known, **surrogate.cost}
@@ -89,7 +96,7 @@ def train_surrogate(
             remove(unfinished_training(recipe))
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            surrogate = calibrate_surrogate(recipe, surrogate, samples, report)
+            surrogate = calibrate_surrogate(recipe, surrogate, samples, report, truths)
         spent = {**surrogate.cost, "calibration": meter.cost}
         surrogate = replace(surrogate, cost=spent)
         write_surrogate(surrogate, path)
@@ -109,14 +116,17 @@ def unfinished_training(recipe: Recipe) -> Path:
     return recipe.training_path().with_suffix(".unfinished.safetensors")
 
 
-def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) -> SurrogateLaw:
-    """A surrogate without a bound."""
+def _train(
+    recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage
+) -> tuple[SurrogateLaw, list[Truth]]:
+    """A surrogate without a bound, and what is known already of the paths that will shape it."""
     unfinished = unfinished_training(recipe)
     if fresh:
         remove(unfinished)
     state, meter = None, Meter()
     if unfinished.exists():
         state, meter = TrainingState(*read_training(unfinished)), Meter(training_cost(unfinished))
+    truths = shaping_truths(recipe, samples)
     with stage("train", recipe.training.iterations, "iterations") as report:
         try:
             surrogate = train(
@@ -127,12 +137,12 @@ def _train(recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage) ->
                     unfinished, state.identity, state.iterations, state.arrays, meter.cost
                 ),
                 resume=state,
-                enough=enough_for(recipe, samples),
+                enough=enough_for(recipe, samples, truths),
             )
         except MismatchError as error:
             raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None
     reference = read_attached(recipe.data_path(), recipe.cell)
-    return replace(surrogate, reference=reference, cost={"training": meter.cost})
+    return replace(surrogate, reference=reference, cost={"training": meter.cost}), truths
 
 
 def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
