@@ -373,7 +373,8 @@ def test_two_cells_of_true_particles(written, tmp_path):
     )  # fmt: skip
     assert (law.density[of_skin] > 2.0 * law.density[~of_skin][0]).all()
     by_hand = simulate(problem, law, recipe.macro)
-    np.testing.assert_array_equal(displacement(tmp_path / "two"), by_hand.curve.displacement)
+    expected = by_hand.curve.displacement  # of a reference settled anew: the same but for rounding
+    np.testing.assert_allclose(displacement(tmp_path / "two"), expected, rtol=1e-9, atol=1e-12)
     assert record.counts["rve_solves"] == by_hand.effort["rve_solves"]
     alone = simulate(problem, law.laws["flesh"], recipe.macro).curve.displacement
     assert abs(alone - by_hand.curve.displacement).max() > 1e-3 * abs(alone).max()
