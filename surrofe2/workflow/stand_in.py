@@ -29,7 +29,7 @@ from surrofe2.workflow.generate import sample_stress
 from surrofe2.workflow.train import is_trained
 
 _FEW, _MANY = 16, 512
-_ITERATIONS, _TO_BOUND = 60, 400
+_ITERATIONS, _TO_BOUND = 60, 300
 """Of the stand-in, and of a training that ends when it meets its bound, as it did for the bar."""
 _PART, _WAVES = 0.01, 3.0
 """Of the stress of a stand-in that is no quadratic law's, so that there is something to learn."""
