@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 NEAREST = 0.03
 """Of the size of a sample: how near to rest it is drawn, at most."""
 SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
+SEQUENCE = "Sobol, every third drawn to rest"
+"""What `training_points` gives, by which a data set of other points is told."""
 _DRAWN = 3  # every so many samples of a data set, one
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
 _BITS = 30

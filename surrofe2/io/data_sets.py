@@ -39,7 +39,7 @@ from surrofe2.io.provenance import (
     stored_text,
 )
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.sampling import SamplingRange
+from surrofe2.sampling import SEQUENCE, SamplingRange
 from surrofe2.stress_law import Status, StressResponse, describe
 from surrofe2.stress_samples import TANGENTS, StressSamples
 from surrofe2.units import RATE, STRESS, VISCOSITY
@@ -89,6 +89,7 @@ class DataSetHeader(Origin):
                 "seed": self.seed,
                 "chunk": self.chunk,
                 "tangents": self.tangents,
+                "sequence": SEQUENCE,
             },
             "surrofe2": {"version": self.version},
         }

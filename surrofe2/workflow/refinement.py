@@ -210,8 +210,8 @@ def _trained(
         data: what they cost, the rounds before included.
     """
     meter, wider = Meter(), replace(recipe, range=samples.range)
-    known = shaping_truths(wider, samples)
     with stage(f"{name}: train", recipe.training.iterations, "iterations") as report:
+        known = shaping_truths(wider, samples)
         surrogate = train(
             samples,
             recipe.training,

@@ -126,8 +126,8 @@ def _train(
     state, meter = None, Meter()
     if unfinished.exists():
         state, meter = TrainingState(*read_training(unfinished)), Meter(training_cost(unfinished))
-    truths = shaping_truths(recipe, samples)
     with stage("train", recipe.training.iterations, "iterations") as report:
+        truths = shaping_truths(recipe, samples)
         try:
             surrogate = train(
                 samples,

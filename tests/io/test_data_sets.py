@@ -16,7 +16,7 @@ from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.io.harvest import HarvestWriter, read_harvest
 from surrofe2.io.hdf5 import reading_hdf5, write_checkpoint, writing_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange, sample
+from surrofe2.sampling import SEQUENCE, SamplingRange, sample
 from surrofe2.stress_law import Status, describe
 from tests.io.small_data_set import HEADER, RANGE, append_chunk, write_all
 from tests.laws import SoftLaw
@@ -145,6 +145,18 @@ def test_unfinished_is_not_sealed(tmp_path):
         append_chunk(data, SoftLaw())
         with pytest.raises(InputError, match="12 samples are missing; it cannot be finished"):
             data.finish()
+
+
+def test_points_of_another_sequence_are_not_gone_on_with(tmp_path, monkeypatch):
+    path = tmp_path / "cells.h5"
+    with monkeypatch.context() as before:
+        before.setattr(data_sets, "SEQUENCE", "Sobol")
+        write_all(path)
+    told = f"samples.sequence: this call has {SEQUENCE}, what is there Sobol"
+    with pytest.raises(MismatchError, match=told), writing_data_set(path, HEADER):
+        pass
+    with writing_data_set(path, HEADER, fresh=True) as data:
+        assert data.completed == 0
 
 
 def test_a_finished_file_is_kept_unless_fresh(tmp_path):
