@@ -2,8 +2,8 @@
 
 At a tolerance of 1e-3 of the spread of stress: the bar as it ships, under twice and three times
 its body force, of other proportions and mesh, under a sideways push that reverses, for which
-nothing was trained, and pulled along its length by loads down to a thousandth. A full run writes
-docs/trust.md.
+nothing was trained, pulled along its length by loads down to a thousandth, and pushed. A full run
+writes docs/trust.md.
 """
 
 from __future__ import annotations
@@ -77,6 +77,15 @@ def cases(preset: str, duration: float) -> tuple[Case, ...]:
                 trained=True,
             )
             for factor in (1.0, 0.1, 0.01, 0.001)
+        ),
+        *(
+            Case(
+                "pushed along x" + (f", {factor:g} times the load" if factor > 1.0 else ""),
+                replace(usual, body_force=(factor * y, 0.0)),
+                hits=0.99,
+                trained=True,
+            )
+            for factor in (1.0, 1.5)
         ),
         Case(
             "sideways push that reverses",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.error_bound import REACH
+from surrofe2.surrogate.features import BEND
 
 _STATUSES = (Status.OK, Status.OUT_OF_RANGE, Status.NOT_FINITE, Status.NOT_TRUSTED)
 _PER_LINE = 6
@@ -70,7 +71,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "TERMS": len(network.terms),
         "FACTOR_LAYERS": len(network.sizes),
         "FACTOR_UNITS": int(network.sizes.sum()),
-        "ENERGY_LAYERS": len(network.energy_sizes) if network.powers[0] else 0,
+        "ENERGY_LAYERS": len(network.energy_sizes) if len(network.energy_weights) else 0,
         "ENERGY_UNITS": int(network.energy_sizes.sum()),
         "ENERGY_WIDEST": int(network.energy_sizes.max()),
         "CLIFF": len(bounds.cliff),
@@ -80,6 +81,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
     }
     yield from (f"#define {name} {value}" for name, value in sizes.items())
     yield f"#define REACH {REACH!r}"
+    yield f"#define BEND {BEND!r}"
     yield ""
     arrays = {
         "range": network.bounds,
@@ -93,6 +95,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "tail_coefficients": network.tail_coefficients,
         "invariants": network.invariants,
         "terms": network.terms,
+        "powers": network.powers,
         "sizes": network.sizes,
         "weights": network.weights,
         "biases": network.biases,
@@ -107,7 +110,6 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
     }
     if sizes["ENERGY_LAYERS"]:
         arrays |= {
-            "powers": network.powers,
             "energy_factor": network.energy_factor,
             "energy_at_rest": network.energy_at_rest,
             "energy_sizes": network.energy_sizes,

@@ -75,6 +75,16 @@ static void add_polynomial(dual *x, dual *y, int n)
         }
 }
 
+/* x^p / sqrt(BEND^2 + x^2), which tells states near rest apart */
+static void near_invariant(const dual x, int power, double *invariant, int n)
+{
+    const double square = BEND * BEND + x[0] * x[0], raised = power == 2 ? x[0] : 1.0;
+    invariant[0] = raised * x[0] / sqrt(square);
+    const double slope = raised * power / sqrt(square) - invariant[0] * x[0] / square;
+    for (int k = 1; k <= n; k++)
+        invariant[k] = slope * x[k];
+}
+
 static void add_terms(dual *x, dual *y, int n)
 {
     static const int last = FACTOR_LAYERS - 1;
@@ -82,6 +92,8 @@ static void add_terms(dual *x, dual *y, int n)
     memset(units, 0, sizes[0] * sizeof(dual));
     for (int i = 0; i < INVARIANTS; i++)
         product_of_three(x, invariants[i], units[i], n);
+    for (int k = 0; k < STRETCH; k++)
+        near_invariant(x[k], powers[k], units[INVARIANTS + k], n);
     dual *factors = units + forward(sizes, last + 1, last + 1, weights, biases, units, n);
     for (int term = 0; term < TERMS; term++) {
         product_of_three(x, terms[term], product, n);

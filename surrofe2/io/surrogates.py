@@ -35,7 +35,7 @@ from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 SCHEMA, TRAINING_SCHEMA = "surrofe2-surrogate", "surrofe2-unfinished-training"
-SCHEMA_VERSION = 3  # 1 and 2 were stored by torch
+SCHEMA_VERSION = 4  # 1 and 2 were stored by torch; 3 read no near invariants
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
 _ANEW = "train it anew with: surrofe2 train RECIPE --fresh"
 _ZIP = b"PK\x03\x04"  # how files of torch begin

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surrofe2.compilation import kernel
-from surrofe2.simd import TILE, fill_tanh, load, spread, store
+from surrofe2.simd import TILE, fill_tanh, inverse_root, load, spread, store
 from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES, U11, U12, U22
-from surrofe2.surrogate.features import STRETCH
+from surrofe2.surrogate.features import BEND, STRETCH
 from surrofe2.surrogate.polynomial import ROWS, add_polynomial
 from surrofe2.tensors import INPUTS
 
@@ -76,7 +76,7 @@ def evaluate_network(frame, arrays, room):  # type: ignore[no-untyped-def]
     room.y[:] = 0.0
     _add_terms(arrays, room, evaluate_factors(arrays, room))
     add_polynomial(room.x, arrays, room.products, room.y)
-    if arrays.powers[0]:
+    if arrays.energy_sizes.shape[0] > 1:
         _add_elastic(frame, arrays, room, evaluate_energy_slope(arrays, room))
 
 
@@ -92,19 +92,36 @@ def set_polynomial_slopes(slope_polynomial, room):  # type: ignore[no-untyped-de
 def evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
     """Fill the units of the factors, and their slopes; returns the row of the first factor."""
     x, units, slopes = room.x, room.units, room.unit_slopes
-    units[arrays.invariants.shape[0] : arrays.sizes[0]] = 0.0
-    for row in range(arrays.invariants.shape[0]):
+    products = arrays.invariants.shape[0]
+    units[products + STRETCH : arrays.sizes[0]] = 0.0
+    for row in range(products):
         a, b, c = three(arrays.invariants, row)
         for t in range(TILES):
             store(load(x, a, t) * load(x, b, t) * load(x, c, t), units, row, t)
     if slopes.shape[0]:
         slopes[:, : arrays.sizes[0]] = 0.0
-        for row in range(arrays.invariants.shape[0]):
+        for row in range(products):
             for t in range(TILES):
                 _add_product_slopes(arrays.invariants, row, x, spread(1.0), slopes, row, t)
+    _fill_near_invariants(arrays.powers, x, units, slopes, products)
     layers = arrays.sizes.shape[0]
     first, _ = _forward(arrays.sizes, layers, arrays.weights, arrays.biases, units, slopes)
     return first
+
+
+@kernel
+def _fill_near_invariants(powers, x, units, slopes, first):  # type: ignore[no-untyped-def]
+    """The units from `first` on that tell states near rest apart, x^p/√(δ² + x²), and slopes."""
+    for k in range(STRETCH):
+        for t in range(TILES):
+            value = load(x, k, t)
+            raised = value if powers[k] == 2 else load(x, ONE, t)
+            inverse = inverse_root(value * value + BEND * BEND)
+            near = raised * value * inverse
+            store(near, units, first + k, t)
+            if slopes.shape[0]:
+                by_power = raised * (float(powers[k]) * inverse)
+                store(by_power - near * value * inverse * inverse, slopes, k, first + k, t)
 
 
 @kernel

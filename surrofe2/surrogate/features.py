@@ -5,6 +5,11 @@ component. Under D4 an invariant has no sign and a term has the sign of its comp
 `square_symmetry`, so whatever the weights, the symmetry holds. Without symmetry every input is an
 invariant and every component has every term.
 
+Besides, a network reads u = x^p/√(δ² + x²) of the scaled sum, difference and shear x of U − I, with
+δ = `BEND` and p such that u has no sign. Near rest u changes ten times as fast as x. Squares, which
+D4 asks for, hardly tell small states apart, and a plant cell's stress bends within half a per cent
+of strain, where pairs of particles come to act.
+
 Forms of the stress, P̂ = RᵀP (see `network`):
 
     stress      all of P̂ from terms; with D4, P̂(I, 0) = 0 by what is subtracted
@@ -29,6 +34,8 @@ SYMMETRIES = ("D4", "none")
 
 Product = tuple[int, ...]
 STRETCH = 3  # the first inputs are those of U − I
+BEND = 0.1
+"""Of the half width of a range: size of U − I up to which states near rest are told apart best."""
 _COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
@@ -60,10 +67,12 @@ class Features:
     """What a network of one form and symmetry is made of.
 
     Attributes:
-        invariants: what the network reads.
+        invariants: products of inputs that the network reads.
         terms: product and component of what each of its outputs multiplies; those with an empty
             product are factor − factor at rest.
-        powers: of s, d, g in the three invariants of U that the energy reads; empty: no energy.
+        powers: of s, d, g in the least invariants of U alone: those that an energy reads, and the
+            numerators of those that tell states near rest apart.
+        elastic: whether there is an energy.
         monomials: of the baseline in P̂, each with its component.
         energy_monomials: of the baseline's energy.
     """
@@ -71,8 +80,14 @@ class Features:
     invariants: tuple[Product, ...]
     terms: tuple[tuple[Product, int], ...]
     powers: tuple[int, ...]
+    elastic: bool
     monomials: tuple[tuple[Product, int], ...]
     energy_monomials: tuple[Product, ...]
+
+    @property
+    def read(self) -> int:
+        """How many numbers the network reads."""
+        return len(self.invariants) + len(self.powers)
 
 
 def input_scale(range: SamplingRange) -> NDArray[np.float64]:
@@ -105,7 +120,8 @@ def make_features(form: str, symmetry: str, degree: int) -> Features:
     return Features(
         invariants=INVARIANTS if square else tuple((k,) for k in range(INPUTS)),
         terms=terms,
-        powers=((1, 2, 2) if square else (1, 1, 1)) if elastic else (),
+        powers=(1, 2, 2) if square else (1, 1, 1),
+        elastic=elastic,
         monomials=_monomials(elastic, square, degree),
         energy_monomials=_energy_monomials(square, degree + 1) if elastic and degree else (),
     )

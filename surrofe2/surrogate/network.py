@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.surrogate.features import STRETCH, Product, differentiated, make_features
+from surrofe2.surrogate.features import BEND, STRETCH, Product, differentiated, make_features
 from surrofe2.surrogate.network_arrays import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tensors import INPUTS
@@ -83,7 +83,7 @@ class TanhNetwork(torch.nn.ModuleList):
 class Shapes(NamedTuple):
     """What the parts of a network are functions of; fixed in training.
 
-    x (n, 7), scaled inputs; invariants (n, i); terms (n, t), their products.
+    x (n, 7), scaled inputs; invariants (n, i) that the network reads; terms (n, t), products.
     """
 
     x: torch.Tensor
@@ -118,10 +118,10 @@ class StressNetwork(torch.nn.Module):
         self.features = make_features(settings.form, symmetry, settings.baseline_degree)
         terms = self.features.terms
         generator = torch.Generator().manual_seed(settings.seed)
-        sizes = (len(self.features.invariants), *settings.hidden, len(terms))
+        sizes = (self.features.read, *settings.hidden, len(terms))
         self.factors = TanhNetwork(sizes, generator)
         self.energy: TanhNetwork | None = None
-        if self.features.powers:
+        if self.features.elastic:
             self.energy = TanhNetwork((STRETCH, *settings.energy_hidden, 1), generator)
         for name, size in (("input_scale", INPUTS), ("output_scale", 4), ("energy_scale", 1)):
             self.register_buffer(name, torch.ones(size, dtype=torch.float64))
@@ -164,7 +164,8 @@ class StressNetwork(torch.nn.Module):
         """All that `correction` needs of scaled inputs (n, 7)."""
         f = self.features
         terms = [product for product, _ in f.terms]
-        return Shapes(x, products(x, f.invariants), products(x, terms))
+        invariants = torch.cat([products(x, f.invariants), self._near_invariants(x)], dim=1)
+        return Shapes(x, invariants, products(x, terms))
 
     def correction(self, shapes: Shapes) -> torch.Tensor:
         """What the networks add to the baseline (n, 4), µN/µm."""
@@ -230,7 +231,7 @@ class StressNetwork(torch.nn.Module):
         """(1, t), of the terms that are no products; 0 of the others."""
         if not self.at_rest.any():
             return self.at_rest
-        rest = self.at_rest.new_zeros(1, len(self.features.invariants))
+        rest = self.at_rest.new_zeros(1, self.features.read)
         taken: torch.Tensor = self.at_rest * self.factors(rest)
         return taken
 
@@ -312,9 +313,19 @@ class StressNetwork(torch.nn.Module):
         values = products(x, left_over) * x.new_tensor(numbers)
         return torch.tensor(monomial), torch.tensor(variable), values
 
+    def _near_invariants(self, x: torch.Tensor) -> torch.Tensor:
+        """(n, 3) that tell states near rest apart, see `features`."""
+        stretch = x[:, :STRETCH]
+        return torch.where(self._squared, stretch**2, stretch) / (BEND**2 + stretch**2).sqrt()
+
+    @cached_property
+    def _squared(self) -> torch.Tensor:
+        """(3,) whether s, d and g are squared where they must not have a sign."""
+        return torch.tensor([power == 2 for power in self.features.powers])
+
     def _energy_slope(self, energy: TanhNetwork, stretch: torch.Tensor) -> torch.Tensor:
         """∂W/∂(s, d, g) (n, 3) of the energy network, less what it is at rest."""
-        squared = torch.tensor([power == 2 for power in self.features.powers])
+        squared = self._squared
         back = energy.gradient(torch.where(squared, stretch**2, stretch))
         back = back - ~squared * energy.gradient(stretch.new_zeros(1, STRETCH))
         return back * torch.where(squared, 2.0 * stretch, torch.ones_like(stretch))

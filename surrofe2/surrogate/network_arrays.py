@@ -62,7 +62,7 @@ class NetworkParameters:
             "energy_coefficients": (len(features.energy_monomials),),
         }
         for part, size, outputs in (
-            ("factors", len(features.invariants), len(features.terms)),
+            ("factors", features.read, len(features.terms)),
             ("energy", STRETCH, 1),
         ):
             count = sum(name.startswith(f"{part}.") for name in self.tensors) // 2
@@ -71,7 +71,7 @@ class NetworkParameters:
                 rows = outputs if k == count - 1 else len(given)
                 wanted |= {f"{part}.{k}.weight": (rows, size), f"{part}.{k}.bias": (rows,)}
                 size = rows
-            if bool(count) != (part == "factors" or bool(features.powers)):
+            if bool(count) != (part == "factors" or features.elastic):
                 raise InputError(f"network.{part}: {count} layers; those of another form")
         check_arrays("network", self.tensors, wanted)
 
@@ -111,7 +111,7 @@ class NetworkArrays(NamedTuple):
         made, heads, begins, tails, tail_coefficients: `polynomial.Polynomial` of the baseline; the
             components of P̂, and from `BIOT` on those that come from its energy.
         invariants: (i, 3) int64 factors; terms: (t, 4) int64 factors and component.
-        powers: (3,) int64 of s, d, g in the invariants of the energy; 0: no energy.
+        powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
         sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
             padded to multiples of four; weights, biases: its layers, flat, one after the other.
         energy_sizes, energy_weights, energy_biases: likewise of the energy network, (1,) 0 and
@@ -160,7 +160,7 @@ class NetworkArrays(NamedTuple):
             **_polynomial(_monomials(network))._asdict(),
             invariants=np.array([_three(product) for product in features.invariants]),
             terms=np.array([(*_three(product), k) for product, k in features.terms]),
-            powers=np.array(features.powers or (0,) * STRETCH),
+            powers=np.array(features.powers),
             sizes=sizes,
             weights=weights,
             biases=biases,
@@ -180,7 +180,7 @@ class NetworkArrays(NamedTuple):
         subtracted = np.array([not product for product, _ in features.terms])
         at_rest = np.where(subtracted, room.units[first : first + len(subtracted), 0, 0], 0.0)
         slope = np.zeros(STRETCH)
-        if features.powers:
+        if features.elastic:
             last = evaluate_energy_slope(self, room)
             linear = np.array(features.powers) == 1
             slope = np.where(linear, room.back[last, :STRETCH, 0, 0], 0.0)

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.sampling import NEAREST
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.features import STRETCH, input_scale
 from surrofe2.surrogate.network import Shapes, StressNetwork, along
@@ -25,6 +24,7 @@ from surrofe2.tensors import INPUTS, to_inputs
 _OUTLIER = 8.0  # times the median of what the baseline leaves of a slope: of no use for training
 _LEAST_SPREAD = 0.1  # a component of less than this share of the largest counts as one of it
 _BLOCK = 1024  # samples
+_SMALL = 0.06  # size of a sample by the half widths, below which all count alike
 _LEAST_EIGENVALUE = 1e-13
 
 
@@ -83,8 +83,8 @@ class Task:
     def loss(self, network: StressNetwork) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes.
 
-        Samples count by the inverse square of their size, so that an error tends to be a share of
-        the stress.
+        Samples count by the inverse cube of their size, so that the error tends to be a share of
+        the stress and smallest near rest, where a wave has its phase from.
         """
         if self.moving is None or self.slope is None:
             squares = self._squares(network.correction(self.shapes) - self.target)
@@ -164,7 +164,7 @@ def _spread(target: torch.Tensor) -> torch.Tensor:
 def make_task(network: StressNetwork, data: Data, settings: TrainingSettings) -> Task:
     """What the polynomial of the network leaves of the data."""
     to_cauchy = network.to_cauchy(data.x)
-    share = (data.x.square().mean(dim=1, keepdim=True).sqrt() + NEAREST) ** -2
+    share = (data.x.square().mean(dim=1, keepdim=True).sqrt() + _SMALL) ** -3
     task = Task(
         shapes=network.shapes(data.x),
         target=data.target - network.baseline(data.x),

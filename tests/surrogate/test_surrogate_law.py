@@ -165,7 +165,7 @@ def test_a_file_of_other_tensors(tmp_path):
 
 def test_an_unfinished_training_is_no_surrogate(tmp_path):
     write_training(tmp_path / "a.safetensors", {"data_fingerprint": "1"}, 20, {"a": np.zeros(3)})
-    assert_refused(tmp_path / "a.safetensors", "unfinished-training 3; this surrofe2 reads")
+    assert_refused(tmp_path / "a.safetensors", "unfinished-training 4; this surrofe2 reads")
 
 
 def test_a_surrogate_that_torch_stored(tmp_path):
