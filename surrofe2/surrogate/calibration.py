@@ -71,6 +71,7 @@ _LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way ou
 _LEAST_AT_REST = 1e-5  # and everywhere above this
 _LEAST_SIZE = 1e-3  # of a state: it does not matter how small those below are
 _EXACT = 1e-13  # of the spread: errors below are rounding
+_TIMES = 2  # the scale is fitted
 _MOST_ADDED = 300  # states that bind the local scale, in one round
 _SLACK = 1e-6  # of the largest error
 _FOLDS = 5
@@ -220,22 +221,22 @@ def _shares(sizes: Array) -> Array:
 
 
 def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread: float) -> Array:
-    """Coefficients of the smallest scale relative to the size of states that covers all errors.
+    """Coefficients of a small scale that covers all errors.
 
-    A linear program: minimise the mean of s/size over all kinds, subject to s ≥ error at every
-    state, coefficients ≥ 0.
+    Linear programs: minimise the mean of s/s₀ over all kinds, subject to s ≥ error at every state,
+    coefficients ≥ 0. s₀ is the size of a state at first, then the s found before, so that its
+    geometric mean falls: a few large errors in one corner do not widen the bound elsewhere. The
+    third program would find what the second does.
     """
     assert law.domain is not None
-    table, cost = scale_table(), np.zeros(len(scale_table()))
-    bases, errors = [], []
+    table = scale_table()
+    bases, errors, before = [], [], []
     for truth in shaping:
         error, inside = errors_along(law, truth)
         kept = inside & np.isfinite(error)
         x = scaled_inputs(*truth.paths.states, law.domain.scale)[kept]
         bases.append(products(even_rows(x, near), table))
-        if len(x):
-            size = np.sqrt(x**2 @ near) + _LEAST_SIZE
-            cost += (bases[-1] / size[:, None]).mean(axis=0)
+        before.append(np.sqrt(x**2 @ near) + _LEAST_SIZE)
         errors.append(error[kept])
     largest = max((error.max(initial=0.0) for error in errors), default=0.0)
     floor = np.zeros(len(table))
@@ -244,7 +245,16 @@ def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread:
         return floor
     floor[-1] = _LEAST_SCALE * largest
     basis, error = np.concatenate(bases), np.concatenate(errors) / largest
-    return largest * _smallest_cover(cost / cost.max(), basis, error, floor / largest)
+    for _ in range(_TIMES):
+        kinds = [
+            (each / s[:, None]).mean(axis=0)
+            for each, s in zip(bases, before, strict=True)
+            if len(s)
+        ]
+        cost = np.sum(kinds, axis=0)
+        found = _smallest_cover(cost / cost.max(), basis, error, floor / largest)
+        before = [each @ found for each in bases]
+    return largest * found
 
 
 def _smallest_cover(cost: Array, basis: Array, error: Array, least: Array) -> Array:

@@ -83,7 +83,7 @@ class Task:
     def loss(self, network: StressNetwork) -> torch.Tensor:
         """Mean square error relative to the spread of each component, with that of slopes.
 
-        Samples count by the inverse cube of their size, so that the error tends to be a share of
+        Samples count by their size to the power of −2.5, so that the error tends to be a share of
         the stress and smallest near rest, where a wave has its phase from.
         """
         if self.moving is None or self.slope is None:
@@ -164,7 +164,7 @@ def _spread(target: torch.Tensor) -> torch.Tensor:
 def make_task(network: StressNetwork, data: Data, settings: TrainingSettings) -> Task:
     """What the polynomial of the network leaves of the data."""
     to_cauchy = network.to_cauchy(data.x)
-    share = (data.x.square().mean(dim=1, keepdim=True).sqrt() + _SMALL) ** -3
+    share = (data.x.square().mean(dim=1, keepdim=True).sqrt() + _SMALL) ** -2.5
     task = Task(
         shapes=network.shapes(data.x),
         target=data.target - network.baseline(data.x),

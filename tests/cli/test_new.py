@@ -122,5 +122,5 @@ def test_the_demo_has_its_recipe_wherever_it_is_called(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = demo.demo_recipe(Path("out/demo"))
     assert load_recipe(path).data_path() == Path("out/demo/bending-bar.h5")
-    path.write_text(path.read_text(encoding="utf-8").replace("4096", "512"), encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8").replace("3072", "512"), encoding="utf-8")
     assert load_recipe(demo.demo_recipe(Path("out/demo"))).samples.count == 512
