@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from surrofe2 import RveLaw, simulate
-from surrofe2.errors import SimulationError
 from surrofe2.recipe import load_recipe
 from surrofe2.sampling import SamplingRange, contains, training_points
 from surrofe2.stress_samples import StressSamples
@@ -163,17 +162,16 @@ def test_failed_samples_are_outside(study):
 
 
 def test_the_bar_is_accepted(study):
-    """At 1e-3 of the spread at least 99 % of the points of the bar, and none of them wrong."""
+    """At 1e-3 of the spread 99 % of the points of the bar and more, and none of them wrong.
+
+    90 % in the range with unstable corners, at whose bound of shear the bar with `water` ends.
+    """
     seen = []
     watched = WatchedLaw(study.surrogate, lambda *state: seen.append(np.copy(state)))
     recipe = study.recipe
     load = replace(recipe.load, duration=min(recipe.load.duration, study.states / 80.0))
-    try:
-        simulate(load, watched, recipe.macro)
-    except SimulationError:
-        assert recipe.range is WIDE  # the bar with `water` leaves a range that narrow in shear
-        return
+    simulate(load, watched, recipe.macro)
     F, F_dot = (np.concatenate([state[part] for state in seen[::4]]) for part in (0, 1))
     error, _, accepted = study.errors(F, F_dot, study.tolerance)
-    assert accepted.mean() >= 0.99
+    assert accepted.mean() >= (0.9 if recipe.range is WIDE else 0.99)
     assert (error[accepted] <= study.tolerance).all()
