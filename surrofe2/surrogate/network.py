@@ -325,10 +325,9 @@ class StressNetwork(torch.nn.Module):
 
     def _energy_slope(self, energy: TanhNetwork, stretch: torch.Tensor) -> torch.Tensor:
         """∂W/∂(s, d, g) (n, 3) of the energy network, less what it is at rest."""
-        squared = self._squared
-        back = energy.gradient(torch.where(squared, stretch**2, stretch))
-        back = back - ~squared * energy.gradient(stretch.new_zeros(1, STRETCH))
-        return back * torch.where(squared, 2.0 * stretch, torch.ones_like(stretch))
+        back = energy.gradient(torch.where(self._squared, stretch**2, stretch))
+        back = back - ~self._squared * energy.gradient(stretch.new_zeros(1, STRETCH))
+        return back * torch.where(self._squared, 2.0 * stretch, torch.ones_like(stretch))
 
 
 def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:

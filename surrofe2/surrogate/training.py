@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.calibration import fit_domain
+from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.settings import TrainingSettings

@@ -39,7 +39,7 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem_sections import load_mesh
 from surrofe2.recipe import load_recipe
 from surrofe2.surrogate import TrainingSettings, train
-from surrofe2.surrogate.calibration import fit_domain
+from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
 from tests.cache.tables import make, states, taught
 from tests.fuzz.test_recipes import ROOT, places, replaced

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from surrofe2.surrogate import SurrogateLaw, TrainingSettings
-from surrofe2.surrogate.calibration import fit_domain
+from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork

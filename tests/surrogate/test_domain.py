@@ -8,9 +8,9 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange, contains, sample
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.calibration import fit_domain
 from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import Domain, why_outside
+from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.tensors import to_inputs
 from tests.laws import CELL, RANGE, lattice_samples
 from tests.surrogate.domain_twin import within
