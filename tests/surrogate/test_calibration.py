@@ -10,6 +10,7 @@ from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status
+from surrofe2.surrogate import calibration
 from surrofe2.surrogate.calibration import (
     MARGIN,
     Truth,
@@ -20,7 +21,7 @@ from surrofe2.surrogate.calibration import (
 )
 from surrofe2.surrogate.deformation_paths import random_states, random_walks
 from surrofe2.surrogate.settings import CalibrationSettings
-from surrofe2.tensors import stress_error, stress_spread
+from surrofe2.tensors import stress_error, stress_spread, unrotated
 from tests.laws import RANGE, lattice_stress
 from tests.surrogate.torch_twin import read_parts, write_parts
 
@@ -224,6 +225,29 @@ def test_a_biased_surrogate_is_not_trusted(law, samples):
     F, F_dot = random_states(RANGE, 2000, seed=3).states
     assert found.error_bound(F, F_dot).min() > 0.019 * law.stress_spread
     assert found.lookup(F, F_dot, 1e-3 * law.stress_spread)[1].all()
+
+
+@pytest.mark.parametrize("size", [0.005, 0.05])
+def test_an_error_in_one_corner_hardly_widens_the_bound_elsewhere(law, samples, monkeypatch, size):
+    """By a share of the spread, where stretches differ and are sheared: the second fit sees it."""
+
+    def faulty(part):
+        found = []
+        for one in part:
+            U, _, _ = unrotated(*one.paths.states)
+            there = (U[:, 0, 0] - U[:, 1, 1] > 0.08) & (U[:, 0, 1] < -0.04)
+            fault = size * law.stress_spread * there[:, None, None] * np.diag([1.0, 0.0])
+            found.append(replace(one, stress=one.stress + fault))
+        return found
+
+    def found_by(fits):
+        monkeypatch.setattr(calibration, "_TIMES", fits)
+        shaping, testing = faulty(true_paths(150, 10)), faulty(true_paths(400, 20))
+        return np.median(calibrate(law, samples, shaping, testing, SHARE).error_bound(*inner))
+
+    F, F_dot = random_states(RANGE, 2000, seed=3).states
+    inner = np.eye(2) + 0.5 * (F - np.eye(2)), 0.5 * F_dot
+    assert found_by(calibration._TIMES) < 0.5 * found_by(1)
 
 
 def test_a_bias_that_only_new_paths_have_shows_too(law, calibrated, samples):
