@@ -16,17 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import (
-    Acceptance,
-    ElementForces,
-    ElementLaw,
-    Status,
-    StressLaw,
-    StressResponse,
-)
+from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
 from surrofe2.tensors import stress_error
 
 Array = NDArray[np.float64]
@@ -187,21 +179,12 @@ class WatchedLaw:
     def __init__(self, law: StressLaw, note: Callable[[Array, Array], None]) -> None:
         self.law, self.density, self.has_tangents = law, law.density, law.has_tangents
         self.note = note
-        self._element_law = law if isinstance(law, ElementLaw) else None
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
         """The law's answer."""
         return self.law.respond(F, F_dot, state, tangents=tangents)
-
-    def element_forces(
-        self, space: ElementArrays, u: Array, v: Array, state: Any
-    ) -> ElementForces | None:
-        """The law's, or None where it has none."""
-        if self._element_law is None:
-            return None
-        return self._element_law.element_forces(space, u, v, state)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """The law's acceptance, and a note of where it was."""
