@@ -1,9 +1,9 @@
 """`python -m benchmarks.estimates RECIPE …`: estimates of `surrofe2 check` beside measured figures.
 
 In a copy of each recipe, without data set and surrogate: `check`, then each piece as a process of
-its own, in wall seconds without compilation and with its peak of memory. Runs that would be longer
-than `--longest` cover a part of the duration, and their times and calls are scaled. Nothing but the
-standard library is loaded here: on Linux a process inherits the peak of the one that starts it.
+its own, in wall seconds without compilation and with its peak of memory. A run that would take
+longer than `--longest` covers a part of the duration; its time and calls are scaled. Nothing but
+the standard library is loaded here: on Linux a process inherits the peak of the one that starts it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table and write estimates.json."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.estimates", description=__doc__)
     parser.add_argument("recipes", type=Path, nargs="+", metavar="RECIPE")
-    parser.add_argument("--longest", type=float, default=60.0, metavar="S", help="of a true run")
+    parser.add_argument("--longest", type=float, default=60.0, metavar="S", help="of a run")
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/estimates"))
     given = parser.parse_args(arguments)
@@ -74,14 +74,13 @@ def figures_of(recipe: Path, folder: Path, laws: Sequence[str], longest: float) 
         peak = max(called(command, own)[1] for command in ("generate", "train"))
         making = estimate["making"] / 1e9
         yield Figure(recipe.stem, "data set, training, memory", "GB", making, peak / 1e9)
-    part = min(1.0, longest / estimate["rve"])
     text = own.read_text(encoding="utf-8")
-    shorter = DURATION.sub(lambda found: f"{found[1]}{float(found[2]) * part!r}", text, count=1)
-    short = own.with_name(f"short-{own.name}")
-    short.write_text(text if part == 1.0 else shorter, encoding="utf-8")
     for law in laws:
         if estimate[law] is None:
             continue
+        part = min(1.0, longest / estimate[law])
+        short = own.with_name(f"{law}-{own.name}")
+        short.write_text(text if part == 1.0 else shortened(text, part), encoding="utf-8")
         out = folder / law
         _, peak = called("run", short, "--law", law, "--out", out)
         record = json.loads((out / "run.json").read_text(encoding="utf-8"))
@@ -95,6 +94,11 @@ def figures_of(recipe: Path, folder: Path, laws: Sequence[str], longest: float) 
         yield Figure(recipe.stem, f"run by {law}", "s", estimate[law], wall / part)
         bytes_ = estimate["memory"][law]
         yield Figure(recipe.stem, f"run by {law}, memory", "GB", bytes_ / 1e9, peak / 1e9)
+
+
+def shortened(recipe: str, part: float) -> str:
+    """The text of a recipe over this part of its duration."""
+    return DURATION.sub(lambda found: f"{found[1]}{float(found[2]) * part!r}", recipe, count=1)
 
 
 def _made(stem: str, estimate: dict[str, Any], cost: dict[str, Any]) -> Iterator[Figure]:

@@ -13,10 +13,12 @@ import hashlib
 import logging
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
+from time import perf_counter
 from typing import Any
 
 # Threads that wait for each other spin only briefly: spinning for long is a fifth faster on idle
@@ -79,6 +81,30 @@ def _writable_folder() -> Path | None:
     return folder
 
 
+_waited: list[float] = []
+"""Seconds of each kernel so far that was compiled or read."""
+_begun: list[float] = []
+"""When those began that are not finished: the kernels that one calls are compiled within it."""
+
+
+@contextmanager
+def _waiting() -> Iterator[None]:
+    """While a kernel is compiled or read."""
+    _begun.append(perf_counter())
+    try:
+        yield
+    finally:
+        began = _begun.pop()
+        if not _begun:
+            _waited.append(perf_counter() - began)
+
+
+def clock() -> float:
+    """Seconds of a clock that stands while this process compiles kernels or reads them."""
+    now = _begun[0] if _begun else perf_counter()
+    return now - sum(_waited)
+
+
 @cache
 def _tell_once(why: str) -> None:
     log.warning("kernels are compiled in memory and not kept, which takes a minute: %s", why)
@@ -109,7 +135,7 @@ def _own(dispatcher: Any) -> Any:
     compile_or_load = dispatcher.compile
 
     def own(signature: Any) -> Any:
-        with own_code(dispatcher.targetctx.codegen()):
+        with _waiting(), own_code(dispatcher.targetctx.codegen()):
             return compile_or_load(signature)
 
     dispatcher.compile = own

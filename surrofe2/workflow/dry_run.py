@@ -1,18 +1,21 @@
 """A dry run of a recipe's problem: how often a run asks its law, and windows of what it asks.
 
 The law is the quadratic one of the RVEs at rest, whose steps are those of a true run within a few
-per cent. The windows, asked again of another law, say what that costs along the run.
+per cent. The windows, asked again of another law, say what that costs along the run; the path
+says what a law that learns must learn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.compilation import clock
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.macro import simulate
 from surrofe2.recipe import Recipe
@@ -27,6 +30,9 @@ WINDOWS, STEPS, WARM = 5, 10, 4
 """Windows along a run, the steps in each, and how many of these only warm up: a run's factors of
 RVEs are some steps old."""
 _COARSEST = 4
+_PATH, _SHORTEST, _PATH_STATES = 128, 16, 1 << 17
+"""Steps of the path along a run, and half as many at least; fewer of very many points that must
+all be there; and its states of points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +57,7 @@ class DryRun:
         calls, steps: of the whole run; extrapolated where the dry run did not come to its end.
         macro: seconds outside the law a call.
         windows: what was asked in a few places along the run, by as many points as there are.
+        path: evenly some of the steps, from the first to the last, and of the points.
         is_whole: whether it came to its end.
     """
 
@@ -59,6 +66,7 @@ class DryRun:
     steps: float
     macro: float
     windows: list[Window]
+    path: Window
     is_whole: bool
 
 
@@ -68,7 +76,11 @@ class _Enough(Exception):  # noqa: N818 - no error
 
 @dataclass
 class _Recorder:
-    """The law of a dry run, which notes what it is asked."""
+    """The law of a dry run, which notes what it is asked.
+
+    Attributes:
+        takes_all: whether the path must be of all points.
+    """
 
     law: StressLaw
     calls: int = 0
@@ -77,6 +89,9 @@ class _Recorder:
     begun: float = 0.0
     wanted: int = STEPS
     windows: list[Window] = field(default_factory=lambda: [[]])
+    path: Window = field(default_factory=list)
+    stride: int = 1
+    takes_all: bool = False
 
     def __post_init__(self) -> None:
         self.density, self.has_tangents = self.law.density, self.law.has_tangents
@@ -85,22 +100,31 @@ class _Recorder:
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
         """The law's answer."""
-        start = perf_counter()
+        start = clock()
         self.begun = self.begun or start
         self.calls += 1
         answer = self.law.respond(F, F_dot, state, tangents=tangents)
         if self.wanted:
             self.windows[-1].append(Asked(F.copy(), F_dot.copy(), tangents, False))
-        self.seconds += perf_counter() - start
+        self.seconds += clock() - start
         return answer
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """The law's acceptance."""
+        if self.steps % self.stride == 0:
+            self._go_on(F, F_dot)
         self.steps += 1
         if self.wanted and self.windows[-1]:
             self.windows[-1][-1] = replace(self.windows[-1][-1], ends_step=True)
             self.wanted -= 1
         return self.law.accept(F, F_dot, response)
+
+    def _go_on(self, F: Array, F_dot: Array) -> None:
+        """The path by one step; every other one goes where there are too many."""
+        rows = evenly(len(F), len(F) if self.takes_all else _PATH_STATES // _PATH)
+        self.path.append(Asked(F[rows], F_dot[rows], False, True))
+        if len(self.path) > max(_SHORTEST, min(_PATH, _PATH_STATES // len(rows))):
+            self.path, self.stride = self.path[::2], 2 * self.stride
 
     def begin_window(self) -> None:
         """Note the next steps."""
@@ -111,14 +135,14 @@ class _Recorder:
     @property
     def macro(self) -> float:
         """Seconds outside the law a call."""
-        return max(0.0, perf_counter() - self.begun - self.seconds) / max(self.calls, 1)
+        return max(0.0, clock() - self.begun - self.seconds) / max(self.calls, 1)
 
 
 def dry_run(recipe: Recipe, seconds: float, report: Report = untold) -> DryRun:
     """A dry run of a recipe's problem of so many seconds at most.
 
-    Where that is not enough, steps and calls go on as in the second half of it, and the windows are
-    those of a coarser mesh, if the recipe's is a rectangle.
+    Where that is not enough, steps and calls go on as in the second half of it, and windows and
+    path are those of a coarser mesh, if the recipe's is a rectangle.
 
     Args:
         report: is told the time reached in µs.
@@ -127,11 +151,10 @@ def dry_run(recipe: Recipe, seconds: float, report: Report = untold) -> DryRun:
         SimulationError: the run could not be carried on.
     """
     found = _tried(recipe, seconds, report)
-    windows, whole, coarse = found.windows, found.is_whole, coarser(recipe)
-    while not whole and coarse is not None:
-        other = _tried(coarse, seconds, report)
-        windows, whole, coarse = other.windows, other.is_whole, coarser(coarse)
-    return replace(found, windows=windows)
+    best, coarse = found, coarser(recipe)
+    while not best.is_whole and coarse is not None:
+        best, coarse = _tried(coarse, seconds, report), coarser(coarse)
+    return replace(found, windows=best.windows, path=best.path)
 
 
 def coarser(recipe: Recipe) -> Recipe | None:
@@ -152,25 +175,18 @@ def coarser(recipe: Recipe) -> Recipe | None:
 
 
 def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
-    problem, duration = recipe.problem(), recipe.duration
-    law = _Recorder(law_by_region(recipe, problem.mesh, quadratic_law))
-    settings = replace(recipe.macro, frames=2)
+    duration, mesh = recipe.duration, recipe.problem().mesh
+    law = _Recorder(law_by_region(recipe, mesh, quadratic_law), takes_all=bool(recipe.types))
     marks: list[tuple[float, int, int]] = []
-    until = perf_counter() + seconds
 
-    def progress(t: float, of: float) -> None:
+    def mark(t: float) -> None:
         report(t, "")
         marks.append((t, law.calls, law.steps))
         if t >= duration * len(law.windows) / WINDOWS and not law.wanted:
             law.begin_window()
-        if perf_counter() > until:
-            raise _Enough
 
     try:
-        with recipe.named(InputError):
-            simulate(problem, law, settings, progress=progress)
-    except _Enough:
-        pass
+        _simulated(recipe, law, seconds, mark)
     except SimulationError as error:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
     (t, calls, steps), (then, before, earlier) = marks[-1], marks[len(marks) // 2]
@@ -181,8 +197,40 @@ def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         steps=steps + left * (steps - earlier),
         macro=law.macro,
         windows=_fullest(law.windows),
+        path=law.path,
         is_whole=t >= duration,
     )
+
+
+def _simulated(
+    recipe: Recipe, law: StressLaw, seconds: float, mark: Callable[[float], None]
+) -> None:
+    """Simulate a recipe's problem for so many seconds at most, with the time told in µs."""
+    until = clock() + seconds
+
+    def progress(t: float, of: float) -> None:
+        mark(t)
+        if clock() > until:
+            raise _Enough
+
+    with suppress(_Enough), recipe.named(InputError):
+        simulate(recipe.problem(), law, replace(recipe.macro, frames=2), progress=progress)
+
+
+def short_run(recipe: Recipe, law: StressLaw, seconds: float) -> float | None:
+    """Seconds of a run by this law; None where so many were not enough, or it came to no end."""
+    reached = [0.0]
+    began = clock()
+    try:
+        _simulated(recipe, law, seconds, reached.append)
+    except SimulationError:
+        return None
+    return clock() - began if reached[-1] >= recipe.duration else None
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """So many indices below `count` at most, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
 
 def _steps_in(window: Window) -> int:
@@ -205,7 +253,7 @@ def replayed(law: StressLaw, window: Window, rows: NDArray[np.intp]) -> tuple[fl
     warm = min(WARM, _steps_in(window) - 1)
     for each in window:
         F, F_dot = each.F[rows], each.F_dot[rows]
-        start = perf_counter()
+        start = clock()
         answer = law.respond(F, F_dot, state, tangents=each.tangents)
         if answer.switched is not None:
             # a stepper would begin the step anew; here the points stay where they came to
@@ -213,7 +261,7 @@ def replayed(law: StressLaw, window: Window, rows: NDArray[np.intp]) -> tuple[fl
         if each.ends_step:
             state = law.accept(F, F_dot, answer).state
         if steps >= warm:
-            seconds, asked = seconds + perf_counter() - start, asked + 1
+            seconds, asked = seconds + clock() - start, asked + 1
         steps += each.ends_step
     return seconds, asked, state
 
@@ -228,10 +276,10 @@ def seconds_a_call(
     """
     order = sorted(range(len(windows)), key=lambda k: abs(k - len(windows) // 2))
     replayed(law, windows[order[0]], rows)  # loads kernels
-    total, count, state, until = 0.0, 0, None, perf_counter() + seconds
+    total, count, state, until = 0.0, 0, None, clock() + seconds
     for k in order:
         taken, asked, state = replayed(law, windows[k], rows)
         total, count = total + taken, count + asked
-        if perf_counter() > until:
+        if clock() > until:
             break
     return total / max(count, 1), state

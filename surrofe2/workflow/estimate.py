@@ -9,7 +9,6 @@ import math
 import resource
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 from typing import Any
 
 import numba
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache import CachedLaw
+from surrofe2.compilation import clock
 from surrofe2.macro.mesh import Mesh
 from surrofe2.recipe import Recipe
 from surrofe2.rve.rve_state import MANY_BYTES
@@ -24,7 +24,14 @@ from surrofe2.simd import TILE
 from surrofe2.stress_law import StressLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_arrays, law_by_region
-from surrofe2.workflow.dry_run import DryRun, dry_run, seconds_a_call
+from surrofe2.workflow.dry_run import (
+    DryRun,
+    dry_run,
+    evenly,
+    replayed,
+    seconds_a_call,
+    short_run,
+)
 from surrofe2.workflow.generate import CHUNK
 from surrofe2.workflow.run_lifecycle import CHECKPOINT_INTERVAL, Stage, silent
 from surrofe2.workflow.stand_in import Learnt, learnt_of
@@ -44,7 +51,8 @@ as a checkpoint is made in memory."""
 _COLD = 3.0
 """Blocks of factors for each tile of a chunk of samples, solved cold."""
 _FRAME = 210.0
-"""Bytes that a frame takes for a point, most of them in three copies of the file at the end."""
+"""Bytes that a frame takes for a point, most of them in three copies of the file at the end; twice
+as many in a run that makes checkpoints, which hold the frames so far."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,9 +136,11 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
         )
         kept = law_arrays(true, state)
         block = _block_of(kept)
-        least = _PROCESS + _FRAME * min(recipe.macro.frames, run.steps) * run.points
-        least += _MATRICES * numba.get_num_threads() * block
-        found.memory["rve"] = least + _states(kept, share, found.rve)
+        least = _Least(
+            process=_PROCESS + _MATRICES * numba.get_num_threads() * block,
+            frames=_FRAME * min(recipe.macro.frames, run.steps) * run.points,
+        )
+        found.memory["rve"] = least.peak(kept, share, found.rve)
         if _can_learn(recipe):
             learnt = {name: learnt_of(part, each) for name, part in recipe.parts().items()}
             is_there = all(own.is_true for own in learnt.values())
@@ -141,9 +151,8 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
             )
         report(3.0, "cached run")
         if _can_tabulate(recipe):
-            seconds, states = _by_table(recipe, mesh, run, rows, each)
-            memory = {**found.memory, "table": least + states}
-            found = replace(found, table=seconds, memory=memory)
+            seconds, memory = _by_table(recipe, mesh, run, rows, each, least)
+            found = replace(found, table=seconds, memory={**found.memory, "table": memory})
         report(4.0, "table")
     return found
 
@@ -154,15 +163,15 @@ def _rows(run: DryRun, recipe: Recipe) -> Rows:
     count = len(run.windows[0][0].F)
     most = max(_LEAST_POINTS, _MOST_POINTS // recipe.cell.cells**2)
     few = count if recipe.types else min(count, most)
-    return np.unique(np.linspace(0, count - 1, few).round().astype(np.intp))
+    return evenly(count, few)
 
 
 def _cold(true: StressLaw, run: DryRun, rows: Rows) -> float:
     """Seconds of an RVE solved cold, as audits do, mean of the windows."""
-    began = perf_counter()
+    began = clock()
     for window in run.windows:
         true.respond(window[-1].F[rows], window[-1].F_dot[rows])
-    return (perf_counter() - began) / (len(rows) * len(run.windows))
+    return (clock() - began) / (len(rows) * len(run.windows))
 
 
 def _block_of(arrays: Mapping[str, NDArray[Any]]) -> float:
@@ -177,15 +186,24 @@ def _making(block: float) -> float:
     return max(this, _PROCESS + _COLD * block * CHUNK / TILE)
 
 
-def _states(arrays: Mapping[str, NDArray[Any]], share: float, seconds: float) -> float:
-    """Bytes at the peak of a run of so many seconds, of what its law knows of its points.
+@dataclass(frozen=True, slots=True)
+class _Least:
+    """Bytes of a run without what its law knows of its points: of the process, and of frames."""
 
-    Args:
-        arrays: of the law, for a part of the points. share: all of them over these.
-    """
-    states = share * sum(np.asarray(each).nbytes for each in arrays.values())
-    is_kept = seconds > CHECKPOINT_INTERVAL and states < MANY_BYTES
-    return states * (_STATES + (_AND_CHECKPOINT if is_kept else 0.0))
+    process: float
+    frames: float
+
+    def peak(self, arrays: Mapping[str, NDArray[Any]], share: float, seconds: float) -> float:
+        """Bytes at the peak of a run of so many seconds.
+
+        Args:
+            arrays: of the law, for a part of the points. share: all of them over these.
+        """
+        states = share * sum(np.asarray(each).nbytes for each in arrays.values())
+        has_checkpoints = seconds > CHECKPOINT_INTERVAL
+        with_law = has_checkpoints and states < MANY_BYTES
+        states *= _STATES + (_AND_CHECKPOINT if with_law else 0.0)
+        return self.process + self.frames * (2.0 if has_checkpoints else 1.0) + states
 
 
 def _can_learn(recipe: Recipe) -> bool:
@@ -206,13 +224,13 @@ def _with_cache(
     run: DryRun,
     learnt: dict[str, Learnt],
     seconds: float,
-    least: float,
+    least: _Least,
     cold: float,
 ) -> Estimate:
     """The estimate with what a surrogate costs, and a run by it with its audits.
 
     Args:
-        seconds: for the questions. least: bytes of a run but for states of its law.
+        seconds: for the questions.
         cold: seconds of an audit.
     """
     mesh = recipe.problem().mesh
@@ -231,22 +249,24 @@ def _with_cache(
     hits, missed = (sum(each.counts[name] for each in by_cell) for name in ("hits", "fallbacks"))
     audits = recipe.cache.audit * run.points * run.steps
     cached = run.calls * (ask + run.macro) + once + audits * cold
-    states = _states(law_arrays(law, state), 1.0, cached)
+    peak = least.peak(law_arrays(law, state), 1.0, cached)
     return replace(
         found,
         data=sum(each.data for each in learnt.values()),
         training=sum(each.training for each in learnt.values()),
         cached=cached,
-        memory={**found.memory, "cached": least + states},
+        memory={**found.memory, "cached": peak},
         in_range=hits / max(hits + missed, 1),
     )
 
 
 def _by_table(
-    recipe: Recipe, mesh: Mesh, run: DryRun, rows: Rows, seconds: float
+    recipe: Recipe, mesh: Mesh, run: DryRun, rows: Rows, seconds: float, least: _Least
 ) -> tuple[float, float]:
-    """Seconds of a run by a table: that of the second time it sees the windows, and learning; and
-    bytes of the states of its RVEs.
+    """Seconds of a run by a table, and bytes at its peak.
+
+    A run that takes no longer is done. Of another one, what it learns along the path is what it has
+    to learn; then it is asked the windows.
     """
 
     def law_of(part: Recipe) -> CachedLaw:
@@ -255,11 +275,17 @@ def _by_table(
         table.warm_up()
         return CachedLaw(table, true, part.cache)
 
+    taken = short_run(recipe, law_by_region(recipe, mesh, law_of), seconds)
     law = law_by_region(recipe, mesh, law_of)
-    share = run.points / len(rows)
-    ask, learning, state = _asked_twice(law, run, rows, seconds)
-    taken = run.calls * (share * ask + run.macro) + share * learning
-    return taken, _states(law_arrays(law, state), share, taken)
+    along = np.arange(len(run.path[0].F))
+    first, _, _ = replayed(law, run.path, along)
+    again, _, state = replayed(law, run.path, along)
+    arrays = law_arrays(law, state)
+    if taken is None:
+        ask, _ = seconds_a_call(law, run.windows, rows, seconds)
+        asking = ask * run.points / len(rows)
+        taken = run.calls * (asking + run.macro) + max(0.0, first - again)
+    return taken, least.peak(arrays, run.points / len(along), taken)
 
 
 def _asked_twice(
@@ -271,8 +297,8 @@ def _asked_twice(
     Args:
         seconds: for the questions, each time.
     """
-    began = perf_counter()
+    began = clock()
     seconds_a_call(law, run.windows, rows, seconds)
-    middle = perf_counter()
+    middle = clock()
     ask, state = seconds_a_call(law, run.windows, rows, seconds)
-    return ask, max(0.0, 2.0 * middle - began - perf_counter()), state
+    return ask, max(0.0, 2.0 * middle - began - clock()), state

@@ -48,12 +48,15 @@ from surrofe2.ranks.shared import shared
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
+from surrofe2.simd import TILE
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
 
 _MANY_POINTS = 2048
 """So many points make every law use all cores if any number does."""
+_MANY_RVES = 4 * TILE
+"""So many make true RVEs do so; irregular ones are dear, and large."""
 _INSTANT = LoadCase(duration=1e-3, watched=(0.0, 0.0))
 """Watched at a node, for which nothing has to be searched."""
 _AT_REST = 1e-6
@@ -168,7 +171,7 @@ def choose_law(
 def make_table(
     recipe: Recipe, law: Fallback, files: Sequence[Path] = (), spread: float | None = None
 ) -> StressTable:
-    """A table for a recipe, empty or with the records of these files.
+    """A table for a recipe, with the records of these files or that of the undeformed state.
 
     Args:
         spread: of the stress, µN/µm; else that of the first file, or sampled.
@@ -187,6 +190,8 @@ def make_table(
     )
     for stored in found:
         table.restore(merged(table.records, stored.records, tolerance, table.images))
+    if not table.size:
+        table.learn_rest()
     return table
 
 
@@ -262,6 +267,8 @@ def warm_up(
 def _ask_all(law: StressLaw, counts: tuple[int, ...]) -> None:
     """Ask a law for so many points whatever a run asks."""
     for count in counts:
+        if isinstance(law, RveLaw):
+            count = min(count, _MANY_RVES)
         F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
         answer = law.respond(F, 0.0 * F)
         law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from surrofe2.compilation import clock
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
@@ -88,13 +88,13 @@ def learnt_of(part: Recipe, seconds: float) -> Learnt:
 def seconds_each(work: Callable[[int], Any], seconds: float) -> float:
     """Seconds for each of a number of things, from a few and then from as many as time allows."""
     work(_FEW)
-    began = perf_counter()
+    began = clock()
     work(_FEW)
-    each = (perf_counter() - began) / _FEW
+    each = (clock() - began) / _FEW
     count = int(np.clip(0.5 * seconds / each, _FEW, _MANY))
-    began = perf_counter()
+    began = clock()
     work(count)
-    return (perf_counter() - began) / count
+    return (clock() - began) / count
 
 
 def _samples(part: Recipe, true: RveLaw) -> StressSamples:
@@ -126,9 +126,9 @@ def _trained(part: Recipe, samples: StressSamples) -> tuple[SurrogateLaw, float]
     if part.training.bound:
         most = min(most, _TO_BOUND)
     few = replace(part.training, iterations=min(_ITERATIONS, most))
-    began = perf_counter()
-    surrogate = train(samples, few, progress=lambda *_: marks.append(perf_counter()))
-    taken = perf_counter() - began
+    began = clock()
+    surrogate = train(samples, few, progress=lambda *_: marks.append(clock()))
+    taken = clock() - began
     if len(marks) > 1:
         a_round = float(np.diff(marks).min())  # the first have more trials along a line
         taken += (most / _ROUND - len(marks)) * a_round
@@ -140,16 +140,16 @@ def _calibrated(
 ) -> tuple[SurrogateLaw, float]:
     """The surrogate with a bound, and the seconds of all that is no RVE: fits, and runs by it."""
     paths = part.calibration
-    began = perf_counter()
+    began = clock()
     plain = replace(paths, runs=0, states=paths.states or max(paths.walks, paths.runs))
     bounded = calibrate(surrogate, samples, law, plain)
-    taken = perf_counter() - began
+    taken = clock() - began
     if paths.runs:
         one = replace(paths, walks=0, states=0, runs=1, share=0.5)
-        began = perf_counter()
+        began = clock()
         calibrate(surrogate, samples, law, one, problem=part.load or part.problem(),
                   macro=part.macro)  # fmt: skip
-        taken += 0.5 * (perf_counter() - began) * _SHAPING * paths.runs  # it was two runs
+        taken += 0.5 * (clock() - began) * _SHAPING * paths.runs  # it was two runs
     return bounded, taken
 
 

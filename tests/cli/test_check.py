@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
+from surrofe2 import compilation
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow import laws
-from surrofe2.workflow.dry_run import WARM, coarser, dry_run
+from surrofe2.workflow.dry_run import WARM, coarser, dry_run, short_run
 from surrofe2.workflow.recipe_check import recipe_faults
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
@@ -143,6 +145,39 @@ def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path):
     assert not short.is_whole
     assert short.points == whole.points == 320
     assert len(short.windows[0][0].F) == 80  # of 4 × 4 elements
+
+
+@pytest.mark.usefixtures("soft_law")
+def test_the_path_of_a_dry_run_goes_from_rest_to_the_end(recipe_path):
+    recipe = load_recipe(recipe_path, {"load.duration": 200.0})
+    found = dry_run(recipe, 60.0)
+    assert 64 <= len(found.path) <= 128
+    assert all(each.ends_step and len(each.F) == found.points for each in found.path)
+    way = np.array([np.abs(each.F - np.eye(2)).max() for each in found.path])
+    steps = [each for window in found.windows for each in window if each.ends_step]
+    assert way[0] < 0.01 * way.max()
+    assert way.max() >= 0.9 * max(np.abs(each.F - np.eye(2)).max() for each in steps)
+    assert np.abs(np.diff(way)).max() < 0.2 * way.max()
+
+
+@pytest.mark.usefixtures("soft_law")
+def test_a_run_is_timed_if_it_is_short(recipe_path):
+    recipe = load_recipe(recipe_path, {"load.duration": 1.0})
+    law = SquareLaw().of(recipe.cell, recipe.rve)
+    assert short_run(recipe, law, 60.0) > 0.0
+    assert short_run(recipe, law, 1e-9) is None
+
+
+def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
+    times = iter([1.0, 3.0, 10.0, 14.0, 20.0])
+    monkeypatch.setattr(compilation, "perf_counter", lambda: next(times))
+    monkeypatch.setattr(compilation, "_waited", [])
+    assert compilation.clock() == 1.0
+    with compilation._waiting():
+        with compilation._waiting():  # a kernel that it calls
+            pass
+        assert compilation.clock() == 3.0
+    assert compilation.clock() == 20.0 - 11.0
 
 
 def test_coarser_meshes(recipe_path):
