@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.branches import Indices, beyond_bifurcation, part_of, within
 from surrofe2.cache.protocols import Fallback
+from surrofe2.simd import TILE
 from surrofe2.stress_law import StressResponse
 from surrofe2.tensors import stress_error
 
@@ -162,22 +163,22 @@ class Audit:
             self._waiting.append(question)
         return sum(len(each.points) for each in self._waiting) >= BATCH
 
-    def run(self) -> Finding | None:
-        """Audit all that waits; None where nothing does."""
+    def run(self, *, whole: bool = True) -> Finding | None:
+        """Audit what waits, or of several steps as much as fills tiles of RVEs; None: nothing."""
         if not self._waiting:
             return None
+        one_step = len(self._waiting) == 1
         asked, self._waiting = self._joined(), []
+        left = 0 if whole or one_step else len(asked.points) % TILE
+        if left:
+            asked, rest = (Question(*parts) for parts in zip(*_cut(asked, left), strict=True))
+            self._waiting = [rest]
         truth = self._solve(asked)
         error = asked.weight * stress_error(asked.stress, truth.stress)
         error[truth.status != 0] = np.nan
         broken = self.record.add(error)
         self._note_worst(asked, truth.stress, error)
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether there are answers to be audited."""
-        return bool(self._waiting)
 
     def go_back(self, step: int, record: Mapping[str, Any]) -> None:
         """Have this record, and none waiting of answers after so many steps; audit more from here
@@ -256,6 +257,11 @@ class Audit:
             "stress": asked.stress[k].tolist(),
             "true_stress": truth[k].tolist(),
         }
+
+
+def _cut(asked: Question, left: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    """Each array of a question without its last so many entries, and these."""
+    return [(part[:-left], part[-left:]) for part in asked]
 
 
 def together(F: Array, F_dot: Array) -> Array:

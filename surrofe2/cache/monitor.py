@@ -106,7 +106,7 @@ class Monitor:
             steps, weight = np.full(len(chosen), step), self._surrogate.weight(*at, state.tolerance)
             asked = Question(steps, chosen, *at, stress[chosen], state.bound[chosen], weight)
             if self._audit.wait(asked):
-                self.run_audit()
+                self.run_audit(whole=False)
         fault = self._faults.check(F, stress, state.bound, hits, known.why, state.tolerance)
         if fault is not None and not self.trust.is_off:
             self.trust.switch_off(step, fault)
@@ -138,10 +138,11 @@ class Monitor:
             self._on_true_answer(*at, true, none, np.full(len(known), FALLBACK, dtype=np.int8))
         self._surrogate.learn(*at, true, known.state)
 
-    def run_audit(self) -> None:
-        """Audit what waits; distribute the truth, let what was wrong be learnt, and judge."""
+    def run_audit(self, *, whole: bool = True) -> None:
+        """Audit what waits, or full tiles of it; distribute the truth, learn from what was wrong,
+        and judge."""
         with self.meter.part("audit"):
-            found = self._audit.run()
+            found = self._audit.run(whole=whole)
         if found is None:
             return
         asked, is_one_of_several = found.asked, beyond_bifurcation(found.state, len(found.error))
@@ -175,13 +176,13 @@ class Monitor:
         self.chunk = Chunk(t, self.counts["steps"], self.trust.tolerance, before)
 
     def verdict(self, *, final: bool) -> bool | None:
-        """Whether the chunk stands; None: not known yet. `final` audits all that waits."""
+        """Whether the chunk stands; None: not known yet. `final`: its end is that of the run."""
         chunk, step = self.chunk, self.counts["steps"]
         if chunk is None:
             return None
-        if final:
+        over = final or chunk.is_due(step)
+        if over:
             self.run_audit()
-        over = final or (chunk.is_due(step) and not self._audit.is_waiting)
         if not chunk.is_wrong and chunk.breaks(over=over) and not self.trust.is_off:
             self.trust.tighten(step, chunk.violations, chunk.audits)
             chunk.is_wrong = True

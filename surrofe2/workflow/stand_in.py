@@ -29,6 +29,8 @@ from surrofe2.workflow.generate import sample_stress
 from surrofe2.workflow.train import is_trained
 
 _FEW, _MANY = 16, 512
+_FILE = 0.03
+"""Seconds of opening, writing and closing a data set."""
 _ITERATIONS, _TO_BOUND = 60, 300
 """Of the stand-in, and of a training that ends when it meets its bound, as it did for the bar."""
 _PART, _WAVES = 0.01, 3.0
@@ -77,7 +79,7 @@ def learnt_of(part: Recipe, seconds: float) -> Learnt:
     cold = sampled(False)
     data = 0.0
     if not part.data_path().exists():
-        data = settings.count * (sampled(True) if settings.tangents else cold)
+        data = _FILE + settings.count * (sampled(True) if settings.tangents else cold)
     samples, stand_in = _samples(part, true), laws.quadratic_law(part)
     surrogate, learning = _trained(part, samples)
     surrogate, fitting = _calibrated(part, surrogate, samples, stand_in)

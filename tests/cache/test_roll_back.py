@@ -109,7 +109,9 @@ def test_a_run_without_violation_keeps_its_bits(monkeypatch):
     alone = simulate(LOAD_CASE, plain, SETTINGS)
     assert np.array_equal(run.curve.displacement, alone.curve.displacement)
     assert run.counts == alone.counts
-    assert law.report()["audit"] == plain.report()["audit"]
+    of_chunks, at_once = law.report()["audit"], plain.report()["audit"]
+    assert of_chunks.pop("rms") == pytest.approx(at_once.pop("rms"))  # they add up otherwise
+    assert of_chunks == at_once
     assert law.counts == plain.counts
     assert {line["decision"] for line in law.decisions} == {"stands"}
     assert not plain.decisions
