@@ -158,7 +158,7 @@ def test_goes_on_to_the_bit(case, tmp_path, monkeypatch):
         assert any(cache["audit"]["audited"] for cache in caches_of(record.cache).values())
         assert list(whole.glob("harvest*.h5"))
     if "table" in name:
-        assert record.counts["table_added"] > 0
+        assert record.counts["table_added"] > 1  # the first is that of the undeformed state
 
     twice = tmp_path / "twice"
     interrupted(recipe, law, twice, steps // 3)

@@ -54,7 +54,7 @@ class CachedLaw(Viewed):
     Within a step a point may move from the surrogate to the fallback, not back; the answer that
     finds one says so (`StressResponse.switched`) and the step is begun anew, see
     `stress_law.SwitchingLaw`. `respond` is pure but for a stopwatch: counts, audits, trust, harvest
-    and learning change in `accept` alone, and only when no point objects.
+    and learning change in `accept`, and only when no point objects, and in `verdict`.
 
     Args:
         surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `protocols.Surrogate`.

@@ -29,7 +29,7 @@ SILENT_STEPS, SILENT_POINTS = 20, 1000
 """Accepted steps and points from the start of a run, at rest, that should have had a hit. Later
 silence may be honest: the tissue left the range, or what the tolerance allows."""
 PATIENCE_WITH_LEARNERS = 40
-"""As many times longer is waited for a surrogate that begins empty and learns."""
+"""As many times longer is waited for a surrogate that knows little at first and learns."""
 EVERY = 5
 """Steps between looks at the answers."""
 LOOKS = 3

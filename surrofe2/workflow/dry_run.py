@@ -57,7 +57,7 @@ class DryRun:
         calls, steps: of the whole run; extrapolated where the dry run did not come to its end.
         macro: seconds outside the law a call.
         windows: what was asked in a few places along the run, by as many points as there are.
-        path: evenly some of the steps, from the first to the last, and of the points.
+        path: evenly some of the steps, from the first on, and of the points.
         is_whole: whether it came to its end.
     """
 
@@ -243,14 +243,17 @@ def _fullest(windows: list[Window]) -> list[Window]:
     return full or [max(windows, key=_steps_in)]
 
 
-def replayed(law: StressLaw, window: Window, rows: NDArray[np.intp]) -> tuple[float, int, Any]:
+def replayed(
+    law: StressLaw, window: Window, rows: NDArray[np.intp], warm: int = WARM
+) -> tuple[float, int, Any]:
     """Seconds and number of the questions of a window behind its first steps, and the state left.
 
     Args:
         rows: points of the window that are asked.
+        warm: steps that are not counted, if there are more.
     """
     state, seconds, asked, steps = None, 0.0, 0, 0
-    warm = min(WARM, _steps_in(window) - 1)
+    warm = min(warm, _steps_in(window) - 1)
     for each in window:
         F, F_dot = each.F[rows], each.F_dot[rows]
         start = clock()

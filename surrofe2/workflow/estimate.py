@@ -50,8 +50,6 @@ _STATES, _AND_CHECKPOINT = 1.5, 3.5
 as a checkpoint is made in memory."""
 _COLD = 3.0
 """Blocks of factors for each tile of a chunk of samples, solved cold."""
-_ANY = 1e9
-"""A tolerance that each bound meets, and that is compared with it all the same."""
 _FRAME = 210.0
 """Bytes that a frame takes for a point, most of them in three copies of the file at the end; twice
 as many in a run that makes checkpoints, which hold the frames so far."""
@@ -127,7 +125,7 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
         laws.warm_up((true,) if not recipe.types else (), recipe.macro, points=len(rows))
         share = run.points / len(rows)
         ask, state = seconds_a_call(true, run.windows, rows, each)
-        cold = _cold(true, run, rows)
+        cold = _cold(true, run, rows, len(rows) if recipe.types else BATCH)
         report(1.0, "RVEs")
         found = Estimate(
             points=run.points,
@@ -168,9 +166,9 @@ def _rows(run: DryRun, recipe: Recipe) -> Rows:
     return evenly(count, few)
 
 
-def _cold(true: StressLaw, run: DryRun, rows: Rows) -> float:
-    """Seconds of an RVE solved cold, with as many others as in an audit, mean of the windows."""
-    few = rows[:: max(1, len(rows) // BATCH)][:BATCH]
+def _cold(true: StressLaw, run: DryRun, rows: Rows, most: int) -> float:
+    """Seconds of an RVE solved cold, with so many others at most, mean of the windows."""
+    few = rows[evenly(len(rows), most)]
     began = clock()
     for window in run.windows:
         true.respond(window[-1].F[few], window[-1].F_dot[few])
@@ -241,7 +239,7 @@ def _with_cache(
 
     def law_of(part: Recipe) -> CachedLaw:
         own, kept = learnt[part.cell_name or ""], _unaudited(part).cache
-        kept = kept if own.is_true else replace(kept, tolerance=_ANY)
+        kept = kept if own.is_true else replace(kept, tolerance=math.inf)
         by_cell.append(CachedLaw(own.law, laws.true_law(part), kept))
         return by_cell[-1]
 
@@ -289,8 +287,8 @@ def _by_table(
     taken = short_run(recipe, law_by_region(recipe, mesh, law_of), seconds)
     law = law_by_region(recipe, mesh, lambda part: law_of(_unaudited(part)))
     along = np.arange(len(run.path[0].F))
-    first, _, _ = replayed(law, run.path, along)
-    again, _, state = replayed(law, run.path, along)
+    first, _, _ = replayed(law, run.path, along, warm=0)
+    again, _, state = replayed(law, run.path, along, warm=0)
     arrays = law_arrays(law, state)
     if taken is None:
         ask, _ = seconds_a_call(law, run.windows, rows, seconds)

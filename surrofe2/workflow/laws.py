@@ -171,10 +171,11 @@ def choose_law(
 def make_table(
     recipe: Recipe, law: Fallback, files: Sequence[Path] = (), spread: float | None = None
 ) -> StressTable:
-    """A table for a recipe, with the records of these files or that of the undeformed state.
+    """A table for a recipe, with the records of these files or, alone, of the undeformed state.
 
     Args:
-        spread: of the stress, µN/µm; else that of the first file, or sampled.
+        spread: of the stress, µN/µm, given by a surrogate before the table; None: the table is
+            alone, and takes that of the first file, or samples it.
 
     Raises:
         MismatchError: a file is of other cell parameters or initialisation.
@@ -182,6 +183,7 @@ def make_table(
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
+    is_alone = spread is None
     if spread is None:
         spread = found[0].spread if found else sampled_spread(law, recipe.sampling_range())
     tolerance = recipe.table.tolerance * spread
@@ -190,7 +192,7 @@ def make_table(
     )
     for stored in found:
         table.restore(merged(table.records, stored.records, tolerance, table.images))
-    if not table.size:
+    if is_alone and not table.size:  # behind a surrogate it learns what that does not know
         table.learn_rest()
     return table
 

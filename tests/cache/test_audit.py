@@ -146,7 +146,7 @@ def test_a_sparse_audit_starts_warm_from_its_own_side():
 
 def test_audits_of_several_steps_fill_tiles():
     truth = Warm()
-    walk(law(audit=0.3, truth=truth), 60, points=20)
+    walk(law(audit=0.3, truth=truth), 15, points=20)  # then the costs of truth are sampled
     sizes = [len(F) for F, _ in truth.asked]
     assert min(sizes) >= BATCH
     assert not any(size % TILE for size in sizes)

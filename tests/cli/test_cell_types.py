@@ -165,6 +165,14 @@ def test_what_is_of_one_cell_refuses_several(invoke, written):
     assert "unknown cell; did you mean flesh?" in invoke("train", path, "--cell", "flsh").stderr
 
 
+def test_check_estimates_a_recipe_of_several_cells(invoke, written):
+    done = invoke("check", written(), "--json", law=SquareLaw)
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)["result"]
+    assert set(found["totals"]) == {"rve", "cached", "table"}
+    assert all(0.0 < each < 60.0 for each in found["totals"].values())
+
+
 def test_each_cell_has_its_table(invoke, written, tmp_path):
     path = written(BAR.replace("duration = 4.0", "duration = 12.0").replace("-0.1]", "-0.5]"))
     command = "run", path, "--law", "table", "--out"
@@ -177,7 +185,7 @@ def test_each_cell_has_its_table(invoke, written, tmp_path):
     assert [table.cell for table in tables] == [part.cell for part in parts.values()]
     sizes = [len(table.records.centre) for table in tables]
     assert sum(sizes) == first["table_records"] == first["table_added"]
-    assert min(sizes) > 0
+    assert min(sizes) > 1  # each begins with the undeformed state
     # Files are told apart by the cells that they are of, in whatever order they come.
     given = [entry for file in files[::-1] for entry in ("--table", file)]
     done = invoke(*command, tmp_path / "second", *given, law=SquareLaw)
