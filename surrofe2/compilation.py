@@ -81,8 +81,8 @@ def _writable_folder() -> Path | None:
     return folder
 
 
-_waited: list[float] = []
-"""Seconds of each kernel so far that was compiled or read."""
+_waited = [0.0]
+"""Seconds in which kernels were compiled or read."""
 _begun: list[float] = []
 """When those began that are not finished: the kernels that one calls are compiled within it."""
 
@@ -96,13 +96,13 @@ def _waiting() -> Iterator[None]:
     finally:
         began = _begun.pop()
         if not _begun:
-            _waited.append(perf_counter() - began)
+            _waited[0] += perf_counter() - began
 
 
 def clock() -> float:
     """Seconds of a clock that stands while this process compiles kernels or reads them."""
     now = _begun[0] if _begun else perf_counter()
-    return now - sum(_waited)
+    return now - _waited[0]
 
 
 @cache

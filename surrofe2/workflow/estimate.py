@@ -283,19 +283,18 @@ def _by_table(
         table.warm_up()
         return CachedLaw(table, true, part.cache)
 
-    mesh = recipe.problem().mesh
-    taken = short_run(recipe, law_by_region(recipe, mesh, law_of), seconds)
-    law = law_by_region(recipe, mesh, lambda part: law_of(_unaudited(part)))
-    along = np.arange(len(run.path[0].F))
-    first, _, _ = replayed(law, run.path, along, warm=0)
-    again, _, state = replayed(law, run.path, along, warm=0)
-    arrays = law_arrays(law, state)
+    mesh, along = recipe.problem().mesh, np.arange(len(run.path[0].F))
+    law = law_by_region(recipe, mesh, law_of)
+    taken = short_run(recipe, law, seconds)
     if taken is None:
+        law = law_by_region(recipe, mesh, lambda part: law_of(_unaudited(part)))
+        taken = replayed(law, run.path, along, warm=0)[0]
+        taken -= min(taken, replayed(law, run.path, along, warm=0)[0])
         ask, _ = seconds_a_call(law, run.windows, rows, seconds)
-        asking = ask * run.points / len(rows)
-        taken = run.calls * (asking + run.macro) + max(0.0, first - again)
+        taken += run.calls * (ask * run.points / len(rows) + run.macro)
         taken += _audits(recipe, run) * cold
-    return taken, least.peak(arrays, run.points / len(along), taken)
+    _, _, state = replayed(law, run.path, along)
+    return taken, least.peak(law_arrays(law, state), run.points / len(along), taken)
 
 
 def _asked_twice(

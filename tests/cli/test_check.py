@@ -171,7 +171,7 @@ def test_a_run_is_timed_if_it_is_short(recipe_path):
 def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
     times = iter([1.0, 3.0, 10.0, 14.0, 20.0])
     monkeypatch.setattr(compilation, "perf_counter", lambda: next(times))
-    monkeypatch.setattr(compilation, "_waited", [])
+    monkeypatch.setattr(compilation, "_waited", [0.0])
     assert compilation.clock() == 1.0
     with compilation._waiting():
         with compilation._waiting():  # a kernel that it calls

@@ -12,6 +12,8 @@ from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.io.run_folder import read_record
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import read_table
+from surrofe2.recipe import load_recipe
+from surrofe2.workflow.laws import make_table
 from tests.io.test_locks import leave_lock
 from tests.laws import SoftLaw, SquareLaw, square_stress
 
@@ -235,3 +237,11 @@ def test_rounds_of_another_recipe_are_refused(invoke, leaving_recipe, changed_re
     refused = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
     assert refused.exit_code == 1
     assert "load.body_force: this call has [0.0, -1.1], what is there [0.0, -1.0]" in refused.stderr
+
+
+def test_a_table_alone_knows_rest_and_one_behind_a_surrogate_nothing(recipe_path):
+    recipe = load_recipe(recipe_path)
+    law = SquareLaw().of(recipe.cell, recipe.rve)
+    alone, behind = make_table(recipe, law), make_table(recipe, law, spread=1.0)
+    assert not alone.records.centre[0].any()
+    assert (alone.size, behind.size) == (1, 0)
