@@ -17,7 +17,7 @@ test: .venv/.installed
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: .venv/.installed
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m slow -n 2 --dist loadfile
 
 docs: .venv/.installed
 	$(BIN)/python -m sphinx -q -W --keep-going -c docs . out/site

@@ -59,6 +59,7 @@ class DryRun:
         windows: what was asked in a few places along the run, by as many points as there are.
         path: evenly some of the steps, from the first on, and of the points.
         is_whole: whether it came to its end.
+        times, calls_until: µs, and how often the law was asked until then; from start to end.
     """
 
     points: int
@@ -68,6 +69,12 @@ class DryRun:
     windows: list[Window]
     path: Window
     is_whole: bool
+    times: Array
+    calls_until: Array
+
+    def share(self, t: float) -> float:
+        """Of all calls, those until a time in µs."""
+        return float(np.interp(t, self.times, self.calls_until)) / self.calls
 
 
 class _Enough(Exception):  # noqa: N818 - no error
@@ -191,14 +198,17 @@ def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
     (t, calls, steps), (then, before, earlier) = marks[-1], marks[len(marks) // 2]
     left = (duration - t) / (t - then) if t > then else 0.0
+    all_calls = calls + left * (calls - before)
     return DryRun(
         points=len(law.windows[0][0].F),
-        calls=calls + left * (calls - before),
+        calls=all_calls,
         steps=steps + left * (steps - earlier),
         macro=law.macro,
         windows=_fullest(law.windows),
         path=law.path,
         is_whole=t >= duration,
+        times=np.array([0.0, *(time for time, _, _ in marks), duration]),
+        calls_until=np.array([0.0, *(asked for _, asked, _ in marks), all_calls]),
     )
 
 
@@ -217,15 +227,19 @@ def _simulated(
         simulate(recipe.problem(), law, replace(recipe.macro, frames=2), progress=progress)
 
 
-def short_run(recipe: Recipe, law: StressLaw, seconds: float) -> float | None:
-    """Seconds of a run by this law; None where so many were not enough, or it came to no end."""
-    reached = [0.0]
+def timed_run(recipe: Recipe, law: StressLaw, seconds: float, run: DryRun) -> tuple[float, bool]:
+    """Seconds of a run by this law, and whether it came to its end in so many; else each call that
+    the dry run has left takes as long as those of the second half.
+
+    Raises:
+        SimulationError: the run could not be carried on.
+    """
     began = clock()
-    try:
-        _simulated(recipe, law, seconds, reached.append)
-    except SimulationError:
-        return None
-    return clock() - began if reached[-1] >= recipe.duration else None
+    marks = [(0.0, 0.0)]
+    _simulated(recipe, law, seconds, lambda t: marks.append((run.share(t), clock() - began)))
+    (done, taken), (then, before) = marks[-1], marks[len(marks) // 2]
+    left = (1.0 - done) / (done - then) if done > then else 0.0
+    return taken + left * (taken - before), done >= 1.0
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import resource
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from surrofe2.cache import CachedLaw
 from surrofe2.cache.audit import BATCH
 from surrofe2.compilation import clock
+from surrofe2.errors import SimulationError
 from surrofe2.recipe import Recipe
 from surrofe2.rve.rve_state import MANY_BYTES
 from surrofe2.simd import TILE
@@ -30,7 +32,7 @@ from surrofe2.workflow.dry_run import (
     evenly,
     replayed,
     seconds_a_call,
-    short_run,
+    timed_run,
 )
 from surrofe2.workflow.generate import CHUNK
 from surrofe2.workflow.run_lifecycle import CHECKPOINT_INTERVAL, Stage, silent
@@ -39,7 +41,7 @@ from surrofe2.workflow.stand_in import Learnt, learnt_of
 Rows = NDArray[np.intp]
 
 SECONDS = 8.0
-"""For the dry run on one mesh; a fourth of it for what else is timed, each."""
+"""For the dry run on one mesh; half of it for the cached run, a fourth for each other thing."""
 _MOST_POINTS, _LEAST_POINTS = 2048, 64
 _PROCESS = 1.9e8
 """Bytes of a run of a few points, measured."""
@@ -146,7 +148,7 @@ def estimate(recipe: Recipe, stage: Stage = silent, seconds: float = SECONDS) ->
             is_there = all(own.is_true for own in learnt.values())
             report(2.0, "surrogate")
             found = replace(
-                _with_cache(found, recipe, run, learnt, each, least, cold),
+                _with_cache(found, recipe, run, learnt, 2.0 * each, least, cold),
                 making=0.0 if is_there else _making(block),
             )
         report(3.0, "cached run")
@@ -231,23 +233,32 @@ def _with_cache(
     """The estimate with what a surrogate costs, and a run by it with its audits.
 
     Args:
-        seconds: for the questions.
+        seconds: for the run; what is left of a longer one is estimated.
         cold: seconds of an audit.
     """
-    mesh = recipe.problem().mesh
+    mesh, is_true = recipe.problem().mesh, all(each.is_true for each in learnt.values())
     by_cell: list[CachedLaw] = []
 
     def law_of(part: Recipe) -> CachedLaw:
-        own, kept = learnt[part.cell_name or ""], _unaudited(part).cache
-        kept = kept if own.is_true else replace(kept, tolerance=math.inf)
+        own, kept = learnt[part.cell_name or ""], part.cache
+        if not is_true:  # audits would find a stand-in wrong
+            kept = replace(kept, audit=0.0)
+        if not own.is_true:
+            kept = replace(kept, tolerance=math.inf)
         by_cell.append(CachedLaw(own.law, laws.true_law(part), kept))
         return by_cell[-1]
 
     law = law_by_region(recipe, mesh, law_of)
-    rows = np.resize(np.arange(len(run.windows[0][0].F)), run.points)
-    ask, once, state = _asked_twice(law, run, rows, seconds)
+    laws.warm_up(tuple(each.law for each in learnt.values()), recipe.macro, points=run.points)
+    try:
+        cached, _ = timed_run(recipe, law, seconds, run)
+    except SimulationError:
+        return found
+    if not is_true:
+        cached += _audits(recipe, run) * cold
     hits, missed = (sum(each.counts[name] for each in by_cell) for name in ("hits", "fallbacks"))
-    cached = run.calls * (ask + run.macro) + once + _audits(recipe, run) * cold
+    rows = np.resize(np.arange(len(run.windows[0][0].F)), run.points)
+    _, _, state = replayed(law, run.windows[len(run.windows) // 2], rows)
     peak = least.peak(law_arrays(law, state), 1.0, cached)
     return replace(
         found,
@@ -285,8 +296,10 @@ def _by_table(
 
     mesh, along = recipe.problem().mesh, np.arange(len(run.path[0].F))
     law = law_by_region(recipe, mesh, law_of)
-    taken = short_run(recipe, law, seconds)
-    if taken is None:
+    taken, is_done = 0.0, False
+    with suppress(SimulationError):
+        taken, is_done = timed_run(recipe, law, seconds, run)
+    if not is_done:
         law = law_by_region(recipe, mesh, lambda part: law_of(_unaudited(part)))
         taken = replayed(law, run.path, along, warm=0)[0]
         taken -= min(taken, replayed(law, run.path, along, warm=0)[0])
@@ -295,19 +308,3 @@ def _by_table(
         taken += _audits(recipe, run) * cold
     _, _, state = replayed(law, run.path, along)
     return taken, least.peak(law_arrays(law, state), run.points / len(along), taken)
-
-
-def _asked_twice(
-    law: StressLaw, run: DryRun, rows: Rows, seconds: float
-) -> tuple[float, float, Any]:
-    """Seconds of a question when the windows are seen for the second time, what the first time took
-    more in all, and the last state.
-
-    Args:
-        seconds: for the questions, each time.
-    """
-    began = clock()
-    seconds_a_call(law, run.windows, rows, seconds)
-    middle = clock()
-    ask, state = seconds_a_call(law, run.windows, rows, seconds)
-    return ask, max(0.0, 2.0 * middle - began - clock()), state

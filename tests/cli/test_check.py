@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from surrofe2 import compilation
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow import laws
-from surrofe2.workflow.dry_run import WARM, coarser, dry_run, short_run
+from surrofe2.workflow.dry_run import WARM, coarser, dry_run, timed_run
 from surrofe2.workflow.recipe_check import recipe_faults
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
@@ -161,11 +162,18 @@ def test_the_path_of_a_dry_run_goes_from_rest_to_the_end(recipe_path):
 
 
 @pytest.mark.usefixtures("soft_law")
-def test_a_run_is_timed_if_it_is_short(recipe_path):
-    recipe = load_recipe(recipe_path, {"load.duration": 1.0})
-    law = SquareLaw().of(recipe.cell, recipe.rve)
-    assert short_run(recipe, law, 60.0) > 0.0
-    assert short_run(recipe, law, 1e-9) is None
+def test_a_run_is_timed_and_goes_on_as_in_its_second_half(recipe_path, monkeypatch):
+    recipe = load_recipe(recipe_path, {"load.duration": 20.0})
+    law, dry = SquareLaw().of(recipe.cell, recipe.rve), dry_run(recipe, 60.0)
+    assert dry.share(0.0) == 0.0
+    assert dry.share(20.0) == 1.0
+    monkeypatch.setattr("surrofe2.workflow.dry_run.clock", lambda: float(len(law.states)))
+    whole, is_done = timed_run(recipe, law, math.inf, dry)
+    assert is_done
+    assert whole == pytest.approx(dry.calls, rel=0.02)
+    part, is_done = timed_run(recipe, law, 0.5 * whole, dry)
+    assert not is_done
+    assert part == pytest.approx(whole, rel=0.02)
 
 
 def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
