@@ -135,6 +135,8 @@ def _own(dispatcher: Any) -> Any:
     compile_or_load = dispatcher.compile
 
     def own(signature: Any) -> Any:
+        # of a constant, numba would make a kernel for each of its values
+        signature = tuple(numba.types.unliteral(each) for each in signature)
         with _waiting(), own_code(dispatcher.targetctx.codegen()):
             return compile_or_load(signature)
 

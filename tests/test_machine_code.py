@@ -13,8 +13,9 @@ from surrofe2.machine_code import OwnCode
 
 KERNELS = """
 import sys
+import numba
 import numpy as np
-from surrofe2.compilation import kernel
+from surrofe2.compilation import kernel, parallel_kernel
 
 @kernel
 def inner(a):
@@ -30,6 +31,15 @@ def inner(a):
 @kernel
 def outer(a):
     return inner(a[:5]) * inner(a[5:]) + inner(a)
+
+@parallel_kernel
+def rows(a, answer):
+    for k in numba.prange(a.shape[0]):
+        answer[k] = inner(a[k])
+
+@kernel
+def some_arrays(n):
+    return [np.empty((k, 3)) for k in range(1, n)]
 
 """
 
@@ -59,6 +69,7 @@ A = "a = np.linspace(0.1, 2.0, 13)"
 def test_all_but_the_entries_are_private(module, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(module / "kept"))
     monkeypatch.syspath_prepend(module)
+    monkeypatch.delitem(sys.modules, "kernels", raising=False)
     import kernels
 
     kernels.outer(np.linspace(0.1, 2.0, 13))
@@ -85,6 +96,32 @@ def test_a_kept_kernel_serves_those_compiled_later(module):
     assert again[:3] == [*first, "1", "True"]
     assert again[4] == "0"
     assert said(module, A, "print(outer(a.copy()).hex())") == [again[3]]
+
+
+def test_no_machine_code_is_made_of_what_only_calls_a_parallel_loop(module, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(module / "kept"))
+    monkeypatch.syspath_prepend(module)
+    monkeypatch.delitem(sys.modules, "kernels", raising=False)
+    import kernels
+
+    seen, made = [], []
+    begin, make = OwnCode.__init__, OwnCode._finalize_specific
+    monkeypatch.setattr(
+        OwnCode, "__init__", lambda self, *of: (seen.append(self), begin(self, *of))[1]
+    )
+    monkeypatch.setattr(OwnCode, "_finalize_specific", lambda self: (made.append(self), make(self)))
+    a, answer = np.tile(np.linspace(0.1, 2.0, 13), (3, 1)), np.empty(3)
+    expected = kernels.inner(a[0].copy())
+    kernels.rows(a, answer)
+    assert answer == pytest.approx(expected, rel=1e-14)
+    wrappers = [library for library in seen if library._is_wrapper]
+    assert len(wrappers) == 2
+    assert not [library.name for library in wrappers if library in made]
+
+
+def test_arrays_of_kernels_begin_at_a_line_of_the_cache(module):
+    places = said(module, "print(*[a.ctypes.data % 64 for a in some_arrays(40)])")
+    assert set(places) == {"0"}
 
 
 def test_kernels_of_others_are_left_as_they_are():

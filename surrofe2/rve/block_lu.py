@@ -59,7 +59,7 @@ def factorise(a, pattern, symmetric):
             _factorise_panel(a, panel, width, own + k, count)
             _eliminate(a, pattern, g, g, k, symmetric)
             for m in range(pattern.upper_start[g], pattern.upper_start[g + 1]):
-                _eliminate(a, pattern, g, pattern.upper[m], k, symmetric)
+                _eliminate(a, pattern, g, np.int64(pattern.upper[m]), k, symmetric)
 
 
 @kernel

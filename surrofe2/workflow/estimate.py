@@ -291,12 +291,13 @@ def _by_table(
     def law_of(part: Recipe) -> CachedLaw:
         true = laws.true_law(part)
         table = laws.make_table(part, true)
-        table.warm_up()
+        begun.append(table.cost.wall)
         return CachedLaw(table, true, part.cache)
 
     mesh, along = recipe.problem().mesh, np.arange(len(run.path[0].F))
+    begun: list[float] = []
     law = law_by_region(recipe, mesh, law_of)
-    taken, is_done = 0.0, False
+    before, taken, is_done = sum(begun), 0.0, False
     with suppress(SimulationError):
         taken, is_done = timed_run(recipe, law, seconds, run)
     if not is_done:
@@ -307,4 +308,4 @@ def _by_table(
         taken += run.calls * (ask * run.points / len(rows) + run.macro)
         taken += _audits(recipe, run) * cold
     _, _, state = replayed(law, run.path, along)
-    return taken, least.peak(law_arrays(law, state), run.points / len(along), taken)
+    return before + taken, least.peak(law_arrays(law, state), run.points / len(along), taken)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
+from surrofe2.costs import NOTHING, Cost, Meter
 from surrofe2.element_kernels import (
     ElementArrays,
     add_at_nodes,
@@ -116,6 +117,11 @@ class ChosenLaw:
     surrogate: Mapping[str, Any] | None = None
     tables: Mapping[str, StressTable] = field(default_factory=dict)
 
+    @property
+    def cost(self) -> Cost:
+        """Of what its tables began with."""
+        return sum((table.cost for table in self.tables.values()), start=NOTHING)
+
 
 def choose_law(
     recipe: Recipe,
@@ -173,6 +179,8 @@ def make_table(
 ) -> StressTable:
     """A table for a recipe, with the records of these files or, alone, of the undeformed state.
 
+    Its kernels are loaded before; the rest is its `cost`.
+
     Args:
         spread: of the stress, µN/µm, given by a surrogate before the table; None: the table is
             alone, and takes that of the first file, or samples it.
@@ -180,20 +188,22 @@ def make_table(
     Raises:
         MismatchError: a file is of other cell parameters or initialisation.
     """
+    wanted = recipe.sampling_range()
+    StressTable(law, 1.0, wanted, 1.0).warm_up()
+    meter = Meter()
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
     is_alone = spread is None
     if spread is None:
-        spread = found[0].spread if found else sampled_spread(law, recipe.sampling_range())
-    tolerance = recipe.table.tolerance * spread
-    table = StressTable(
-        law, tolerance, recipe.sampling_range(), spread, most_records=recipe.table.most_records
-    )
+        spread = found[0].spread if found else sampled_spread(law, wanted)
+    tolerance, most = recipe.table.tolerance * spread, recipe.table.most_records
+    table = StressTable(law, tolerance, wanted, spread, most_records=most)
     for stored in found:
         table.restore(merged(table.records, stored.records, tolerance, table.images))
     if is_alone and not table.size:  # behind a surrogate it learns what that does not know
         table.learn_rest()
+    table.cost = meter.cost
     return table
 
 
@@ -230,7 +240,6 @@ def check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
 def warm_up(
     laws: tuple[StressLaw, ...],
     settings: MacroSettings,
-    tables: Iterable[StressTable] = (),
     *,
     points: int | None = None,
     surface: Surface | None = None,
@@ -258,8 +267,6 @@ def warm_up(
     for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself
             simulate(_INSTANT if surface is None else _with_sides(small, surface), law, small)
-    for table in tables:
-        table.warm_up()
     crew = crew_at_work()
     if crew is not None:
         crew.reset_counts()

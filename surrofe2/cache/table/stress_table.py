@@ -21,6 +21,7 @@ from surrofe2.cache.table.lookup import MANY, look_up
 from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
 from surrofe2.cache.table.screen import make_screen
 from surrofe2.cache.table.search_tree import Tree, insert, make_tree
+from surrofe2.costs import NOTHING
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.sampling import SamplingRange, half_widths, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
@@ -54,6 +55,7 @@ class StressTable:
         size: how many records it has.
         images: how many images the symmetry of the cell makes of a state.
         counts: `added`, `grown`, `shrunk` ellipsoids and `table_rve_solves` since the start.
+        cost: of what it began with, set by who made it.
 
     Raises:
         InputError: the law gives no tangents, or the tolerance is not positive.
@@ -83,7 +85,7 @@ class StressTable:
         self.tolerance = float(tolerance)
         self.range = range
         self.stress_spread = float(spread)
-        self.most_records = most_records
+        self.most_records, self.cost = most_records, NOTHING
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = half_widths(range)
         self._screen: Array | None = None
