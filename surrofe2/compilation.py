@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 # Threads that wait for each other spin only briefly: spinning for long is a fifth faster on idle
@@ -81,28 +81,35 @@ def _writable_folder() -> Path | None:
     return folder
 
 
-_waited = [0.0]
-"""Seconds in which kernels were compiled or read."""
-_begun: list[float] = []
+_waited = [0.0, 0.0]
+"""Seconds of wall and of CPU in which kernels were compiled or read."""
+_begun: list[tuple[float, float]] = []
 """When those began that are not finished: the kernels that one calls are compiled within it."""
 
 
 @contextmanager
 def _waiting() -> Iterator[None]:
     """While a kernel is compiled or read."""
-    _begun.append(perf_counter())
+    _begun.append((perf_counter(), process_time()))
     try:
         yield
     finally:
-        began = _begun.pop()
+        wall, cpu = _begun.pop()
         if not _begun:
-            _waited[0] += perf_counter() - began
+            _waited[0] += perf_counter() - wall
+            _waited[1] += process_time() - cpu
 
 
 def clock() -> float:
     """Seconds of a clock that stands while this process compiles kernels or reads them."""
-    now = _begun[0] if _begun else perf_counter()
+    now = _begun[0][0] if _begun else perf_counter()
     return now - _waited[0]
+
+
+def cpu_clock() -> float:
+    """Seconds of CPU, but for those that this process compiles kernels or reads them."""
+    now = _begun[0][1] if _begun else process_time()
+    return now - _waited[1]
 
 
 @cache

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from time import perf_counter, process_time
 from typing import Any
 
 import numba
 
+from surrofe2.compilation import clock, cpu_clock
 from surrofe2.settings import check_value
 
 
@@ -61,11 +61,11 @@ NOTHING = Cost()
 
 
 class Meter:
-    """Measures from now on, after what an earlier call has spent."""
+    """Measures from now on, after what an earlier call has spent; compilation is not counted."""
 
     def __init__(self, before: Cost = NOTHING) -> None:
         self._before = before
-        self._wall, self._cpu = perf_counter(), process_time()
+        self._wall, self._cpu = clock(), cpu_clock()
 
     def add_cpu(self, seconds: float) -> None:
         """Take in what another process has spent."""
@@ -75,8 +75,8 @@ class Meter:
     def cost(self) -> Cost:
         """All until now."""
         return self._before + Cost(
-            wall=perf_counter() - self._wall,
-            cpu=process_time() - self._cpu,
+            wall=clock() - self._wall,
+            cpu=cpu_clock() - self._cpu,
             threads=numba.get_num_threads(),
             machine=machine(),
         )

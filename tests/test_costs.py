@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
+import time
 from dataclasses import replace
 
 import numba
+import numpy as np
 import pytest
 
+from surrofe2.compilation import compiled
 from surrofe2.costs import Balance, Cost, Meter, machine
 from surrofe2.errors import InputError
 from surrofe2.io.provenance import read_cost
@@ -61,8 +65,8 @@ def test_a_data_set_counts_all_calls_that_made_it(recipe, monkeypatch):
         generate_data_set(recipe, law, chunk=8)
     before = read_cost(recipe.data_path())
     assert 0.0 < before.wall < 60.0
-    monkeypatch.setattr("surrofe2.costs.perf_counter", lambda: next(clock))
-    clock = iter(range(1000, 100_000, 7))
+    monkeypatch.setattr("surrofe2.costs.clock", lambda: next(moments))
+    moments = iter(range(1000, 100_000, 7))
     generate_data_set(recipe, SoftLaw().of(recipe.cell, recipe.rve), chunk=8)
     cost = read_cost(recipe.data_path())
     assert cost.wall == pytest.approx(before.wall + 7.0 * round((cost.wall - before.wall) / 7.0))
@@ -70,6 +74,18 @@ def test_a_data_set_counts_all_calls_that_made_it(recipe, monkeypatch):
     assert cost.cpu >= before.cpu
     assert cost.threads == numba.get_num_threads()
     assert cost.machine == machine()
+
+
+def test_compilation_costs_nothing():
+    @compiled(cache=False)
+    def made(x):
+        return np.sqrt(x) + np.sin(x)
+
+    meter, begin = Meter(), time.perf_counter()
+    assert made(0.25) == pytest.approx(0.5 + math.sin(0.25))
+    taken, cost = time.perf_counter() - begin, meter.cost
+    assert 0.0 <= cost.wall < 0.5 * taken
+    assert cost.cpu < 0.5 * taken
 
 
 def test_cpu_seconds_of_other_processes_count(monkeypatch):

@@ -179,7 +179,7 @@ def test_a_run_is_timed_and_goes_on_as_in_its_second_half(recipe_path, monkeypat
 def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
     times = iter([1.0, 3.0, 10.0, 14.0, 20.0])
     monkeypatch.setattr(compilation, "perf_counter", lambda: next(times))
-    monkeypatch.setattr(compilation, "_waited", [0.0])
+    monkeypatch.setattr(compilation, "_waited", [0.0, 0.0])
     assert compilation.clock() == 1.0
     with compilation._waiting():
         with compilation._waiting():  # a kernel that it calls
