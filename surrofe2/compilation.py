@@ -26,6 +26,7 @@ from typing import Any
 os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 
 from surrofe2.machine_code import own_code
 
@@ -144,7 +145,7 @@ def _own(dispatcher: Any) -> Any:
     def own(signature: Any) -> Any:
         # of a constant, numba would make a kernel for each of its values
         signature = tuple(numba.types.unliteral(each) for each in signature)
-        with _waiting(), own_code(dispatcher.targetctx.codegen()):
+        with global_compiler_lock, _waiting(), own_code(dispatcher.targetctx.codegen()):
             return compile_or_load(signature)
 
     dispatcher.compile = own

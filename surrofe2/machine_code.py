@@ -51,8 +51,8 @@ class OwnCode(JITCodeLibrary):
 
     def _make(self) -> None:
         if not self._is_made:
-            self._is_made = True
             super()._finalize_final_module()
+            self._is_made = True
 
     def serialize_using_object_code(self) -> Any:
         """Name, machine code and bitcode, to be kept."""

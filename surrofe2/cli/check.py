@@ -27,7 +27,7 @@ def check(
     """Whether a recipe can be run, what a study of it will cost, and which law to take.
 
     Reads all of it, mesh, names, ranges and files, and tells everything that is wrong. Then a dry
-    run by the tangents of the RVE at rest and a few timed solves say what memory, data set,
+    run by the tangents of the RVE at rest and what is timed say what memory, data set,
     training and runs will take. Nothing is written.
 
     Example: [bold]surrofe2 check data/large-bar.toml[/bold]

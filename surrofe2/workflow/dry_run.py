@@ -184,7 +184,7 @@ def coarser(recipe: Recipe) -> Recipe | None:
 def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     duration, mesh = recipe.duration, recipe.problem().mesh
     law = _Recorder(law_by_region(recipe, mesh, quadratic_law), takes_all=bool(recipe.types))
-    marks: list[tuple[float, int, int]] = []
+    marks = [(0.0, 0, 0)]
 
     def mark(t: float) -> None:
         report(t, "")
@@ -196,7 +196,7 @@ def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         _simulated(recipe, law, seconds, mark)
     except SimulationError as error:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
-    (t, calls, steps), (then, before, earlier) = marks[-1], marks[len(marks) // 2]
+    (t, calls, steps), (then, before, earlier) = marks[-1], marks[(len(marks) - 1) // 2]
     left = (duration - t) / (t - then) if t > then else 0.0
     all_calls = calls + left * (calls - before)
     return DryRun(
@@ -207,8 +207,8 @@ def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
         windows=_fullest(law.windows),
         path=law.path,
         is_whole=t >= duration,
-        times=np.array([0.0, *(time for time, _, _ in marks), duration]),
-        calls_until=np.array([0.0, *(asked for _, asked, _ in marks), all_calls]),
+        times=np.array([*(time for time, _, _ in marks), duration]),
+        calls_until=np.array([*(asked for _, asked, _ in marks), all_calls]),
     )
 
 
@@ -236,10 +236,11 @@ def timed_run(recipe: Recipe, law: StressLaw, seconds: float, run: DryRun) -> tu
     """
     began = clock()
     marks = [(0.0, 0.0)]
-    _simulated(recipe, law, seconds, lambda t: marks.append((run.share(t), clock() - began)))
-    (done, taken), (then, before) = marks[-1], marks[len(marks) // 2]
-    left = (1.0 - done) / (done - then) if done > then else 0.0
-    return taken + left * (taken - before), done >= 1.0
+    _simulated(recipe, law, seconds, lambda t: marks.append((t, clock() - began)))
+    (t, taken), (then, before) = marks[-1], marks[(len(marks) - 1) // 2]
+    done, earlier = run.share(t), run.share(then)
+    left = (1.0 - done) / (done - earlier) if done > earlier else 0.0
+    return taken + left * (taken - before), t >= recipe.duration
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:

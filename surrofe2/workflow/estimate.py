@@ -1,13 +1,14 @@
-"""What a study of a recipe will cost: memory and seconds, from a dry run and a few timed solves.
+"""What a study of a recipe will cost: memory and seconds, from a dry run and what is timed.
 
 Nothing is written. Compilation and the start of commands are not counted, as nowhere else.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import resource
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -39,6 +40,7 @@ from surrofe2.workflow.run_lifecycle import CHECKPOINT_INTERVAL, Stage, silent
 from surrofe2.workflow.stand_in import Learnt, learnt_of
 
 Rows = NDArray[np.intp]
+log = logging.getLogger(__name__)
 
 SECONDS = 8.0
 """For the dry run on one mesh; half of it for the cached run, a fourth for each other thing."""
@@ -248,26 +250,38 @@ def _with_cache(
         by_cell.append(CachedLaw(own.law, laws.true_law(part), kept))
         return by_cell[-1]
 
+    found = replace(
+        found,
+        data=sum(each.data for each in learnt.values()),
+        training=sum(each.training for each in learnt.values()),
+    )
     law = law_by_region(recipe, mesh, law_of)
     laws.warm_up(tuple(each.law for each in learnt.values()), recipe.macro, points=run.points)
     try:
         cached, _ = timed_run(recipe, law, seconds, run)
-    except SimulationError:
+    except SimulationError as error:
+        log.warning("no estimate of a cached run: %s", error)
         return found
     if not is_true:
         cached += _audits(recipe, run) * cold
-    hits, missed = (sum(each.counts[name] for each in by_cell) for name in ("hits", "fallbacks"))
     rows = np.resize(np.arange(len(run.windows[0][0].F)), run.points)
-    _, _, state = replayed(law, run.windows[len(run.windows) // 2], rows)
+    met, state = [_met(by_cell)], None
+    for window in run.windows:
+        _, _, state = replayed(law, window, rows, warm=0)
+    met.append(_met(by_cell))
+    hits, missed = met[1] - met[0]
     peak = least.peak(law_arrays(law, state), 1.0, cached)
     return replace(
         found,
-        data=sum(each.data for each in learnt.values()),
-        training=sum(each.training for each in learnt.values()),
         cached=cached,
         memory={**found.memory, "cached": peak},
         in_range=hits / max(hits + missed, 1),
     )
+
+
+def _met(laws: Iterable[CachedLaw]) -> NDArray[np.int64]:
+    """Hits and fallbacks so far."""
+    return np.array([[law.counts["hits"], law.counts["fallbacks"]] for law in laws]).sum(axis=0)
 
 
 def _unaudited(recipe: Recipe) -> Recipe:

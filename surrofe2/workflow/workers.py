@@ -23,6 +23,7 @@ from typing import Any
 
 import numba
 
+from surrofe2.compilation import cpu_clock
 from surrofe2.costs import Meter
 from surrofe2.errors import InputError, SimulationError
 
@@ -200,9 +201,9 @@ def in_pieces(
 
 def _measured(work: Work, first: int, count: int) -> tuple[tuple[str, int], float, Any]:
     """(process, its CPU seconds, result) of a piece."""
-    begin = time.process_time()
+    begin = cpu_clock()
     result = work(first, count)
-    return _this_process(), time.process_time() - begin, result
+    return _this_process(), cpu_clock() - begin, result
 
 
 def _this_process() -> tuple[str, int]:

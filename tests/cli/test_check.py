@@ -174,6 +174,9 @@ def test_a_run_is_timed_and_goes_on_as_in_its_second_half(recipe_path, monkeypat
     part, is_done = timed_run(recipe, law, 0.5 * whole, dry)
     assert not is_done
     assert part == pytest.approx(whole, rel=0.02)
+    first, is_done = timed_run(recipe, law, 1e-9, dry)  # a single step
+    assert not is_done
+    assert first == pytest.approx(whole, rel=0.5)
 
 
 def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
