@@ -108,7 +108,7 @@ CellName = Annotated[
 ]
 OneCell = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Only this of the recipe's [cells.NAME]; default: all."),
+    typer.Option(metavar="NAME", help="Only this of the recipe's \\[cells.NAME]; default: all."),
 ]
 Initialisation = Annotated[
     str | None,

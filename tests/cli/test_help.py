@@ -38,6 +38,15 @@ def test_help_of_each_command_has_an_example(command, width):
     assert "\x1b" not in shown.output
 
 
+@pytest.mark.parametrize(
+    ("command", "section"),
+    [("refine", "[cells.NAME]"), ("generate", "[samples]"), ("range", "[range]")],
+)
+def test_sections_of_a_recipe_are_no_markup(command, section):
+    shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "100"})
+    assert section in shown.output
+
+
 def test_version():
     shown = CliRunner().invoke(app, ["--version"])
     assert shown.output == f"surrofe2 {version('surrofe2')}\n"
