@@ -26,7 +26,7 @@ STRONG = RECIPE.replace("-0.1]", "-0.9]").replace(
     "stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]"
 )
 CACHED = STRONG + "[cache]\ntolerance = 0.2\naudit = 0.1\n"
-TABLE = CACHED + "[table]\ntolerance = 1e-2\n"
+TABLE = CACHED + "[table]\ntolerance = 1e-3\n"
 BOTH = CACHED + "[table]\nenabled = true\ntolerance = 1e-2\n"
 CELLS = BAR.replace("-0.1]", "-0.9]") + "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
 OF_TIME = ("created", "wall_time", "cost", "sha256", SEAL)
