@@ -265,11 +265,10 @@ def _with_cache(
     if not is_true:
         cached += _audits(recipe, run) * cold
     rows = np.resize(np.arange(len(run.windows[0][0].F)), run.points)
-    met, state = [_met(by_cell)], None
+    before, state = _met(by_cell), None
     for window in run.windows:
         _, _, state = replayed(law, window, rows, warm=0)
-    met.append(_met(by_cell))
-    hits, missed = met[1] - met[0]
+    hits, missed = _met(by_cell) - before
     peak = least.peak(law_arrays(law, state), 1.0, cached)
     return replace(
         found,
