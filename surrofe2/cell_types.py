@@ -28,13 +28,17 @@ _SHARED = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
 _OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
 """Files that cells cannot share."""
+FIRST, MOST = 512, 16384
+"""Samples that training begins with, and takes at most, where a recipe leaves their number out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleSettings:
     """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
 
-    count: int = setting(16384, "number of samples", least=1)
+    count: int | None = setting(
+        None, "number of samples; left out: as many as training.bound needs", least=1
+    )
     seed: int = setting(1, "of the sequence", least=0)
     tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
     file: str | None = setting(None, "of the data set, relative to the recipe")
@@ -42,6 +46,19 @@ class SampleSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "samples")
+
+    def counts(self, bound: float) -> tuple[int, ...]:
+        """How many samples training takes, in turn, until its bound is met.
+
+        Args:
+            bound: that training wants, of the spread of stress; 0: none, and so the most at once.
+        """
+        if self.count is not None or not bound:
+            return (self.count or MOST,)
+        counts = [FIRST]
+        while counts[-1] < MOST:
+            counts.append(2 * counts[-1])
+        return tuple(counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

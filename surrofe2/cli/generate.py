@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from surrofe2.cli import console
-from surrofe2.workflow.generate import data_summary, generate_data_set
+from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.workers import executor_of
 
@@ -36,8 +36,8 @@ def generate(
     with executor_of(workers, scheduler) as executor:
         for name, part in study.parts(cell).items():
             kept = "the samples so far are kept"
-            what = f"generate {name}".rstrip()
+            what, count = f"generate {name}".rstrip(), wanted_count(part, fresh=fresh)
             begun = (part.data_path(),)
-            with console.working(what, part.samples.count, "samples", kept, begun) as report:
+            with console.working(what, count, "samples", kept, begun) as report:
                 made = generate_data_set(part, fresh=fresh, executor=executor, report=report)
             console.done(made.path, data_summary(made), of=name, **asdict(made))

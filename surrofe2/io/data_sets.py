@@ -66,8 +66,9 @@ _TANGENT_COLUMNS = {
 class DataSetHeader(Origin):
     """What a data set is made from; two data sets with equal headers hold equal numbers.
 
-    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `recipe` and the `reference` state of
-    the RVEs are carried along and not compared.
+    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `is_open`: whether it may get more than
+    `count` samples later. `recipe` and the `reference` state of the RVEs are carried along and
+    not compared.
     """
 
     range: SamplingRange
@@ -77,6 +78,7 @@ class DataSetHeader(Origin):
     version: str
     reference: ReferenceState | None = None
     tangents: bool = False
+    is_open: bool = False
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""
@@ -85,7 +87,7 @@ class DataSetHeader(Origin):
             "rve": dict(self.rve),
             "range": asdict(self.range),
             "samples": {
-                "count": self.count,
+                "count": None if self.is_open else self.count,
                 "seed": self.seed,
                 "chunk": self.chunk,
                 "tangents": self.tangents,
@@ -220,12 +222,13 @@ def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
     if path.exists() and not fresh:
         with reading(path, SCHEMA, SCHEMA_VERSION) as file:
             check_same(path, header.compared(), json.loads(stored_text(file, "compared")))
-            is_finished = stored_text(file, "status") == "finished"
-            if stored_number(file, "completed"):
+            completed = stored_number(file, "completed")
+            is_finished = stored_text(file, "status") == "finished" and completed == header.count
+            if completed:
                 before = stored_cost(file)
                 rows = stored_rows(file, _columns_in(file))
-                if not len(rows["F"]) == file.attrs["completed"] <= header.count:
-                    raise ValueError(f"completed: {file.attrs['completed']} of {len(rows['F'])}")
+                if not len(rows["F"]) == completed <= header.count:
+                    raise ValueError(f"completed: {completed:g} of {len(rows['F'])}")
     return DataSetWriter(path, header, rows, is_finished, before)
 
 
@@ -244,6 +247,17 @@ def _attributes(header: DataSetHeader) -> dict[str, Any]:
     if header.reference is not None:
         given["rest_length"] = header.reference.rest_length
     return header.attributes(SCHEMA, SCHEMA_VERSION) | given
+
+
+def stored_count(path: Path) -> tuple[int, bool]:
+    """How many samples a data set has, and whether it is finished.
+
+    Raises:
+        FileError: not a data set of this schema, or damaged.
+    """
+    with reading(path, SCHEMA, SCHEMA_VERSION) as file:
+        is_finished = stored_text(file, "status") == "finished"
+        return int(stored_number(file, "completed")), is_finished
 
 
 def read_data_set(path: str | Path) -> StressSamples:

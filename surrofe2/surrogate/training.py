@@ -8,6 +8,7 @@ gradients do not in the same time.
 Where somebody says whether a surrogate is good enough, training goes by rounds: it begins with
 `FIRST` samples, asks after every `ROUND` iterations, and takes twice as many samples where the
 network is better on those it has seen than on others. So what an error needs is spent, no more.
+Who is asked hears too when all samples are used and more would help.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class TrainingState:
 
 
 Progress = Callable[[int, int, dict[str, float]], None]
-Enough = Callable[[SurrogateLaw], bool]
+Enough = Callable[[SurrogateLaw, bool], bool]
 Checkpoint = Callable[[TrainingState], None]
 
 
@@ -83,7 +84,8 @@ def train(
         checkpoint: called now and then, and when interrupted by the keyboard.
         resume: a state that `checkpoint` was given, to carry on from.
         symmetry: "D4" or "none"; None: that of the plant cell's arrangement.
-        enough: says whether a surrogate is good enough; None: all iterations on all samples.
+        enough: says whether training is to end, by the surrogate and whether more samples than
+            there are would help; None: all iterations on all samples.
 
     Raises:
         InputError: fewer than `LEAST_SAMPLES` valid samples.
@@ -131,9 +133,10 @@ def train(
         while done < settings.iterations and (gains or minimisation.used < len(fitted)):
             task = make_task(network, data.at(fitted[: minimisation.used]), settings)
             if enough is not None and done and (done % ROUND == 0 or not gains):
-                if enough(law()):
+                is_hungry = not gains or minimisation.knows_by_heart(task, test)
+                if enough(law(), is_hungry and minimisation.used == len(fitted)):
                     break
-                if not gains or minimisation.knows_by_heart(task, test):
+                if is_hungry:
                     minimisation.use(min(2 * minimisation.used, len(fitted)))
                     task = make_task(network, data.at(fitted[: minimisation.used]), settings)
             to = settings.iterations if enough is None else done - done % ROUND + ROUND

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -46,10 +47,10 @@ _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrat
 
 
 _MARGIN = 0.75  # of the bound wanted: the paths that calibrate are others
+_PATIENCE, _GAIN = 2, 0.9  # so many rounds of training are to bring the bound so far down
 
 log = logging.getLogger(__name__)
 
-Enough = Callable[[SurrogateLaw], bool]
 Runs = Callable[[int, int], Iterator[list[State]]]
 """What so many runs by a seed meet, one after the other."""
 
@@ -90,23 +91,40 @@ def shaping_truths(recipe: Recipe, samples: StressSamples) -> list[Truth]:
     return [_ask(each, law, lambda _: None) for each in paths]
 
 
-def enough_for(recipe: Recipe, samples: StressSamples, truths: Sequence[Truth]) -> Enough | None:
-    """Whether a surrogate has the bound that the recipe's training wants; None: it wants none.
+@dataclass(frozen=True, slots=True)
+class WantedBound:
+    """The bound that a recipe's training wants, by true answers along the paths that shape it.
 
-    Asked of the paths that will shape the bound. Those that calibrate it are not looked at, so
-    what it promises does not depend on when training ended.
+    Those that calibrate it are not looked at, so what it promises does not depend on when
+    training ended.
+
+    Attributes:
+        may_grow: whether there can be more samples, to be taken where these no longer help.
+        shares: what the bound was each time it was asked for, over the one wanted.
     """
-    wanted = recipe.training.bound * stress_spread(samples.valid.stress)
-    if not wanted:
-        return None
-    fewest = min((truth.paths.count for truth in truths), default=0)
-    share = max(recipe.calibration.share, 1.0 / (1.0 + fewest))
 
-    def enough(surrogate: SurrogateLaw) -> bool:
-        bounded = calibrate_by(surrogate, samples, truths, truths, share)
-        return _edge(bounded, samples) <= _MARGIN * wanted
+    recipe: Recipe
+    samples: StressSamples
+    truths: Sequence[Truth]
+    may_grow: bool = False
+    shares: list[float] = field(default_factory=list)
 
-    return enough
+    def __call__(self, surrogate: SurrogateLaw, is_hungry: bool) -> bool:
+        """Whether training is to end, as `train` asks: the bound is met, or more samples are
+        wanted.
+        """
+        self.shares.append(self.share_of(surrogate))
+        before, lately = self.shares[:-_PATIENCE], self.shares[-_PATIENCE:]
+        is_stuck = min(lately) > _GAIN * min(before, default=math.inf)
+        return self.shares[-1] <= 1.0 or (self.may_grow and is_hungry and is_stuck)
+
+    def share_of(self, surrogate: SurrogateLaw) -> float:
+        """The surrogate's bound over the one wanted; at most 1 where it is met."""
+        fewest = min((truth.paths.count for truth in self.truths), default=0)
+        share = max(self.recipe.calibration.share, 1.0 / (1.0 + fewest))
+        bounded = calibrate_by(surrogate, self.samples, self.truths, self.truths, share)
+        wanted = self.recipe.training.bound * stress_spread(self.samples.valid.stress)
+        return _edge(bounded, self.samples) / (_MARGIN * wanted)
 
 
 def calibrate(

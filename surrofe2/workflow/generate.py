@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.io.data_sets import DataSetHeader, writing_data_set
+from surrofe2.io.data_sets import DataSetHeader, stored_count, writing_data_set
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange, training_points
@@ -46,10 +46,27 @@ class Generated:
     left: int = 0
 
 
+def counts_of(recipe: Recipe) -> tuple[int, ...]:
+    """How many samples training takes, in turn."""
+    return recipe.samples.counts(recipe.training.bound)
+
+
+def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
+    """How many samples the recipe's data set is to have: what training begins with, or, where it
+    has asked for more of them before, these.
+    """
+    counts, path = counts_of(recipe), recipe.data_path()
+    if len(counts) == 1 or fresh or not path.exists():
+        return counts[0]
+    there, _ = stored_count(path)
+    return next((count for count in counts if count >= there), counts[-1])
+
+
 def generate_data_set(
     recipe: Recipe,
     law: StressLaw | None = None,
     *,
+    count: int | None = None,
     fresh: bool = False,
     chunk: int = CHUNK,
     executor: Any = None,
@@ -62,6 +79,7 @@ def generate_data_set(
 
     Args:
         law: asked instead of the recipe's RVE; an executor must be able to send it.
+        count: of samples in the end; None: `wanted_count`.
         executor: does the work, see `surrofe2.workflow.workers`; None: this process.
         report: is told the number of samples done.
 
@@ -71,25 +89,26 @@ def generate_data_set(
     path, settings, wanted = recipe.data_path(), recipe.samples, recipe.sampling_range()
     if settings.tangents and recipe.rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
-    law = law or laws.true_law(recipe)
+    law, count = law or laws.true_law(recipe), count or wanted_count(recipe, fresh=fresh)
     header = DataSetHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),
         range=wanted,
-        count=settings.count,
+        count=count,
         seed=settings.seed,
         chunk=chunk,
         version=version("surrofe2"),
         recipe=recipe.to_dict(),
         reference=law.reference if isinstance(law, RveLaw) else None,
         tangents=settings.tangents,
+        is_open=settings.count is None,
     )
     with writing_data_set(path, header, fresh=fresh) as data:
-        added = settings.count - data.completed
+        added = count - data.completed
         failures = sum(n for code, n in data.status_counts().items() if code)
         report(data.completed, f"{failures} failed")
         work = partial(_sampled, law, wanted, settings.seed, settings.tangents)
-        items = range(data.completed, settings.count)
+        items = range(data.completed, count)
         for _, _, (F, F_dot, answer) in in_pieces(work, items, chunk, executor, data.meter):
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())
@@ -97,7 +116,7 @@ def generate_data_set(
         counts, left = data.status_counts(), data.left_count()
         data.finish()
     failed = {describe(code): n for code, n in counts.items() if code}
-    return Generated(path, settings.count, added, failed, left)
+    return Generated(path, count, added, failed, left)
 
 
 def _sampled(

@@ -19,7 +19,7 @@ from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.recipe_entries import name_of_values
 from surrofe2.report.grid import Grid, GridRow, write_grid_plot
 from surrofe2.settings import unknown
-from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.grid_tasks import GridTask, Work, run_member
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
@@ -209,7 +209,7 @@ def _learn(threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> st
         return stage(f"{what} {path.stem}", total, unit)
 
     try:
-        with of_it("generate", recipe.samples.count, "samples") as report:
+        with of_it("generate", wanted_count(recipe, fresh=fresh), "samples") as report:
             generate_data_set(recipe, fresh=fresh, report=report)
         train_surrogate(
             recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {path.stem}", *of)

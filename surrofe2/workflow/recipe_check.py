@@ -15,7 +15,7 @@ from surrofe2.io.harvest import check_harvest, read_harvest
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import Recipe, load_recipe, make_recipe
 from surrofe2.workflow.laws import check_surrogate
-from surrofe2.workflow.train import check_data
+from surrofe2.workflow.samples import check_data
 
 _MOST_ROUNDS = 50
 _ANY_MESH = {"width": 100.0, "height": 100.0, "elements": [4, 4]}

@@ -35,13 +35,14 @@ from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw, train
 from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
-from surrofe2.workflow.calibrate import calibrate_surrogate, enough_for, shaping_truths
-from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.calibrate import WantedBound, calibrate_surrogate, shaping_truths
+from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
 from surrofe2.workflow.rounds import SURROGATE, Round, open_rounds, write_rounds
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
-from surrofe2.workflow.train import STRESSES, train_surrogate, training_note, with_harvests
+from surrofe2.workflow.samples import with_harvests
+from surrofe2.workflow.train import STRESSES, train_surrogate, training_note
 from surrofe2.workflow.workers import in_pieces
 
 Array = NDArray[np.float64]
@@ -173,7 +174,7 @@ def _surrogate(
     file, new, started = (of_cell(each, name) for each in (SURROGATE, _NEW, _STARTED))
     path = out / f"round-{k}" / file
     if k == 0:  # the recipe's, made where it is not there
-        with stage(f"generate {name}".strip(), recipe.samples.count, "samples") as report:
+        with stage(f"generate {name}".strip(), wanted_count(recipe), "samples") as report:
             generate_data_set(recipe, executor=executor, report=report)
         trained = recipe.training_path()
         is_whole = trained.exists() and not file_lock(trained).exists()
@@ -216,7 +217,7 @@ def _trained(
             samples,
             recipe.training,
             progress=lambda i, n, figures: report(i, training_note(figures)),
-            enough=enough_for(wider, samples, known),
+            enough=WantedBound(wider, samples, known) if recipe.training.bound else None,
         )
     with stage(f"{name}: calibrate", 1.0, "of the paths") as report:
         training, meter = meter.cost, Meter()
@@ -265,7 +266,7 @@ def _new_states(
     count = min(len(states[0]), MOST_NEIGHBOURS)
     asked = [(*neighbours(wider, *states, count, seed), NEIGHBOUR)]
     if is_new:
-        asked.append((*sample(wider, recipe.samples.count, seed), WIDENED))
+        asked.append((*sample(wider, counts_of(recipe)[0], seed), WIDENED))
     return asked
 
 

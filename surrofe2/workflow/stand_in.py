@@ -25,7 +25,7 @@ from surrofe2.surrogate.deformation_paths import random_walks, true_stress
 from surrofe2.surrogate.training import train
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import calibrate
-from surrofe2.workflow.generate import sample_stress
+from surrofe2.workflow.generate import counts_of, sample_stress
 from surrofe2.workflow.train import is_trained
 
 _FEW, _MANY = 16, 512
@@ -79,7 +79,7 @@ def learnt_of(part: Recipe, seconds: float) -> Learnt:
     cold = sampled(False)
     data = 0.0
     if not part.data_path().exists():
-        data = _FILE + settings.count * (sampled(True) if settings.tangents else cold)
+        data = _FILE + counts_of(part)[0] * (sampled(True) if settings.tangents else cold)
     samples, stand_in = _samples(part, true), laws.quadratic_law(part)
     surrogate, learning = _trained(part, samples)
     surrogate, fitting = _calibrated(part, surrogate, samples, stand_in)
@@ -100,9 +100,9 @@ def seconds_each(work: Callable[[int], Any], seconds: float) -> float:
 
 
 def _samples(part: Recipe, true: RveLaw) -> StressSamples:
-    """As many samples as the recipe's, of the quadratic law and a little more."""
+    """As many samples as training begins with, of the quadratic law and a little more."""
     settings, wanted, law = part.samples, part.sampling_range(), laws.quadratic_law(part)
-    F, F_dot = training_points(wanted, settings.count, settings.seed)
+    F, F_dot = training_points(wanted, counts_of(part)[0], settings.seed)
     answer = law.respond(F, F_dot, tangents=settings.tangents)
     wave = np.sin(_WAVES * (F - np.eye(2)) / np.abs(F - np.eye(2)).max()).sum(axis=(1, 2))
     stress, slopes = (1.0 + _PART * wave[:, None, None]) * answer.stress, answer.tangents

@@ -12,7 +12,7 @@ from surrofe2.io.run_folder import RunRecord
 from surrofe2.recipe import Recipe
 from surrofe2.report.comparison import Comparison
 from surrofe2.workflow.comparison import compare_runs
-from surrofe2.workflow.generate import data_summary, generate_data_set
+from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
 from surrofe2.workflow.recipe_check import refuse_faults
 from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study, run_summary
@@ -100,7 +100,8 @@ def learn(recipe: Recipe, steps: Steps, *, fresh: bool = False) -> None:
         if not fresh and not part.data_path().exists() and is_trained(part):
             tell_training(f"surrogate {part.training_path()}: already trained")
             continue
-        with of_data(f"generate {name}".rstrip(), part.samples.count, "samples") as report:
+        count = wanted_count(part, fresh=fresh)
+        with of_data(f"generate {name}".rstrip(), count, "samples") as report:
             made = generate_data_set(part, fresh=fresh, report=report)
         tell_data(f"data set {made.path}: {data_summary(made)}")
         trained = train_surrogate(part, fresh=fresh, stage=of_training)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from surrofe2.costs import NOTHING, Meter
+from surrofe2.costs import NOTHING, Cost, Meter
 from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import START_OVER, check_same, remove
-from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.io.kept import read_attached
 from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.io.provenance import read_cost
@@ -26,22 +25,23 @@ from surrofe2.io.surrogates import (
     write_training,
 )
 from surrofe2.recipe import Recipe
-from surrofe2.stress_law import StressLaw
-from surrofe2.stress_samples import TANGENTS, StressSamples
+from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.surrogate.training import TrainingState, train
-from surrofe2.tensors import stress_error, stress_spread
-from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import (
+    WantedBound,
     bound_summary,
     calibrate_surrogate,
-    enough_for,
     shaping_truths,
 )
 from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.samples import samples_in_turn
 
 STRESSES = ("xx", "xy", "yx", "yy")
+_SHARES = "bound.shares"
+_HELPS = 0.8
+"""Of the bound that fewer samples came to: twice as many are of use where theirs is below."""
 LARGE_ERROR = 0.01
 """Held-out RMS of a component, as a share of its spread, from which on training warns."""
 
@@ -72,12 +72,18 @@ def train_surrogate(
         MismatchError: data set, surrogate or interrupted training are of other settings or data.
     """
     path, source = recipe.training_path(), recipe.data_path()
-    samples = read_data_set(source)
-    check_data(recipe, samples, source)
-    samples = with_harvests(samples, [*recipe.added_paths(), *add], recipe)
-    surrogate = None
-    if path.exists() and not fresh and not unfinished_training(recipe).exists():
+    unfinished = unfinished_training(recipe)
+    harvests = [*recipe.added_paths(), *add]
+    surrogate, before, begin = None, _Before(), ""
+    if unfinished.exists() and not fresh:
+        before, begin = _read_unfinished(unfinished)
+    elif path.exists() and not fresh:
         surrogate = read_surrogate(path)
+        begin = surrogate.data_fingerprint
+    rounds = samples_in_turn(recipe, harvests, stage, begin)
+    first = next(rounds)
+    samples, _ = first
+    if surrogate is not None:
         _check_surrogate(recipe, surrogate, samples)
         if surrogate.is_calibrated:
             if file_lock(path).exists():  # a process was killed after its last file
@@ -85,15 +91,17 @@ def train_surrogate(
                     pass
             return Trained(path, surrogate, True, bound_summary(surrogate, samples))
     with locked_file(path):
-        truths: list[Truth] = []
+        truths: Sequence[Truth] = ()
         if surrogate is None:
-            surrogate, truths = _train(recipe, samples, fresh, stage)
-            data = [read_cost(each) for each in (source, *recipe.added_paths(), *add)]
+            if fresh:
+                remove(unfinished)
+            surrogate, samples, truths = _train(recipe, chain([first], rounds), before, stage)
+            data = [read_cost(each) for each in (source, *harvests)]
             known = sum((each for each in data if each), start=NOTHING)
             spent = surrogate.cost if None in data else {"data": known, **surrogate.cost}
             surrogate = replace(surrogate, cost=spent)
             write_surrogate(surrogate, path)
-            remove(unfinished_training(recipe))
+            remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
             surrogate = calibrate_surrogate(recipe, surrogate, samples, report, truths)
@@ -116,53 +124,85 @@ def unfinished_training(recipe: Recipe) -> Path:
     return recipe.training_path().with_suffix(".unfinished.safetensors")
 
 
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """What was done before: on the same samples by a training that was interrupted, on fewer of
+    them by one that did not meet its bound.
+
+    Attributes:
+        share: of the bound wanted, that the fewer came to.
+        shares: what the interrupted one came to.
+    """
+
+    state: TrainingState | None = None
+    cost: Cost = NOTHING
+    share: float = math.inf
+    shares: tuple[float, ...] = ()
+
+
+def _read_unfinished(path: Path) -> tuple[_Before, str]:
+    """What an interrupted training did, and the fingerprint of its samples."""
+    identity, iterations, arrays = read_training(path)
+    share, *shares = arrays.pop(_SHARES, np.array([math.inf])).tolist()
+    state = TrainingState(identity, iterations, arrays)
+    before = _Before(state, training_cost(path), share, tuple(shares))
+    return before, identity.get("data_fingerprint", "")
+
+
 def _train(
-    recipe: Recipe, samples: StressSamples, fresh: bool, stage: Stage
-) -> tuple[SurrogateLaw, list[Truth]]:
-    """A surrogate without a bound, and what is known already of the paths that will shape it."""
-    unfinished = unfinished_training(recipe)
-    if fresh:
-        remove(unfinished)
-    state, meter = None, Meter()
-    if unfinished.exists():
-        state, meter = TrainingState(*read_training(unfinished)), Meter(training_cost(unfinished))
+    recipe: Recipe, rounds: Iterable[tuple[StressSamples, bool]], before: _Before, stage: Stage
+) -> tuple[SurrogateLaw, StressSamples, Sequence[Truth]]:
+    """A surrogate without a bound, its samples, and what is known already of the paths that will
+    shape the bound.
+
+    More samples are taken until the bound wanted is met, or they do not help.
+
+    Args:
+        rounds: see `samples_in_turn`.
+    """
+    truths: Sequence[Truth] = ()
+    for samples, may_grow in rounds:
+        surrogate, wanted, cost = _trained(recipe, samples, truths, may_grow, before, stage)
+        truths, share = wanted.truths, wanted.share_of(surrogate) if may_grow else 0.0
+        if share <= 1.0 or share > _HELPS * before.share:
+            break
+        before = _Before(cost=cost, share=share)
+    reference = read_attached(recipe.data_path(), recipe.cell)
+    found = replace(surrogate, reference=reference, cost={"training": cost})
+    return found, samples, truths
+
+
+def _trained(
+    recipe: Recipe,
+    samples: StressSamples,
+    truths: Sequence[Truth],
+    may_grow: bool,
+    before: _Before,
+    stage: Stage,
+) -> tuple[SurrogateLaw, WantedBound, Cost]:
+    """A surrogate without a bound, the one wanted, and what it cost with all before."""
+    path, meter = unfinished_training(recipe), Meter(before.cost)
+    shares = list(before.shares)
+
+    def keep(state: TrainingState) -> None:
+        arrays = {**state.arrays, _SHARES: np.array([before.share, *shares])}
+        write_training(path, state.identity, state.iterations, arrays, meter.cost)
+
     with stage("train", recipe.training.iterations, "iterations") as report:
-        truths = shaping_truths(recipe, samples)
+        truths = truths or shaping_truths(recipe, samples)
+        wanted = WantedBound(recipe, samples, truths, may_grow, shares)
         try:
             surrogate = train(
                 samples,
                 recipe.training,
                 progress=lambda i, n, figures: report(i, training_note(figures)),
-                checkpoint=lambda state: write_training(
-                    unfinished, state.identity, state.iterations, state.arrays, meter.cost
-                ),
-                resume=state,
-                enough=enough_for(recipe, samples, truths),
+                checkpoint=keep,
+                resume=before.state,
+                enough=wanted if recipe.training.bound else None,
             )
         except MismatchError as error:
-            raise MismatchError(f"{unfinished}: {error}; {START_OVER}") from None
-    reference = read_attached(recipe.data_path(), recipe.cell)
-    return replace(surrogate, reference=reference, cost={"training": meter.cost}), truths
-
-
-def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
-    """Refuse a data set of another recipe.
-
-    Raises:
-        MismatchError: naming what differs.
-    """
-    for name, here, there in (
-        ("cell", recipe.cell, samples.cell),
-        ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
-        ("range", recipe.sampling_range(), samples.range),
-        ("samples.seed", recipe.samples.seed, samples.seed),
-        ("samples.count", recipe.samples.count, len(samples.F)),
-    ):
-        if here != there:
-            raise MismatchError(
-                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
-                "anew with `surrofe2 generate RECIPE --fresh`"
-            )
+            raise MismatchError(f"{path}: {error}; {START_OVER}") from None
+    return surrogate, wanted, meter.cost
 
 
 def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:
@@ -204,83 +244,3 @@ def training_summary(trained: Trained) -> str:
     rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
     kept = " (already trained)" if trained.kept else ""
     return f"held-out errors up to {100 * rms:.2g} % RMS, {100 * worst:.2g} % worst{kept}"
-
-
-log = logging.getLogger(__name__)
-
-_CHUNK = 512
-_SAME = 1e-6
-"""Share of the spread of stress within which two answers are the same."""
-
-
-def with_harvests(
-    samples: StressSamples, paths: Sequence[Path], recipe: Recipe, law: StressLaw | None = None
-) -> StressSamples:
-    """The samples and, after them, the true answers in these harvests.
-
-    The range stays that of the samples: states beyond it are trained on, and do not widen it.
-    Where the samples have tangents, those of harvested states are solved for, by RVEs from rest;
-    states whose stress they do not find again are left out.
-
-    Args:
-        law: whose tangents; default: the recipe's RVE.
-
-    Raises:
-        MismatchError: a harvest is of other cell parameters or initialisation.
-    """
-    harvests = [read_harvest(path) for path in paths]
-    for path, harvest in zip(paths, harvests, strict=True):
-        check_harvest(path, harvest, samples.cell, samples.initialisation)
-    if not harvests:
-        return samples
-    names = ["F", "F_dot", "stress", "status"]
-    parts: list[dict[str, Any]] = [_arrays_of(harvest) for harvest in harvests]
-    known: dict[str, Any] = _arrays_of(samples)
-    if samples.P_by_F is not None:
-        names += TANGENTS
-        known |= {"P_by_F": samples.P_by_F, "P_by_F_dot": samples.P_by_F_dot}
-        law = law or laws.true_law(recipe)
-        parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
-        taken = sum(len(part["status"]) for part in parts)
-        left_out = sum(len(harvest.status) for harvest in harvests) - taken
-        if left_out:
-            log.warning(
-                "%d harvested states left out: RVEs from rest answer otherwise there", left_out
-            )
-    arrays: dict[str, Any] = {
-        name: np.concatenate([known[name], *(part[name] for part in parts)]) for name in names
-    }
-    left = samples.left_bifurcation
-    if left is not None:  # harvests have no answers from beyond a bifurcation
-        arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["status"]) - len(left)))
-    return replace(samples, **arrays)
-
-
-def _spread(samples: StressSamples) -> float:
-    return stress_spread(samples.stress[samples.status == 0])
-
-
-def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str, Any]:
-    """Arrays of harvested states with tangents: those that failed, and those that the law, from
-    rest, answers alike.
-    """
-    by_F, by_F_dot = np.full((2, len(harvest.status), 2, 2, 2, 2), np.nan)
-    kept = harvest.status != 0
-    valid = np.flatnonzero(~kept)
-    for first in range(0, len(valid), _CHUNK):
-        rows = valid[first : first + _CHUNK]
-        answer: Any = law.respond(harvest.F[rows], harvest.F_dot[rows], tangents=True)
-        wrong = stress_error(answer.stress, harvest.stress[rows])
-        kept[rows] = (answer.status == 0) & (wrong <= _SAME * spread)
-        by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
-    arrays = _arrays_of(harvest) | {"P_by_F": by_F, "P_by_F_dot": by_F_dot}
-    return {name: values[kept] for name, values in arrays.items()}
-
-
-def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
-    return {
-        "F": answers.F,
-        "F_dot": answers.F_dot,
-        "stress": answers.stress,
-        "status": answers.status,
-    }

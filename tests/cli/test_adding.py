@@ -12,7 +12,7 @@ from surrofe2.io.provenance import Origin
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.sampling import sample
 from surrofe2.stress_samples import StressSamples
-from surrofe2.workflow.train import with_harvests
+from surrofe2.workflow.samples import with_harvests
 from tests.laws import SquareLaw, square_stress
 
 KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2

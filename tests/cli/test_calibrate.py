@@ -74,6 +74,30 @@ def test_training_ends_when_the_bound_is_met(
     assert (edge <= bound) == (bound > 1.0)
 
 
+@pytest.mark.parametrize(
+    ("bounds", "asked"),
+    [
+        ([3.0, 2.0, 1.0], 3),  # met
+        ([3.0, 2.9, 2.8], 3),  # twice no tenth below
+        ([3.0, 4.0, 2.0, 1.9, 3.0], 5),
+        ([3.0, 3.0, 0.9], 3),
+    ],
+)
+def test_training_wants_more_samples_where_the_bound_falls_no_further(monkeypatch, bounds, asked):
+    left = iter([*bounds, 0.5])
+    monkeypatch.setattr(calibrating.WantedBound, "share_of", lambda *_: next(left))
+
+    def ends(is_hungry, may_grow):
+        wanted = calibrating.WantedBound(None, None, (), may_grow)
+        return [wanted(None, is_hungry) for _ in range(asked)]
+
+    met = [bound <= 1.0 for bound in bounds]
+    assert ends(True, True) == [False] * (asked - 1) + [True]
+    for is_hungry, may_grow in ((False, True), (True, False)):
+        left = iter(bounds)
+        assert ends(is_hungry, may_grow) == met
+
+
 def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):
     bounds = []
     for change in (

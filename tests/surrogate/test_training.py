@@ -161,28 +161,29 @@ def _short_rounds(monkeypatch):
 
 
 def by_rounds(few, good, **more):
-    """(surrogate, iterations and samples used at its checkpoints), good enough when asked so often.
+    """Surrogate, samples used at each checkpoint by its iterations, errors and hunger when asked.
 
-    `good` is how often.
+    It is good enough when asked `good` times.
     """
-    asked, states = [], []
+    asked, hungry, states = [], [], []
 
-    def enough(surrogate):
+    def enough(surrogate, is_hungry):
         asked.append(surrogate.errors["rms"])
+        hungry.append(is_hungry)
         return len(asked) == good
 
     surrogate = train(few, SMALL, enough=enough, checkpoint=states.append, **more)
     used = {state.iterations: int(state.arrays["samples.used"][0]) for state in states}
-    return surrogate, used, asked
+    return surrogate, used, asked, hungry
 
 
 @pytest.mark.usefixtures("_short_rounds")
 def test_training_ends_when_a_surrogate_is_good_enough(few, monkeypatch):
     monkeypatch.setattr(training, "_SEEN", 0.0)
-    surrogate, used, asked = by_rounds(few, good=1)
+    surrogate, used, asked, _ = by_rounds(few, good=1)
     assert used == {20: 100, 40: 100}
     assert asked[0] == surrogate.errors["rms"]
-    _, used, asked = by_rounds(few, good=2)
+    _, used, asked, _ = by_rounds(few, good=2)
     assert used == {20: 100, 40: 100, 60: 100}  # all iterations
     assert len(asked) == 1
 
@@ -192,11 +193,22 @@ def test_what_is_known_by_heart_takes_more_samples(few, monkeypatch):
     """A hundred samples less than twice as well known as others: all samples help."""
     monkeypatch.setattr(training, "ROUND", 20)
     monkeypatch.setattr(training, "_SEEN", 2.0)
-    surrogate, used, _ = by_rounds(few, good=-1)
+    surrogate, used, _, hungry = by_rounds(few, good=-1)
     assert used == {20: 100, 40: 200, 60: 400}
+    assert hungry == [False, False]  # for more samples than there are
     whole = train(few, SMALL)
     for name, error in whole.errors["rms"].items():
         assert surrogate.errors["rms"][name] < 2.0 * error
+
+
+@pytest.mark.usefixtures("_short_rounds")
+@pytest.mark.parametrize(("seen", "told"), [(2.0, [False, True, True]), (0.0, [False] * 3)])
+def test_it_is_told_when_more_samples_than_there_are_would_help(few, monkeypatch, seen, told):
+    monkeypatch.setattr(training, "ROUND", 15)
+    monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 15)
+    monkeypatch.setattr(training, "FIRST", 300)
+    monkeypatch.setattr(training, "_SEEN", seen)
+    assert by_rounds(few, good=-1)[3] == told
 
 
 @pytest.mark.usefixtures("_short_rounds")
@@ -208,7 +220,7 @@ def test_where_nothing_is_gained_more_samples_are_taken(few, monkeypatch):
         return run(*arguments)[0], False
 
     monkeypatch.setattr(training._Minimisation, "run", gains_nothing)
-    _, used, asked = by_rounds(few, good=-1)
+    _, used, asked, _ = by_rounds(few, good=-1)
     assert used == {20: 100, 40: 100, 60: 200}
     assert len(asked) == 1
 
@@ -218,10 +230,10 @@ def test_rounds_that_were_interrupted_go_on_as_if_they_had_not_been(few, monkeyp
     monkeypatch.setattr(training, "ROUND", 20)
     monkeypatch.setattr(training, "_SEEN", 2.0)
     states = []
-    whole = train(few, SMALL, enough=lambda _: False, checkpoint=states.append)
+    whole = train(few, SMALL, enough=lambda *_: False, checkpoint=states.append)
     F, F_dot = sample(WELL_INSIDE, 20, seed=0)
     for state in states[:2]:
-        resumed = train(few, SMALL, enough=lambda _: False, resume=state)
+        resumed = train(few, SMALL, enough=lambda *_: False, resume=state)
         assert np.array_equal(resumed.respond(F, F_dot).stress, whole.respond(F, F_dot).stress)
 
 

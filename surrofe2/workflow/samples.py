@@ -1,0 +1,166 @@
+"""The samples that a surrogate learns from: rows of the recipe's data set, and harvests."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surrofe2.errors import MismatchError
+from surrofe2.io.data_sets import read_data_set, stored_count
+from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
+from surrofe2.recipe import Recipe
+from surrofe2.stress_law import StressLaw
+from surrofe2.stress_samples import TANGENTS, StressSamples
+from surrofe2.tensors import stress_error, stress_spread
+from surrofe2.workflow import laws
+from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
+from surrofe2.workflow.run_lifecycle import Stage
+
+log = logging.getLogger(__name__)
+
+_CHUNK = 512
+_SAME = 1e-6
+"""Share of the spread of stress within which two answers are the same."""
+
+
+def first_samples(
+    recipe: Recipe, count: int, harvests: Sequence[Path], stage: Stage
+) -> StressSamples:
+    """So many samples of the recipe's data set, and these harvests.
+
+    A data set whose number of samples the recipe leaves out is gone on with where it has fewer.
+
+    Raises:
+        FileError: there is no data set.
+        InputError: it is not finished.
+        MismatchError: it is of another recipe.
+    """
+    path = recipe.data_path()
+    there, is_finished = stored_count(path)
+    if recipe.samples.count is None and not (is_finished and there >= count):
+        wanted = max(count, wanted_count(recipe))
+        with stage("generate", wanted, "samples") as report:
+            generate_data_set(recipe, count=wanted, report=report)
+    samples = read_data_set(path)
+    check_data(recipe, samples, path)
+    first = samples if len(samples.F) == count else samples.at(np.arange(count))
+    return with_harvests(first, harvests, recipe)
+
+
+def samples_in_turn(
+    recipe: Recipe, harvests: Sequence[Path], stage: Stage, begin: str = ""
+) -> Iterator[tuple[StressSamples, bool]]:
+    """What training takes one after the other, until it suffices, and whether there can be more.
+
+    Args:
+        begin: fingerprint of the samples to begin with, where training took such once.
+    """
+    counts, (there, _) = counts_of(recipe), stored_count(recipe.data_path())
+    found, samples = counts[0], None
+    for count in counts:
+        if begin and count <= there:
+            candidate = first_samples(recipe, count, harvests, stage)
+            if candidate.fingerprint == begin:
+                found, samples = count, candidate
+                break
+    yield samples or first_samples(recipe, found, harvests, stage), found < counts[-1]
+    for count in counts[counts.index(found) + 1 :]:
+        yield first_samples(recipe, count, harvests, stage), count < counts[-1]
+
+
+def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
+    """Refuse a data set of another recipe.
+
+    Raises:
+        MismatchError: naming what differs.
+    """
+    for name, here, there in (
+        ("cell", recipe.cell, samples.cell),
+        ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
+        ("range", recipe.sampling_range(), samples.range),
+        ("samples.seed", recipe.samples.seed, samples.seed),
+        ("samples.count", True, len(samples.F) in counts_of(recipe)),
+    ):
+        if here != there:
+            raise MismatchError(
+                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
+                "anew with `surrofe2 generate RECIPE --fresh`"
+            )
+
+
+def with_harvests(
+    samples: StressSamples, paths: Sequence[Path], recipe: Recipe, law: StressLaw | None = None
+) -> StressSamples:
+    """The samples and, after them, the true answers in these harvests.
+
+    The range stays that of the samples: states beyond it are trained on, and do not widen it.
+    Where the samples have tangents, those of harvested states are solved for, by RVEs from rest;
+    states whose stress they do not find again are left out.
+
+    Args:
+        law: whose tangents; default: the recipe's RVE.
+
+    Raises:
+        MismatchError: a harvest is of other cell parameters or initialisation.
+    """
+    harvests = [read_harvest(path) for path in paths]
+    for path, harvest in zip(paths, harvests, strict=True):
+        check_harvest(path, harvest, samples.cell, samples.initialisation)
+    if not harvests:
+        return samples
+    names = ["F", "F_dot", "stress", "status"]
+    parts: list[dict[str, Any]] = [_arrays_of(harvest) for harvest in harvests]
+    known: dict[str, Any] = _arrays_of(samples)
+    if samples.P_by_F is not None:
+        names += TANGENTS
+        known |= {"P_by_F": samples.P_by_F, "P_by_F_dot": samples.P_by_F_dot}
+        law = law or laws.true_law(recipe)
+        parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
+        taken = sum(len(part["status"]) for part in parts)
+        left_out = sum(len(harvest.status) for harvest in harvests) - taken
+        if left_out:
+            log.warning(
+                "%d harvested states left out: RVEs from rest answer otherwise there", left_out
+            )
+    arrays: dict[str, Any] = {
+        name: np.concatenate([known[name], *(part[name] for part in parts)]) for name in names
+    }
+    left = samples.left_bifurcation
+    if left is not None:  # harvests have no answers from beyond a bifurcation
+        arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["status"]) - len(left)))
+    return replace(samples, **arrays)
+
+
+def _spread(samples: StressSamples) -> float:
+    return stress_spread(samples.stress[samples.status == 0])
+
+
+def _with_tangents(law: StressLaw, harvest: Harvest, spread: float) -> dict[str, Any]:
+    """Arrays of harvested states with tangents: those that failed, and those that the law, from
+    rest, answers alike.
+    """
+    by_F, by_F_dot = np.full((2, len(harvest.status), 2, 2, 2, 2), np.nan)
+    kept = harvest.status != 0
+    valid = np.flatnonzero(~kept)
+    for first in range(0, len(valid), _CHUNK):
+        rows = valid[first : first + _CHUNK]
+        answer: Any = law.respond(harvest.F[rows], harvest.F_dot[rows], tangents=True)
+        wrong = stress_error(answer.stress, harvest.stress[rows])
+        kept[rows] = (answer.status == 0) & (wrong <= _SAME * spread)
+        by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
+    arrays = _arrays_of(harvest) | {"P_by_F": by_F, "P_by_F_dot": by_F_dot}
+    return {name: values[kept] for name, values in arrays.items()}
+
+
+def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
+    return {
+        "F": answers.F,
+        "F_dot": answers.F_dot,
+        "stress": answers.stress,
+        "status": answers.status,
+    }

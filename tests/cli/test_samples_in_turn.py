@@ -1,0 +1,213 @@
+"""Where a recipe leaves out how many samples there are, training takes as many as it needs."""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+from itertools import product
+
+import h5py
+import numpy as np
+import pytest
+
+from surrofe2 import cell_types
+from surrofe2.errors import MismatchError
+from surrofe2.io.data_sets import read_data_set, stored_count
+from surrofe2.io.surrogates import read_surrogate
+from surrofe2.recipe import load_recipe
+from surrofe2.surrogate import training
+from surrofe2.workflow.generate import generate_data_set, wanted_count
+from surrofe2.workflow.run_lifecycle import silent
+from surrofe2.workflow.train import train_surrogate
+
+MET, NEVER = 1e3, 1e-12
+INTERRUPTIONS = [*product(["train"], [0, 1, 3, 5, 6]), *product(["generate"], range(4))]
+
+
+@pytest.fixture(autouse=True)
+def _few(monkeypatch):
+    """Training begins with 40 samples, takes 160 at most, and is asked every tenth iteration."""
+    kept = generate_data_set.__kwdefaults__
+    monkeypatch.setattr(generate_data_set, "__kwdefaults__", {**kept, "chunk": 16})
+    monkeypatch.setattr(cell_types, "FIRST", 40)
+    monkeypatch.setattr(cell_types, "MOST", 160)
+    monkeypatch.setattr(training, "ROUND", 10)
+    monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 10)
+    monkeypatch.setattr(training, "_SEEN", 1e3)  # more samples would always help
+
+
+@pytest.fixture
+def wanting(changed_recipe):
+    """wanting(bound): the small recipe without a number of samples, whose training wants it."""
+
+    def with_bound(bound):
+        changed_recipe("count = 40\n", "")
+        path = changed_recipe(
+            "checkpoint_interval = 20", f"checkpoint_interval = 10\nbound = {bound}"
+        )
+        return load_recipe(path)
+
+    return with_bound
+
+
+def stages():
+    """(a display, names and totals of its stages)."""
+    shown = []
+
+    def stage(what, total, unit):
+        shown.append((what, total))
+        return silent(what, total, unit)
+
+    return stage, shown
+
+
+def same(path, other):
+    mine, theirs = read_surrogate(path), read_surrogate(other)
+    assert mine.data_fingerprint == theirs.data_fingerprint
+    weights = mine.network.tensors, theirs.network.tensors
+    return all(np.array_equal(weights[0][name], weights[1][name]) for name in weights[0])
+
+
+def test_the_first_samples_suffice(wanting):
+    recipe = wanting(MET)
+    assert generate_data_set(recipe).count == 40
+    stage, shown = stages()
+    trained = train_surrogate(recipe, stage=stage)
+    assert shown == [("train", 40), ("calibrate", 1.0)]
+    assert stored_count(recipe.data_path()) == (40, True)
+    assert trained.surrogate.data_fingerprint == read_data_set(recipe.data_path()).fingerprint
+
+
+def test_more_are_taken_until_they_do_not_help(wanting, monkeypatch):
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    stage, shown = stages()
+    monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
+    trained = train_surrogate(recipe, stage=stage)
+    told = [("train", 40), ("generate", 80), ("train", 40), ("generate", 160), ("train", 40)]
+    assert shown == [*told, ("calibrate", 1.0)]
+    samples = read_data_set(recipe.data_path())
+    assert len(samples.F) == 160
+    assert trained.surrogate.data_fingerprint == samples.fingerprint
+    # all of them are what a stated number gives
+    path = recipe.path.with_name("stated.toml")
+    text = recipe.path.read_text(encoding="utf-8").replace("cells.", "stated.")
+    path.write_text(text.replace("seed = 3", "seed = 3\ncount = 160"), encoding="utf-8")
+    stated = load_recipe(path)
+    generate_data_set(stated)
+    assert read_data_set(stated.data_path()).fingerprint == samples.fingerprint
+
+
+def test_more_that_do_not_help_are_the_last(wanting, monkeypatch):
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    monkeypatch.setattr("surrofe2.workflow.train._HELPS", 0.0)
+    train_surrogate(recipe)
+    assert stored_count(recipe.data_path()) == (80, True)
+
+
+def test_costs_of_all_that_was_done_are_kept(wanting):
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    first = read_data_set(recipe.data_path())
+    before = h5_cost(recipe.data_path())
+    cost = train_surrogate(recipe).surrogate.cost
+    assert len(read_data_set(recipe.data_path()).F) > len(first.F)
+    assert cost["data"].wall > before
+    assert cost["data"].wall == pytest.approx(h5_cost(recipe.data_path()))
+
+
+def h5_cost(path):
+    with h5py.File(path) as file:
+        return json.loads(file.attrs["cost"])["wall"]
+
+
+def test_what_is_there_is_kept(wanting, invoke):
+    recipe = wanting(NEVER)
+    for _ in range(2):
+        assert invoke("generate", recipe.path).exit_code == 0
+        assert invoke("train", recipe.path).exit_code == 0
+    there, _ = stored_count(recipe.data_path())
+    assert there > 40
+    again = invoke("generate", recipe.path)
+    assert f"{there} samples (already finished)" in again.stdout
+    assert "(already trained)" in invoke("train", recipe.path).stdout
+    assert invoke("generate", recipe.path, "--fresh").exit_code == 0
+    assert stored_count(recipe.data_path()) == (40, True)
+
+
+def test_training_anew_begins_with_the_first_again(wanting):
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    first = train_surrogate(recipe).path.rename(recipe.path.with_name("first.safetensors"))
+    stage, shown = stages()
+    again = train_surrogate(recipe, fresh=True, stage=stage)
+    assert "generate" not in dict(shown)  # they are there
+    assert same(first, again.path)
+
+
+def stopping(where, at):
+    """A display whose report ends the call at the number `at` of the reports of stages so named."""
+    left = [at]
+
+    @contextmanager
+    def stage(what, total, unit):
+        def report(done, note):
+            left[0] -= what == where
+            if left[0] < 0 and what == where:
+                raise KeyboardInterrupt
+
+        yield report
+
+    return stage
+
+
+@pytest.fixture
+def whole(wanting, monkeypatch):
+    """(recipe without a surrogate, the file of one made in one go, from twice as many samples)."""
+    monkeypatch.setattr("surrofe2.workflow.train._HELPS", 0.0)
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    path = train_surrogate(recipe).path.rename(recipe.path.with_name("whole.safetensors"))
+    generate_data_set(recipe, fresh=True)
+    return recipe, path
+
+
+@pytest.mark.parametrize(("where", "at"), INTERRUPTIONS)
+def test_interrupted_it_goes_on_to_the_bit(whole, where, at):
+    recipe, path = whole
+    with pytest.raises(KeyboardInterrupt):
+        train_surrogate(recipe, stage=stopping(where, at))
+    there = stored_count(recipe.data_path())
+    if where == "generate":
+        assert there == (min(40 + 16 * at, 80), at == 0)
+    assert same(path, train_surrogate(recipe).path)
+
+
+def test_both_commands_go_on_where_one_was_interrupted(whole, invoke):
+    recipe, path = whole
+    with pytest.raises(KeyboardInterrupt):
+        train_surrogate(recipe, stage=stopping("generate", 1))
+    assert stored_count(recipe.data_path()) == (56, False)
+    assert wanted_count(recipe) == 80
+    assert generate_data_set(recipe).added == 24
+    assert same(path, train_surrogate(recipe).path)
+
+
+def test_samples_of_a_stated_number_are_no_others(wanting, changed_recipe):
+    changed_recipe("count = 40", "count = 50")
+    stated = load_recipe(changed_recipe("seed = 3", "seed = 3"))
+    generate_data_set(stated)
+    changed_recipe("count = 50", "count = 40")
+    recipe = wanting(MET)
+    with pytest.raises(MismatchError, match=r"samples\.count"):
+        train_surrogate(recipe)
+    with pytest.raises(MismatchError, match=r"samples\.count"):
+        generate_data_set(recipe)
+
+
+def test_without_a_bound_the_most_are_made(recipe, changed_recipe):
+    assert recipe.samples.counts(0.0) == recipe.samples.counts(1e-3) == (40,)
+    left_out = load_recipe(changed_recipe("count = 40\n", ""))
+    assert left_out.samples.counts(0.0) == (160,)
+    assert left_out.samples.counts(1e-3) == (40, 80, 160)
