@@ -46,6 +46,9 @@ def train(
     holds at a single point, by true RVEs along paths as the recipe's
     [bold]\\[calibration][/bold] has it.
 
+    Where the recipe leaves the number of samples out, the data set grows until this bound is what
+    [bold]\\[training][/bold] wants, or twice as many samples do not help.
+
     Example: [bold]surrofe2 train data/bending-bar.toml[/bold]
 
     Next: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]

@@ -48,12 +48,19 @@ LARGE_ERROR = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained surrogate and its file; `kept`: it was already there. `bound`: a line on it."""
+    """A trained surrogate and its file.
+
+    Attributes:
+        kept: whether it was already there.
+        bound: lines on it.
+        samples: how many it was trained on, failed ones included.
+    """
 
     path: Path
     surrogate: SurrogateLaw
     kept: bool
     bound: str
+    samples: int
 
 
 def train_surrogate(
@@ -89,7 +96,8 @@ def train_surrogate(
             if file_lock(path).exists():  # a process was killed after its last file
                 with locked_file(path):
                     pass
-            return Trained(path, surrogate, True, bound_summary(surrogate, samples))
+            bound = bound_summary(surrogate, samples)
+            return Trained(path, surrogate, True, bound, len(samples.F))
     with locked_file(path):
         truths: Sequence[Truth] = ()
         if surrogate is None:
@@ -108,7 +116,7 @@ def train_surrogate(
         spent = {**surrogate.cost, "calibration": meter.cost}
         surrogate = replace(surrogate, cost=spent)
         write_surrogate(surrogate, path)
-    return Trained(path, surrogate, False, bound_summary(surrogate, samples))
+    return Trained(path, surrogate, False, bound_summary(surrogate, samples), len(samples.F))
 
 
 def is_trained(recipe: Recipe) -> bool:
@@ -243,4 +251,5 @@ def training_summary(trained: Trained) -> str:
     errors = trained.surrogate.errors
     rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
     kept = " (already trained)" if trained.kept else ""
-    return f"held-out errors up to {100 * rms:.2g} % RMS, {100 * worst:.2g} % worst{kept}"
+    found = f"{100 * rms:.2g} % RMS, {100 * worst:.2g} % worst"
+    return f"held-out errors up to {found}, from {trained.samples} samples{kept}"

@@ -30,7 +30,9 @@ def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogat
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
     assert "Held-out errors, 4 samples" in done.stdout
-    assert done.stdout.splitlines()[-1].startswith(f"{surrogate_path}: held-out errors up to ")
+    last = done.stdout.splitlines()[-1]
+    assert last.startswith(f"{surrogate_path}: held-out errors up to ")
+    assert "worst, from 40 samples, " in last
     surrogate = read_surrogate(surrogate_path)
     assert (surrogate.cell, surrogate.range) == (recipe.cell, recipe.range)
     assert list(surrogate_path.parent.glob("*.safetensors")) == [surrogate_path]
