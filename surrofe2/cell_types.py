@@ -28,7 +28,7 @@ _SHARED = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
 _OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
 """Files that cells cannot share."""
-FIRST, MOST = 512, 16384
+FIRST_COUNT, MOST_COUNT = 512, 16384
 """Samples that training begins with, and takes at most, where a recipe leaves their number out."""
 
 
@@ -37,7 +37,9 @@ class SampleSettings:
     """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
 
     count: int | None = setting(
-        None, "number of samples; left out: as many as training.bound needs", least=1
+        None,
+        f"number of samples; left out: as many as training.bound needs, {MOST_COUNT} without one",
+        least=1,
     )
     seed: int = setting(1, "of the sequence", least=0)
     tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
@@ -54,9 +56,9 @@ class SampleSettings:
             bound: that training wants, of the spread of stress; 0: none, and so the most at once.
         """
         if self.count is not None or not bound:
-            return (self.count or MOST,)
-        counts = [FIRST]
-        while counts[-1] < MOST:
+            return (self.count or MOST_COUNT,)
+        counts = [FIRST_COUNT]
+        while counts[-1] < MOST_COUNT:
             counts.append(2 * counts[-1])
         return tuple(counts)
 

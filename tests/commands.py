@@ -18,6 +18,7 @@ from unittest import mock
 
 import numba
 
+from surrofe2 import cell_types
 from surrofe2.interruption import begin_work, exit_code, watch
 from surrofe2.io import data_sets
 from surrofe2.io.files import write_bytes
@@ -41,6 +42,7 @@ SMALL = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0,
 TISSUE = SMALL.replace("duration = 4.0", "duration = 0.3\noutput_interval = 0.1")
 LEAVING = RECIPE.replace("-0.1]", "-8.0]").replace("duration = 4.0", "duration = 0.5")
 LEAVING = LEAVING.replace("runs = 9", "runs = 0")
+GROWING = SHORT.replace("count = 40\n", "").replace("= 40\n", "= 40\nbound = 1e-12\n")
 BRIEF = CACHED.replace("duration = 2.0", "duration = 0.3").replace("runs = 9", "runs = 0")
 OF_TIME = {
     "created", "wall_time", "true_wall_time", "speed_up", "seconds", "cost", "all_counted",
@@ -76,8 +78,9 @@ def grid(recipe, folder):
 
 
 COMMANDS = {
-    "generate": (SHORT, lambda recipe, folder: generate_data_set(recipe, chunk=8)),
+    "generate": (SHORT, lambda recipe, folder: generate_data_set(recipe)),
     "train": (SHORT, train),
+    "train on more and more": (GROWING, train),
     "rve": (SHORT, by("rve")),
     "surrogate": (RECIPE, by("surrogate")),
     "cached": (CACHED, by("cached")),
@@ -89,8 +92,8 @@ COMMANDS = {
     "grid": (BRIEF, grid),
 }
 """By name: recipe, and the command on it in a folder."""
-NEED_NO_SURROGATE = ("generate", "train", "rve", "table", "implicit", "tissue", "refine",
-                     "grid")  # fmt: skip
+NEED_NO_SURROGATE = ("generate", "train", "train on more and more", "rve", "table", "implicit",
+                     "tissue", "refine", "grid")  # fmt: skip
 NEED_TANGENTS = ("cached and table", "table", "implicit")
 
 
@@ -107,6 +110,9 @@ def checkpointed(name):
         for module in (run, rest, tissue):
             patch(module, "CHECKPOINT_INTERVAL", 0.0)
         patch(data_sets, "INTERVAL", 0.0)
+        patch(cell_types, "FIRST_COUNT", 40)
+        patch(cell_types, "MOST_COUNT", 160)
+        patch(generate_data_set, "__kwdefaults__", generate_data_set.__kwdefaults__ | {"chunk": 8})
         patch(figures, "write_png", lambda path, figure: write_bytes(path, b"drawn"))
         yield
 

@@ -22,9 +22,9 @@ def generate(
 
     The recipe's [bold]\\[range][/bold] says how far F and Ḟ (1/µs) go, [bold]\\[samples][/bold]
     how many samples and which file, and with [bold]tangents = true[/bold] stores ∂P/∂F and ∂P/∂Ḟ
-    too. Where it leaves their number out, these are the samples that training begins with. Samples
-    whose RVE fails stay in the file, with the reason; those whose RVE left an unstable equilibrium
-    for another one are marked and not trained on.
+    too. Where it leaves their number out, these are the samples that training begins with, or has
+    asked for since. Samples whose RVE fails stay in the file, with the reason; those whose RVE left
+    an unstable equilibrium for another one are marked and not trained on.
 
     Example: [bold]surrofe2 generate data/bending-bar.toml[/bold]
 

@@ -47,7 +47,7 @@ def train(
     [bold]\\[calibration][/bold] has it.
 
     Where the recipe leaves the number of samples out, the data set grows until this bound is what
-    [bold]\\[training][/bold] wants, or twice as many samples do not help.
+    [bold]\\[training][/bold] wants, or twice as many samples do not help, to 16384 at most.
 
     Example: [bold]surrofe2 train data/bending-bar.toml[/bold]
 

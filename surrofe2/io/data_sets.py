@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -249,15 +249,26 @@ def _attributes(header: DataSetHeader) -> dict[str, Any]:
     return header.attributes(SCHEMA, SCHEMA_VERSION) | given
 
 
-def stored_count(path: Path) -> tuple[int, bool]:
-    """How many samples a data set has, and whether it is finished.
+class StoredCount(NamedTuple):
+    """How many samples a data set has; whether it is finished, and may get more later."""
+
+    rows: int
+    is_finished: bool
+    is_open: bool
+
+
+def stored_count(path: Path) -> StoredCount:
+    """What a data set says of its samples.
 
     Raises:
         FileError: not a data set of this schema, or damaged.
     """
     with reading(path, SCHEMA, SCHEMA_VERSION) as file:
-        is_finished = stored_text(file, "status") == "finished"
-        return int(stored_number(file, "completed")), is_finished
+        return StoredCount(
+            rows=int(stored_number(file, "completed")),
+            is_finished=stored_text(file, "status") == "finished",
+            is_open=json.loads(stored_text(file, "compared")).get("samples.count") is None,
+        )
 
 
 def read_data_set(path: str | Path) -> StressSamples:

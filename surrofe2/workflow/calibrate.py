@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -47,7 +46,6 @@ _SHAPING = 1.0 / 3.0  # paths that shape the local scale, for each that calibrat
 
 
 _MARGIN = 0.75  # of the bound wanted: the paths that calibrate are others
-_PATIENCE, _GAIN = 2, 0.9  # so many rounds of training are to bring the bound so far down
 
 log = logging.getLogger(__name__)
 
@@ -83,10 +81,18 @@ def calibrate_surrogate(
 def shaping_truths(recipe: Recipe, samples: StressSamples) -> list[Truth]:
     """True answers along the paths in the range that will shape the bound; none where the recipe
     wants no bound of its training.
+
+    Raises:
+        InputError: a bound is wanted, and there are no such paths.
     """
     if not recipe.training.bound:
         return []
     law, settings = laws.true_law(recipe), replace(recipe.calibration, runs=0)
+    if not (settings.walks or settings.states):
+        raise InputError(
+            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks and "
+            "calibration.states are"
+        )
     paths = _make_paths(samples.range, settings, lambda *_: iter(()), 1, _SHAPING, untold)
     return [_ask(each, law, lambda _: None) for each in paths]
 
@@ -97,29 +103,16 @@ class WantedBound:
 
     Those that calibrate it are not looked at, so what it promises does not depend on when
     training ended.
-
-    Attributes:
-        may_grow: whether there can be more samples, to be taken where these no longer help.
-        shares: what the bound was each time it was asked for, over the one wanted.
     """
 
     recipe: Recipe
     samples: StressSamples
     truths: Sequence[Truth]
-    may_grow: bool = False
-    shares: list[float] = field(default_factory=list)
-
-    def __call__(self, surrogate: SurrogateLaw, is_hungry: bool) -> bool:
-        """Whether training is to end, as `train` asks: the bound is met, or more samples are
-        wanted.
-        """
-        self.shares.append(self.share_of(surrogate))
-        before, lately = self.shares[:-_PATIENCE], self.shares[-_PATIENCE:]
-        is_stuck = min(lately) > _GAIN * min(before, default=math.inf)
-        return self.shares[-1] <= 1.0 or (self.may_grow and is_hungry and is_stuck)
 
     def share_of(self, surrogate: SurrogateLaw) -> float:
-        """The surrogate's bound over the one wanted; at most 1 where it is met."""
+        """The surrogate's bound over what it is to be, a part of the one wanted; at most 1 where it
+        is met, infinite where there is none.
+        """
         fewest = min((truth.paths.count for truth in self.truths), default=0)
         share = max(self.recipe.calibration.share, 1.0 / (1.0 + fewest))
         bounded = calibrate_by(surrogate, self.samples, self.truths, self.truths, share)

@@ -58,7 +58,7 @@ def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
     counts, path = counts_of(recipe), recipe.data_path()
     if len(counts) == 1 or fresh or not path.exists():
         return counts[0]
-    there, _ = stored_count(path)
+    there = stored_count(path).rows
     return next((count for count in counts if count >= there), counts[-1])
 
 
@@ -66,7 +66,7 @@ def generate_data_set(
     recipe: Recipe,
     law: StressLaw | None = None,
     *,
-    count: int | None = None,
+    count: int = 0,
     fresh: bool = False,
     chunk: int = CHUNK,
     executor: Any = None,
@@ -79,7 +79,7 @@ def generate_data_set(
 
     Args:
         law: asked instead of the recipe's RVE; an executor must be able to send it.
-        count: of samples in the end; None: `wanted_count`.
+        count: of samples in the end, or `wanted_count` if that is more.
         executor: does the work, see `surrofe2.workflow.workers`; None: this process.
         report: is told the number of samples done.
 
@@ -89,7 +89,7 @@ def generate_data_set(
     path, settings, wanted = recipe.data_path(), recipe.samples, recipe.sampling_range()
     if settings.tangents and recipe.rve.solver == "iterated":
         raise InputError('samples.tangents: true; it needs rve.solver = "direct"')
-    law, count = law or laws.true_law(recipe), count or wanted_count(recipe, fresh=fresh)
+    law, count = law or laws.true_law(recipe), max(count, wanted_count(recipe, fresh=fresh))
     header = DataSetHeader(
         cell=recipe.cell,
         rve=asdict(recipe.rve),

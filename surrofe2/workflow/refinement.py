@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.costs import NOTHING, Cost, Meter
 from surrofe2.errors import SimulationError
-from surrofe2.io.data_sets import read_data_set
+from surrofe2.io.data_sets import stored_count
 from surrofe2.io.files import (
     make_folder,
     read_bytes,
@@ -24,7 +24,7 @@ from surrofe2.io.files import (
     write_json,
 )
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
-from surrofe2.io.lock import file_lock, locked_folder
+from surrofe2.io.lock import locked_folder
 from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_folder import caches_of
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
@@ -36,12 +36,12 @@ from surrofe2.surrogate import SurrogateLaw, train
 from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import WantedBound, calibrate_surrogate, shaping_truths
-from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
+from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.rounds import SURROGATE, Round, open_rounds, write_rounds
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
-from surrofe2.workflow.samples import with_harvests
+from surrofe2.workflow.samples import samples_in_turn, with_harvests
 from surrofe2.workflow.train import STRESSES, train_surrogate, training_note
 from surrofe2.workflow.workers import in_pieces
 
@@ -172,25 +172,23 @@ def _surrogate(
     """The surrogate of a cell that round k runs on, in its folder, and the samples behind it."""
     name = recipe.cell_name or ""
     file, new, started = (of_cell(each, name) for each in (SURROGATE, _NEW, _STARTED))
-    path = out / f"round-{k}" / file
+    path, first = out / f"round-{k}" / file, recipe.training_path()
     if k == 0:  # the recipe's, made where it is not there
         with stage(f"generate {name}".strip(), wanted_count(recipe), "samples") as report:
             generate_data_set(recipe, executor=executor, report=report)
-        trained = recipe.training_path()
-        is_whole = trained.exists() and not file_lock(trained).exists()
-        if not (is_whole and read_surrogate(trained).is_calibrated):
-            train_surrogate(recipe, stage=stage)
+        train_surrogate(recipe, executor=executor, stage=stage)
     # A round in which a cell was settled has no new samples of it.
     grown = [out / f"round-{j}" for j in range(k) if (out / f"round-{j}" / started).exists()]
-    more = [*recipe.added_paths(), *(folder / new for folder in grown)]
-    samples = with_harvests(read_data_set(recipe.data_path()), more, recipe)
+    begin = read_surrogate(first if k == 0 else out / "round-0" / file).data_fingerprint
+    samples, _ = next(samples_in_turn(recipe, recipe.added_paths(), stage, begin))
+    samples = with_harvests(samples, [folder / new for folder in grown], recipe)
     if grown:
         wider = SamplingRange(**read_json(grown[-1] / started)["range"])
         samples = replace(samples, range=wider)
     if not path.exists():
         before = out / f"round-{k - 1}"
         if k == 0:
-            write_bytes(path, read_bytes(recipe.training_path()))
+            write_bytes(path, read_bytes(first))
         elif before not in grown:
             write_bytes(path, read_bytes(before / file))
         else:
@@ -213,11 +211,16 @@ def _trained(
     meter, wider = Meter(), replace(recipe, range=samples.range)
     with stage(f"{name}: train", recipe.training.iterations, "iterations") as report:
         known = shaping_truths(wider, samples)
+        wanted = WantedBound(wider, samples, known)
+
+        def enough(each: SurrogateLaw, _: bool) -> bool:
+            return wanted.share_of(each) <= 1.0
+
         surrogate = train(
             samples,
             recipe.training,
             progress=lambda i, n, figures: report(i, training_note(figures)),
-            enough=WantedBound(wider, samples, known) if recipe.training.bound else None,
+            enough=enough if recipe.training.bound else None,
         )
     with stage(f"{name}: calibrate", 1.0, "of the paths") as report:
         training, meter = meter.cost, Meter()
@@ -266,7 +269,7 @@ def _new_states(
     count = min(len(states[0]), MOST_NEIGHBOURS)
     asked = [(*neighbours(wider, *states, count, seed), NEIGHBOUR)]
     if is_new:
-        asked.append((*sample(wider, counts_of(recipe)[0], seed), WIDENED))
+        asked.append((*sample(wider, stored_count(recipe.data_path()).rows, seed), WIDENED))
     return asked
 
 

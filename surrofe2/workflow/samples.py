@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from surrofe2.errors import MismatchError
-from surrofe2.io.data_sets import read_data_set, stored_count
+from surrofe2.io.data_sets import StoredCount, read_data_set, stored_count
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.recipe import Recipe
 from surrofe2.stress_law import StressLaw
-from surrofe2.stress_samples import TANGENTS, StressSamples
+from surrofe2.stress_samples import StressSamples
 from surrofe2.tensors import stress_error, stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
@@ -28,49 +28,58 @@ _SAME = 1e-6
 """Share of the spread of stress within which two answers are the same."""
 
 
-def first_samples(
-    recipe: Recipe, count: int, harvests: Sequence[Path], stage: Stage
-) -> StressSamples:
-    """So many samples of the recipe's data set, and these harvests.
+def samples_in_turn(
+    recipe: Recipe, harvests: Sequence[Path], stage: Stage, begin: str = "", executor: Any = None
+) -> Iterator[tuple[StressSamples, bool]]:
+    """What training takes one after the other, until it suffices, and whether there can be more:
+    the first samples of the recipe's data set, then twice as many, and these harvests.
 
     A data set whose number of samples the recipe leaves out is gone on with where it has fewer.
+
+    Args:
+        begin: fingerprint of the samples to begin with, where training took such once.
+        executor: makes further samples, see `generate_data_set`.
 
     Raises:
         FileError: there is no data set.
         InputError: it is not finished.
         MismatchError: it is of another recipe.
     """
+    counts = counts_of(recipe)
+    there = stored_count(recipe.data_path()).rows
+    added: list[dict[str, Any]] | None = None
+
+    def first(count: int) -> StressSamples:
+        nonlocal added
+        samples = _first(recipe, count, stage, executor)
+        if added is None:
+            added = _added_to(samples, harvests, recipe)
+        return _joined(samples, added)
+
+    found, samples = 0, first(counts[0])
+    for k, count in enumerate(counts):
+        if begin and count <= there:
+            candidate = first(count) if k else samples
+            if candidate.fingerprint == begin:
+                found, samples = k, candidate
+                break
+    yield samples, counts[found] < counts[-1]
+    for count in counts[found + 1 :]:
+        yield first(count), count < counts[-1]
+
+
+def _first(recipe: Recipe, count: int, stage: Stage, executor: Any) -> StressSamples:
+    """So many samples of the recipe's data set, made where it may have more than it has."""
     path = recipe.data_path()
-    there, is_finished = stored_count(path)
-    if recipe.samples.count is None and not (is_finished and there >= count):
+    there = stored_count(path)
+    check_count(recipe, there, path)
+    if there.is_open and not (there.is_finished and there.rows >= count):
         wanted = max(count, wanted_count(recipe))
         with stage("generate", wanted, "samples") as report:
-            generate_data_set(recipe, count=wanted, report=report)
+            generate_data_set(recipe, count=wanted, executor=executor, report=report)
     samples = read_data_set(path)
     check_data(recipe, samples, path)
-    first = samples if len(samples.F) == count else samples.at(np.arange(count))
-    return with_harvests(first, harvests, recipe)
-
-
-def samples_in_turn(
-    recipe: Recipe, harvests: Sequence[Path], stage: Stage, begin: str = ""
-) -> Iterator[tuple[StressSamples, bool]]:
-    """What training takes one after the other, until it suffices, and whether there can be more.
-
-    Args:
-        begin: fingerprint of the samples to begin with, where training took such once.
-    """
-    counts, (there, _) = counts_of(recipe), stored_count(recipe.data_path())
-    found, samples = counts[0], None
-    for count in counts:
-        if begin and count <= there:
-            candidate = first_samples(recipe, count, harvests, stage)
-            if candidate.fingerprint == begin:
-                found, samples = count, candidate
-                break
-    yield samples or first_samples(recipe, found, harvests, stage), found < counts[-1]
-    for count in counts[counts.index(found) + 1 :]:
-        yield first_samples(recipe, count, harvests, stage), count < counts[-1]
+    return samples if len(samples.F) <= count else samples.at(np.arange(count))
 
 
 def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
@@ -84,13 +93,29 @@ def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
         ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
         ("range", recipe.sampling_range(), samples.range),
         ("samples.seed", recipe.samples.seed, samples.seed),
-        ("samples.count", True, len(samples.F) in counts_of(recipe)),
     ):
         if here != there:
-            raise MismatchError(
-                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
-                "anew with `surrofe2 generate RECIPE --fresh`"
-            )
+            raise _made_by_another(recipe, name, source)
+    check_count(recipe, stored_count(source), source)
+
+
+def check_count(recipe: Recipe, there: StoredCount, source: Path) -> None:
+    """Refuse a data set of another number of samples.
+
+    Raises:
+        MismatchError: the recipe states another, or one of the two leaves it out.
+    """
+    stated = recipe.samples.count
+    is_other = stated is not None and there.is_finished and there.rows != stated
+    if is_other or there.is_open != (stated is None):
+        raise _made_by_another(recipe, "samples.count", source)
+
+
+def _made_by_another(recipe: Recipe, name: str, source: Path) -> MismatchError:
+    return MismatchError(
+        f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
+        "anew with `surrofe2 generate RECIPE --fresh`"
+    )
 
 
 def with_harvests(
@@ -108,27 +133,37 @@ def with_harvests(
     Raises:
         MismatchError: a harvest is of other cell parameters or initialisation.
     """
+    return _joined(samples, _added_to(samples, paths, recipe, law))
+
+
+def _added_to(
+    samples: StressSamples, paths: Sequence[Path], recipe: Recipe, law: StressLaw | None = None
+) -> list[dict[str, Any]]:
+    """Arrays of each harvest, with tangents where the samples have them."""
     harvests = [read_harvest(path) for path in paths]
     for path, harvest in zip(paths, harvests, strict=True):
         check_harvest(path, harvest, samples.cell, samples.initialisation)
-    if not harvests:
+    if samples.P_by_F is None or not harvests:
+        return [_arrays_of(harvest) for harvest in harvests]
+    law = law or laws.true_law(recipe)
+    parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
+    taken = sum(len(part["status"]) for part in parts)
+    left_out = sum(len(harvest.status) for harvest in harvests) - taken
+    if left_out:
+        log.warning("%d harvested states left out: RVEs from rest answer otherwise there", left_out)
+    return parts
+
+
+def _joined(samples: StressSamples, parts: Sequence[Mapping[str, Any]]) -> StressSamples:
+    """The samples and, after them, these arrays."""
+    if not parts:
         return samples
-    names = ["F", "F_dot", "stress", "status"]
-    parts: list[dict[str, Any]] = [_arrays_of(harvest) for harvest in harvests]
-    known: dict[str, Any] = _arrays_of(samples)
+    known = _arrays_of(samples)
     if samples.P_by_F is not None:
-        names += TANGENTS
         known |= {"P_by_F": samples.P_by_F, "P_by_F_dot": samples.P_by_F_dot}
-        law = law or laws.true_law(recipe)
-        parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
-        taken = sum(len(part["status"]) for part in parts)
-        left_out = sum(len(harvest.status) for harvest in harvests) - taken
-        if left_out:
-            log.warning(
-                "%d harvested states left out: RVEs from rest answer otherwise there", left_out
-            )
     arrays: dict[str, Any] = {
-        name: np.concatenate([known[name], *(part[name] for part in parts)]) for name in names
+        name: np.concatenate([values, *(part[name] for part in parts)])
+        for name, values in known.items()
     }
     left = samples.left_bifurcation
     if left is not None:  # harvests have no answers from beyond a bifurcation

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from surrofe2.costs import NOTHING, Cost, Meter
 from surrofe2.errors import MismatchError
-from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.files import START_OVER, check_same, remove
 from surrofe2.io.kept import read_attached
 from surrofe2.io.lock import file_lock, locked_file
@@ -40,8 +40,8 @@ from surrofe2.workflow.samples import samples_in_turn
 
 STRESSES = ("xx", "xy", "yx", "yy")
 _SHARES = "bound.shares"
-_HELPS = 0.8
-"""Of the bound that fewer samples came to: twice as many are of use where theirs is below."""
+_PATIENCE, _GAIN, _HELPS = 2, 0.9, 0.8
+"""Rounds of a training that are to bring the bound so far down; how far twice the samples are."""
 LARGE_ERROR = 0.01
 """Held-out RMS of a component, as a share of its spread, from which on training warns."""
 
@@ -53,18 +53,23 @@ class Trained:
     Attributes:
         kept: whether it was already there.
         bound: lines on it.
-        samples: how many it was trained on, failed ones included.
+        samples: that it was trained on, failed ones included.
     """
 
     path: Path
     surrogate: SurrogateLaw
     kept: bool
     bound: str
-    samples: int
+    samples: StressSamples
 
 
 def train_surrogate(
-    recipe: Recipe, *, fresh: bool = False, add: Sequence[Path] = (), stage: Stage = silent
+    recipe: Recipe,
+    *,
+    fresh: bool = False,
+    add: Sequence[Path] = (),
+    executor: Any = None,
+    stage: Stage = silent,
 ) -> Trained:
     """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
 
@@ -73,6 +78,7 @@ def train_surrogate(
     Args:
         fresh: start over, whatever is there.
         add: harvests to train on too, besides those that the recipe names.
+        executor: makes further samples, see `generate_data_set`; None: this process.
         stage: begins the display of a stage.
 
     Raises:
@@ -87,7 +93,7 @@ def train_surrogate(
     elif path.exists() and not fresh:
         surrogate = read_surrogate(path)
         begin = surrogate.data_fingerprint
-    rounds = samples_in_turn(recipe, harvests, stage, begin)
+    rounds = samples_in_turn(recipe, harvests, stage, begin, executor)
     first = next(rounds)
     samples, _ = first
     if surrogate is not None:
@@ -97,7 +103,7 @@ def train_surrogate(
                 with locked_file(path):
                     pass
             bound = bound_summary(surrogate, samples)
-            return Trained(path, surrogate, True, bound, len(samples.F))
+            return Trained(path, surrogate, True, bound, samples)
     with locked_file(path):
         truths: Sequence[Truth] = ()
         if surrogate is None:
@@ -116,7 +122,7 @@ def train_surrogate(
         spent = {**surrogate.cost, "calibration": meter.cost}
         surrogate = replace(surrogate, cost=spent)
         write_surrogate(surrogate, path)
-    return Trained(path, surrogate, False, bound_summary(surrogate, samples), len(samples.F))
+    return Trained(path, surrogate, False, bound_summary(surrogate, samples), samples)
 
 
 def is_trained(recipe: Recipe) -> bool:
@@ -170,9 +176,8 @@ def _train(
     """
     truths: Sequence[Truth] = ()
     for samples, may_grow in rounds:
-        surrogate, wanted, cost = _trained(recipe, samples, truths, may_grow, before, stage)
-        truths, share = wanted.truths, wanted.share_of(surrogate) if may_grow else 0.0
-        if share <= 1.0 or share > _HELPS * before.share:
+        surrogate, truths, share, cost = _trained(recipe, samples, truths, may_grow, before, stage)
+        if share <= 1.0 or not helped(share, before.share):
             break
         before = _Before(cost=cost, share=share)
     reference = read_attached(recipe.data_path(), recipe.cell)
@@ -187,8 +192,14 @@ def _trained(
     may_grow: bool,
     before: _Before,
     stage: Stage,
-) -> tuple[SurrogateLaw, WantedBound, Cost]:
-    """A surrogate without a bound, the one wanted, and what it cost with all before."""
+) -> tuple[SurrogateLaw, Sequence[Truth], float, Cost]:
+    """A surrogate without a bound; the true answers by which the one wanted is asked for, and the
+    share of it that was come to; what it cost with all before.
+
+    Args:
+        truths: known before; empty: they are asked for.
+        may_grow: whether there can be more samples.
+    """
     path, meter = unfinished_training(recipe), Meter(before.cost)
     shares = list(before.shares)
 
@@ -198,7 +209,13 @@ def _trained(
 
     with stage("train", recipe.training.iterations, "iterations") as report:
         truths = truths or shaping_truths(recipe, samples)
-        wanted = WantedBound(recipe, samples, truths, may_grow, shares)
+        wanted = WantedBound(recipe, samples, truths)
+
+        def enough(surrogate: SurrogateLaw, is_hungry: bool) -> bool:
+            shares.append(wanted.share_of(surrogate))
+            wants_more = may_grow and is_hungry and is_stuck(shares)
+            return shares[-1] <= 1.0 or (wants_more and helped(min(shares), before.share))
+
         try:
             surrogate = train(
                 samples,
@@ -206,11 +223,24 @@ def _trained(
                 progress=lambda i, n, figures: report(i, training_note(figures)),
                 checkpoint=keep,
                 resume=before.state,
-                enough=wanted if recipe.training.bound else None,
+                enough=enough if recipe.training.bound else None,
             )
         except MismatchError as error:
             raise MismatchError(f"{path}: {error}; {START_OVER}") from None
-    return surrogate, wanted, meter.cost
+        share = wanted.share_of(surrogate) if may_grow else 0.0
+    return surrogate, truths, share, meter.cost
+
+
+def is_stuck(shares: Sequence[float]) -> bool:
+    """Whether the last rounds of a training have not brought the bound down, by its shares of the
+    one wanted.
+    """
+    return min(shares[-_PATIENCE:]) > _GAIN * min(shares[:-_PATIENCE], default=math.inf)
+
+
+def helped(share: float, before: float) -> bool:
+    """Whether more samples have brought the bound down, from what fewer came to."""
+    return share < _HELPS * before
 
 
 def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:
@@ -237,12 +267,13 @@ def large_errors(recipe: Recipe, trained: Trained) -> str | None:
     name = max(STRESSES, key=lambda each: rms[each])
     if rms[name] <= LARGE_ERROR:
         return None
-    samples = read_data_set(recipe.data_path())
     of = "" if recipe.cell_name is None else f"{recipe.cell_section}."
+    stated = recipe.samples.count is not None
+    more = f"raise {of}samples.count" if stated else f"state {of}samples.count"
     return (
         f"{trained.path}: the error of {name} is {100 * rms[name]:.2g} % RMS, from "
-        f"{len(samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 range` "
-        f"proposes, raise {of}samples.count, or let `surrofe2 refine` sample what the run meets"
+        f"{len(trained.samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 range` "
+        f"proposes, {more}, or let `surrofe2 refine` sample what the run meets"
     )
 
 
@@ -252,4 +283,4 @@ def training_summary(trained: Trained) -> str:
     rms, worst = (max(errors[figure][name] for name in STRESSES) for figure in ("rms", "worst"))
     kept = " (already trained)" if trained.kept else ""
     found = f"{100 * rms:.2g} % RMS, {100 * worst:.2g} % worst"
-    return f"held-out errors up to {found}, from {trained.samples} samples{kept}"
+    return f"held-out errors up to {found}, from {len(trained.samples.F)} samples{kept}"

@@ -74,28 +74,13 @@ def test_training_ends_when_the_bound_is_met(
     assert (edge <= bound) == (bound > 1.0)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "asked"),
-    [
-        ([3.0, 2.0, 1.0], 3),  # met
-        ([3.0, 2.9, 2.8], 3),  # twice no tenth below
-        ([3.0, 4.0, 2.0, 1.9, 3.0], 5),
-        ([3.0, 3.0, 0.9], 3),
-    ],
-)
-def test_training_wants_more_samples_where_the_bound_falls_no_further(monkeypatch, bounds, asked):
-    left = iter([*bounds, 0.5])
-    monkeypatch.setattr(calibrating.WantedBound, "share_of", lambda *_: next(left))
-
-    def ends(is_hungry, may_grow):
-        wanted = calibrating.WantedBound(None, None, (), may_grow)
-        return [wanted(None, is_hungry) for _ in range(asked)]
-
-    met = [bound <= 1.0 for bound in bounds]
-    assert ends(True, True) == [False] * (asked - 1) + [True]
-    for is_hungry, may_grow in ((False, True), (True, False)):
-        left = iter(bounds)
-        assert ends(is_hungry, may_grow) == met
+def test_a_bound_without_paths_that_shape_it_is_refused(invoke, recipe_path, changed_recipe):
+    changed_recipe("iterations = 40", "iterations = 40\nbound = 1e-3")
+    changed_recipe("walks = 9\nstates = 20", "walks = 0\nstates = 0")
+    refused = invoke("train", recipe_path)
+    assert refused.exit_code == 1
+    told = "training.bound: 0.001; it must be 0 where calibration.walks and calibration.states are"
+    assert refused.stderr.splitlines()[-1] == f"error: {told}"
 
 
 def test_the_seed_decides(invoke, recipe_path, surrogate_path, changed_recipe):

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from surrofe2 import cell_types
-from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set, stored_count
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import load_recipe
 from surrofe2.surrogate import training
 from surrofe2.workflow.generate import generate_data_set, wanted_count
+from surrofe2.workflow.refinement import refine_surrogate
 from surrofe2.workflow.run_lifecycle import silent
-from surrofe2.workflow.train import train_surrogate
+from surrofe2.workflow.train import is_stuck, train_surrogate
 
 MET, NEVER = 1e3, 1e-12
 INTERRUPTIONS = [*product(["train"], [0, 1, 3, 5, 6]), *product(["generate"], range(4))]
@@ -29,8 +29,8 @@ def _few(monkeypatch):
     """Training begins with 40 samples, takes 160 at most, and is asked every tenth iteration."""
     kept = generate_data_set.__kwdefaults__
     monkeypatch.setattr(generate_data_set, "__kwdefaults__", {**kept, "chunk": 16})
-    monkeypatch.setattr(cell_types, "FIRST", 40)
-    monkeypatch.setattr(cell_types, "MOST", 160)
+    monkeypatch.setattr(cell_types, "FIRST_COUNT", 40)
+    monkeypatch.setattr(cell_types, "MOST_COUNT", 160)
     monkeypatch.setattr(training, "ROUND", 10)
     monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 10)
     monkeypatch.setattr(training, "_SEEN", 1e3)  # more samples would always help
@@ -74,7 +74,7 @@ def test_the_first_samples_suffice(wanting):
     stage, shown = stages()
     trained = train_surrogate(recipe, stage=stage)
     assert shown == [("train", 40), ("calibrate", 1.0)]
-    assert stored_count(recipe.data_path()) == (40, True)
+    assert stored_count(recipe.data_path()) == (40, True, True)
     assert trained.surrogate.data_fingerprint == read_data_set(recipe.data_path()).fingerprint
 
 
@@ -101,9 +101,9 @@ def test_more_are_taken_until_they_do_not_help(wanting, monkeypatch):
 def test_more_that_do_not_help_are_the_last(wanting, monkeypatch):
     recipe = wanting(NEVER)
     generate_data_set(recipe)
-    monkeypatch.setattr("surrofe2.workflow.train._HELPS", 0.0)
+    monkeypatch.setattr("surrofe2.workflow.train._HELPS", 1e-30)
     train_surrogate(recipe)
-    assert stored_count(recipe.data_path()) == (80, True)
+    assert stored_count(recipe.data_path()) == (80, True, True)
 
 
 def test_costs_of_all_that_was_done_are_kept(wanting):
@@ -127,13 +127,13 @@ def test_what_is_there_is_kept(wanting, invoke):
     for _ in range(2):
         assert invoke("generate", recipe.path).exit_code == 0
         assert invoke("train", recipe.path).exit_code == 0
-    there, _ = stored_count(recipe.data_path())
+    there = stored_count(recipe.data_path()).rows
     assert there > 40
     again = invoke("generate", recipe.path)
     assert f"{there} samples (already finished)" in again.stdout
     assert "(already trained)" in invoke("train", recipe.path).stdout
     assert invoke("generate", recipe.path, "--fresh").exit_code == 0
-    assert stored_count(recipe.data_path()) == (40, True)
+    assert stored_count(recipe.data_path()) == (40, True, True)
 
 
 def test_training_anew_begins_with_the_first_again(wanting):
@@ -165,7 +165,8 @@ def stopping(where, at):
 @pytest.fixture
 def whole(wanting, monkeypatch):
     """(recipe without a surrogate, the file of one made in one go, from twice as many samples)."""
-    monkeypatch.setattr("surrofe2.workflow.train._HELPS", 0.0)
+    monkeypatch.setattr(cell_types, "MOST_COUNT", 80)
+    monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
     recipe = wanting(NEVER)
     generate_data_set(recipe)
     path = train_surrogate(recipe).path.rename(recipe.path.with_name("whole.safetensors"))
@@ -180,7 +181,7 @@ def test_interrupted_it_goes_on_to_the_bit(whole, where, at):
         train_surrogate(recipe, stage=stopping(where, at))
     there = stored_count(recipe.data_path())
     if where == "generate":
-        assert there == (min(40 + 16 * at, 80), at == 0)
+        assert there == (min(40 + 16 * at, 80), at == 0, True)
     assert same(path, train_surrogate(recipe).path)
 
 
@@ -188,22 +189,109 @@ def test_both_commands_go_on_where_one_was_interrupted(whole, invoke):
     recipe, path = whole
     with pytest.raises(KeyboardInterrupt):
         train_surrogate(recipe, stage=stopping("generate", 1))
-    assert stored_count(recipe.data_path()) == (56, False)
+    assert stored_count(recipe.data_path()) == (56, False, True)
     assert wanted_count(recipe) == 80
     assert generate_data_set(recipe).added == 24
     assert same(path, train_surrogate(recipe).path)
 
 
-def test_samples_of_a_stated_number_are_no_others(wanting, changed_recipe):
-    changed_recipe("count = 40", "count = 50")
-    stated = load_recipe(changed_recipe("seed = 3", "seed = 3"))
-    generate_data_set(stated)
-    changed_recipe("count = 50", "count = 40")
-    recipe = wanting(MET)
-    with pytest.raises(MismatchError, match=r"samples\.count"):
-        train_surrogate(recipe)
-    with pytest.raises(MismatchError, match=r"samples\.count"):
+@pytest.mark.parametrize("command", ["train", "generate", "study"])
+@pytest.mark.parametrize("stated_first", [True, False])
+def test_samples_of_a_stated_number_and_of_none_are_not_the_same(
+    wanting, invoke, recipe, command, stated_first
+):
+    """Though there are as many."""
+    text = recipe.path.read_text(encoding="utf-8")
+    if stated_first:
         generate_data_set(recipe)
+        wanting(MET)
+    else:
+        generate_data_set(wanting(MET))
+        recipe.path.write_text(text, encoding="utf-8")
+    refused = invoke(command, recipe.path)
+    assert refused.exit_code == 1
+    assert "cells.h5: samples.count: " in refused.stderr
+
+
+def test_what_was_begun_with_a_bound_goes_on_without_one(wanting, changed_recipe):
+    generate_data_set(wanting(MET))
+    recipe = load_recipe(changed_recipe(f"bound = {MET}\n", ""))
+    assert (
+        train_surrogate(recipe).samples.fingerprint == read_data_set(recipe.data_path()).fingerprint
+    )
+    assert stored_count(recipe.data_path()) == (160, True, True)
+
+
+def test_refining_knows_what_its_surrogate_learnt_from(wanting, changed_recipe):
+    """The data set grows, and after that samples of the surrogate are a part of them."""
+    changed_recipe("duration = 4.0", "duration = 0.5")
+    recipe = wanting(NEVER)
+    refine_surrogate(recipe, recipe.path.with_name("refined"), rounds=1)
+    there = stored_count(recipe.data_path()).rows
+    assert there > 40
+    assert rounds_of(recipe)[0]["samples"] == there
+    generate_data_set(recipe, count=160)
+    refine_surrogate(recipe, recipe.path.with_name("refined"), rounds=1, fresh=True)
+    assert rounds_of(recipe)[0]["samples"] == there
+
+
+def rounds_of(recipe):
+    return json.loads(recipe.path.with_name("refined").joinpath("refine.json").read_text())[
+        "rounds"
+    ]
+
+
+def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
+    monkeypatch.setattr("surrofe2.workflow.calibrate.WantedBound.share_of", lambda *_: np.inf)
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    train_surrogate(recipe)
+    assert stored_count(recipe.data_path()).rows == 40
+
+
+def test_where_more_do_not_help_training_goes_on_to_its_end(wanting, monkeypatch):
+    """The bound that the first come to is small already: twice as many are used to the last."""
+    left = iter([3.0, 3.0, 3.0, 3.0])
+    monkeypatch.setattr(
+        "surrofe2.workflow.calibrate.WantedBound.share_of", lambda *_: next(left, 2.9)
+    )
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    done = []
+    train_surrogate(recipe, stage=counting(done))
+    assert stored_count(recipe.data_path()).rows == 80
+    assert done[-1] == 40
+
+
+def counting(done):
+    """A display that notes the iterations of each training."""
+
+    @contextmanager
+    def stage(what, total, unit):
+        if what == "train":
+            done.append(0)
+
+        def report(number, note):
+            if what == "train":
+                done[-1] = number
+
+        yield report
+
+    return stage
+
+
+@pytest.mark.parametrize(
+    ("shares", "stuck"),
+    [
+        ([3.0, 2.0], False),
+        ([3.0, 2.9, 2.8], True),  # twice no tenth below
+        ([3.0, 4.0, 2.0], False),
+        ([3.0, 2.0, 1.9, 3.0], True),
+        ([np.inf, 3.0, 2.9], False),
+    ],
+)
+def test_training_is_stuck_where_the_bound_falls_no_further(shares, stuck):
+    assert is_stuck(shares) == stuck
 
 
 def test_without_a_bound_the_most_are_made(recipe, changed_recipe):
