@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.errors import MismatchError
-from surrofe2.io.data_sets import StoredCount, read_data_set, stored_count
+from surrofe2.io.data_sets import read_data_set, stored_count
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.recipe import Recipe
 from surrofe2.stress_law import StressLaw
@@ -72,8 +72,8 @@ def _first(recipe: Recipe, count: int, stage: Stage, executor: Any) -> StressSam
     """So many samples of the recipe's data set, made where it may have more than it has."""
     path = recipe.data_path()
     there = stored_count(path)
-    check_count(recipe, there, path)
-    if there.is_open and not (there.is_finished and there.rows >= count):
+    may_grow = there.is_open and recipe.samples.count is None
+    if may_grow and not (there.is_finished and there.rows >= count):
         wanted = max(count, wanted_count(recipe))
         with stage("generate", wanted, "samples") as report:
             generate_data_set(recipe, count=wanted, executor=executor, report=report)
@@ -88,34 +88,19 @@ def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
     Raises:
         MismatchError: naming what differs.
     """
+    stated, stored = recipe.samples.count, stored_count(source)
     for name, here, there in (
         ("cell", recipe.cell, samples.cell),
         ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
         ("range", recipe.sampling_range(), samples.range),
         ("samples.seed", recipe.samples.seed, samples.seed),
+        ("samples.count", stated, None if stored.is_open else stored.rows),
     ):
         if here != there:
-            raise _made_by_another(recipe, name, source)
-    check_count(recipe, stored_count(source), source)
-
-
-def check_count(recipe: Recipe, there: StoredCount, source: Path) -> None:
-    """Refuse a data set of another number of samples.
-
-    Raises:
-        MismatchError: the recipe states another, or one of the two leaves it out.
-    """
-    stated = recipe.samples.count
-    is_other = stated is not None and there.is_finished and there.rows != stated
-    if is_other or there.is_open != (stated is None):
-        raise _made_by_another(recipe, "samples.count", source)
-
-
-def _made_by_another(recipe: Recipe, name: str, source: Path) -> MismatchError:
-    return MismatchError(
-        f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
-        "anew with `surrofe2 generate RECIPE --fresh`"
-    )
+            raise MismatchError(
+                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
+                "anew with `surrofe2 generate RECIPE --fresh`"
+            )
 
 
 def with_harvests(

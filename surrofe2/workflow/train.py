@@ -227,7 +227,7 @@ def _trained(
             )
         except MismatchError as error:
             raise MismatchError(f"{path}: {error}; {START_OVER}") from None
-        share = wanted.share_of(surrogate) if may_grow else 0.0
+        share = min([*shares, wanted.share_of(surrogate)]) if may_grow else 0.0
     return surrogate, truths, share, meter.cost
 
 
@@ -268,12 +268,11 @@ def large_errors(recipe: Recipe, trained: Trained) -> str | None:
     if rms[name] <= LARGE_ERROR:
         return None
     of = "" if recipe.cell_name is None else f"{recipe.cell_section}."
-    stated = recipe.samples.count is not None
-    more = f"raise {of}samples.count" if stated else f"state {of}samples.count"
+    more = "state" if recipe.samples.count is None else "raise"
     return (
         f"{trained.path}: the error of {name} is {100 * rms[name]:.2g} % RMS, from "
         f"{len(trained.samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 range` "
-        f"proposes, {more}, or let `surrofe2 refine` sample what the run meets"
+        f"proposes, {more} {of}samples.count, or let `surrofe2 refine` sample what the run meets"
     )
 
 

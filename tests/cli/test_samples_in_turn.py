@@ -263,6 +263,18 @@ def test_where_more_do_not_help_training_goes_on_to_its_end(wanting, monkeypatch
     assert done[-1] == 40
 
 
+def test_the_best_that_some_samples_came_to_says_whether_they_helped(wanting, monkeypatch):
+    """Not the last, at which training gave them up for more."""
+    left = iter([3.0, 3.0, 3.0, 3.0, 1.5, 3.0, 3.0, 3.0])
+    monkeypatch.setattr(
+        "surrofe2.workflow.calibrate.WantedBound.share_of", lambda *_: next(left, 2.9)
+    )
+    recipe = wanting(NEVER)
+    generate_data_set(recipe)
+    train_surrogate(recipe)
+    assert stored_count(recipe.data_path()).rows == 160
+
+
 def counting(done):
     """A display that notes the iterations of each training."""
 
