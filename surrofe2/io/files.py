@@ -92,9 +92,9 @@ def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -
     known = flat(there)
     for name, value in flat(here).items():
         if known.get(name) != value:
+            mine, theirs = ("nothing" if v is None else v for v in (value, known.get(name)))
             raise MismatchError(
-                f"{place}: {name}: this call has {value}, what is there {known.get(name)}; "
-                + START_OVER
+                f"{place}: {name}: this call has {mine}, what is there {theirs}; {START_OVER}"
             )
 
 

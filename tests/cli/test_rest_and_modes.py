@@ -134,7 +134,7 @@ def test_a_rest_and_a_run_are_not_taken_for_each_other(recipe_path, tmp_path):
     assert call("rest", recipe_path, "--out", tmp_path / "rest").exit_code == 0
     refused = call("run", recipe_path, "--law", "rve", "--out", tmp_path / "rest")
     assert refused.exit_code == 1
-    assert "rest.factor: this call has None, what is there 1.0" in refused.stderr
+    assert "rest.factor: this call has nothing, what is there 1.0" in refused.stderr
 
 
 def _law_that(**trouble):
