@@ -26,6 +26,8 @@ T = TypeVar("T")
 
 _LONGEST_NAME, _LONGEST_LIST = 60, 150
 """Characters of a name and of a list of names in a sentence."""
+REMOVED: dict[str, str] = {}
+"""Keys that recipes had in earlier versions, as "section.key", and what to do instead."""
 _SMALLEST, _LARGEST, _ENDS = 1e-60, 1e30, (0.0, math.inf, -math.inf)
 """Numbers beyond these are mistakes, whose products overflow."""
 
@@ -70,6 +72,8 @@ def from_table(
     hints = hints_of(kind)  # type: ignore[arg-type]
     known = [*items, *extras]
     for key, value in table.items():
+        if f"{section}.{key}" in REMOVED:
+            raise InputError(f"{section}.{key}: removed; {REMOVED[f'{section}.{key}']}")
         if key not in items:
             raise InputError(unknown(f"{section}.{key}", key, "key", known))
         if items[key].metadata:

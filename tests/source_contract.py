@@ -6,9 +6,12 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = "surrofe2"
-Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def sources() -> dict[str, ast.Module]:
@@ -17,14 +20,6 @@ def sources() -> dict[str, ast.Module]:
     return {
         path.relative_to(folder).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
         for path in sorted(folder.rglob("*.py"))
-    }
-
-
-def line_counts() -> dict[str, int]:
-    """Lines of each file."""
-    folder = ROOT / PACKAGE
-    return {
-        name: len((folder / name).read_text(encoding="utf-8").splitlines()) for name in sources()
     }
 
 
@@ -58,56 +53,19 @@ def import_graph(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Strongly connected components of more than one module, each sorted (Tarjan)."""
-    order: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found = []
-
-    def visit(module: str) -> None:
-        order[module] = low[module] = len(order)
-        stack.append(module)
-        for other in graph[module]:
-            if other not in order:
-                visit(other)
-                low[module] = min(low[module], low[other])
-            elif other in stack:
-                low[module] = min(low[module], order[other])
-        if low[module] == order[module]:
-            k = stack.index(module)
-            component = sorted(stack[k:])
-            del stack[k:]
-            if len(component) > 1:
-                found.append(component)
-
-    for module in graph:
-        if module not in order:
-            visit(module)
-    return sorted(found)
-
-
-def is_kernel(function: Function) -> bool:
-    """Whether numba compiles it."""
-    decorators = [ast.unparse(each).split("(")[0] for each in function.decorator_list]
-    return any(name in ("kernel", "parallel_kernel", "intrinsic") for name in decorators)
-
-
-def functions(tree: ast.Module) -> Iterator[Function]:
-    """All functions and methods."""
-    return (node for node in ast.walk(tree) if isinstance(node, Function))
-
-
-def count_arguments(function: Function) -> int:
-    """Without self and cls."""
-    given = function.args
-    names = [each.arg for each in (*given.posonlyargs, *given.args)]
-    own = bool(names) and names[0] in ("self", "cls")
-    return len(names) - own + len(given.kwonlyargs)
+    """Strongly connected components of more than one module, each sorted."""
+    names = sorted(graph)
+    links = np.array([[other in graph[name] for other in names] for name in names])
+    count, labels = connected_components(csr_array(links), connection="strong")
+    groups = [[n for n, label in zip(names, labels, strict=True) if label == k] for k in range(count)]
+    return sorted(group for group in groups if len(group) > 1)
 
 
 def local_imports(tree: ast.Module) -> Iterator[str]:
     """Top packages that functions import, the package's own by the whole name."""
-    for function in functions(tree):
+    for function in ast.walk(tree):
+        if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
         for node in ast.walk(function):
             names = []
             if isinstance(node, ast.Import):
@@ -116,13 +74,3 @@ def local_imports(tree: ast.Module) -> Iterator[str]:
                 names = [str(node.module)]
             for name in names:
                 yield name if name.startswith(PACKAGE) else name.split(".")[0]
-
-
-def introspections(tree: ast.Module) -> Iterator[str]:
-    """Calls of getattr and hasattr, and of inspect.signature."""
-    for node in ast.walk(tree):
-        called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
-        if called in ("getattr", "hasattr", "inspect.signature"):
-            yield called
-        elif isinstance(node, ast.ImportFrom) and node.module == "inspect":
-            yield "inspect"
