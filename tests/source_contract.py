@@ -57,7 +57,9 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     names = sorted(graph)
     links = np.array([[other in graph[name] for other in names] for name in names])
     count, labels = connected_components(csr_array(links), connection="strong")
-    groups = [[n for n, label in zip(names, labels, strict=True) if label == k] for k in range(count)]
+    groups = [
+        [n for n, label in zip(names, labels, strict=True) if label == k] for k in range(count)
+    ]
     return sorted(group for group in groups if len(group) > 1)
 
 
