@@ -10,7 +10,7 @@ from itertools import count
 from surrofe2.errors import FileError
 from surrofe2.io import disk
 
-OPERATIONS = ("write", "create", "sync", "move", "remove", "remove_folder", "make_folder")
+OPERATIONS = ("write", "sync", "move", "remove", "remove_folder", "make_folder")
 KINDS = {"no space": errno.ENOSPC, "input/output error": errno.EIO, "killed": None}
 
 

@@ -19,12 +19,6 @@ def write(path: Path, content: bytes | memoryview) -> None:
             rest = rest[file.write(rest) :]
 
 
-def create(path: Path, content: bytes) -> None:
-    """Write a file that must not be there yet."""
-    with path.open("xb", buffering=0) as file:
-        file.write(content)
-
-
 def sync(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk."""
     descriptor = os.open(path, os.O_RDONLY)

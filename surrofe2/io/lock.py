@@ -1,7 +1,8 @@
-"""One process at a time writes an output: a lock file beside or in it says which one that is.
+"""One process at a time writes an output, by a lock file beside or in it.
 
-The file is there only while a process works. One that was killed leaves it behind: the process it
-names is gone, and the next one takes its place. Of a process on another machine nobody can tell.
+The process holds the file by `flock`, which the kernel drops when the process ends, however it
+ends. What stands in the file is for people: who holds it. A process that ends well removes the
+file, so one that is there without a holder says that the last process was killed.
 """
 
 from __future__ import annotations
@@ -12,12 +13,11 @@ import logging
 import os
 import platform
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 from surrofe2.errors import FileError
 from surrofe2.interruption import held
@@ -25,11 +25,6 @@ from surrofe2.io import disk
 from surrofe2.io.files import reported
 
 log = logging.getLogger(__name__)
-
-_PATIENCE = 1.0
-"""s until a lock that says nothing, for its process has just made it, is one that was left."""
-_held: set[Path] = set()
-"""Locks of this process."""
 
 
 def folder_lock(folder: Path) -> Path:
@@ -43,155 +38,102 @@ def file_lock(path: Path) -> Path:
 
 
 def locked_folder(folder: Path) -> AbstractContextManager[None]:
-    """Nobody else writes into a folder; it is made where it is not there.
+    """Only this call writes into a folder, which is made where it is missing.
 
     Raises:
-        FileError: another process does, and the sentence names it, or the folder is not writable.
+        FileError: another call does, which the message names, or the folder is not writable.
     """
     return _locked(folder_lock(folder), folder)
 
 
 def locked_file(path: Path) -> AbstractContextManager[None]:
-    """Nobody else writes a file; its folder is made where it is not there.
+    """Only this call writes a file, whose folder is made where it is missing.
 
     Raises:
-        FileError: another process does, and the sentence names it, or the folder is not writable.
+        FileError: another call does, which the message names, or the folder is not writable.
     """
     return _locked(file_lock(path), path)
 
 
 @contextmanager
 def _locked(lock: Path, output: Path) -> Iterator[None]:
-    lock = lock.resolve()
-    mine = json.dumps(_myself(), ensure_ascii=False).encode()
-    _take(lock, output, mine)
+    with reported(output, "written"), held():
+        file = _take(lock, output)
     try:
         yield
     finally:
-        _held.discard(lock)
-        with suppress(OSError):  # where it cannot be removed, the next process takes it over
-            if lock.read_bytes() == mine:
-                _let_go(lock)
+        with file, suppress(OSError):  # where it cannot be removed, the next process takes it over
+            _remove(lock)
 
 
-def _let_go(lock: Path) -> None:
-    """Remove a lock; once more if the disk fails, for nobody may come back to its folder."""
-    try:
-        disk.remove(lock)
-    except OSError:
-        disk.remove(lock)
-
-
-def _take(lock: Path, output: Path, mine: bytes) -> None:
-    """Make the lock, in the place of one whose process is gone."""
-    if lock in _held:
-        raise FileError(f"{output}: in use by another call of this process")
-    with reported(output, "written"):
-        disk.make_folder(lock.parent)
-        while True:
+def _take(lock: Path, output: Path) -> IO[bytes]:
+    """The open lock file, held."""
+    disk.make_folder(lock.parent)
+    while True:
+        file = lock.open("a+b")
+        try:
             try:
-                _create(lock, mine)
-            except FileExistsError:
-                _remove_stale(lock, output)
-            else:
-                return
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise FileError(f"{output}: in use by {_holder(file)}") from None
+            if _is_at(file, lock):
+                file.seek(0)
+                if os.fstat(file.fileno()).st_size:
+                    log.warning("%s: %s was killed; this process goes on", output, _said_by(file))
+                _sign(lock)
+                return file
+        except BaseException:
+            file.close()
+            raise
+        file.close()  # its holder removed it between our two calls
 
 
-def _create(lock: Path, mine: bytes) -> None:
+def _is_at(file: IO[bytes], lock: Path) -> bool:
     try:
-        with held():  # cut in between, it would say nothing
-            disk.create(lock, mine)
-            _held.add(lock)
-    except FileExistsError:  # of another
-        raise
-    except OSError:  # a lock that says nothing helps nobody
+        return os.path.samestat(os.fstat(file.fileno()), lock.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _sign(lock: Path) -> None:
+    """Write who holds a lock into it."""
+    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
+    me = {
+        "process": os.getpid(),
+        "host": platform.node(),
+        "since": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "command": command,
+    }
+    try:
+        disk.write(lock, json.dumps(me).encode())
+    except OSError:
         with suppress(OSError):
             disk.remove(lock)
         raise
 
 
-def _remove_stale(lock: Path, output: Path) -> None:
-    """Remove a lock that was left; others that see it too find it removed, or wait.
-
-    Raises:
-        FileError: its process is at work, or on another machine.
-    """
+def _remove(lock: Path) -> None:
+    """Remove a lock; try again if the disk fails once."""
     try:
-        file = lock.open("rb")
-    except FileNotFoundError:
-        return
-    with file:
-        holder = _read(file)
-        if _is_at_work(holder, output, lock):
-            raise FileError(f"{output}: in use by {_described(holder)}; wait for it or end it")
-        fcntl.flock(file, fcntl.LOCK_EX)
-        with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(file.fileno()), lock.stat()):
-                log.warning("%s: %s is gone; its lock is taken over", output, _described(holder))
-                disk.remove(lock)
-
-
-def _read(file: Any) -> dict[str, Any]:
-    """What a lock says, {} where its process was killed as it made it."""
-    until = time.monotonic() + _PATIENCE
-    while True:
-        file.seek(0)
-        try:
-            said = json.loads(file.read())
-            return {name: said[name] for name in ("process", "host", "since", "command", "start")}
-        except (ValueError, RecursionError, KeyError, TypeError):
-            if time.monotonic() > until:
-                return {}
-            time.sleep(0.05)
-
-
-def _is_at_work(holder: dict[str, Any], output: Path, lock: Path) -> bool:
-    if not holder:
-        return False
-    if holder["host"] != platform.node():
-        raise FileError(
-            f"{output}: in use by {_described(holder)} on {str(holder['host'])[:40]}; if it is not "
-            f"running any more, remove {lock.name} there"
-        )
-    mine, number = _myself(), holder["process"]
-    if number == mine["process"]:
-        return holder["start"] == mine["start"] and lock in _held
-    is_hidden = False
-    try:
-        os.kill(number, 0)
-    except PermissionError:
-        is_hidden = True  # it is another user's, of whom a system may tell nothing more
-    except (OSError, OverflowError, TypeError, ValueError):
-        return False
-    start = _start_of(number)
-    if start is None and is_hidden:
-        return True
-    return holder["start"] in (None, start)  # else the number is another's now
-
-
-def _described(holder: dict[str, Any]) -> str:
-    if not holder:
-        return "a process that was killed as it began"
-    said = f"process {holder['process']} since {holder['since']} ({holder['command']})"
-    return " ".join(said.split())[:150]
-
-
-def _myself() -> dict[str, Any]:
-    return {
-        "process": os.getpid(),
-        "host": platform.node(),
-        "since": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100],
-        "start": _start_of(os.getpid()),
-    }
-
-
-def _start_of(process: int) -> int | None:
-    """When a process began, in ticks since the machine did; None where that cannot be told, 0 of
-    one that was killed and nobody has waited for."""
-    try:
-        line = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+        disk.remove(lock)
     except OSError:
-        return None
-    state, *figures = line.rpartition(")")[2].split()
-    return 0 if state in "ZX" else int(figures[18])
+        disk.remove(lock)
+
+
+def _holder(file: IO[bytes]) -> str:
+    """Who holds a lock, and what to do."""
+    said = _said_by(file)
+    if said.startswith(f"process {os.getpid()} on {platform.node()} "):
+        return "another call of this process"
+    return f"{said}; wait for it or end it"
+
+
+def _said_by(file: IO[bytes]) -> str:
+    """What a lock says of the process that signed it; its file is damaged or empty at times."""
+    try:
+        file.seek(0)
+        said = json.loads(file.read(10_000))
+        who = f"process {said['process']} on {said['host']} since {said['since']}"
+        return " ".join(f"{who} ({said['command']})".split())[:200]
+    except (ValueError, RecursionError, KeyError, TypeError):
+        return "a process that did not say its name"

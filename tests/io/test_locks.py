@@ -13,7 +13,6 @@ import time
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io import lock
 from surrofe2.io.lock import file_lock, folder_lock, locked_file, locked_folder
 
 HOLDER = """
@@ -43,17 +42,16 @@ def holder(tmp_path):
     process.stdout.close()
 
 
-def leave_lock(lock, **entries):
-    """A lock of a process that is gone, or of what the entries say."""
+def leave_lock(lock):
+    """The lock of a process that was killed."""
     lock.parent.mkdir(parents=True, exist_ok=True)
     said = {
-        "process": 2**22 + 1,  # above the largest that Linux gives
-        "host": platform.node(),
+        "process": 4194305,
+        "host": "elsewhere",
         "since": "2026-01-01T00:00:00+00:00",
         "command": "surrofe2 run a.toml",
-        "start": 1,
     }
-    lock.write_text(json.dumps(said | entries), encoding="utf-8")
+    lock.write_text(json.dumps(said), encoding="utf-8")
 
 
 def test_a_second_process_is_told_who_is_at_work(tmp_path, holder):
@@ -63,8 +61,8 @@ def test_a_second_process_is_told_who_is_at_work(tmp_path, holder):
     with pytest.raises(FileError) as caught, locked_folder(out):
         pass
     assert str(caught.value) == (
-        f"{out}: in use by process {holder.pid} since {said['since']} ({said['command']}); "
-        "wait for it or end it"
+        f"{out}: in use by process {holder.pid} on {platform.node()} since {said['since']} "
+        f"({said['command']}); wait for it or end it"
     )
     assert json.loads(folder_lock(out).read_text(encoding="utf-8")) == said
 
@@ -90,7 +88,6 @@ def test_the_lock_of_a_killed_process_is_taken_over_with_a_remark(tmp_path, hold
     assert len(caplog.records) == 1
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="needs /proc")
 def test_a_killed_process_that_nobody_has_waited_for_holds_nothing(tmp_path, holder):
     holder.kill()
     os.waitid(os.P_PID, holder.pid, os.WEXITED | os.WNOWAIT)
@@ -98,62 +95,20 @@ def test_a_killed_process_that_nobody_has_waited_for_holds_nothing(tmp_path, hol
         pass
 
 
-def test_a_process_of_another_user_holds_even_where_its_beginning_is_hidden(
-    tmp_path, holder, monkeypatch
-):
-    def forbidden(process, number):
-        raise PermissionError
-
-    start_of = lock._start_of
-    mine = os.getpid()
-    monkeypatch.setattr(os, "kill", forbidden)
-    monkeypatch.setattr(lock, "_start_of", lambda at: start_of(at) if at == mine else None)
-    with (
-        pytest.raises(FileError, match=f"in use by process {holder.pid} "),
-        locked_folder(tmp_path / "out"),
-    ):
+def test_a_process_that_stalls_as_it_signs_keeps_its_lock(tmp_path, holder):
+    out = tmp_path / "out"
+    folder_lock(out).write_bytes(b"")
+    with pytest.raises(FileError, match="in use by a process that did not say"), locked_folder(out):
         pass
-    monkeypatch.undo()
-
-
-def test_a_number_that_is_another_process_now_holds_nothing(tmp_path):
-    path = tmp_path / "cells.h5"
-    leave_lock(file_lock(path), process=os.getppid(), start=1)
-    if not os.path.exists("/proc/self/stat"):
-        pytest.skip("needs /proc")
-    with locked_file(path):
-        assert "a.toml" not in file_lock(path).read_text(encoding="utf-8")
-
-
-def test_a_lock_of_another_machine_is_never_taken_over(tmp_path):
-    path = tmp_path / "cells.h5"
-    leave_lock(file_lock(path), host="elsewhere")
-    before = file_lock(path).read_bytes()
-    with pytest.raises(FileError) as caught, locked_file(path):
-        pass
-    assert str(caught.value) == (
-        f"{path}: in use by process 4194305 since 2026-01-01T00:00:00+00:00 (surrofe2 run a.toml) "
-        "on elsewhere; if it is not running any more, remove .cells.h5.lock there"
-    )
-    assert file_lock(path).read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [b"", b'{"process": 1', b"[" * 100_000, b'{"host": {}}', b"0"])
-def test_a_lock_that_says_nothing_was_left(tmp_path, content, monkeypatch):
-    monkeypatch.setattr("surrofe2.io.lock._PATIENCE", 0.1)
+def test_a_lock_that_nobody_holds_is_taken_over_whatever_it_says(tmp_path, content):
     path = tmp_path / "cells.h5"
     file_lock(path).write_bytes(content)
     with locked_file(path):
         assert file_lock(path).read_bytes() != content
     assert not file_lock(path).exists()
-
-
-@pytest.mark.parametrize("process", ["7", None, -1, 10**30, 1.5, True])
-def test_a_lock_of_what_is_no_process_was_left(tmp_path, process):
-    path = tmp_path / "cells.h5"
-    leave_lock(file_lock(path), process=process)
-    with locked_file(path):
-        pass
 
 
 def test_two_calls_of_one_process_are_kept_apart_too(tmp_path):
