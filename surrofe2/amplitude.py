@@ -8,10 +8,11 @@ it, for at a corner itself both sides may differ.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
@@ -23,59 +24,51 @@ Value = tuple[float, float, float]
 """A factor, its rate (1/µs) and the rate of that (1/µs²)."""
 
 
-@runtime_checkable
-class Amplitude(Protocol):
-    """A factor in time."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Amplitude(ABC):
+    """A factor in time; one without corners and without a shape that steps must resolve."""
 
+    def __post_init__(self) -> None:
+        check_settings(self, "amplitude")
+
+    @abstractmethod
     def at(self, t: float, within: float) -> Value:
         """The factor and its rates at time t (µs) of the smooth piece that holds `within`."""
 
     def corners(self) -> tuple[float, ...]:
         """Times (µs) at which the factor or its rate jumps, increasing."""
-
-    @property
-    def resolved_by(self) -> float:
-        """Longest step (µs) that sees the factor's shape; infinite where it has none."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Constant:
-    """The same factor at all times."""
-
-    value: float = setting(1.0, "the factor")
-
-    def __post_init__(self) -> None:
-        check_settings(self, "amplitude")
-
-    def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
-        return self.value, 0.0, 0.0
-
-    def corners(self) -> tuple[float, ...]:
-        """None."""
         return ()
 
     @property
     def resolved_by(self) -> float:
-        """Infinite."""
+        """Longest step (µs) that sees the factor's shape; infinite where it has none."""
         return math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class Constant(Amplitude):
+    """The same factor at all times."""
+
+    value: float = setting(1.0, "the factor")
+
+    def at(self, t: float, within: float) -> Value:
+        return self.value, 0.0, 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table(Amplitude):
     """Linear between points, constant before the first and after the last."""
 
     points: tuple[tuple[float, float], ...] = setting((), "(time, factor)", f"({TIME}, {NONE})")
 
     def __post_init__(self) -> None:
-        check_settings(self, "amplitude")
+        super(Table, self).__post_init__()
         if not self.points:
             raise InputError("amplitude.points: []; it must have at least one (time, factor)")
         if (np.diff([t for t, _ in self.points]) <= 0.0).any():
             raise InputError(f"amplitude.points: {list(self.points)}; times must increase")
 
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
         k = bisect_right(self.points, within, key=itemgetter(0))
         if k in (0, len(self.points)):
             return self.points[0 if k == 0 else -1][1], 0.0, 0.0
@@ -87,14 +80,9 @@ class Table:
         """The times of the table."""
         return tuple(t for t, _ in self.points)
 
-    @property
-    def resolved_by(self) -> float:
-        """Infinite: every piece is straight."""
-        return math.inf
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ramp:
+class Ramp(Amplitude):
     """From 0 to 1 between two times; a smooth one begins and ends without rate and acceleration.
 
     With s = (t − begin)/(end − begin) the factor is s, or s³ (10 − 15 s + 6 s²) if smooth.
@@ -105,12 +93,11 @@ class Ramp:
     smooth: bool = setting(False, "whether rate and acceleration are continuous")
 
     def __post_init__(self) -> None:
-        check_settings(self, "amplitude")
+        super(Ramp, self).__post_init__()
         if not self.end > self.begin:
             raise InputError(f"amplitude.end: {self.end}; it must be after begin, {self.begin} µs")
 
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
         if within <= self.begin or within >= self.end:
             return float(within >= self.end), 0.0, 0.0
         length = self.end - self.begin
@@ -132,7 +119,7 @@ class Ramp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sine:
+class Sine(Amplitude):
     """offset + sin(2π frequency (t − begin) + phase) from `begin` on, its first value before."""
 
     frequency: float = setting(about="oscillations in a µs", unit="1/µs", above=0.0)
@@ -140,11 +127,7 @@ class Sine:
     offset: float = setting(0.0, "the mean factor")
     begin: float = setting(0.0, "time at which the oscillation begins", TIME)
 
-    def __post_init__(self) -> None:
-        check_settings(self, "amplitude")
-
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
         omega, phase = 2.0 * math.pi * self.frequency, math.radians(self.phase)
         if within <= self.begin:
             return self.offset + math.sin(phase), 0.0, 0.0
@@ -163,18 +146,14 @@ class Sine:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pulse:
+class Pulse(Amplitude):
     """From 0 to 1 and back to 0 within `length`: by a half sine, a triangle or at once."""
 
     begin: float = setting(0.0, "time at which the factor leaves 0", TIME)
     length: float = setting(about="time until it is 0 again", unit=TIME, above=0.0)
     shape: Literal["half-sine", "triangle", "rectangle"] = setting("half-sine", "of the pulse")
 
-    def __post_init__(self) -> None:
-        check_settings(self, "amplitude")
-
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
         s, place = (t - self.begin) / self.length, (within - self.begin) / self.length
         if not 0.0 < place < 1.0:
             return 0.0, 0.0, 0.0
@@ -210,19 +189,10 @@ KINDS: dict[str, type] = {
 ONE = Constant()
 
 
-@dataclass(frozen=True, slots=True)
-class Proportional:
-    """Loads that grow together, with a load factor in the place of time; what they move rests."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proportional(Amplitude):
+    """Loads that grow together by a load factor instead of time; what they move has no velocity."""
 
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`, without a rate."""
+        # nothing moves in a load factor
         return t, 0.0, 0.0
-
-    def corners(self) -> tuple[float, ...]:
-        """None."""
-        return ()
-
-    @property
-    def resolved_by(self) -> float:
-        """Infinite."""
-        return math.inf

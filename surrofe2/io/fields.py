@@ -31,11 +31,11 @@ class Motion(Protocol):
     """Fields of n points at m times: displacement and velocity (m, n, 2)."""
 
     @property
-    def t(self) -> Array: ...  # noqa: D102 - the class says it
+    def t(self) -> Array: ...
     @property
-    def displacement(self) -> Array: ...  # noqa: D102
+    def displacement(self) -> Array: ...
     @property
-    def velocity(self) -> Array: ...  # noqa: D102
+    def velocity(self) -> Array: ...
 
 
 class Frames(Motion, Protocol):
@@ -44,17 +44,17 @@ class Frames(Motion, Protocol):
     """
 
     @property
-    def stress(self) -> Array: ...  # noqa: D102
+    def stress(self) -> Array: ...
     @property
-    def F(self) -> Array: ...  # noqa: D102
+    def F(self) -> Array: ...
     @property
-    def F_dot(self) -> Array: ...  # noqa: D102
+    def F_dot(self) -> Array: ...
     @property
-    def source(self) -> Array: ...  # noqa: D102
+    def source(self) -> Array: ...
     @property
-    def bound(self) -> Array: ...  # noqa: D102
+    def bound(self) -> Array: ...
     @property
-    def dissipated(self) -> Array: ...  # noqa: D102
+    def dissipated(self) -> Array: ...
 
 
 def write_fields(

@@ -40,7 +40,7 @@ class Force(Protocol):
     """
 
     @property
-    def name(self) -> str: ...  # noqa: D102 - the class says it
+    def name(self) -> str: ...
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
         """(n, 2) µN at displacement u and velocity v (n, 2); `within` as of `Amplitude`."""

@@ -177,9 +177,9 @@ class Run(Protocol):
     """A run: a curve and its wall time in s."""
 
     @property
-    def curve(self) -> DisplacementCurve: ...  # noqa: D102 - the class says it
+    def curve(self) -> DisplacementCurve: ...
     @property
-    def seconds(self) -> float: ...  # noqa: D102
+    def seconds(self) -> float: ...
 
 
 R_co = TypeVar("R_co", bound=Run, covariant=True)
@@ -189,14 +189,14 @@ class Case(Protocol[R_co]):
     """A run that is to be made; the names as of `BarCase`."""
 
     @property
-    def name(self) -> str: ...  # noqa: D102
+    def name(self) -> str: ...
     @property
-    def label(self) -> str: ...  # noqa: D102
+    def label(self) -> str: ...
     @property
-    def duration(self) -> float: ...  # noqa: D102
-    def configuration(self) -> dict[str, Any]: ...  # noqa: D102
-    def compute(self, progress: Progress | None = None) -> R_co: ...  # noqa: D102
-    def run(self, curve: DisplacementCurve, seconds: float) -> R_co: ...  # noqa: D102
+    def duration(self) -> float: ...
+    def configuration(self) -> dict[str, Any]: ...
+    def compute(self, progress: Progress | None = None) -> R_co: ...
+    def run(self, curve: DisplacementCurve, seconds: float) -> R_co: ...
 
 
 def compute_or_read(case: Case[R_co], kept: KeptCurves, progress: Progress | None = None) -> R_co:

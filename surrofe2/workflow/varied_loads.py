@@ -20,7 +20,7 @@ PACE = (0.5, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Varied:
+class Varied(Amplitude):
     """factor · amplitude(pace · t)."""
 
     amplitude: Amplitude
