@@ -51,22 +51,15 @@ _MOST_OF_A_PROCESS = 4096  # samples of a Gaussian process, whose cost rises wit
 _WEIGHT = 0.1
 _TIMES_LONGER = 4
 
-_plain = partial(replace, form="stress", baseline_degree=0, tangent_weight=0.0)
+_plain = partial(replace, baseline_degree=0, tangent_weight=0.0)
 NETWORKS: Mapping[str, Callable[[TrainingSettings], TrainingSettings]] = {
     "plain MLP": _plain,
     "plain MLP, 4 × the iterations": lambda s: _plain(s, iterations=_TIMES_LONGER * s.iterations),
     "+ symmetry": _plain,
-    "+ energy": partial(_plain, form="energy"),
-    "+ tangents": partial(_plain, form="energy", tangent_weight=_WEIGHT),
-    "+ Kelvin–Voigt": partial(replace, form="energy", baseline_degree=1, tangent_weight=_WEIGHT),
-    "+ polynomial": partial(replace, form="energy", baseline_degree=3, tangent_weight=_WEIGHT),
-    "+ polynomial − tangents": partial(
-        replace, form="energy", baseline_degree=3, tangent_weight=0.0
-    ),
-    "+ polynomial − energy": partial(
-        replace, form="stress", baseline_degree=3, tangent_weight=_WEIGHT
-    ),
-    "+ polynomial − both": partial(replace, form="stress", baseline_degree=3, tangent_weight=0.0),
+    "+ tangents": partial(_plain, tangent_weight=_WEIGHT),
+    "+ Kelvin–Voigt": partial(replace, baseline_degree=1, tangent_weight=_WEIGHT),
+    "+ polynomial": partial(replace, baseline_degree=3, tangent_weight=_WEIGHT),
+    "+ polynomial − tangents": partial(replace, baseline_degree=3, tangent_weight=0.0),
 }
 WITHOUT_SYMMETRY = tuple(NETWORKS)[:2]
 RIVALS: Mapping[str, Callable[[], Regressor]] = {

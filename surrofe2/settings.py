@@ -26,7 +26,10 @@ T = TypeVar("T")
 
 _LONGEST_NAME, _LONGEST_LIST = 60, 150
 """Characters of a name and of a list of names in a sentence."""
-REMOVED: dict[str, str] = {}
+REMOVED: dict[str, str] = {
+    "training.form": "leave it out; the network always gives the whole stress",
+    "training.energy_hidden": "leave it out; the network always gives the whole stress",
+}
 """Keys that recipes had in earlier versions, as "section.key", and what to do instead."""
 _SMALLEST, _LARGEST, _ENDS = 1e-60, 1e30, (0.0, math.inf, -math.inf)
 """Numbers beyond these are mistakes, whose products overflow."""

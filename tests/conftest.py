@@ -21,7 +21,6 @@ file = "cells.h5"
 
 [training]
 file = "cells.safetensors"
-form = "stress"
 hidden = [4]
 baseline_degree = 2
 iterations = 40

@@ -23,7 +23,7 @@ class TinySetting(Setting):
         recipe = super().recipe(preset)
         return replace(
             recipe,
-            training=replace(recipe.training, hidden=(4,), energy_hidden=(4,), iterations=40),
+            training=replace(recipe.training, hidden=(4,), iterations=40),
         )
 
 
@@ -75,6 +75,6 @@ def test_rivals_have_the_symmetry_of_the_square(regressor):
 
 def test_the_recipe_is_found_among_the_contenders():
     found = [name for name in ablation.CONTENDERS if ablation.is_of(name, TrainingSettings())]
-    assert found == ["+ polynomial − energy"]
+    assert found == ["+ polynomial"]
     other = TrainingSettings(baseline_degree=2)
     assert not any(ablation.is_of(name, other) for name in ablation.CONTENDERS)

@@ -57,7 +57,6 @@ class StressSurrogate(RegressorMixin, BaseEstimator):
         cell: str | CellParameters = "printed",
         initialisation: str = "constrained-runs",
         hidden: tuple[int, ...] = (24, 24),
-        form: str = "stress",
         tangent_weight: float = 0.1,
         baseline_degree: int = 3,
         iterations: int = 1000,
@@ -66,7 +65,6 @@ class StressSurrogate(RegressorMixin, BaseEstimator):
         self.cell = cell
         self.initialisation = initialisation
         self.hidden = hidden
-        self.form = form
         self.tangent_weight = tangent_weight
         self.baseline_degree = baseline_degree
         self.iterations = iterations
@@ -108,7 +106,6 @@ class StressSurrogate(RegressorMixin, BaseEstimator):
             ),
             TrainingSettings(
                 hidden=self.hidden,
-                form=self.form,
                 tangent_weight=self.tangent_weight,
                 baseline_degree=self.baseline_degree,
                 iterations=self.iterations,
@@ -142,7 +139,6 @@ class StressSurrogate(RegressorMixin, BaseEstimator):
             cell=law.cell,
             initialisation=law.initialisation,
             hidden=settings.hidden,
-            form=settings.form,
             tangent_weight=settings.tangent_weight,
             baseline_degree=settings.baseline_degree,
             iterations=settings.iterations,

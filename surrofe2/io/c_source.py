@@ -69,11 +69,8 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "FOURS": len(network.begins) - 1,
         "INVARIANTS": len(network.invariants),
         "TERMS": len(network.terms),
-        "FACTOR_LAYERS": len(network.sizes),
-        "FACTOR_UNITS": int(network.sizes.sum()),
-        "ENERGY_LAYERS": len(network.energy_sizes) if len(network.energy_weights) else 0,
-        "ENERGY_UNITS": int(network.energy_sizes.sum()),
-        "ENERGY_WIDEST": int(network.energy_sizes.max()),
+        "LAYERS": len(network.sizes),
+        "UNITS": int(network.sizes.sum()),
         "CLIFF": len(bounds.cliff),
         "SQUARE": int(bounds.square[0]),
         "SIDES": len(bounds.limits),
@@ -108,14 +105,6 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "bound_coefficients": bounds.bound,
         "near": bounds.near,
     }
-    if sizes["ENERGY_LAYERS"]:
-        arrays |= {
-            "energy_factor": network.energy_factor,
-            "energy_at_rest": network.energy_at_rest,
-            "energy_sizes": network.energy_sizes,
-            "energy_weights": network.energy_weights,
-            "energy_biases": network.energy_biases,
-        }
     for name, values in arrays.items():
         yield from _table(name, values)
 

@@ -3,8 +3,7 @@
 
 #define INPUTS 7
 #define ONE 7
-#define BIOT 4
-#define COMPONENTS 7
+#define COMPONENTS 4
 #define STRETCH 3
 
 typedef double dual[1 + INPUTS];
@@ -23,36 +22,36 @@ static void add_times(double factor, const double *a, double *sum, int n)
         sum[k] += factor * a[k];
 }
 
-/* a, a value alone, times the dual b, added to sum */
+/* the product of the three rows that `which` names */
 static void product_of_three(dual *rows, const int *which, double *product, int n)
 {
     multiply(rows[which[0]], rows[which[1]], product, n);
     multiply(product, rows[which[2]], product, n);
 }
 
-/* units of the layers `first` to `last` from those before; the last of all has no tanh */
-static int forward(const int *sizes, int layers, int all, const double *weights,
-                   const double *biases, dual *units, int n)
+/* units of all layers from those of the first; the last has no tanh. Returns where it begins. */
+static int forward(dual *units, int n)
 {
+    const double *weight = weights, *bias = biases;
     int begin = 0;
-    for (int layer = 1; layer < layers; layer++) {
+    for (int layer = 1; layer < LAYERS; layer++) {
         const int rows = sizes[layer], columns = sizes[layer - 1];
         dual *source = units + begin, *target = units + begin + columns;
         for (int i = 0; i < rows; i++) {
             double *unit = target[i];
             for (int k = 0; k <= n; k++)
                 unit[k] = 0.0;
-            unit[0] = biases[i];
+            unit[0] = bias[i];
             for (int j = 0; j < columns; j++)
-                add_times(weights[i * columns + j], source[j], unit, n);
-            if (layer != all - 1) {
+                add_times(weight[i * columns + j], source[j], unit, n);
+            if (layer != LAYERS - 1) {
                 unit[0] = tanh(unit[0]);
                 for (int k = 1; k <= n; k++)
                     unit[k] *= 1.0 - unit[0] * unit[0];
             }
         }
-        weights += rows * columns;
-        biases += rows;
+        weight += rows * columns;
+        bias += rows;
         begin += columns;
     }
     return begin;
@@ -87,14 +86,13 @@ static void near_invariant(const dual x, int power, double *invariant, int n)
 
 static void add_terms(dual *x, dual *y, int n)
 {
-    static const int last = FACTOR_LAYERS - 1;
-    dual units[FACTOR_UNITS], product;
+    dual units[UNITS], product;
     memset(units, 0, sizes[0] * sizeof(dual));
     for (int i = 0; i < INVARIANTS; i++)
         product_of_three(x, invariants[i], units[i], n);
     for (int k = 0; k < STRETCH; k++)
         near_invariant(x[k], powers[k], units[INVARIANTS + k], n);
-    dual *factors = units + forward(sizes, last + 1, last + 1, weights, biases, units, n);
+    dual *factors = units + forward(units, n);
     for (int term = 0; term < TERMS; term++) {
         product_of_three(x, terms[term], product, n);
         factors[term][0] -= at_rest[term];
@@ -102,65 +100,6 @@ static void add_terms(dual *x, dual *y, int n)
         add_times(output_factor[terms[term][3]], product, y[terms[term][3]], n);
     }
 }
-
-#if ENERGY_LAYERS > 1
-/* 2 dW/d(s, d, g) by the energy network forward and back, and the spin that makes the Cauchy
- * stress of it symmetric */
-static void add_elastic(dual *x, dual *y, int n)
-{
-    static const int last = ENERGY_LAYERS - 1;
-    dual hidden[ENERGY_UNITS], back[ENERGY_WIDEST], next[ENERGY_WIDEST], inner, change;
-    memset(hidden, 0, energy_sizes[0] * sizeof(dual));
-    for (int k = 0; k < STRETCH; k++)
-        multiply(x[k], powers[k] == 2 ? x[k] : x[ONE], hidden[k], n);
-    int begin = forward(energy_sizes, last, ENERGY_LAYERS, energy_weights, energy_biases, hidden, n);
-    const double *weight = energy_weights;
-    for (int layer = 1; layer < last; layer++)
-        weight += energy_sizes[layer] * energy_sizes[layer - 1];
-    memset(back, 0, sizeof back);
-    for (int row = 0; row < energy_sizes[last - 1]; row++)
-        back[row][0] = weight[row];
-    for (int layer = last - 1; layer > 0; layer--) {
-        const int rows = energy_sizes[layer], columns = energy_sizes[layer - 1];
-        for (int row = 0; row < rows; row++) {
-            const double *h = hidden[begin + row];
-            change[0] = 1.0 - h[0] * h[0];
-            for (int k = 1; k <= n; k++)
-                change[k] = -2.0 * h[0] * h[k];
-            multiply(back[row], change, back[row], n);
-        }
-        weight -= rows * columns;
-        memset(next, 0, sizeof next);
-        for (int row = 0; row < rows; row++)
-            for (int j = 0; j < columns; j++)
-                add_times(weight[row * columns + j], back[row], next[j], n);
-        memcpy(back, next, sizeof back);
-        begin -= columns;
-    }
-    for (int k = 0; k < STRETCH; k++) {
-        memset(inner, 0, sizeof inner);
-        add_times(energy_factor[k] * (powers[k] == 2 ? 2.0 : 1.0), powers[k] == 2 ? x[k] : x[ONE],
-                  inner, n);
-        back[k][0] -= energy_at_rest[k];
-        multiply(back[k], inner, change, n);
-        add_times(1.0, change, y[BIOT + k], n);
-    }
-    dual d = {0}, g = {0}, per_n = {0}, spin = {0};
-    const double trace = 2.0 + x[0][0] / input_factor[0];
-    per_n[0] = 1.0 / trace;
-    add_times(1.0 / input_factor[1], x[1], d, n);
-    add_times(1.0 / input_factor[2], x[2], g, n);
-    for (int k = 1; k <= n; k++)
-        per_n[k] = -x[0][k] / (input_factor[0] * trace * trace);
-    multiply(y[BIOT + 1], g, spin, n);
-    multiply(y[BIOT + 2], d, change, n);
-    add_times(-1.0, change, spin, n);
-    multiply(spin, per_n, spin, n);
-    add_times(1.0, spin, y[3], n);
-    for (int k = 0; k < STRETCH; k++)
-        add_times(1.0, y[BIOT + k], y[k], n);
-}
-#endif
 
 static double sum_of_products(const int (*table)[4], const double *coefficients, int count,
                               const double *x)
@@ -320,9 +259,6 @@ int surrofe2_stress(const double *F, const double *F_rate, double tolerance, dou
     x[ONE][0] = 1.0;
     add_terms(x, y, n);
     add_polynomial(x, y, n);
-#if ENERGY_LAYERS > 1
-    add_elastic(x, y, n);
-#endif
     for (int i = 0; i < 4; i++) {
         P_hat[i] = y[i][0];
         for (int k = 0; k < n; k++)

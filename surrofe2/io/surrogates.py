@@ -35,9 +35,9 @@ from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 SCHEMA, TRAINING_SCHEMA = "surrofe2-surrogate", "surrofe2-unfinished-training"
-SCHEMA_VERSION = 4  # 1 and 2 were stored by torch; 3 read no near invariants
+SCHEMA_VERSION = 5  # 1 and 2 were stored by torch; 4 had an energy form and half-spaces
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
-_ANEW = "train it anew with: surrofe2 train RECIPE --fresh"
+_ANEW = "train again with: surrofe2 train RECIPE --fresh"
 _ZIP = b"PK\x03\x04"  # how files of torch begin
 
 Tensors = dict[str, NDArray[Any]]
@@ -55,7 +55,7 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
     content = {
         "version": law.version,
         "units": _UNITS,
-        "network": {"form": n.form, "symmetry": n.symmetry, "degree": n.degree},
+        "network": {"symmetry": n.symmetry, "degree": n.degree},
         "settings": law.settings,
         "range": law.range,
         "cell": law.cell,
@@ -223,9 +223,10 @@ def _read(path: Path, schema: str, name: str) -> tuple[dict[str, Any], Tensors]:
         content.get("schema")
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise FileError(f"{path}: not a surrofe2 {name}; {_ANEW}") from None
-    if content.get("schema") != schema or content.get("schema_version") != SCHEMA_VERSION:
-        found_schema = f"{content.get('schema')} {content.get('schema_version')}"
+    found, version = content.get("schema"), content.get("schema_version")
+    if found != schema or version != SCHEMA_VERSION:
         raise FileError(
-            f"{path}: {found_schema}; this surrofe2 reads {schema} {SCHEMA_VERSION} as {name}"
+            f"{path}: {found} {version}; this surrofe2 reads {schema} {SCHEMA_VERSION} as {name}; "
+            f"{_ANEW}"
         )
     return content, tensors

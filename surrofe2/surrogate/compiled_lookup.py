@@ -112,7 +112,7 @@ def lookup_part(  # type: ignore[no-untyped-def]
         take_rotation_out(frame)
         set_inside(frame, network.bounds)
         scale_inputs(frame, network.input_factor, room.x)
-        evaluate_network(frame, network, room)
+        evaluate_network(network, room)
         set_stress(room.y, frame)
         _write_stress(start, frame, answer)
         apply_bound(start, frame, bounds, tolerance, rows, answer.status, answer.bound)
@@ -163,7 +163,7 @@ def _slopes(F, F_dot, network, slope_polynomial, P, slopes):  # type: ignore[no-
         take_rotation_out(frame)
         scale_inputs(frame, network.input_factor, room.x)
         set_polynomial_slopes(slope_polynomial, room)
-        evaluate_network(frame, network, room)
+        evaluate_network(network, room)
         for p in range(min(BLOCK, F.shape[0] - start)):
             t, lane = p // TILE, p % TILE
             for c in range(4):

@@ -1,4 +1,4 @@
-"""The networks of a surrogate in compiled code: value, and slopes along some of the inputs.
+"""The network of a surrogate in compiled code: value, and slopes along some of the inputs.
 
 Layout and names as in `compiled_frame`. What is differentiated by the first K inputs has the input
 as first axis: (K, rows, TILES, TILE); a value alone is the same with K = 0. Rows of a layer are
@@ -13,22 +13,20 @@ import numpy as np
 
 from surrofe2.compilation import kernel
 from surrofe2.simd import TILE, fill_tanh, inverse_root, load, spread, store
-from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES, U11, U12, U22
+from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES
 from surrofe2.surrogate.features import BEND, STRETCH
 from surrofe2.surrogate.polynomial import ROWS, add_polynomial
 from surrofe2.tensors import INPUTS
 
-BIOT = 4
-"""Components of P̂; behind them stand the symmetric ones of its elastic part."""
-COMPONENTS = BIOT + STRETCH
+COMPONENTS = 4
+"""Of P̂."""
 
 
 class Room(NamedTuple):
     """What a block is worked out in, used again for the next.
 
-    x: (8, …) scaled inputs and ones; y: (7, …) components; products: (rows, 2, TILE) of
-    polynomials; units: (all units, …) of the factors; hidden: those of the energy, back: (2,
-    units, …); the others, with K before, are their slopes.
+    x: (8, …) scaled inputs and ones; y: (4, …) components; products: (rows, 2, TILE) of
+    polynomials; units: (all units, …) of the network; the others, with K before, are their slopes.
     """
 
     x: Any
@@ -37,10 +35,6 @@ class Room(NamedTuple):
     products: Any
     units: Any
     unit_slopes: Any
-    hidden: Any
-    hidden_slopes: Any
-    back: Any
-    back_slopes: Any
 
 
 @kernel
@@ -49,10 +43,8 @@ def make_room(arrays, slope_polynomial, inputs):  # type: ignore[no-untyped-def]
 
     slope_polynomial: where there are no slopes, the arrays once more.
     """
-    stretches = min(inputs, STRETCH)
     made = max(arrays.made.shape[0], slope_polynomial.made.shape[0])
-    units, widest = arrays.sizes.sum(), arrays.energy_sizes.max()
-    units_of_energy = arrays.energy_sizes.sum()
+    units = arrays.sizes.sum()
     return Room(
         np.empty((INPUTS + 1, TILES, TILE)),
         np.empty((COMPONENTS, TILES, TILE)),
@@ -60,24 +52,18 @@ def make_room(arrays, slope_polynomial, inputs):  # type: ignore[no-untyped-def]
         np.empty((ROWS + made, 2, TILE)),
         np.empty((units, TILES, TILE)),
         np.empty((inputs, units, TILES, TILE)),
-        np.empty((units_of_energy, TILES, TILE)),
-        np.empty((stretches, units_of_energy, TILES, TILE)),
-        np.empty((2, widest, TILES, TILE)),
-        np.empty((2, stretches, widest, TILES, TILE)),
     )
 
 
 @kernel
-def evaluate_network(frame, arrays, room):  # type: ignore[no-untyped-def]
-    """Rows 0 to 3 of y, the components of P̂, and their slopes by scaled inputs, from x.
+def evaluate_network(arrays, room):  # type: ignore[no-untyped-def]
+    """The components of P̂, y, and their slopes by scaled inputs, from x.
 
     The slopes begin with those of the polynomial, see `set_polynomial_slopes`.
     """
     room.y[:] = 0.0
     _add_terms(arrays, room, evaluate_factors(arrays, room))
     add_polynomial(room.x, arrays, room.products, room.y)
-    if arrays.energy_sizes.shape[0] > 1:
-        _add_elastic(frame, arrays, room, evaluate_energy_slope(arrays, room))
 
 
 @kernel
@@ -104,9 +90,7 @@ def evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
             for t in range(TILES):
                 _add_product_slopes(arrays.invariants, row, x, spread(1.0), slopes, row, t)
     _fill_near_invariants(arrays.powers, x, units, slopes, products)
-    layers = arrays.sizes.shape[0]
-    first, _ = _forward(arrays.sizes, layers, arrays.weights, arrays.biases, units, slopes)
-    return first
+    return _forward(arrays.sizes, arrays.weights, arrays.biases, units, slopes)
 
 
 @kernel
@@ -125,15 +109,14 @@ def _fill_near_invariants(powers, x, units, slopes, first):  # type: ignore[no-u
 
 
 @kernel
-def _forward(sizes, layers, weights, biases, units, slopes):  # type: ignore[no-untyped-def]
-    """Fill the units of so many layers, the inputs counted, and their slopes, from those before.
+def _forward(sizes, weights, biases, units, slopes):  # type: ignore[no-untyped-def]
+    """Fill the units of all layers, and their slopes, from the inputs'; the last has no tanh.
 
-    The last of all layers has no tanh. Returns the first row of the last layer that was filled,
-    and the number of weights up to it.
+    Returns the first row of the last layer.
     """
     none = np.zeros(sizes.max())
     begin, first_weight, first_bias = 0, 0, 0
-    for layer in range(1, layers):
+    for layer in range(1, sizes.shape[0]):
         rows, columns = sizes[layer], sizes[layer - 1]
         end = first_weight + rows * columns
         matrix = weights[first_weight:end].reshape(rows, columns)
@@ -148,7 +131,7 @@ def _forward(sizes, layers, weights, biases, units, slopes):  # type: ignore[no-
                 _times_tanh_slope(units[middle:], slopes[k, middle:], rows)
         begin, first_weight = middle, end
         first_bias += rows
-    return begin, first_weight
+    return begin
 
 
 @kernel
@@ -194,99 +177,6 @@ def _add_product_slopes(table, row, x, factor, slopes, component, t):  # type: i
 def _add_to(slopes, k, component, t, value):  # type: ignore[no-untyped-def]
     if k < slopes.shape[0]:
         store(load(slopes, k, component, t) + value, slopes, k, component, t)
-
-
-@kernel
-def evaluate_energy_slope(arrays, room):  # type: ignore[no-untyped-def]
-    """Fill back[last] with ∂W by the invariants of U, and its slopes by s, d, g; returns last.
-
-    Forward through the layers and back, with both differentiated.
-    """
-    x, sizes = room.x, arrays.energy_sizes
-    hidden, hidden_slopes, back, back_slopes = (
-        room.hidden,
-        room.hidden_slopes,
-        room.back,
-        room.back_slopes,
-    )
-    stretches = hidden_slopes.shape[0]
-    hidden[: sizes[0]] = 0.0
-    hidden_slopes[:, : sizes[0]] = 0.0
-    for k in range(STRETCH):
-        for t in range(TILES):
-            one, value = load(x, ONE, t), load(x, k, t)
-            squared = arrays.powers[k] == 2
-            store(value * value if squared else value, hidden, k, t)
-            if stretches:
-                store(value + value if squared else one, hidden_slopes, k, k, t)
-    none = np.zeros(sizes.max())
-    last = sizes.shape[0] - 1
-    begin, first_weight = _forward(
-        sizes, last, arrays.energy_weights, arrays.energy_biases, hidden, hidden_slopes
-    )
-    now = 0
-    for row in range(sizes[last - 1]):
-        for t in range(TILES):
-            store(spread(arrays.energy_weights[first_weight + row]), back, now, row, t)
-            for k in range(stretches):
-                store(0.0, back_slopes, now, k, row, t)
-    for layer in range(last - 1, 0, -1):
-        rows, columns = sizes[layer], sizes[layer - 1]
-        for row in range(rows):
-            for t in range(TILES):
-                h, value = load(hidden, begin + row, t), load(back, now, row, t)
-                slope = 1.0 - h * h
-                for k in range(stretches):
-                    by_h = (h + h) * load(hidden_slopes, k, begin + row, t) * value
-                    outer = slope * load(back_slopes, now, k, row, t)
-                    store(outer - by_h, back_slopes, now, k, row, t)
-                store(value * slope, back, now, row, t)
-        first_weight -= rows * columns
-        end = first_weight + rows * columns
-        matrix = arrays.energy_turned[first_weight:end].reshape(columns, rows)
-        apply_layer(matrix, none, back[now], back[1 - now])
-        for k in range(stretches):
-            apply_layer(matrix, none, back_slopes[now, k], back_slopes[1 - now, k])
-        now = 1 - now
-        begin -= columns
-    return now
-
-
-@kernel
-def _add_elastic(frame, arrays, room, last):  # type: ignore[no-untyped-def]
-    """Add 2 ∂W/∂(s, d, g), and the spin that makes the Cauchy stress of these symmetric."""
-    x, y, y_slopes = room.x, room.y, room.y_slopes
-    stretches = room.back_slopes.shape[1]
-    for k in range(STRETCH):
-        factor, at_rest = arrays.energy_factor[k], arrays.energy_at_rest[k]
-        squared = arrays.powers[k] == 2
-        for t in range(TILES):
-            inner = (load(x, k, t) + load(x, k, t) if squared else load(x, ONE, t)) * factor
-            slope = load(room.back, last, k, t) - at_rest
-            store(load(y, BIOT + k, t) + slope * inner, y, BIOT + k, t)
-            for j in range(stretches):
-                change = load(room.back_slopes, last, j, k, t) * inner
-                if squared and j == k:
-                    change = change + slope * (2.0 * factor)
-                _add_to(y_slopes, j, BIOT + k, t, change)
-    for t in range(TILES):
-        n = load(frame, U11, t) + load(frame, U22, t)
-        d, g = load(frame, U11, t) - load(frame, U22, t), 2.0 * load(frame, U12, t)
-        by_d, by_g = load(y, BIOT + 1, t), load(y, BIOT + 2, t)
-        spin = (by_d * g - by_g * d) / n
-        for k in range(STRETCH):
-            store(load(y, k, t) + load(y, BIOT + k, t), y, k, t)
-        store(load(y, 3, t) + spin, y, 3, t)
-        for j in range(stretches):
-            for k in range(STRETCH):
-                _add_to(y_slopes, j, k, t, load(y_slopes, j, BIOT + k, t))
-            dd, dg = load(y_slopes, j, BIOT + 1, t), load(y_slopes, j, BIOT + 2, t)
-            _add_to(y_slopes, j, 3, t, (dd * g - dg * d) / n)
-        if stretches:
-            widths = arrays.input_factor
-            _add_to(y_slopes, 0, 3, t, -spin / (n * widths[0]))
-            _add_to(y_slopes, 1, 3, t, -by_g / (n * widths[1]))
-            _add_to(y_slopes, 2, 3, t, by_d / (n * widths[2]))
 
 
 @kernel

@@ -10,10 +10,7 @@ Besides, a network reads u = x^p/√(δ² + x²) of the scaled sum, difference a
 D4 asks for, hardly tell small states apart, and a plant cell's stress bends within half a per cent
 of strain, where pairs of particles come to act.
 
-Forms of the stress, P̂ = RᵀP (see `network`):
-
-    stress      all of P̂ from terms; with D4, P̂(I, 0) = 0 by what is subtracted
-    energy      ∂W/∂U from an energy of U, and terms each of which has a factor of A
+With D4, P̂(I, 0) = 0 by what is subtracted from the factors, see `network`.
 """
 
 from __future__ import annotations
@@ -29,7 +26,6 @@ from surrofe2.sampling import SamplingRange, half_widths
 from surrofe2.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
 from surrofe2.tensors import INPUTS
 
-FORMS = ("energy", "stress")
 SYMMETRIES = ("D4", "none")
 
 Product = tuple[int, ...]
@@ -40,7 +36,6 @@ _COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
 _s, _d, _g, _S, _D, _G, _W = range(INPUTS)
-_RATES = (_S, _D, _G, _W)
 INVARIANTS: tuple[Product, ...] = (
     (_s,), (_S,),
     (_d, _d), (_d, _D), (_D, _D), (_g, _g), (_g, _G), (_G, _G), (_W, _W),
@@ -52,37 +47,24 @@ COVARIANTS: tuple[Product, ...] = (
     (_g,), (_G,), (_d, _W), (_D, _W),
     (_W,), (_d, _g), (_d, _G), (_g, _D), (_D, _G),
 )  # fmt: skip
-# those with a factor of A, of which every product with a factor of A is an invariant multiple
-VISCOUS_COVARIANTS: tuple[Product, ...] = (
-    (_S,), (_d, _D), (_g, _G), (_D, _D), (_G, _G), (_W, _W),
-    (_d, _g, _W), (_d, _G, _W), (_g, _D, _W), (_D, _G, _W),
-    (_D,), (_g, _W), (_G, _W), (_d, _S), (_d, _g, _G), (_d, _G, _G), (_d, _W, _W),
-    (_G,), (_d, _W), (_D, _W), (_g, _S), (_d, _g, _D), (_g, _D, _D), (_g, _W, _W),
-    (_W,), (_d, _G), (_g, _D), (_D, _G), (_d, _g, _S),
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """What a network of one form and symmetry is made of.
+    """What a network of one symmetry is made of.
 
     Attributes:
         invariants: products of inputs that the network reads.
         terms: product and component of what each of its outputs multiplies; those with an empty
             product are factor − factor at rest.
-        powers: of s, d, g in the least invariants of U alone: those that an energy reads, and the
-            numerators of those that tell states near rest apart.
-        elastic: whether there is an energy.
-        monomials: of the baseline in P̂, each with its component.
-        energy_monomials: of the baseline's energy.
+        powers: of s, d, g in the numerators of what tells states near rest apart.
+        monomials: of the baseline, each with its component.
     """
 
     invariants: tuple[Product, ...]
     terms: tuple[tuple[Product, int], ...]
     powers: tuple[int, ...]
-    elastic: bool
     monomials: tuple[tuple[Product, int], ...]
-    energy_monomials: tuple[Product, ...]
 
     @property
     def read(self) -> int:
@@ -104,44 +86,24 @@ def monomials(degree: int) -> tuple[Product, ...]:
     )
 
 
-def make_features(form: str, symmetry: str, degree: int) -> Features:
-    """The features of a form and symmetry, with a baseline of that degree in P̂."""
-    if form not in FORMS:
-        raise InputError(f"training.form: {form!r}; it must be one of {', '.join(FORMS)}")
+def make_features(symmetry: str, degree: int) -> Features:
+    """The features of a symmetry, with a baseline of that degree."""
     if symmetry not in SYMMETRIES:
         raise InputError(f"symmetry: {symmetry!r}; it must be one of {', '.join(SYMMETRIES)}")
-    square, elastic = symmetry == "D4", form == "energy"
-    if square:
-        products = VISCOUS_COVARIANTS if elastic else COVARIANTS
-        terms = tuple((product, parity(product)) for product in products)
-    else:
-        factors: tuple[Product, ...] = tuple((rate,) for rate in _RATES) if elastic else ((),)
-        terms = tuple((product, component) for component in _COMPONENTS for product in factors)
-    return Features(
-        invariants=INVARIANTS if square else tuple((k,) for k in range(INPUTS)),
-        terms=terms,
-        powers=(1, 2, 2) if square else (1, 1, 1),
-        elastic=elastic,
-        monomials=_monomials(elastic, square, degree),
-        energy_monomials=_energy_monomials(square, degree + 1) if elastic and degree else (),
-    )
-
-
-def _monomials(elastic: bool, square: bool, degree: int) -> tuple[tuple[Product, int], ...]:
     kept = monomials(degree)
-    if elastic:
-        kept = tuple(product for product in kept if product[-1] >= STRETCH)
-    if square:
-        return tuple((product, parity(product)) for product in kept)
-    return tuple((product, k) for product in kept for k in _COMPONENTS)
-
-
-def _energy_monomials(square: bool, degree: int) -> tuple[Product, ...]:
-    """Of degree 2 and more: there is no stress at rest."""
-    products = [p for p in monomials(degree) if max(p) < STRETCH and len(p) > 1]
-    if not square:
-        return tuple(products)
-    return tuple(p for p in products if p.count(_d) % 2 == p.count(_g) % 2 == 0)
+    if symmetry == "D4":
+        return Features(
+            invariants=INVARIANTS,
+            terms=tuple((product, parity(product)) for product in COVARIANTS),
+            powers=(1, 2, 2),
+            monomials=tuple((product, parity(product)) for product in kept),
+        )
+    return Features(
+        invariants=tuple((k,) for k in range(INPUTS)),
+        terms=tuple(((), component) for component in _COMPONENTS),
+        powers=(1, 1, 1),
+        monomials=tuple((product, k) for product in kept for k in _COMPONENTS),
+    )
 
 
 def differentiated(product: Product) -> list[tuple[int, float, Product]]:

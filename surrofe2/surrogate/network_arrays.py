@@ -13,14 +13,8 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError, quoted
 from surrofe2.sampling import SLACK, SamplingRange
 from surrofe2.surrogate.compiled_frame import ONE
-from surrofe2.surrogate.compiled_network import (
-    BIOT,
-    COMPONENTS,
-    evaluate_energy_slope,
-    evaluate_factors,
-    make_room,
-)
-from surrofe2.surrogate.features import STRETCH, Features, Product, differentiated, make_features
+from surrofe2.surrogate.compiled_network import COMPONENTS, evaluate_factors, make_room
+from surrofe2.surrogate.features import Features, Product, differentiated, make_features
 from surrofe2.surrogate.polynomial import Polynomial, make_polynomial
 from surrofe2.tensors import INPUTS, check_arrays
 
@@ -35,15 +29,13 @@ class NetworkParameters:
     """All that a network is, see `network`.
 
     Attributes:
-        form, symmetry, degree: of the stress, of the plant cell and of the baseline.
+        symmetry, degree: of the plant cell and of the baseline.
         tensors: by name: `input_scale` (7,), which the inputs are divided by; `output_scale` (4,)
-            of the terms, µN/µm; `energy_scale` (1,) of the energy network; `coefficients` (m,) of
-            the baseline's monomials, `energy_coefficients` of its energy's; `factors.0.weight`,
-            `factors.0.bias`, … of the layers that give the factors of the terms, and `energy.…`
-            of those that give an energy, where there is one.
+            of the terms, µN/µm; `coefficients` (m,) of the baseline's monomials;
+            `factors.0.weight`, `factors.0.bias`, … of the layers that give the factors of the
+            terms.
     """
 
-    form: str
     symmetry: str
     degree: int
     tensors: Mapping[str, Array]
@@ -57,41 +49,36 @@ class NetworkParameters:
         wanted: dict[str, tuple[int, ...]] = {
             "input_scale": (INPUTS,),
             "output_scale": (4,),
-            "energy_scale": (1,),
             "coefficients": (len(features.monomials),),
-            "energy_coefficients": (len(features.energy_monomials),),
         }
-        for part, size, outputs in (
-            ("factors", features.read, len(features.terms)),
-            ("energy", STRETCH, 1),
-        ):
-            count = sum(name.startswith(f"{part}.") for name in self.tensors) // 2
-            for k in np.arange(count).tolist():
-                given = self.tensors.get(f"{part}.{k}.bias", np.empty(0))
-                rows = outputs if k == count - 1 else len(given)
-                wanted |= {f"{part}.{k}.weight": (rows, size), f"{part}.{k}.bias": (rows,)}
-                size = rows
-            if bool(count) != (part == "factors" or features.elastic):
-                raise InputError(f"network.{part}: {count} layers; those of another form")
+        count = sum(name.startswith("factors.") for name in self.tensors) // 2
+        if not count:
+            raise InputError("network.factors: 0 layers; there must be at least one")
+        size = features.read
+        for k in np.arange(count).tolist():
+            bias = self.tensors.get(f"factors.{k}.bias", np.empty(0))
+            rows = len(features.terms) if k == count - 1 else len(bias)
+            wanted |= {f"factors.{k}.weight": (rows, size), f"factors.{k}.bias": (rows,)}
+            size = rows
         check_arrays("network", self.tensors, wanted)
 
     @property
     def features(self) -> Features:
         """The products that the network is made of."""
-        return make_features(self.form, self.symmetry, self.degree)
+        return make_features(self.symmetry, self.degree)
 
-    def layers(self, part: str) -> Layers:
-        """Those of "factors" or "energy"; empty where the network has none."""
-        names = [name for name in self.tensors if name.startswith(f"{part}.")]
-        count = sum(name.endswith(".weight") for name in names)
+    @property
+    def layers(self) -> Layers:
+        """Those that give the factors."""
+        count = sum(name.endswith(".weight") for name in self.tensors)
         return tuple(
-            (self.tensors[f"{part}.{k}.weight"], self.tensors[f"{part}.{k}.bias"])
+            (self.tensors[f"factors.{k}.weight"], self.tensors[f"factors.{k}.bias"])
             for k in np.arange(count)
         )
 
     def fingerprint(self, range: SamplingRange) -> str:
         """16 hexadecimal digits of all weights and the range in which they are used."""
-        digest = hashlib.sha256(repr((range, self.form, self.symmetry, self.degree)).encode())
+        digest = hashlib.sha256(repr((range, self.symmetry, self.degree)).encode())
         for name, values in sorted(self.tensors.items()):
             digest.update(f"{name} {values.shape}".encode())
             digest.update(np.ascontiguousarray(values).tobytes())
@@ -105,25 +92,18 @@ class NetworkArrays(NamedTuple):
         bounds: (4,) below and above which U₁₁ and U₂₂, and above which |U₁₂| and |A| are out of
             range, by the rounding of the range test wider than the range.
         input_factor: (7,) 1/input scale; output_factor: (4,).
-        energy_factor: (3,) from slopes of the energy network to components of P̂.
-        at_rest: (terms,) what the factors are at rest, 0 unless they are subtracted;
-            energy_at_rest: (3,) likewise of the energy network's slope.
-        made, heads, begins, tails, tail_coefficients: `polynomial.Polynomial` of the baseline; the
-            components of P̂, and from `BIOT` on those that come from its energy.
+        at_rest: (terms,) what the factors are at rest, 0 unless they are subtracted.
+        made, heads, begins, tails, tail_coefficients: `polynomial.Polynomial` of the baseline.
         invariants: (i, 3) int64 factors; terms: (t, 4) int64 factors and component.
         powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
         sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
             padded to multiples of four; weights, biases: its layers, flat, one after the other.
-        energy_sizes, energy_weights, energy_biases: likewise of the energy network, (1,) 0 and
-            empty where there is none; energy_turned: its transposed matrices.
     """
 
     bounds: Array
     input_factor: Array
     output_factor: Array
-    energy_factor: Array
     at_rest: Array
-    energy_at_rest: Array
     made: NDArray[np.int64]
     heads: NDArray[np.int64]
     begins: NDArray[np.int64]
@@ -135,10 +115,6 @@ class NetworkArrays(NamedTuple):
     sizes: NDArray[np.int64]
     weights: Array
     biases: Array
-    energy_sizes: NDArray[np.int64]
-    energy_weights: Array
-    energy_biases: Array
-    energy_turned: Array
 
     @classmethod
     def of(cls, network: NetworkParameters, range: SamplingRange) -> NetworkArrays:
@@ -146,17 +122,12 @@ class NetworkArrays(NamedTuple):
         features, given = network.features, network.tensors
         low, high = range.stretch
         above = np.array([high + SLACK, range.shear + SLACK, range.rate + SLACK * range.rate])
-        sizes, weights, biases, _ = _pack_layers(network.layers("factors"))
-        energy_sizes, energy_weights, energy_biases, energy_turned = _pack_layers(
-            network.layers("energy")
-        )
+        sizes, weights, biases = _pack_layers(network.layers)
         arrays = cls(
             bounds=np.array([np.nextafter(low - SLACK, -np.inf), *np.nextafter(above, np.inf)]),
             input_factor=1.0 / given["input_scale"],
             output_factor=given["output_scale"],
-            energy_factor=given["energy_scale"] * _to_biot(network),
             at_rest=np.zeros(len(features.terms)),
-            energy_at_rest=np.zeros(STRETCH),
             **_polynomial(_monomials(network))._asdict(),
             invariants=np.array([_three(product) for product in features.invariants]),
             terms=np.array([(*_three(product), k) for product, k in features.terms]),
@@ -164,10 +135,6 @@ class NetworkArrays(NamedTuple):
             sizes=sizes,
             weights=weights,
             biases=biases,
-            energy_sizes=energy_sizes,
-            energy_weights=energy_weights,
-            energy_biases=energy_biases,
-            energy_turned=energy_turned,
         )
         return arrays._less_rest(features)
 
@@ -179,12 +146,7 @@ class NetworkArrays(NamedTuple):
         first = evaluate_factors(self, room)
         subtracted = np.array([not product for product, _ in features.terms])
         at_rest = np.where(subtracted, room.units[first : first + len(subtracted), 0, 0], 0.0)
-        slope = np.zeros(STRETCH)
-        if features.elastic:
-            last = evaluate_energy_slope(self, room)
-            linear = np.array(features.powers) == 1
-            slope = np.where(linear, room.back[last, :STRETCH, 0, 0], 0.0)
-        return self._replace(at_rest=at_rest, energy_at_rest=slope)
+        return self._replace(at_rest=at_rest)
 
 
 def slope_polynomial(network: NetworkParameters) -> Polynomial:
@@ -201,24 +163,18 @@ def sizes_at_rest(network: NetworkParameters) -> Array:
 
     That of the baseline, which has all slopes at rest where they were known to the training.
     """
-    slopes = np.zeros((BIOT, INPUTS))
+    slopes = np.zeros((COMPONENTS, INPUTS))
     for (product, component), value in _monomials(network):
         if len(product) == 1:
-            slopes[component % BIOT, product[0]] += value
+            slopes[component, product[0]] += value
     sizes: Array = np.sqrt(0.5 * (slopes**2).sum(axis=0)) / network.tensors["input_scale"]
     return sizes
 
 
 def _monomials(network: NetworkParameters) -> list[tuple[tuple[Product, int], float]]:
-    """Product, component and coefficient of the baseline and, from `BIOT` on, of its energy."""
-    features, given, to_biot = network.features, network.tensors, _to_biot(network).tolist()
-    found = list(zip(features.monomials, given["coefficients"].tolist(), strict=True))
-    energy = zip(features.energy_monomials, given["energy_coefficients"].tolist(), strict=True)
-    return found + [
-        ((left, BIOT + variable), value * number * to_biot[variable])
-        for product, value in energy
-        for variable, number, left in differentiated(product)
-    ]
+    """Product, component and coefficient of the baseline."""
+    coefficients = network.tensors["coefficients"].tolist()
+    return list(zip(network.features.monomials, coefficients, strict=True))
 
 
 def _polynomial(monomials: Iterable[tuple[tuple[Product, int], float]]) -> Polynomial:
@@ -226,22 +182,13 @@ def _polynomial(monomials: Iterable[tuple[tuple[Product, int], float]]) -> Polyn
     return make_polynomial([key for key, _ in listed], np.array([value for _, value in listed]))
 
 
-def _to_biot(network: NetworkParameters) -> Array:
-    """(3,) from slopes of an energy by scaled inputs to components of P̂."""
-    factor: Array = 2.0 / network.tensors["input_scale"][:STRETCH]
-    return factor
-
-
-def _pack_layers(layers: Layers) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """(sizes, matrices, biases, transposed matrices), flat and padded; see `NetworkArrays`."""
-    if not layers:
-        return np.zeros(1, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0)
+def _pack_layers(layers: Layers) -> tuple[NDArray[np.int64], Array, Array]:
+    """(sizes, matrices, biases), flat and padded; see `NetworkArrays`."""
     matrices = [_padded(matrix) for matrix, _ in layers]
     return (
         np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
         np.concatenate([matrix.ravel() for matrix in matrices]),
         np.concatenate([_padded(bias[:, None])[:, 0] for _, bias in layers]),
-        np.concatenate([matrix.T.ravel() for matrix in matrices]),
     )
 
 

@@ -6,23 +6,18 @@ from dataclasses import dataclass
 
 from surrofe2.errors import InputError
 from surrofe2.settings import check_settings, setting
-from surrofe2.surrogate.features import FORMS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
     """Shape of the surrogate and effort of its training, by full-batch L-BFGS.
 
-    Forms: "stress", one network for all of it, the most accurate for its cost; "energy", elastic
-    stress from an energy, and a part that vanishes with Ḟ. The network corrects a polynomial; of
-    degree 1 that is a linear Kelvin–Voigt law.
+    The network corrects a polynomial; of degree 1 that is a linear Kelvin–Voigt law.
     """
 
     hidden: tuple[int, ...] = setting(
-        (24, 24), "tanh units in each hidden layer of the rate-dependent part", least=1, most=1024
+        (24, 24), "tanh units in each hidden layer", least=1, most=1024
     )
-    energy_hidden: tuple[int, ...] = setting((16, 16), "the same of the energy", least=1, most=1024)
-    form: str = setting("stress", "of the stress", one_of=FORMS)
     tangent_weight: float = setting(
         0.1, "of the squared error of tangents in the loss, where samples have them", least=0.0
     )
@@ -44,9 +39,8 @@ class TrainingSettings:
 
     def __post_init__(self) -> None:
         check_settings(self, "training")
-        for name, sizes in (("hidden", self.hidden), ("energy_hidden", self.energy_hidden)):
-            if not sizes:
-                raise InputError(f"training.{name}: []; it must be a list of at least one size")
+        if not self.hidden:
+            raise InputError("training.hidden: []; it must be a list of at least one size")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

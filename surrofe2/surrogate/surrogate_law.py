@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 class SurrogateLaw(Viewed):
     """σ(F, Ḟ) of one RVE, learnt; rotation and, for the square cell, D4 hold exactly.
 
-    Smooth everywhere; for the square cell σ(I, 0) = 0, and with an energy P(F, 0) = ∂W/∂F.
+    Smooth everywhere; for the square cell σ(I, 0) = 0.
 
     Attributes:
         network: components of RᵀP from those of U and RᵀḞ; see `network`.
@@ -100,7 +100,7 @@ class SurrogateLaw(Viewed):
         bound = "bound calibrated" if self.is_calibrated else "no bound"
         return (
             f"<SurrogateLaw: cell {self.cell.fingerprint}, {self.initialisation}, "
-            f"{self.network.form}, {self.network.symmetry}, {bound}; {self.range}>"
+            f"{self.network.symmetry}, {bound}; {self.range}>"
         )
 
     @property

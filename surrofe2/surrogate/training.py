@@ -30,7 +30,7 @@ from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-from surrofe2.surrogate.training_task import Task, fit_baseline, make_task, read_data, set_scales
+from surrofe2.surrogate.training_task import Task, fit_baseline, make_task, read_data, set_scale
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def train(
     network.input_scale.copy_(torch.from_numpy(input_scale(valid.range)))
     fit_baseline(network, data.at(fitted), settings)
     task, test = (make_task(network, data.at(part), settings) for part in (fitted, held_out))
-    set_scales(network, task)
+    set_scale(network, task)
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
     minimisation = _Minimisation(network, settings, identity)
     minimisation.used = len(fitted) if enough is None else min(FIRST, len(fitted))

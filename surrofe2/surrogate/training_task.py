@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.features import STRETCH, input_scale
+from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import Shapes, StressNetwork, along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
@@ -105,14 +105,13 @@ class Task:
 
 def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings) -> None:
     """Set the coefficients of the network's baseline, each component relative to its spread."""
-    cut = len(network.energy_coefficients)
-    size = cut + len(network.coefficients)
+    size = len(network.coefficients)
     if not size:
         return
     weight = 1.0 / _spread(data.target) ** 2
     gram, right = np.zeros((size, size)), np.zeros(size)
     owner = np.array([component for _, component in network.features.monomials], dtype=int)
-    owned = [np.append(np.arange(cut), cut + np.flatnonzero(owner == k)) for k in range(4)]
+    owned = [np.flatnonzero(owner == k) for k in range(4)]
     for start in range(0, len(data.x), _BLOCK):
         block = slice(start, start + _BLOCK)
         x = data.x[block]
@@ -131,9 +130,7 @@ def fit_baseline(network: StressNetwork, data: Data, settings: TrainingSettings)
     free = np.flatnonzero(~known)
     if len(free):
         fixed[free] = _solve(gram[np.ix_(free, free)], right[free])
-    solution = torch.from_numpy(fixed)
-    network.energy_coefficients.copy_(solution[:cut])
-    network.coefficients.copy_(solution[cut:])
+    network.coefficients.copy_(torch.from_numpy(fixed))
 
 
 def _sloped(
@@ -193,9 +190,7 @@ def _typical(task: Task, slope: torch.Tensor) -> torch.Tensor:
     return (size <= _OUTLIER * size.median()).to(slope.dtype)
 
 
-def set_scales(network: StressNetwork, task: Task) -> None:
-    """Set the scales by which outputs of order 1 give what the baseline leaves."""
+def set_scale(network: StressNetwork, task: Task) -> None:
+    """Set the scale by which outputs of order 1 give what the baseline leaves."""
     typical = (task.target**2).mean(dim=0).sqrt()
     network.output_scale.copy_(typical.maximum(1e-9 / task.weight.sqrt()))
-    widths = network.input_scale[:STRETCH]
-    network.energy_scale.fill_(float(network.output_scale.max() * widths.min()) / 2.0)

@@ -33,7 +33,6 @@ rate = 0.01
 [samples]
 count = 40
 [training]
-form = "stress"
 hidden = [4]
 baseline_degree = 2
 iterations = 40

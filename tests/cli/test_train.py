@@ -128,7 +128,7 @@ def test_foreign_unfinished_training(invoke, recipe_path, surrogate_path):
     refused = invoke("train", recipe_path)
     assert refused.exit_code == 1
     assert refused.stderr == (
-        f"error: {unfinished}: not a surrofe2 unfinished training, or truncated; train it anew "
+        f"error: {unfinished}: not a surrofe2 unfinished training, or truncated; train again "
         "with: surrofe2 train RECIPE --fresh\n"
     )
 

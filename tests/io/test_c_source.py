@@ -20,8 +20,7 @@ DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
 LAWS = {
-    "energy": make_law,
-    "no-energy": lambda: make_law(form="stress"),
+    "symmetry": make_law,
     "no-symmetry": lambda: make_law("none"),
     "domain": lambda: with_bound(make_law()),
 }

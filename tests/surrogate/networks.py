@@ -16,23 +16,19 @@ from tests.laws import CELL, RANGE
 from tests.surrogate.failing_samples import buckles, samples_that_fail
 
 
-def make_network(symmetry="D4", form="energy", **settings):
+def make_network(symmetry="D4"):
     """A torch network of random weights."""
-    settings = TrainingSettings(
-        form=form, hidden=(6, 5), energy_hidden=(5, 4), baseline_degree=3, seed=2, **settings
-    )
+    settings = TrainingSettings(hidden=(6, 5), baseline_degree=3, seed=2)
     network = StressNetwork(settings, symmetry)
     generator = torch.Generator().manual_seed(4)
     network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
     network.coefficients.normal_(generator=generator)
-    network.energy_coefficients.normal_(0.0, 0.05, generator=generator)
-    network.energy_scale.fill_(0.05)
     return network
 
 
-def make_law(symmetry="D4", form="energy", **settings):
+def make_law(symmetry="D4"):
     """A law of random weights, in the middle of whose range the tests stay."""
-    network = make_network(symmetry, form, **settings)
+    network = make_network(symmetry)
     return SurrogateLaw(
         network=network.to_parameters(), cell=CELL, initialisation="elastic", range=RANGE,
         settings=network.settings, errors={}, data_fingerprint="",

@@ -13,7 +13,7 @@ from surrofe2.surrogate import TrainingSettings
 from surrofe2.surrogate.compiled_bound import BoundArrays
 from surrofe2.surrogate.compiled_frame import BLOCK
 from surrofe2.surrogate.compiled_lookup import MANY, evaluate_slopes, lookup
-from surrofe2.surrogate.features import FORMS, SYMMETRIES, input_scale
+from surrofe2.surrogate.features import SYMMETRIES, input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.network_arrays import NetworkArrays, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy
@@ -32,9 +32,7 @@ def make_network(hidden, degree, symmetry="D4", **settings):
     generator = torch.Generator().manual_seed(4)
     network.input_scale.copy_(torch.from_numpy(input_scale(RANGE)))
     network.coefficients.normal_(generator=generator)
-    network.energy_coefficients.normal_(0.0, 0.05, generator=generator)
     network.output_scale.copy_(torch.tensor([1.0, 2.0, 3.0, 4.0]))
-    network.energy_scale.fill_(0.05)
     return network
 
 
@@ -66,14 +64,12 @@ def test_agrees_with_torch(hidden, degree, count):
     assert np.abs(stress - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-every_form = pytest.mark.parametrize(
-    ("form", "symmetry"), [(form, symmetry) for form in FORMS for symmetry in SYMMETRIES]
-)
+every_symmetry = pytest.mark.parametrize("symmetry", SYMMETRIES)
 
 
-@every_form
-def test_every_form_agrees_with_torch(form, symmetry):
-    network = make_network((7, 6), 3, symmetry, form=form, energy_hidden=(5, 6))
+@every_symmetry
+def test_every_symmetry_agrees_with_torch(symmetry):
+    network = make_network((7, 6), 3, symmetry)
     F, F_dot = turned_points(BLOCK + 3)
     stress, status = evaluate(F, F_dot, make_arrays(network))
     expected = network_stress(network, F, F_dot)
@@ -81,10 +77,10 @@ def test_every_form_agrees_with_torch(form, symmetry):
     assert np.abs(stress - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-@every_form
+@every_symmetry
 @pytest.mark.parametrize("degree", [0, 3])
-def test_slopes_of_every_form_agree_with_torch(form, symmetry, degree):
-    network = make_network((7, 6), degree, symmetry, form=form, energy_hidden=(5, 6, 3))
+def test_slopes_of_every_symmetry_agree_with_torch(symmetry, degree):
+    network = make_network((7, 6), degree, symmetry)
     F, F_dot = turned_points(BLOCK + 3)
     found = slopes_of(network, F, F_dot)
     expected = differentiate(network, to_inputs(F, F_dot)[0])
@@ -97,10 +93,10 @@ def slopes_of(network, F, F_dot):
     return evaluate_slopes(F, F_dot, make_arrays(network), polynomial)
 
 
-@every_form
-def test_a_value_is_that_of_slopes_along_nothing(form, symmetry):
+@every_symmetry
+def test_a_value_is_that_of_slopes_along_nothing(symmetry):
     """The same instructions with and without slopes: components of P̂ that differ by rounding."""
-    network = make_network((7, 6), 3, symmetry, form=form)
+    network = make_network((7, 6), 3, symmetry)
     F, F_dot = turned_points(BLOCK + 3)
     expected = to_cauchy(F, slopes_of(network, F, F_dot)[0])
     stress, _ = evaluate(F, F_dot, make_arrays(network))
@@ -108,7 +104,7 @@ def test_a_value_is_that_of_slopes_along_nothing(form, symmetry):
 
 
 def test_arrays_and_torch_hold_the_same_network():
-    network = make_network((7, 6), 3, form="energy")
+    network = make_network((7, 6), 3)
     parameters = network.to_parameters()
     again = StressNetwork.of(parameters, network.settings).to_parameters()
     for name, values in parameters.tensors.items():
@@ -130,9 +126,8 @@ def test_many_points_on_all_cores_give_the_same():
     assert np.array_equal(whole, np.concatenate(parts))
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_bits_of_an_answer_do_not_depend_on_its_place(form):
-    arrays = make_arrays(make_network((12, 12), 3, form=form))
+def test_the_bits_of_an_answer_do_not_depend_on_its_place():
+    arrays = make_arrays(make_network((12, 12), 3))
     F, F_dot = turned_points(4 * BLOCK)
     whole = evaluate(F, F_dot, arrays)[0]
     for k in range(1, BLOCK + 1):
@@ -196,7 +191,7 @@ def test_tanh():
 
 
 def test_a_fingerprint_is_of_weights_and_range():
-    parameters = make_network((5, 4), 2, form="energy").to_parameters()
+    parameters = make_network((5, 4), 2).to_parameters()
     again = replace(parameters, tensors=dict(reversed(parameters.tensors.items())))
     assert again.fingerprint(RANGE) == parameters.fingerprint(RANGE)
     assert again.fingerprint(replace(RANGE, rate=0.02)) != parameters.fingerprint(RANGE)

@@ -10,10 +10,9 @@ from tests.surrogate.networks import make_network
 
 
 @pytest.mark.parametrize("symmetry", ["D4", "none"])
-@pytest.mark.parametrize("form", ["stress", "energy"])
 @pytest.mark.parametrize("second_order", [True, False])
-def test_correction_and_its_slope(form, symmetry, second_order):
-    network = make_network(symmetry, form)
+def test_correction_and_its_slope(symmetry, second_order):
+    network = make_network(symmetry)
     network.second_order = second_order
     generator = torch.Generator().manual_seed(6)
     x, direction = torch.randn((2, 20, 7), generator=generator, dtype=torch.float64)

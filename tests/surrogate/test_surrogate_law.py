@@ -13,6 +13,7 @@ from safetensors.numpy import save_file
 
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import FileError, InputError
+from surrofe2.io import surrogates
 from surrofe2.io.surrogates import read_surrogate, write_surrogate, write_training
 from surrofe2.sampling import sample
 from surrofe2.stress_law import Status
@@ -76,9 +77,8 @@ def test_lists_and_views_are_taken(law):
     assert np.array_equal(law.respond(F[::-1], F_dot[::-1]).stress, expected[::-1])
 
 
-@pytest.mark.parametrize("form", ["stress", "energy"])
-def test_file_gives_the_same_surrogate(form, tmp_path):
-    settings = TrainingSettings(hidden=(6, 6), form=form, baseline_degree=2, iterations=20)
+def test_file_gives_the_same_surrogate(tmp_path):
+    settings = TrainingSettings(hidden=(6, 6), baseline_degree=2, iterations=20)
     law = train(lattice_samples(400), settings)
     write_surrogate(law, tmp_path / "a.safetensors")
     loaded = read_surrogate(str(tmp_path / "a.safetensors"))
@@ -165,14 +165,20 @@ def test_a_file_of_other_tensors(tmp_path):
 
 def test_an_unfinished_training_is_no_surrogate(tmp_path):
     write_training(tmp_path / "a.safetensors", {"data_fingerprint": "1"}, 20, {"a": np.zeros(3)})
-    assert_refused(tmp_path / "a.safetensors", "unfinished-training 4; this surrofe2 reads")
+    assert_refused(tmp_path / "a.safetensors", "unfinished-training 5; this surrofe2 reads")
+
+
+def test_a_surrogate_of_an_older_schema_says_what_to_do(file, monkeypatch):
+    content, tensors = read_parts(file)
+    with monkeypatch.context() as older:
+        older.setattr(surrogates, "SCHEMA_VERSION", 4)
+        write_parts(file, content, tensors)
+    assert_refused(file, "surrofe2-surrogate 4; this .* train again with: surrofe2 train RECIPE")
 
 
 def test_a_surrogate_that_torch_stored(tmp_path):
     torch.save({"format": "surrofe2 surrogate 2"}, tmp_path / "a.safetensors")
-    assert_refused(
-        tmp_path / "a.safetensors", "stored by torch; train it anew with: surrofe2 train"
-    )
+    assert_refused(tmp_path / "a.safetensors", "stored by torch; train again with: surrofe2 train")
 
 
 def test_a_flipped_bit_anywhere_is_seen(file):
@@ -208,8 +214,8 @@ class Payload:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("network", {"form": "stress"}),
-        ("network", {"form": "other", "symmetry": "D4", "degree": 3}),
+        ("network", {"symmetry": "D4"}),
+        ("network", {"symmetry": "other", "degree": 3}),
         ("settings", {"depth": 3}),
         ("settings", None),
         ("cell", {"cell_side": -1.0}),
