@@ -14,7 +14,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import InputError
 
 Array = NDArray[np.float64]
@@ -221,37 +220,6 @@ class SwitchingLaw(StressLaw, Protocol):
             F, F_dot: (n, 2, 2) at the start of the step.
             response: stress and status there, and the committed state.
             switched: (n,) of the answer that found the points.
-        """
-
-
-@dataclass(frozen=True, slots=True)
-class ElementForces:
-    """What an `ElementLaw` answers.
-
-    Attributes:
-        forces: (n_el, k, 2) on the nodes of each element, µN.
-        effort: as of `StressResponse`.
-    """
-
-    forces: Array
-    effort: Mapping[str, int]
-
-
-@runtime_checkable
-class ElementLaw(Protocol):
-    """A stress law that goes from motion to forces at once, for whom no stress is wanted of."""
-
-    def element_forces(
-        self, space: ElementArrays, u: Array, v: Array, state: Any
-    ) -> ElementForces | None:
-        """The forces by the stresses of `respond` from the same state, at all points.
-
-        Args:
-            space: the elements. u, v: (n, 2) displacement and velocity of nodes, µm and µm/µs.
-            state: as of `respond`, never None.
-
-        Returns:
-            None where `respond` has more to say than stresses: of a point without one, a switch.
         """
 
 

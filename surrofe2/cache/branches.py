@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.protocols import ElementSurrogate, Fallback, Surrogate
-from surrofe2.element_kernels import ElementArrays, add_forces_of_points, deformation_of_points
+from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.errors import InputError
 from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
 
@@ -268,33 +267,6 @@ def accept_known(
         stress[points], left[points] = accepted.stress, accepted.left_bifurcation
         said = Acceptance(status, None, stress, left)
     return replace(state, on_fallback=replace(state.on_fallback, state=accepted.state)), said
-
-
-def forces_of_both(
-    surrogate: Surrogate,
-    law: Fallback,
-    space: ElementArrays,
-    motion: tuple[Array, Array],
-    state: CachedState,
-    timed: AbstractContextManager[None],
-) -> tuple[Array, Mapping[str, int]] | None:
-    """Forces (n_el, k, 2) by the surrogate, and at its points by the fallback, with its effort.
-
-    None where the surrogate does not go from motion to forces, or one of them has no stress.
-    """
-    if not isinstance(surrogate, ElementSurrogate) or state.tolerance < 0.0:
-        return None
-    known = state.on_fallback
-    forces = surrogate.motion_to_forces(space, motion, state.tolerance, known.points)
-    if forces is None or not len(known):
-        return None if forces is None else (forces, {})
-    F, F_dot = deformation_of_points(known.points, space, *motion)
-    with timed:
-        answer = law.respond(F, F_dot, known.state)
-    if answer.status.any():
-        return None
-    add_forces_of_points(known.points, space, F, answer.stress, forces)
-    return forces, answer.effort
 
 
 def joined_tangents(first: Tangents | None, second: Tangents | None) -> Tangents | None:

@@ -21,7 +21,6 @@ from surrofe2.cache.branches import (
     answer_both,
     check_state,
     choose_branches,
-    forces_of_both,
     is_ready,
     look_up,
     part_of,
@@ -31,12 +30,10 @@ from surrofe2.cache.branches import (
 from surrofe2.cache.monitor import NO_EFFORT, Monitor, effort_of
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.stress_law import (
     SURROGATE,
     TABLE,
     Acceptance,
-    ElementForces,
     Sources,
     Status,
     StressResponse,
@@ -234,21 +231,6 @@ class CachedLaw(Viewed):
             source[free[of_table]] = TABLE
         source[known.points], bound[known.points] = known.why, 0.0
         return Sources(source, bound)
-
-    def element_forces(
-        self, space: ElementArrays, u: Array, v: Array, state: CachedState
-    ) -> ElementForces | None:
-        """As of `ElementLaw`; only where each point is answered as at the start of the step."""
-        meter = self._monitor.meter
-        with meter.part("total"):
-            found = forces_of_both(
-                self.surrogate, self.fallback, space, (u, v), state, meter.part("fallback")
-            )
-        if found is None:
-            return None
-        meter.answered(state.count, 0.0)
-        forces, effort = found
-        return ElementForces(forces, added(effort_of(state.count, state.on_fallback.why), effort))
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is

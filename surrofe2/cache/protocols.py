@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
@@ -95,29 +94,6 @@ class Surrogate(Protocol):
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Know what it knew at `to_arrays`, exactly."""
-
-
-@runtime_checkable
-class ElementSurrogate(Protocol):
-    """A surrogate that goes from motion to forces at once."""
-
-    def motion_to_forces(
-        self,
-        space: ElementArrays,
-        motion: tuple[Array, Array],
-        tolerance: float,
-        held: NDArray[np.intp],
-    ) -> Array | None:
-        """(n_el, k, 2) forces on the nodes of elements by the stresses of `lookup`, µN.
-
-        Args:
-            motion: displacement and velocity (n, 2) of nodes.
-            tolerance: as of `lookup`.
-            held: points that give no force, and that only have to have det F > 0.
-
-        Returns:
-            None where another point has no stress.
-        """
 
 
 class Fallback(StressLaw, Protocol):

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import InputError
 from surrofe2.macro.mesh import Mesh
 
@@ -31,6 +31,14 @@ CENTRE = {4: (0.5, 0.5), 6: (1.0 / 3.0, 1.0 / 3.0)}
 """Of the unit square and the unit triangle, which are the references."""
 SIDE_RULE = np.polynomial.legendre.leggauss(3)
 """Points and weights on [-1, 1] along a side."""
+
+
+class ElementArrays(NamedTuple):
+    """The arrays of `Discretisation` that kernels read."""
+
+    elements: Index
+    gradients: Array
+    weights: Array
 
 
 @dataclass(frozen=True, slots=True)

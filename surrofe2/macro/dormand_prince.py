@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.macro.evaluation import Evaluation, NoStress, Stage, Switched
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.time_stepping import NO_MEMORY, StepControl, StepResult
 
 Array = NDArray[np.float64]
@@ -64,15 +64,12 @@ class DormandPrince:
         mass: (m, m) of the free unknowns, ng, where a step must also keep energy to a tenth of
             the relative tolerance. A stiff contact needs that: it is damped where stability
             limits the step, which the error of y does not see.
-        stage: the same for stages within a step, of which no more is wanted than the rate; None:
-            `rhs`.
     """
 
     rhs: Callable[[float, Array], Evaluation | NoStress | Switched]
     absolute_tolerance: float
     relative_tolerance: float
     mass: Any = None
-    stage: Callable[[float, Array], Stage | NoStress | Switched] | None = None
 
     control = StepControl(order=5, gain=0.4, largest_growth=10.0, splits_rest=False)
 
@@ -90,8 +87,8 @@ class DormandPrince:
         for number in range(1, STAGES - 1):
             y = start.y + h * (WEIGHTS[number] @ rates[:number])
             at = start.t + TIMES[number] * h if number < STAGES - 2 else t
-            trial = (self.stage or self.rhs)(at, y)
-            if not isinstance(trial, Stage):
+            trial = self.rhs(at, y)
+            if not isinstance(trial, Evaluation):
                 return trial
             rates[number], powers[number] = trial.rate, trial.powers
             residuals.append(trial.residual)

@@ -11,13 +11,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.element_kernels import add_at_nodes
-from surrofe2.macro.evaluation import Evaluation, NoStress, Stage, Switched
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.internal_force import deformation_gradient, internal_force, stress_power
 from surrofe2.macro.system import System
 from surrofe2.stress_law import (
     Acceptance,
-    ElementLaw,
     Status,
     StressLaw,
     StressResponse,
@@ -58,7 +56,6 @@ class EquationsOfMotion:
         self.system = system
         self.discretisation = system.discretisation
         self.law = law
-        self._element_law = law if isinstance(law, ElementLaw) else None
         self.clock = clock
         self.corners = system.problem.corners()
         self.piece = 0
@@ -111,31 +108,6 @@ class EquationsOfMotion:
         if surface is not None and not np.isfinite(now.powers[-3]):
             told = surface.refusal(self.discretisation.nodes, u, v)
             return NoStress(f"{self.clock.format(t)}, {told}")
-        return now
-
-    def stage(self, t: float, y: Array) -> Stage | NoStress | Switched:
-        """The rate at (t, y), where the law goes from motion to forces at once; else `evaluate`."""
-        if self._element_law is None:
-            return self.evaluate(t, y)
-        u, v = self.system.spread(y, t, self.within)
-        started = perf_counter()
-        found = self._element_law.element_forces(
-            self.discretisation.arrays, self.system.from_mesh(u), v, self.law_state
-        )
-        self.tally.law_seconds += perf_counter() - started
-        if found is None:
-            return self.evaluate(t, y)
-        internal = add_at_nodes(
-            self.discretisation.elements, found.forces, np.zeros((self.system.n_rows, 2))
-        )
-        now = self._stage(t, y, (u, v), internal)
-        is_finite = np.isfinite(internal).all()
-        if not is_finite or (self.system.surface is not None and not np.isfinite(now.powers[-3])):
-            return self.evaluate(t, y)
-        self.tally.counts["right_hand_sides"] += 1
-        self.tally.counts["stress_calls"] += 1
-        self.tally.counts["stress_points"] += self.discretisation.n_points
-        self.tally.effort.update(found.effort)
         return now
 
     def accept(self, now: Evaluation) -> Evaluation | NoStress:
@@ -206,13 +178,13 @@ class EquationsOfMotion:
         excess = now.response.stress - still.stress
         return stress_power(self.discretisation, now.F, now.F_dot, excess)
 
-    def reaction(self, now: Stage) -> Array:
+    def reaction(self, now: Evaluation) -> Array:
         """(n, 2) force by which supports act on what they hold: M a − forces, µN."""
         reaction = now.internal - now.forces.sum(axis=0) + self.inertia(now)
         reaction.ravel()[self.system.free] = 0.0
         return reaction
 
-    def inertia(self, now: Stage) -> Array:
+    def inertia(self, now: Evaluation) -> Array:
         """(n, 2) M ü of all rows, those of supports that move included, µN."""
         pushed = self.system.prescribed_acceleration(now.t, now.within)
         a = np.zeros((self.system.n_rows, 2)) if pushed is None else pushed
@@ -265,16 +237,8 @@ class EquationsOfMotion:
         response: StressResponse,
     ) -> Evaluation:
         """The forces and the rate by a stress."""
-        internal = internal_force(self.discretisation, F, response.stress, self.system.n_rows)
-        now = self._stage(t, y, motion, internal)
-        return Evaluation(
-            now.t, now.within, y, now.u, now.v, internal, now.forces, now.residual, now.powers,
-            now.rate, F, F_dot, response,
-        )  # fmt: skip
-
-    def _stage(self, t: float, y: Array, motion: tuple[Array, Array], internal: Array) -> Stage:
-        """The forces and the rate by an internal force."""
         system, (u, v) = self.system, motion
+        internal = internal_force(self.discretisation, F, response.stress, system.n_rows)
         forces = np.zeros((len(system.forces), *u.shape))
         for k, force in enumerate(system.forces):
             forces[k] = force.at(t, self.within, u, v)
@@ -288,7 +252,9 @@ class EquationsOfMotion:
         powers[0] = np.vdot(internal, v)
         powers[1:-2] = np.einsum("kni,ni->k", forces, v)
         powers[-1] = np.dot(y[y.size // 2 :], residual)
-        now = Stage(t, self.within, y, u, v, internal, forces, residual, powers, rate)
+        now = Evaluation(
+            t, self.within, y, u, v, internal, forces, residual, powers, rate, F, F_dot, response
+        )
         if system.moving:
             powers[-2:] = np.vdot(self.reaction(now), v), np.vdot(self.inertia(now), v)
         return now

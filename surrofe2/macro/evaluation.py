@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
-    """The equations of motion at one state, as a stage within a step needs them.
+class Evaluation:
+    """The equations of motion at one state.
 
     Attributes:
         t: µs.
@@ -27,6 +27,8 @@ class Stage:
         powers: (k + 3,) of the internal force, the other forces, the supports and inertia M ü,
             pJ/µs.
         rate: (2 m,) rate of y.
+        F, F_dot: (n_points, 2, 2).
+        response: what the stress law answered.
     """
 
     t: float
@@ -39,25 +41,14 @@ class Stage:
     residual: Array
     powers: Array
     rate: Array
+    F: Array
+    F_dot: Array
+    response: StressResponse
 
     @property
     def acceleration(self) -> Array:
         """(m,) ü of the free unknowns, µm/µs²."""
         return self.rate[self.y.size // 2 :]
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluation(Stage):
-    """The equations of motion at one state, with everything that was computed on the way.
-
-    Attributes:
-        F, F_dot: (n_points, 2, 2).
-        response: what the stress law answered.
-    """
-
-    F: Array
-    F_dot: Array
-    response: StressResponse
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,7 +208,7 @@ def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method
     tolerances = settings.absolute_tolerance, settings.relative_tolerance
     system = equations.system
     mass = mass_matrix(system) if system.contacts else None
-    return DormandPrince(equations.evaluate, *tolerances, mass, equations.stage)
+    return DormandPrince(equations.evaluate, *tolerances, mass)
 
 
 def _make_stepper(

@@ -12,7 +12,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import SimulationError, Surrofe2Error
 from surrofe2.interruption import exit_code, held
 from surrofe2.ranks.desk import Desk, Told
@@ -88,12 +87,9 @@ class Crew:
         """Nobody refers to that state any more."""
         self._dropped.append(number)
 
-    def adopt(self, law: StressLaw | ElementArrays, number: int | None = None) -> int:
-        """The number of a law, or of elements, that all ranks have from now on.
-
-        number: of what it takes the place of, if anything.
-        """
-        number = self.new_number() if number is None else number
+    def adopt(self, law: StressLaw) -> int:
+        """The number of a law that all ranks have from now on."""
+        number = self.new_number()
         self.do(Adopt(number, law))
         return number
 
@@ -136,9 +132,9 @@ class Crew:
 
 
 class Adopt:
-    """A law, or elements, that all ranks are to have."""
+    """A law that all ranks are to have."""
 
-    def __init__(self, number: int, law: StressLaw | ElementArrays) -> None:
+    def __init__(self, number: int, law: StressLaw) -> None:
         self.number, self.law = number, law
 
     def run(self, desk: Desk, given: tuple[Any, ...] | None) -> None:

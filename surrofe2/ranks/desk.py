@@ -25,7 +25,6 @@ class Told:
         seconds: that it took to compute.
         error: the sentence of what went wrong; then nothing else holds.
         has_state: whether there is a state of its points.
-        has_none: whether it has no forces to give.
         status: numbers and codes of points without stress.
         left: numbers of the points that its state has beyond a bifurcation.
         newly_left, stress: numbers of points that left their branch, and stresses that changed.
@@ -35,7 +34,6 @@ class Told:
     seconds: float = 0.0
     error: str | None = None
     has_state: bool = False
-    has_none: bool = False
     status: Sparse | None = None
     left: NDArray[np.intp] | None = None
     newly_left: NDArray[np.intp] | None = None
@@ -48,7 +46,7 @@ class Told:
         """Whether it says more than how long it took."""
         told = (self.error, self.status, self.left, self.newly_left, self.stress)
         is_said = any(each is not None for each in told)
-        return is_said or self.has_state or self.has_none or bool(self.effort) or bool(self.reasons)
+        return is_said or self.has_state or bool(self.effort) or bool(self.reasons)
 
 
 class Desk:
@@ -56,8 +54,7 @@ class Desk:
 
     Attributes:
         comm: mpi4py's communicator.
-        laws, states: by the numbers that rank 0 gave them; elements stand among laws, and a state
-            is that of own points.
+        laws, states: by the numbers that rank 0 gave them; a state is that of own points.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -83,12 +80,6 @@ class Desk:
     def own(self, cuts: Index) -> slice:
         """The points of this rank."""
         return slice(int(cuts[self.rank]), int(cuts[self.rank + 1]))
-
-    def shared(self, shape: tuple[int, ...], whole: Array | None) -> Array:
-        """An array that rank 0 has."""
-        values = np.empty(shape) if whole is None else np.ascontiguousarray(whole)
-        self.comm.Bcast(values)
-        return values
 
     def scattered(self, cuts: Index, whole: Array | None) -> Array:
         """The rows of this rank of an array (n, 2, 2) that rank 0 has."""

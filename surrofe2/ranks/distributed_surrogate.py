@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.ranks.crew import Crew
 from surrofe2.ranks.crew_law import CrewLaw
-from surrofe2.ranks.dealing import Blocks, Index
+from surrofe2.ranks.dealing import Blocks
 from surrofe2.ranks.desk import dense
-from surrofe2.ranks.tasks import Answered, Forces, LookUp, Slopes
+from surrofe2.ranks.tasks import Answered, LookUp, Slopes
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import (
     Acceptance,
-    ElementForces,
     Status,
     StressResponse,
     Tangents,
@@ -31,7 +29,6 @@ LEAST = 32
 """Points a rank from which on it pays to send them."""
 _BYTES = {"lookup": 104, "test": 72, "tangents": 320}
 """A point that came and went."""
-_NONE = np.empty(0, dtype=np.intp)
 
 
 class DistributedSurrogate(CrewLaw[SurrogateLaw]):
@@ -46,8 +43,6 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
     def __init__(self, law: SurrogateLaw, crew: Crew) -> None:
         super().__init__(law, crew)
         self._blocks: dict[tuple[str, int], Blocks] = {}
-        self._forces: Forces | None = None
-        self._space: tuple[ElementArrays, int] | None = None
 
     @property
     def range(self) -> SamplingRange:
@@ -85,58 +80,6 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         assert answer.bound is not None
         status = dense(len(F), [each.status for each in answer.told], np.int8)
         return answer.values, status, answer.bound
-
-    def element_forces(
-        self, space: ElementArrays, u: Array, v: Array, state: Any = None
-    ) -> ElementForces | None:
-        """As of `SurrogateLaw`."""
-        forces = self.motion_to_forces(space, (u, v), np.inf, _NONE)
-        effort = {"surrogate_points": space.weights.size}
-        return None if forces is None else ElementForces(forces, effort)
-
-    def motion_to_forces(
-        self,
-        space: ElementArrays,
-        motion: tuple[Array, Array],
-        tolerance: float,
-        held: NDArray[np.intp],
-    ) -> Array | None:
-        """As of `SurrogateLaw`, dealt by elements: displacements go out, forces come back."""
-        count, rows = len(space.elements), len(motion[0])
-        blocks = self._dealt("elements", count)
-        if blocks is None:
-            return self.law.motion_to_forces(space, motion, tolerance, held)
-        task = self._task_of(space, blocks.cuts, tolerance, held, rows)
-        answer: Answered = self.crew.do(task, *motion)
-        away = count - int(blocks.cuts[1])
-        sent = 32 * rows * (self.crew.ranks - 1) + 16 * space.elements.shape[1] * away
-        self._took("elements", count, self.crew.count(answer.told, sent))
-        return None if any(each.has_none for each in answer.told) else answer.values
-
-    def _task_of(
-        self,
-        space: ElementArrays,
-        cuts: Index,
-        tolerance: float,
-        held: NDArray[np.intp],
-        rows: int,
-    ) -> Forces:
-        """The last one where it says the same: ranks are not told it twice."""
-        if self._space is None or self._space[0].gradients is not space.gradients:
-            number = None if self._space is None else self._space[1]
-            self._space, self._forces = (space, self.crew.adopt(space, number)), None
-        same = self._forces
-        if (
-            same is None
-            or same.space != self._space[1]
-            or same.cuts is not cuts
-            or same.tolerance != tolerance
-            or same.held is not held
-            or same.rows != rows
-        ):
-            same = Forces(self._number, self._space[1], cuts, tolerance, held, rows)
-            self._forces = same
-        return same
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ _SLOPES = (2, 2, 2, 2)
 
 
 class Answered(NamedTuple):
-    """Rank 0's from all ranks: what they tell, and arrays over all points or elements."""
+    """Rank 0's from all ranks: what they tell, and arrays over all points."""
 
     told: list[Told]
     values: Array | None = None
@@ -117,38 +116,6 @@ class LookUp:
         whole = desk.gathered(self.cuts, found and found[0], (2, 2)) if self.stress else None
         bound = desk.gathered(self.cuts, found and found[-1], ())
         return None if everything is None else Answered(everything, whole, bound)
-
-
-@dataclass(frozen=True, slots=True)
-class Forces:
-    """`ElementSurrogate.motion_to_forces` of the elements of `cuts`.
-
-    Attributes:
-        space: the number of all elements, as of `Crew.adopt`.
-        held: points that give no force.
-        rows: of displacement and velocity.
-    """
-
-    law: int
-    space: int
-    cuts: Index
-    tolerance: float
-    held: NDArray[np.intp]
-    rows: int
-
-    def run(self, desk: Desk, given: tuple[Array, Array] | None) -> Answered | None:
-        """given: displacement and velocity."""
-        u, v = (desk.shared((self.rows, 2), each) for each in given or (None, None))
-        law, space, own = desk.laws[self.law], desk.laws[self.space], desk.own(self.cuts)
-        mine, n_q = space.part(own), space.weights.shape[1]
-        held = self.held[(self.held >= n_q * own.start) & (self.held < n_q * own.stop)]
-        told = Told()
-        work = partial(law.motion_to_forces, mine, (u, v), self.tolerance, held - n_q * own.start)
-        found = desk.worked(told, work) if len(mine.elements) else None
-        told.has_none = found is None and len(mine.elements) > 0
-        everything = desk.tell(told)
-        forces = desk.gathered(self.cuts, found, (space.elements.shape[1], 2))
-        return None if everything is None else Answered(everything, forces)
 
 
 @dataclass(frozen=True, slots=True)

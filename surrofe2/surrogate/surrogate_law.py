@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.costs import Cost
-from surrofe2.element_kernels import ElementArrays
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
 from surrofe2.stress_law import (
     Acceptance,
-    ElementForces,
     Status,
     StressResponse,
     Tangents,
@@ -27,7 +25,6 @@ from surrofe2.stress_law import (
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.allowance import make_allowance, weight
 from surrofe2.surrogate.compiled_bound import BoundArrays
-from surrofe2.surrogate.compiled_forces import motion_to_forces
 from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
 from surrofe2.surrogate.domain import Domain, scaled_inputs, why_outside
 from surrofe2.surrogate.error_bound import Calibration
@@ -222,25 +219,6 @@ class SurrogateLaw(Viewed):
         F, F_dot: contiguous float64 (n, 2, 2).
         """
         return lookup(F, F_dot, self.arrays, self.bound_arrays, tolerance)
-
-    def element_forces(
-        self, space: ElementArrays, u: Array, v: Array, state: Any = None
-    ) -> ElementForces | None:
-        """As of `ElementLaw`: None where a point is out of range."""
-        forces = self.motion_to_forces(space, (u, v), np.inf, np.empty(0, dtype=np.intp))
-        effort = {"surrogate_points": space.weights.size}
-        return None if forces is None else ElementForces(forces, effort)
-
-    def motion_to_forces(
-        self,
-        space: ElementArrays,
-        motion: tuple[Array, Array],
-        tolerance: float,
-        held: NDArray[np.intp],
-    ) -> Array | None:
-        """As of `cache.ElementSurrogate`: forces by the stresses of `lookup`."""
-        arrays = self.arrays, self.bound_arrays
-        return motion_to_forces(space, motion, *arrays, tolerance, held)
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf

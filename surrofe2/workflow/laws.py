@@ -19,12 +19,6 @@ from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spr
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.costs import NOTHING, Cost, Meter
-from surrofe2.element_kernels import (
-    ElementArrays,
-    add_at_nodes,
-    add_forces_of_points,
-    deformation_of_points,
-)
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
 from surrofe2.io.kept import (
     read_attached,
@@ -283,16 +277,6 @@ def _ask_all(law: StressLaw, counts: tuple[int, ...]) -> None:
         law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
         if isinstance(law, SurrogateLaw):
             law.status_and_bound(F, 0.0 * F)
-            still, m = np.zeros((1, 2)), -(-count // 5)
-            places, slopes = np.zeros((m, 4), dtype=np.int64), np.zeros((m, 5, 4, 2))
-            space, first = (
-                ElementArrays(places, slopes, np.zeros((m, 5))),
-                np.zeros(1, dtype=np.intp),
-            )
-            law.element_forces(space, still, still)
-            at, _ = deformation_of_points(first, space, still, still)
-            add_forces_of_points(first, space, at, 0.0 * at, np.zeros((m, 4, 2)))
-            add_at_nodes(places, np.zeros((m, 4, 2)), still)
 
 
 def _with_sides(settings: MacroSettings, surface: Surface) -> Problem:

@@ -133,7 +133,6 @@ def bias(_trained, monkeypatch):
         return stress + size[0], status, bound
 
     monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "motion_to_forces", lambda *asked: None)
     monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
     monkeypatch.setattr(SurrogateLaw, "stress_spread", 10.0, raising=False)
     return size

@@ -170,7 +170,6 @@ def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch)
         return stress, status, bound
 
     monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "motion_to_forces", lambda *asked: None)
     monkeypatch.setattr(SurrogateLaw, "held_to", lambda law, *_: law)
     monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
     monkeypatch.setattr(SurrogateLaw, "stress_spread", 2.0, raising=False)
