@@ -21,7 +21,7 @@ def report(
     """Show runs on one page: one HTML file that works offline and can be passed on.
 
     The tissue in motion, displacements of all runs and their difference, speed-up with all costs
-    counted, where and when the cache fell back, audited errors, visited states and the domain,
+    counted, where and when the cache fell back, audited errors, the range that was met,
     energies, provenance, and how to run it all again. What a folder lacks is left out with a
     sentence; `run --cell-fields` adds the stretch of walls, `zoom` the plant cells at a point.
 

@@ -71,9 +71,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "TERMS": len(network.terms),
         "LAYERS": len(network.sizes),
         "UNITS": int(network.sizes.sum()),
-        "CLIFF": len(bounds.cliff),
-        "SQUARE": int(bounds.square[0]),
-        "SIDES": len(bounds.limits),
+        "BOUNDARY": len(bounds.boundary),
         "BOUND": len(bounds.bound),
     }
     yield from (f"#define {name} {value}" for name, value in sizes.items())
@@ -97,10 +95,8 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "weights": network.weights,
         "biases": network.biases,
         "domain_factor": bounds.factor,
-        "sides": bounds.sides,
-        "limits": bounds.limits,
-        "cliff_table": bounds.cliff_table,
-        "cliff": bounds.cliff,
+        "boundary_table": bounds.boundary_table,
+        "boundary": bounds.boundary,
         "bound_table": bounds.bound_table,
         "bound_coefficients": bounds.bound,
         "near": bounds.near,

@@ -111,26 +111,16 @@ static double sum_of_products(const int (*table)[4], const double *coefficients,
     return total;
 }
 
-/* Whether a point is where the data are, and the bound of the error there, in uN/um. */
+/* Whether a point is short of the failure boundary, and the bound of the error, in uN/um. */
 static int domain_and_bound(const double *inputs, double tolerance, double *bound)
 {
-    double x[11], features[19] = {0.0}, mean = 0.0, size = 0.0;
+    double x[11], mean = 0.0, size = 0.0;
     for (int k = 0; k < INPUTS; k++)
         x[k] = inputs[k] * domain_factor[k];
     x[ONE] = 1.0;
     *bound = HUGE_VAL;
-    if (CLIFF && !(sum_of_products(cliff_table, cliff, CLIFF, x) <= 0.0))
+    if (BOUNDARY && !(sum_of_products(boundary_table, boundary, BOUNDARY, x) <= 0.0))
         return SURROFE2_OUT_OF_RANGE;
-    for (int k = 0; k < 9; k++) {
-        double one = k < INPUTS ? x[k] : x[k - 6] * x[k - 3], other = -one;
-        if (SQUARE && k < INPUTS && k != 0 && k != 3)
-            one = fabs(one);
-        features[k] = one;
-        features[9 + k] = other;
-    }
-    for (int k = 0; k < SIDES; k++)
-        if (!(features[sides[k][0]] + features[sides[k][1]] - limits[k] <= 0.0))
-            return SURROFE2_OUT_OF_RANGE;
     const double low = x[0] < 0.0 ? x[0] : 0.0;
     for (int k = 0; k < INPUTS; k++) {
         x[k] *= x[k];

@@ -11,7 +11,7 @@ from surrofe2.compilation import kernel
 from surrofe2.simd import TILE, load, root, spread, store, where_less
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.compiled_frame import TILES, scale_inputs
-from surrofe2.surrogate.domain import FEATURES, Domain, cliff_table
+from surrofe2.surrogate.domain import Domain, boundary_table
 from surrofe2.surrogate.error_bound import (
     COMPRESSION,
     NEAR,
@@ -23,8 +23,7 @@ from surrofe2.surrogate.error_bound import (
 from surrofe2.tensors import INPUTS
 
 _ROWS = NEAR + 1
-_SIDES = 2 * FEATURES + 1
-_HEIGHT, _BEYOND, _BOUND = _ROWS + _SIDES, _ROWS + _SIDES + 1, _ROWS + _SIDES + 2
+_HEIGHT, _BOUND = _ROWS, _ROWS + 1
 BOUND_ROWS = _BOUND + 1
 """Rows that `apply_bound` works in."""
 _NOT_TRUSTED, _OUT_OF_RANGE = int(Status.NOT_TRUSTED), int(Status.OUT_OF_RANGE)
@@ -36,21 +35,15 @@ class BoundArrays(NamedTuple):
 
     Attributes:
         factor: (7,) 1/scale of the inputs.
-        square: (1,) int64, 1 where moduli are taken.
-        sides: (m, 2) int64, the two features of each half-space: 0 to 8, 9 more for the negative,
-            18 for none; limits: (m,) of their sum.
-        cliff_table: (k, 4) int64; cliff: (k,) float64.
+        boundary_table: (k, 4) int64; boundary: (k,) float64; no rows: no sample failed.
         bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
         near: (7,) share of each squared input in the size of a state.
         allowance: (8,) of `allowance`; empty: bounds count once everywhere.
     """
 
     factor: NDArray[np.float64]
-    square: NDArray[np.int64]
-    sides: NDArray[np.int64]
-    limits: NDArray[np.float64]
-    cliff_table: NDArray[np.int64]
-    cliff: NDArray[np.float64]
+    boundary_table: NDArray[np.int64]
+    boundary: NDArray[np.float64]
     bound_table: NDArray[np.int64]
     bound: NDArray[np.float64]
     near: NDArray[np.float64]
@@ -64,29 +57,20 @@ class BoundArrays(NamedTuple):
         allowance: NDArray[np.float64] | None = None,
     ) -> BoundArrays:
         """The arrays of a domain (None: everywhere) and a bound (None: infinite)."""
-        sides, limits = np.empty((0, 2), dtype=np.int64), np.empty(0)
-        table, cliff = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
+        table, boundary = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
         bound_table, bound = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
-        factor, near, square = np.ones(INPUTS), np.ones(INPUTS), False
+        factor, near = np.ones(INPUTS), np.ones(INPUTS)
         if domain is not None:
-            sides, limits = _half_spaces(domain)
-            factor, square = 1.0 / domain.scale, domain.square
-            if len(domain.cliff):
-                table, cliff = cliff_table(square), domain.cliff
+            factor = 1.0 / domain.scale
+            if len(domain.boundary):
+                table, boundary = boundary_table(domain.square), domain.boundary
             if calibration is not None and np.isfinite(calibration.quantile):
                 used = calibration.scale > 0.0
                 bound_table = scale_table()[used]
                 bound = calibration.quantile * calibration.scale[used]
                 near = calibration.near
-        flag, counted = np.array([int(square)]), np.empty(0) if allowance is None else allowance
-        return cls(factor, flag, sides, limits, table, cliff, bound_table, bound, near, counted)
-
-
-def _half_spaces(domain: Domain) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Sides and limits as of `BoundArrays`."""
-    sides = np.where(domain.signs < 0.0, domain.pairs + FEATURES, domain.pairs)
-    sides[domain.signs == 0.0] = 2 * FEATURES
-    return sides, domain.limits
+        counted = np.empty(0) if allowance is None else allowance
+        return cls(factor, table, boundary, bound_table, bound, near, counted)
 
 
 @kernel
@@ -95,12 +79,10 @@ def apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: 
 
     room: (`BOUND_ROWS`, TILES, TILE). status: what the range test gave.
     """
-    x, features = room[:_ROWS], room[_ROWS : _ROWS + _SIDES]
+    x = room[:_ROWS]
     scale_inputs(frame, arrays.factor, x)
-    room[_HEIGHT] = 0.0 if arrays.cliff.shape[0] else -1.0
-    _add_products(arrays.cliff_table, arrays.cliff, x, room, _HEIGHT)
-    _set_features(x, arrays.square[0] == 1, features)
-    _test_half_spaces(features, arrays, room)
+    room[_HEIGHT] = 0.0
+    _add_products(arrays.boundary_table, arrays.boundary, x, room, _HEIGHT)
     _square_rows(arrays.near, x)
     room[_BOUND] = 0.0
     _add_products(arrays.bound_table, arrays.bound, x, room, _BOUND)
@@ -111,48 +93,12 @@ def apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: 
         point, t, lane = start + p, p // TILE, p % TILE
         value = room[_BOUND, t, lane] if known else np.inf
         code = status[point]
-        if code == 0 and not (room[_BEYOND, t, lane] <= 0.0 and room[_HEIGHT, t, lane] <= 0.0):
+        if code == 0 and not room[_HEIGHT, t, lane] <= 0.0:
             code = _OUT_OF_RANGE
         if code == 0 and not value <= tolerance:
             code = _NOT_TRUSTED
         bound[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
         status[point] = code
-
-
-@kernel
-def _set_features(x, square, features):  # type: ignore[no-untyped-def]
-    """Rows 0 to 8: the features of `domain`; 9 to 17: negatives of what has a sign; 18: zeros."""
-    for t in range(TILES):
-        for k in range(FEATURES):
-            one = load(x, k if k < INPUTS else k - 6, t)
-            if k >= INPUTS:
-                one = one * load(x, k - 3, t)  # dD and gG
-            other = -one
-            if square and k < INPUTS and k != 0 and k != 3:
-                one = _larger(one, other)
-            store(one, features, k, t)
-            store(other, features, FEATURES + k, t)
-        store(0.0, features, 2 * FEATURES, t)
-
-
-@kernel
-def _larger(one, other):  # type: ignore[no-untyped-def]
-    """`one` in lanes where it is greater, else `other`."""
-    return where_less(other, one, one, other)
-
-
-@kernel
-def _test_half_spaces(features, arrays, room):  # type: ignore[no-untyped-def]
-    """How far each point is beyond the half-space that it violates most, 0 where within all."""
-    sides, limits = arrays.sides, arrays.limits
-    for t in range(0, TILES, 2):
-        most, other = spread(0.0), spread(0.0)  # of two tiles, as one has to wait for the last
-        for k in range(limits.shape[0]):
-            i, j, limit = sides[k, 0], sides[k, 1], spread(limits[k])
-            most = _larger(load(features, i, t) + load(features, j, t) - limit, most)
-            other = _larger(load(features, i, t + 1) + load(features, j, t + 1) - limit, other)
-        store(most, room, _BEYOND, t)
-        store(other, room, _BEYOND, t + 1)
 
 
 @kernel

@@ -1,32 +1,18 @@
-"""Fits the domain of a surrogate: every failed sample is outside, and few other failures inside.
+"""Fits the domain of a surrogate: every failed sample is outside, and few other samples are.
 
-Its cliff is a logistic regression of failure, moved in until every failed sample is outside, and
-further by what failures it had not seen fell short in cross-validation.
+The failure boundary is a logistic regression of failure, moved in until every failed sample is
+outside, and further by what it fell short of at failures left out in cross-validation.
 """
 
 from __future__ import annotations
-
-from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from surrofe2.sampling import SLACK, half_widths
+from surrofe2.sampling import half_widths
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.domain import (
-    FEATURES,
-    SUMS,
-    Domain,
-    Table,
-    cliff_table,
-    features,
-    products,
-    reach_of,
-    scaled_inputs,
-    with_one,
-)
-from surrofe2.tensors import INPUTS
+from surrofe2.surrogate.domain import Domain, boundary_table, products, scaled_inputs, with_one
 
 Array = NDArray[np.float64]
 
@@ -37,7 +23,7 @@ _MOST_ITERATIONS = 100
 
 
 def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
-    """The domain of the valid samples, without the failed ones and those beyond a bifurcation.
+    """The domain that keeps out samples that failed and those beyond a bifurcation.
 
     Args:
         failed: F and F_dot (n, 2, 2) of more points that have no stress.
@@ -51,33 +37,13 @@ def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None
     good, bad = x[known], x[~known]
     if failed is not None:
         bad = np.concatenate([bad, scaled_inputs(*failed, scale)])
-    pairs, signs = _directions(square)
-    at_rest = np.zeros((1, INPUTS))  # σ(I, 0) = 0 is exact
-    reach = reach_of(features(np.concatenate([good, at_rest]), square), pairs, signs)
-    cliff = _fit_cliff(good, bad, square) if len(bad) else np.empty(0)
-    return Domain(scale, square, pairs, signs, reach.max(axis=0) + SLACK, cliff)
+    boundary = _fit_boundary(good, bad, square) if len(bad) else np.empty(0)
+    return Domain(scale, square, boundary)
 
 
-def _directions(square: bool) -> tuple[Table, Array]:
-    """Features (m, 2) and signs (m, 2) of all half-spaces."""
-
-    def ways(feature: int) -> tuple[float, ...]:
-        folded = square and feature < INPUTS and feature not in SUMS
-        return (1.0,) if folded else (1.0, -1.0)
-
-    single = [((k, k), (sign, 0.0)) for k in np.arange(FEATURES).tolist() for sign in ways(k)]
-    double = [
-        (pair, signs)
-        for pair in combinations(np.arange(INPUTS).tolist(), 2)
-        for signs in product(*map(ways, pair))
-    ]
-    pairs, signs = zip(*single, *double, strict=True)
-    return np.array(pairs), np.array(signs)
-
-
-def _fit_cliff(good: Array, bad: Array, square: bool) -> Array:
-    """Coefficients (k,) of the cliff; every point of `bad` is beyond it."""
-    table = cliff_table(square)
+def _fit_boundary(good: Array, bad: Array, square: bool) -> Array:
+    """Coefficients (k,) of the boundary; every point of `bad` is beyond it."""
+    table = boundary_table(square)
     basis_good, basis_bad = (products(with_one(x), table) for x in (good, bad))
     coefficients = _logistic(basis_good, basis_bad)
     shortfall = 0.0

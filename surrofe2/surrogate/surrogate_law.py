@@ -26,7 +26,7 @@ from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.allowance import make_allowance, weight
 from surrofe2.surrogate.compiled_bound import BoundArrays
 from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
-from surrofe2.surrogate.domain import Domain, scaled_inputs, why_outside
+from surrofe2.surrogate.domain import Domain, scaled_inputs
 from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import (
     NetworkArrays,
@@ -60,7 +60,7 @@ class SurrogateLaw(Viewed):
         data_fingerprint: of the samples trained on.
         rest_length: wall rest length in µm, if known.
         version: of the package that trained.
-        domain: where the data are; None: all of `range`.
+        domain: where in the range samples did not fail; None: all of it.
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
         cost: of its `data`, its `training` and its `calibration`, as far as known.
@@ -140,7 +140,7 @@ class SurrogateLaw(Viewed):
         (which,), (value,), (bound,) = farthest_out(self.range, F, F_dot)
         if which >= 0:
             return out_of_range(QUANTITIES[which], value, bound)
-        return "det F ≤ 0" if self.domain is None else why_outside(self.domain, F, F_dot)
+        return "beyond the failure boundary, where samples have no stress"
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """∂P/∂F and ∂P/∂Ḟ of the surrogate, exact; no range is tested.

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.columns import read_columns
 from surrofe2.io.events import EVENTS
 from surrofe2.io.files import read_bytes, write_text
 from surrofe2.io.point_fields import read_point_fields
-from surrofe2.io.run_folder import RunRecord, StoredRun, read_run
+from surrofe2.io.run_folder import StoredRun, read_run
 from surrofe2.io.stored_fields import read_fields
-from surrofe2.io.surrogates import content_fingerprint, read_surrogate
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page.document import page_of
 from surrofe2.report.page.seen import FIELDS, Seen, SeenRun
-from surrofe2.surrogate.domain import Domain
 
-_ABOVE = 5
-"""Folders above a run's in which its surrogate is looked for."""
 _MOST_PICTURES = 4
 
 
@@ -67,7 +61,6 @@ def _see(run: StoredRun) -> SeenRun:
         energies=columns,
         fields=read_fields(folder, FIELDS) if (folder / "fields.h5").exists() else None,
         points=read_point_fields(folder) if (folder / "points.h5").exists() else {},
-        domain=_domain(folder, run.record),
         events=_events(folder / EVENTS),
         particles={path.parent.name: read_bytes(path) for path in zooms},
     )
@@ -85,23 +78,3 @@ def _events(path: Path) -> list[Mapping[str, Any]]:
             continue
         found += [event] if isinstance(event, dict) else []
     return found
-
-
-def _domain(folder: Path, record: RunRecord) -> Domain | None:
-    """The domain of a run's surrogate where its file lies beside or above the run's folder.
-
-    A recipe names it relative to itself, and no record says where that was.
-    """
-    wanted = (record.surrogate or {}).get("fingerprint")
-    stated = record.recipe.get("training", {}).get("file")
-    if not isinstance(wanted, str) or not isinstance(stated, str):
-        return None
-    above = [*folder.resolve().parents][:_ABOVE]
-    for place in dict.fromkeys([Path.cwd(), *above]):
-        for path in (place / stated, Path(os.path.normpath(place / "any" / stated))):
-            if not path.is_file():
-                continue
-            with suppress(FileError):  # another file of that name
-                if content_fingerprint(path) == wanted:
-                    return read_surrogate(path).domain
-    return None

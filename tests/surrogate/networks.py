@@ -36,7 +36,7 @@ def make_law(symmetry="D4"):
 
 
 def with_bound(law, quantile=0.7):
-    """The law with a domain that has a cliff and an arbitrary bound."""
+    """The law with a domain that has a failure boundary and an arbitrary bound."""
     scale = np.random.default_rng(0).uniform(0.0, 1.0, len(scale_table()))
     scale[3:9] = 0.0
     calibration = Calibration(

@@ -178,14 +178,14 @@ def test_a_damaged_domain_is_refused(calibrated, tmp_path):
     path = tmp_path / "a.safetensors"
     write_surrogate(calibrated, path)
     content, tensors = read_parts(path)
-    write_parts(path, content, {**tensors, "domain.pairs": np.array([[0, 99]])})
+    write_parts(path, content, {**tensors, "domain.boundary": np.ones(3)})
     with pytest.raises(FileError, match="missing or damaged entries"):
         read_surrogate(path)
 
 
 def corrupted(law, factor=1.001):
     """The largest weight of the last layer is off by a factor."""
-    last = f"factors.{len(law.network.layers('factors')) - 1}.weight"
+    last = f"factors.{len(law.network.layers) - 1}.weight"
     matrix = law.network.tensors[last].copy()
     matrix.flat[np.abs(matrix).argmax()] *= factor
     tensors = {**law.network.tensors, last: matrix}

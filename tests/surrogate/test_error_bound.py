@@ -19,7 +19,7 @@ from tests.surrogate.networks import with_bound
 
 @pytest.fixture(scope="module")
 def trusted(law):
-    """The analytic law's surrogate with a domain that has a cliff and an arbitrary bound."""
+    """The analytic law's surrogate with a failure boundary and an arbitrary bound."""
     return with_bound(law)
 
 

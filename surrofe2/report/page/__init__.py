@@ -6,7 +6,7 @@ html             elements, tables, figures, and the document with its policy
 colours          colours of numbers and of stress sources, for Python and the script alike
 motion           the deformed tissue: arrays for the script, and a still picture
 outcome          displacements, forces, energies, stress and strain, costs
-trust            the cache: who answered where and when, states and domain, audits
+trust            the cache: who answered where and when, range that was met, audits
 origin           events, settings, provenance, and how to run it again
 document         all of it in order
 page.css, .js    style and script, whose digests the policy names

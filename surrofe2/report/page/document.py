@@ -15,7 +15,7 @@ from surrofe2.report.page.origin import (
 )
 from surrofe2.report.page.outcome import cost_section, displacement_section, energy_section
 from surrofe2.report.page.seen import Seen
-from surrofe2.report.page.trust import audit_section, fallback_section, states_section
+from surrofe2.report.page.trust import audit_section, fallback_section, range_section
 
 
 def page_of(seen: Seen) -> str:
@@ -45,7 +45,7 @@ def page_of(seen: Seen) -> str:
         ("cost", "Time and speed-up", cost_section(seen)),
         ("fallback", "Fallbacks", fallback_section(seen)),
         ("audit", "Audits", audit_section(seen)),
-        ("states", "States", states_section(seen)),
+        ("range", "Range", range_section(seen)),
         ("energy", "Energies", energy_section(seen)),
         ("cells", "Plant cells", particle_section(seen)),
         ("events", "Events", event_section(seen)),

@@ -13,7 +13,6 @@ from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME, STRESS_NAME
 from surrofe2.io.run_folder import RunRecord, StoredRun
 from surrofe2.io.stored_fields import StoredFields
 from surrofe2.report.comparison import Comparison
-from surrofe2.surrogate.domain import Domain
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,6 @@ class SeenRun:
     Attributes:
         energies: columns of energies.csv by heading.
         points: of `io.point_fields.read_point_fields`.
-        domain: of the run's surrogate, where its file was found.
         events: lines of events.jsonl.
         particles: PNG of each look into the plant cells, by the name of its folder.
     """
@@ -40,7 +38,6 @@ class SeenRun:
     energies: Mapping[str, Array] = field(default_factory=dict)
     fields: StoredFields | None = None
     points: Mapping[str, Array] = field(default_factory=dict)
-    domain: Domain | None = None
     events: Sequence[Mapping[str, Any]] = ()
     particles: Mapping[str, bytes] = field(default_factory=dict)
 

@@ -24,9 +24,7 @@ from surrofe2.report.page.motion import motion_section
 from surrofe2.report.page.origin import recipe_text
 from surrofe2.report.page.seen import Seen
 from surrofe2.report.page.svg import chart
-from surrofe2.report.page.trust import domain_outlines
 from surrofe2.rigid_bodies import Circle, Corner, Plane
-from surrofe2.surrogate.domain import Domain
 from surrofe2.workflow.report import see_runs, write_report
 from tests.laws import KelvinVoigt
 from tests.report.page.made_runs import BOUND, EVIL, made_runs
@@ -86,7 +84,7 @@ def test_what_ran_stands_in_the_page(page):
         "40 answers audited, 0 above the tolerance; the worst error is 0.003 µN/µm",
         f"where the bound was {BOUND} µN/µm (step 7, point 3)",
         "cached: 2 events",
-        "No surrogate's file was found",
+        "Range that was met",
         "No look into the plant cells",
         "surrofe2 run recipe.toml --law cached",
     ):
@@ -227,18 +225,3 @@ def test_curves_are_where_their_numbers_are():
         np.testing.assert_allclose(share, np.array([[0, 0], [1, 1], [3, 3], [4, 4]]) / 4, atol=2e-3)
         assert (np.diff(at[:, 0]) > 0.0).all()
         assert (np.diff(at[:, 1]) < 0.0).all(), "up the page"
-
-
-def test_outlines_hold_what_the_half_spaces_of_two_inputs_allow():
-    """|d| + |g| ≤ 1.2 within |d| ≤ 1, |g| ≤ 0.9, which another pair's half-space leaves alone."""
-    pairs = np.array([[1, 2], [1, 1], [2, 2], [1, 3]])
-    signs = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    limits, scale = np.array([1.2, 1.0, 0.9, 0.1]), np.full(7, 2.0)
-    domain = Domain(scale, True, pairs, signs, limits, np.empty(0))
-    outlines = domain_outlines(domain, 1, 2)
-    assert len(outlines) == 4
-    corners = np.abs(np.vstack(outlines)) / 2.0
-    corners = corners[np.isfinite(corners).all(axis=1)]
-    assert {(round(x, 9), round(y, 9)) for x, y in corners} >= {(1.0, 0.2), (0.3, 0.9)}
-    assert (corners.sum(axis=1) <= 1.2 + 1e-12).all()
-    assert corners.max(axis=0) == pytest.approx([1.0, 0.9])
