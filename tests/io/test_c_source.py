@@ -92,7 +92,8 @@ def test_a_tolerance_and_no_tangents(tmp_path):
     respond = compiled(law, tmp_path)
     F, F_dot = states(law)
     _, status, bound = law.lookup(F, F_dot)
-    tolerance = float(np.median(bound[status == Status.OK])) * (1.0 + 1e-9)  # bounds differ by 1e-12
+    # no bound may be the tolerance itself: those of C differ by rounding
+    tolerance = float(np.median(bound[status == Status.OK])) * (1.0 + 1e-9)
     _, wanted, _ = law.lookup(F, F_dot, tolerance)
     found = respond(F, F_dot, tolerance, tangents=False)
     assert {Status.OK, Status.NOT_TRUSTED, Status.OUT_OF_RANGE} == set(wanted.tolist())
