@@ -19,9 +19,6 @@ One module an item of what must hold; each has a TITLE and `run(setting) -> list
     peers              LAMMPS and PySPH on the same tissue
     ablation           the surrogate part by part beside other regressions; on request only
 
-`python -m benchmarks.estimates RECIPE …` compares the estimates of `surrofe2 check` with what they
-are of.
-
 `row` says what a figure is, `timing` how it is taken, `setting` on what; `report` writes them.
 Comparisons are timed side by side, A B A B, in one process after compilation.
 """

@@ -35,7 +35,7 @@ NOTES = {
     "cell": CELL_NOTE,
     "training": "`file` names the surrogate's file.",
     "range": "The section is needed by `generate`, `train` and cached runs. It must hold what a "
-    "run meets; `surrofe2 range` proposes it.",
+    "run meets; `surrofe2 check` proposes it.",
     "load": "The paper's bar. A recipe has either this section or `[mesh]` and its companions.",
     "surface": '`on` is a list of boundaries, or `"free"` (default): all outer sides that no '
     "condition and no body names. Without the section free sides have no law of their own.",

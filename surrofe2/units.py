@@ -42,3 +42,10 @@ def time_text(seconds: float) -> str:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s"
+
+
+def rough_time(seconds: float) -> str:
+    """An order of magnitude of seconds, in one digit and the unit that suits it."""
+    units = {"days": 86400.0, "h": 3600.0, "min": 60.0}
+    unit, size = next(((u, s) for u, s in units.items() if seconds >= 1.5 * s), ("s", 1.0))
+    return f"{float(f'{seconds / size:.1g}'):g} {unit}"

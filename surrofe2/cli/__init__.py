@@ -29,11 +29,10 @@ COMMANDS = {
     "new": (STUDY, "Write a recipe to start from.", "bar.toml --example bar"),
     "check": (
         STUDY,
-        "What is wrong with a recipe, what it will cost, which law to take.",
+        "What is wrong with a recipe, which range it needs, how long it takes.",
         "RECIPE",
     ),
     "study": (STUDY, "What is missing of data set, training, runs and comparison.", "RECIPE"),
-    "range": (STUDY, "Propose the range of (F, Ḟ) that the recipe needs, by a dry run.", "RECIPE"),
     "generate": (STUDY, "Compute stresses of plant cells over that range: a data set.", "RECIPE"),
     "train": (STUDY, "Fit a surrogate of the stress to the data set.", "RECIPE"),
     "run": (

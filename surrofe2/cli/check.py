@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
 from surrofe2.cli import console
-from surrofe2.costs import Balance
 from surrofe2.errors import InputError
-from surrofe2.report.tables import Quantity, Table
-from surrofe2.workflow.estimate import Estimate, estimate
+from surrofe2.units import rough_time
+from surrofe2.workflow.dry_run import (
+    MARGIN,
+    SECONDS,
+    DryRun,
+    advised_law,
+    dry_run,
+    proposed_range,
+    range_section,
+    seconds_by_rves,
+)
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.recipe_check import recipe_faults, study_faults
 
@@ -20,15 +26,23 @@ from surrofe2.workflow.recipe_check import recipe_faults, study_faults
 def check(
     recipe: console.RecipeFile,
     only: Annotated[
-        bool, typer.Option("--only", help="Read the recipe and its files; time nothing.")
+        bool, typer.Option("--only", help="Read the recipe and its files; no dry run.")
     ] = False,
+    margin: Annotated[
+        float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a share.")
+    ] = MARGIN,
+    seconds: Annotated[
+        float, typer.Option(min=0.0, metavar="S", help="Longest dry run on one mesh, s.")
+    ] = SECONDS,
     threads: console.Threads = None,
 ) -> None:
-    """Whether a recipe can be run, what a study of it will cost, and which law to take.
+    """Whether a recipe can be run, which range it needs, how long it takes, which law to take.
 
     Reads all of it, mesh, names, ranges and files, and tells everything that is wrong. Then a dry
-    run by the tangents of the RVE at rest and what is timed say what memory, data set,
-    training and runs will take. Nothing is written.
+    run by the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long,
+    proposes the [bold]\\[range][/bold], to be copied into the recipe. It knows neither stiffening
+    nor loss of stability; the margin is for that. The number of RVEs to solve and the time of one
+    give the order of magnitude of a run by true RVEs. Nothing is written.
 
     Example: [bold]surrofe2 check data/large-bar.toml[/bold]
 
@@ -43,44 +57,32 @@ def check(
         console.print_warning(sentence)
     if faults:
         raise InputError(f"{recipe}: {len(faults)} thing{'s' * (len(faults) > 1)} to mend")
-    lacking = study_faults(study, ("rve", "cached"))
-    for sentence in lacking:
+    for sentence in study_faults(study, ("rve", "cached")):
         console.print_line(f"not by a surrogate: {sentence}")
     if only:
         console.done(recipe, "nothing is wrong")
-    else:
-        with console.on_interrupt("nothing was changed"), console.stages() as stage:
-            found = estimate(study, stage)
-        _show(found)
-        numbers = {**asdict(found), "totals": found.totals, "peaks": found.peaks}
-        numbers["best"] = found.best
-        console.done(recipe, f"take --law {found.best}", **numbers)
-
-
-def _show(found: Estimate) -> None:
-    about = "" if found.is_whole else " (extrapolated)"
+        return
+    with console.working("dry run", study.duration, "µs", "nothing was changed") as report:
+        run = dry_run(study, seconds, report)
+        by_rves = seconds_by_rves(study, run)
+    _show_ranges(run, study.duration, margin)
     console.print_line(
-        f"{found.points} points, asked {round(found.calls)} times{about}; "
-        f"{1e6 * found.solve:.3g} µs an RVE along the run"
+        f"{run.points} points, asked about {run.calls:.2g} times: {run.solves:.1g} RVEs to solve, "
+        f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
     )
+    console.done(recipe, f"take --law {advised_law(study, by_rves)}")
 
-    def of_cached(value: float) -> Callable[[str], float | None]:
-        return lambda law: value if law == "cached" else None
 
-    quantities: list[Quantity[str]] = [
-        Quantity("law", "", "", lambda law: law),
-        Quantity("in all", "s", ".3g", lambda law: found.totals[law]),
-        Quantity("run", "s", ".3g", lambda law: found.runs[law]),
-        Quantity("data set", "s", ".3g", of_cached(found.data)),
-        Quantity("training", "s", ".3g", of_cached(found.training)),
-        Quantity("memory", "GB", ".2g", lambda law: 1e-9 * found.peaks[law]),
-    ]
-    console.show_table("Estimates", Table(quantities, list(found.totals)))
-    if found.in_range < 1.0:
+def _show_ranges(run: DryRun, duration: float, margin: float) -> None:
+    until = "" if run.reached >= 1.0 else f" until {run.reached * duration:.3g} of {duration:g} µs"
+    for cell, met in run.met.items():
+        low, high = met.stretch
+        try:
+            console.print_line(range_section(proposed_range(met, margin), cell))
+        except InputError as error:
+            console.print_warning(str(error))
         console.print_line(
-            f"of the points along the run {1.0 - found.in_range:.2%} are out of the surrogate's "
-            "range; true RVEs answer there"
+            f"# by the quadratic law of the RVE at rest: met{until} stretch {low:.4g} to "
+            f"{high:.4g}, shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; "
+            f"margin {100.0 * margin:g} %"
         )
-    if found.cached is not None:
-        balance = Balance(made=found.data + found.training, run=found.cached, true=found.rve)
-        console.print_line(f"surrogate: {balance.sentence}")

@@ -29,14 +29,14 @@ def new(
 
     Example: [bold]surrofe2 new press --example contact[/bold]
 
-    Next: [bold]surrofe2 range press.toml[/bold] for the range, then generate, train and run.
+    Next: [bold]surrofe2 check press.toml[/bold] for the range, then generate, train and run.
     """
     kind = _asked() if example is None else example
     path = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
     first, *others = write_recipe(path, kind, fresh=fresh)
     beside = "".join(f", with {other}" for other in others)
     console.done(first, f"recipe of {KINDS[kind]}{beside}", timed=False, kind=kind)
-    console.print_line(f"next: surrofe2 range {path}, after changes; then generate, train, run")
+    console.print_line(f"next: surrofe2 check {path}, after changes; then generate, train, run")
 
 
 def _can_ask() -> bool:

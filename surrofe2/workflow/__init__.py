@@ -18,9 +18,7 @@ In reading order:
     comparison     runs against each other
     grid           parameter studies; grid_tasks: what their processes are given
     recipe_check   what is wrong with a recipe, before anything is computed
-    dry_run        how often a run asks its law, and windows of what it asks
-    stand_in       what a surrogate will cost to make and to ask
-    estimate       what a study will cost, and which law to take
+    dry_run        the range that a recipe needs, how long true RVEs take, which law to take
     study          all of a recipe: data set, surrogate, runs and their comparison
     demo           the same with two bars
     reproduce      studies of many bars, each curve kept

@@ -1,15 +1,16 @@
-"""A dry run of a recipe's problem: how often a run asks its law, and windows of what it asks.
+"""A dry run of a recipe's problem: the sampling range that it needs, and how long true RVEs take.
 
-The law is the quadratic one of the RVEs at rest, whose steps are those of a true run within a few
-per cent. The windows, asked again of another law, say what that costs along the run; the path
-says what a law that learns must learn.
+The law of a dry run is the quadratic one, the exact tangents of the recipe's RVE at rest. It knows
+neither stiffening nor loss of stability, but its time steps are those of a run by RVEs within a few
+per cent. Times are orders of magnitude: the number of solves times the time of one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,154 +18,106 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import clock
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.macro import simulate
+from surrofe2.macro import MetRange, simulate
+from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.recipe import Recipe
-from surrofe2.stress_law import Acceptance, StressLaw, StressResponse
+from surrofe2.sampling import SamplingRange
+from surrofe2.stress_law import StressLaw, StressResponse
+from surrofe2.surrogate.deformation_paths import WatchedLaw
+from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.laws import quadratic_law
 from surrofe2.workflow.run_lifecycle import Report, untold
+from surrofe2.workflow.train import is_trained
 
 Array = NDArray[np.float64]
 
-WINDOWS, STEPS, WARM = 5, 10, 4
-"""Windows along a run, the steps in each, and how many of these only warm up: a run's factors of
-RVEs are some steps old."""
+MARGIN = 0.2
+SECONDS = 5.0
+"""Longest dry run on one mesh; where it is too short for the whole run, a coarser mesh follows."""
 _COARSEST = 4
-_PATH, _SHORTEST, _PATH_STATES = 128, 16, 1 << 17
-"""Steps of the path along a run, and half as many at least; fewer of very many points that must
-all be there; and its states of points."""
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A question for (n, 2, 2) each; whether for tangents too, and whether it ends a step."""
-
-    F: Array
-    F_dot: Array
-    tangents: bool
-    ends_step: bool
-
-
-Window = list[Asked]
+_TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 4.0
+"""RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
+and without a prediction; none is begun after so many seconds."""
+_LEARNING = 30.0
+"""A run by RVEs that is shorter, in s, ends before a data set and a surrogate are made."""
+_DIGITS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """What a run asks of its law.
+    """What a run asks of its law, and what it meets.
 
     Attributes:
-        points: asked at once.
-        calls, steps: of the whole run; extrapolated where the dry run did not come to its end.
-        macro: seconds outside the law a call.
-        windows: what was asked in a few places along the run, by as many points as there are.
-        path: evenly some of the steps, from the first on, and of the points.
-        is_whole: whether it came to its end.
-        times, calls_until: µs, and how often the law was asked until then; from start to end.
+        points: of quadrature; all are asked at each call.
+        calls: of the whole run; extrapolated where the dry run was cut short.
+        seconds: of the whole run without its RVEs, extrapolated as `calls`.
+        reached: share of the duration by which `met` is known.
+        met: by name of the cell, which is "" where there is one.
+        steps: by name of the cell the last accepted (F, Ḟ), (n, 2, 2) each, of some of its points.
+        shares: by name of the cell, of the points.
     """
 
     points: int
     calls: float
-    steps: float
-    macro: float
-    windows: list[Window]
-    path: Window
-    is_whole: bool
-    times: Array
-    calls_until: Array
+    seconds: float
+    reached: float
+    met: dict[str, MetRange]
+    steps: dict[str, list[tuple[Array, Array]]]
+    shares: dict[str, float]
 
-    def share(self, t: float) -> float:
-        """Of all calls, those until a time in µs."""
-        return float(np.interp(t, self.times, self.calls_until)) / self.calls
-
-
-class _Enough(Exception):  # noqa: N818 - no error
-    """The seconds of a dry run are spent."""
+    @property
+    def solves(self) -> float:
+        """RVEs that a run by them solves."""
+        return self.calls * self.points
 
 
-@dataclass
-class _Recorder:
-    """The law of a dry run, which notes what it is asked.
+class _CutShort(Exception):  # noqa: N818 - no error
+    """The time of a dry run is up."""
 
-    Attributes:
-        takes_all: whether the path must be of all points.
-    """
 
-    law: StressLaw
-    calls: int = 0
-    steps: int = 0
-    seconds: float = 0.0
-    begun: float = 0.0
-    wanted: int = STEPS
-    windows: list[Window] = field(default_factory=lambda: [[]])
-    path: Window = field(default_factory=list)
-    stride: int = 1
-    takes_all: bool = False
+class _Recorder(WatchedLaw):
+    """The quadratic law of a cell, and a record of what it was asked."""
 
-    def __post_init__(self) -> None:
-        self.density, self.has_tangents = self.law.density, self.law.has_tangents
+    def __init__(self, law: StressLaw) -> None:
+        super().__init__(law, self._note)
+        self.extremes = NO_EXTREMES.copy()
+        self.steps: deque[tuple[Array, Array]] = deque(maxlen=_TIMED_STEPS)
+        self.calls = self.points = 0
 
     def respond(
         self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        """The law's answer."""
-        start = clock()
-        self.begun = self.begun or start
-        self.calls += 1
-        answer = self.law.respond(F, F_dot, state, tangents=tangents)
-        if self.wanted:
-            self.windows[-1].append(Asked(F.copy(), F_dot.copy(), tangents, False))
-        self.seconds += clock() - start
-        return answer
+        self.calls, self.points = self.calls + 1, len(F)
+        return super().respond(F, F_dot, state, tangents=tangents)
 
-    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """The law's acceptance."""
-        if self.steps % self.stride == 0:
-            self._go_on(F, F_dot)
-        self.steps += 1
-        if self.wanted and self.windows[-1]:
-            self.windows[-1][-1] = replace(self.windows[-1][-1], ends_step=True)
-            self.wanted -= 1
-        return self.law.accept(F, F_dot, response)
-
-    def _go_on(self, F: Array, F_dot: Array) -> None:
-        """The path by one step; every other one goes where there are too many."""
-        rows = evenly(len(F), len(F) if self.takes_all else _PATH_STATES // _PATH)
-        self.path.append(Asked(F[rows], F_dot[rows], False, True))
-        if len(self.path) > max(_SHORTEST, min(_PATH, _PATH_STATES // len(rows))):
-            self.path, self.stride = self.path[::2], 2 * self.stride
-
-    def begin_window(self) -> None:
-        """Note the next steps."""
-        if self.windows[-1]:
-            self.windows.append([])
-        self.wanted = STEPS
-
-    @property
-    def macro(self) -> float:
-        """Seconds outside the law a call."""
-        return max(0.0, clock() - self.begun - self.seconds) / max(self.calls, 1)
+    def _note(self, F: Array, F_dot: Array) -> None:
+        widen_extremes(self.extremes, F, F_dot)
+        some = slice(None, None, -(-len(F) // _TIMED_POINTS))
+        self.steps.append((F[some].copy(), F_dot[some].copy()))
 
 
-def dry_run(recipe: Recipe, seconds: float, report: Report = untold) -> DryRun:
-    """A dry run of a recipe's problem of so many seconds at most.
+def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = untold) -> DryRun:
+    """A dry run of a recipe's problem.
 
-    Where that is not enough, steps and calls go on as in the second half of it, and windows and
-    path are those of a coarser mesh, if the recipe's is a rectangle.
+    Where `seconds` are too short for the whole run, rectangles are meshed with half as many
+    elements each way until they suffice: for the range and the steps; calls are those of the
+    recipe's mesh, extrapolated.
 
     Args:
+        seconds: of the run on one mesh.
         report: is told the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on.
     """
-    found = _tried(recipe, seconds, report)
-    best, coarse = found, coarser(recipe)
-    while not best.is_whole and coarse is not None:
-        best, coarse = _tried(coarse, seconds, report), coarser(coarse)
-    return replace(found, windows=best.windows, path=best.path)
+    found = best = _dry_run(recipe, seconds, report)
+    coarse = recipe
+    while best.reached < 1.0 and (coarser := _coarser(coarse)) is not None:
+        coarse, best = coarser, _dry_run(coarser, seconds, report)
+    return replace(best, points=found.points, calls=found.calls, seconds=found.seconds)
 
 
-def coarser(recipe: Recipe) -> Recipe | None:
+def _coarser(recipe: Recipe) -> Recipe | None:
     """The recipe on a quarter of the elements; None where the mesh is no rectangle to be halved."""
     stated = recipe.stated
     elements = recipe.macro.elements if stated is None else stated.mesh.elements
@@ -176,128 +129,126 @@ def coarser(recipe: Recipe) -> Recipe | None:
     other = replace(recipe, stated=replace(stated, mesh=replace(stated.mesh, elements=fewer)))
     try:
         other.problem()
-    except InputError:  # it names what a coarser mesh has not
+    except InputError:  # it names a part of the boundary that a coarser mesh lacks
         return None
     return other
 
 
-def _tried(recipe: Recipe, seconds: float, report: Report) -> DryRun:
-    duration, mesh = recipe.duration, recipe.problem().mesh
-    law = _Recorder(law_by_region(recipe, mesh, quadratic_law), takes_all=bool(recipe.types))
-    marks = [(0.0, 0, 0)]
+def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
+    problem, recorders = recipe.problem(), dict[str, _Recorder]()
 
-    def mark(t: float) -> None:
+    def recorded(part: Recipe) -> StressLaw:
+        recorder = recorders[part.cell_name or ""] = _Recorder(laws.quadratic_law(part))
+        return recorder
+
+    law = law_by_region(recipe, problem.mesh, recorded)
+    begin, marks = clock(), [(0.0, 0, 0.0)]
+
+    def progress(t: float, duration: float) -> None:
         report(t, "")
-        marks.append((t, law.calls, law.steps))
-        if t >= duration * len(law.windows) / WINDOWS and not law.wanted:
-            law.begin_window()
+        marks.append((t, max(each.calls for each in recorders.values()), clock() - begin))
+        if marks[-1][2] > seconds:
+            raise _CutShort
 
     try:
-        _simulated(recipe, law, seconds, mark)
+        with suppress(_CutShort), recipe.named(InputError):
+            simulate(problem, law, replace(recipe.macro, frames=2), progress=progress)
     except SimulationError as error:
         raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
-    (t, calls, steps), (then, before, earlier) = marks[-1], marks[(len(marks) - 1) // 2]
-    left = (duration - t) / (t - then) if t > then else 0.0
-    all_calls = calls + left * (calls - before)
+    # the first steps are shorter than most: the second half says how the run goes on
+    (t, calls, taken), (then, before, earlier) = marks[-1], marks[(len(marks) - 1) // 2]
+    left = (recipe.duration - t) / (t - then) if t > then else 0.0
+    points = sum(each.points for each in recorders.values())
     return DryRun(
-        points=len(law.windows[0][0].F),
-        calls=all_calls,
-        steps=steps + left * (steps - earlier),
-        macro=law.macro,
-        windows=_fullest(law.windows),
-        path=law.path,
-        is_whole=t >= duration,
-        times=np.array([*(time for time, _, _ in marks), duration]),
-        calls_until=np.array([*(asked for _, asked, _ in marks), all_calls]),
+        points=points,
+        calls=calls + left * (calls - before),
+        seconds=taken + left * (taken - earlier),
+        reached=t / recipe.duration,
+        met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
+        steps={name: list(each.steps) for name, each in recorders.items()},
+        shares={name: each.points / points for name, each in recorders.items()},
     )
 
 
-def _simulated(
-    recipe: Recipe, law: StressLaw, seconds: float, mark: Callable[[float], None]
-) -> None:
-    """Simulate a recipe's problem for so many seconds at most, with the time told in µs."""
-    until = clock() + seconds
-
-    def progress(t: float, of: float) -> None:
-        mark(t)
-        if clock() > until:
-            raise _Enough
-
-    with suppress(_Enough), recipe.named(InputError):
-        simulate(recipe.problem(), law, replace(recipe.macro, frames=2), progress=progress)
+def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:
+    """The order of magnitude of a run by true RVEs: solves times a timed one, along a dry run."""
+    parts = recipe.parts()
+    a_point = sum(
+        share * _seconds_a_solve(laws.true_law(parts[name]), run.steps[name])
+        for name, share in run.shares.items()
+    )
+    return run.seconds + run.solves * a_point
 
 
-def timed_run(recipe: Recipe, law: StressLaw, seconds: float, run: DryRun) -> tuple[float, bool]:
-    """Seconds of a run by this law, and whether it came to its end in so many; else each call that
-    the dry run has left takes as long as those of the second half.
+def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]]) -> float:
+    """Seconds of an RVE that is solved from its state one step before."""
+    state, times, begin = None, list[float](), clock()
+    for F, F_dot in steps:
+        started = clock()
+        answer = law.respond(F, F_dot, state)
+        times.append((clock() - started) / len(F))
+        # a stepper repeats a step whose RVEs switch state; here they stay in the new one
+        state = law.accept(F, F_dot, replace(answer, switched=None)).state
+        if clock() - begin > _TIMED_SECONDS:
+            break
+    return float(np.median(times[len(times) // 2 :])) if times else 0.0
+
+
+def advised_law(recipe: Recipe, seconds: float) -> str:
+    """The law by which a first run probably ends first, if one by RVEs takes so many seconds."""
+    parts = recipe.parts().values()
+    files = [part.samples.file is not None and part.training_file is not None for part in parts]
+    if any(part.range is None for part in parts):
+        return "rve"
+    if all(files) and all(is_trained(part) for part in parts):
+        return "cached"
+    if seconds < _LEARNING:
+        return "rve"
+    if all(files):
+        return "cached"
+    has_tables = recipe.rve.solver == "direct" and recipe.macro.integrator == "explicit"
+    return "table" if has_tables else "rve"
+
+
+def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
+    """The range that holds `margin` times more strain and rate than was met, rounded outward.
 
     Raises:
-        SimulationError: the run could not be carried on.
+        InputError: the margin is negative, nothing was strained, or a cell would have no length.
     """
-    began = clock()
-    marks = [(0.0, 0.0)]
-    _simulated(recipe, law, seconds, lambda t: marks.append((t, clock() - began)))
-    (t, taken), (then, before) = marks[-1], marks[(len(marks) - 1) // 2]
-    done, earlier = run.share(t), run.share(then)
-    left = (1.0 - done) / (done - earlier) if done > earlier else 0.0
-    return taken + left * (taken - before), t >= recipe.duration
+    if not (math.isfinite(margin) and margin >= 0.0):
+        raise InputError(f"--margin: {margin}; it must be a number of at least 0")
+    low, high = met.stretch
+    shorter, longer, shear, rate = (
+        _rounded_up((1.0 + margin) * value)
+        for value in (1.0 - low, high - 1.0, met.shear, met.rate)
+    )
+    if not shorter + longer > 0.0:
+        raise InputError("range: the run met no strain; something must load or move the tissue")
+    if shorter + shear >= 1.0:
+        raise InputError(
+            f"range: the run met stretches down to {low:.4g} and shear up to {met.shear:.4g}; "
+            f"with a margin of {margin:g} no cell would be left; lower the load or the margin"
+        )
+    return SamplingRange(
+        stretch=(_plain(1.0 - shorter), _plain(1.0 + longer)), shear=shear, rate=rate
+    )
 
 
-def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """So many indices below `count` at most, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+def range_section(range: SamplingRange, cell: str = "") -> str:
+    """The section of a recipe, or of one of its cells, in TOML."""
+    (low, high), name = range.stretch, f"cells.{cell}.range" if cell else "range"
+    return f"[{name}]\nstretch = [{low}, {high}]\nshear = {range.shear}\nrate = {range.rate}"
 
 
-def _steps_in(window: Window) -> int:
-    return sum(each.ends_step for each in window)
+def _rounded_up(value: float) -> float:
+    """The next number of two digits; 0 of what is not positive."""
+    if value <= 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - _DIGITS)
+    return _plain(math.ceil(value / unit * (1.0 - 1e-9)) * unit)
 
 
-def _fullest(windows: list[Window]) -> list[Window]:
-    """Those with steps to time behind the warm ones; of a short run the longest."""
-    full = [window for window in windows if _steps_in(window) > WARM]
-    return full or [max(windows, key=_steps_in)]
-
-
-def replayed(
-    law: StressLaw, window: Window, rows: NDArray[np.intp], warm: int = WARM
-) -> tuple[float, int, Any]:
-    """Seconds and number of the questions of a window behind its first steps, and the state left.
-
-    Args:
-        rows: points of the window that are asked.
-        warm: steps that are not counted, if there are more.
-    """
-    state, seconds, asked, steps = None, 0.0, 0, 0
-    warm = min(warm, _steps_in(window) - 1)
-    for each in window:
-        F, F_dot = each.F[rows], each.F_dot[rows]
-        start = clock()
-        answer = law.respond(F, F_dot, state, tangents=each.tangents)
-        if answer.switched is not None:
-            # a stepper would begin the step anew; here the points stay where they came to
-            answer = replace(answer, switched=None)
-        if each.ends_step:
-            state = law.accept(F, F_dot, answer).state
-        if steps >= warm:
-            seconds, asked = seconds + clock() - start, asked + 1
-        steps += each.ends_step
-    return seconds, asked, state
-
-
-def seconds_a_call(
-    law: StressLaw, windows: list[Window], rows: NDArray[np.intp], seconds: float
-) -> tuple[float, Any]:
-    """Seconds of a question for these points, mean of windows, and the last state.
-
-    Args:
-        seconds: after so many no further window is begun; the middle of the run comes first.
-    """
-    order = sorted(range(len(windows)), key=lambda k: abs(k - len(windows) // 2))
-    replayed(law, windows[order[0]], rows)  # loads kernels
-    total, count, state, until = 0.0, 0, None, clock() + seconds
-    for k in order:
-        taken, asked, state = replayed(law, windows[k], rows)
-        total, count = total + taken, count + asked
-        if clock() > until:
-            break
-    return total / max(count, 1), state
+def _plain(value: float) -> float:
+    """Without the rounding of binary sums."""
+    return float(f"{value:.12g}")

@@ -271,7 +271,7 @@ def large_errors(recipe: Recipe, trained: Trained) -> str | None:
     more = "state" if recipe.samples.count is None else "raise"
     return (
         f"{trained.path}: the error of {name} is {100 * rms[name]:.2g} % RMS, from "
-        f"{len(trained.samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 range` "
+        f"{len(trained.samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 check` "
         f"proposes, {more} {of}samples.count, or let `surrofe2 refine` sample what the run meets"
     )
 

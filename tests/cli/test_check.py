@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
+import re
 
-import numpy as np
 import pytest
 
 from surrofe2 import compilation
 from surrofe2.recipe import load_recipe
+from surrofe2.units import rough_time
 from surrofe2.workflow import laws
-from surrofe2.workflow.dry_run import WARM, coarser, dry_run, timed_run
+from surrofe2.workflow.dry_run import advised_law, dry_run, seconds_by_rves
 from surrofe2.workflow.recipe_check import recipe_faults
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
 from tests.laws import SquareLaw
+
+WHOLE = 600.0
+"""Seconds in which any of these dry runs comes to its end."""
 
 MANY_FAULTS = (
     RECIPE.replace("count = 40", "count = 0")
@@ -88,30 +92,9 @@ def test_files_and_names(invoke, recipe_path, text, said):
     assert done.exit_code == int(is_fault)
 
 
-def test_estimates(invoke, recipe_path, tmp_path):
-    done = invoke("check", recipe_path, "--json", law=SquareLaw())
-    assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)["result"]
-    assert found["points"] == 20
-    assert set(found["totals"]) == {"rve", "cached", "table"}
-    assert all(0.0 < found[name] < 60.0 for name in ("rve", "cached", "table", "data", "training"))
-    assert found["totals"]["cached"] == found["data"] + found["training"] + found["cached"]
-    assert found["best"] == min(found["totals"], key=found["totals"].get)
-    few = found["memory"]["rve"]  # of a few points, whose law keeps next to nothing
-    assert found["memory"] == pytest.approx(dict.fromkeys(found["totals"], few), rel=1e-3)
-    assert 1e8 < few < found["making"]
-    assert f"take --law {found['best']}" in done.stdout
-    assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
-
-
-def test_what_is_there_costs_nothing_more(invoke, recipe_path):
+def test_another_recipe_s_data_set_is_told(invoke, recipe_path):
     law = SquareLaw()
     assert invoke("generate", recipe_path, law=law).exit_code == 0
-    assert invoke("train", recipe_path, law=law).exit_code == 0
-    done = invoke("check", recipe_path, "--json", law=law)
-    assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)["result"]
-    assert found["data"] == found["training"] == 0.0
     other = recipe_path.with_name("other.toml")
     other.write_text(recipe_path.read_text().replace("seed = 3", "seed = 4"), encoding="utf-8")
     refused = invoke("check", other, "--only", law=law)
@@ -124,59 +107,100 @@ def soft_law(monkeypatch):
     monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law.of(recipe.cell, recipe.rve))
 
 
+def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, tmp_path):
+    done = invoke("check", recipe_path, "--seconds", WHOLE, law=SquareLaw())
+    assert done.exit_code == 0, done.output
+    said = re.search(
+        r"^20 points, asked about ([\d.e+]+) times: .* RVEs to solve, ", done.stdout, re.M
+    )
+    run = dry_run(load_recipe(recipe_path), WHOLE)
+    assert float(said[1]) == pytest.approx(run.calls, rel=0.05)
+    assert "recipe.toml: take --law rve" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
+
+
 @pytest.mark.usefixtures("soft_law")
 def test_a_dry_run_asks_as_often_as_the_run(recipe_path, tmp_path):
     recipe = load_recipe(recipe_path, {"load.duration": 40.0})
-    found = dry_run(recipe, 60.0)
+    found = dry_run(recipe, WHOLE)
     counts = run_study(recipe, "rve", tmp_path / "rve").counts
-    assert found.is_whole
+    assert found.reached == 1.0
     calls = (counts["stress_points"] + counts["dissipation_points"]) / found.points
     assert found.calls == pytest.approx(calls, rel=0.05)
-    assert found.steps == pytest.approx(counts["steps"], rel=0.05)
-    assert len(found.windows) >= 3
-    assert all(sum(each.ends_step for each in window) > WARM for window in found.windows)
 
 
 @pytest.mark.usefixtures("soft_law")
-def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path):
+def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path, monkeypatch):
     changes = {"load.duration": 40.0, "macro.elements": [8, 8]}
     recipe = load_recipe(recipe_path, changes)
-    whole, short = dry_run(recipe, 60.0), dry_run(recipe, 0.2 * 1e-9)
-    assert whole.is_whole
-    assert not short.is_whole
+    whole = dry_run(recipe, math.inf)
+    asked = itertools.count()
+    monkeypatch.setattr("surrofe2.workflow.dry_run.clock", lambda: float(next(asked)))
+    steps = dry_run(recipe, math.inf).seconds  # the clock ticks once a step
+    asked = itertools.count()
+    short = dry_run(recipe, 0.7 * steps)
     assert short.points == whole.points == 320
-    assert len(short.windows[0][0].F) == 80  # of 4 × 4 elements
+    assert short.reached == 1.0  # of 4 × 4 elements, whose steps are longer
+    assert len(short.steps[""][0][0]) == 80
+    assert short.calls == pytest.approx(whole.calls, rel=0.1)
+    assert short.seconds == pytest.approx(steps, rel=0.1)
+    asked = itertools.count()
+    shorter = dry_run(recipe, 0.1 * steps)
+    assert shorter.reached < 1.0
+    assert shorter.calls == pytest.approx(whole.calls, rel=0.5)
 
 
 @pytest.mark.usefixtures("soft_law")
-def test_the_path_of_a_dry_run_goes_from_rest_to_the_end(recipe_path):
-    recipe = load_recipe(recipe_path, {"load.duration": 200.0})
-    found = dry_run(recipe, 60.0)
-    assert 64 <= len(found.path) <= 128
-    assert all(each.ends_step and len(each.F) == found.points for each in found.path)
-    way = np.array([np.abs(each.F - np.eye(2)).max() for each in found.path])
-    steps = [each for window in found.windows for each in window if each.ends_step]
-    assert way[0] < 0.01 * way.max()
-    assert way.max() >= 0.9 * max(np.abs(each.F - np.eye(2)).max() for each in steps)
-    assert np.abs(np.diff(way)).max() < 0.2 * way.max()
-
-
-@pytest.mark.usefixtures("soft_law")
-def test_a_run_is_timed_and_goes_on_as_in_its_second_half(recipe_path, monkeypatch):
+def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch):
     recipe = load_recipe(recipe_path, {"load.duration": 20.0})
-    law, dry = SquareLaw().of(recipe.cell, recipe.rve), dry_run(recipe, 60.0)
-    assert dry.share(0.0) == 0.0
-    assert dry.share(20.0) == 1.0
-    monkeypatch.setattr("surrofe2.workflow.dry_run.clock", lambda: float(len(law.states)))
-    whole, is_done = timed_run(recipe, law, math.inf, dry)
-    assert is_done
-    assert whole == pytest.approx(dry.calls, rel=0.02)
-    part, is_done = timed_run(recipe, law, 0.5 * whole, dry)
-    assert not is_done
-    assert part == pytest.approx(whole, rel=0.02)
-    first, is_done = timed_run(recipe, law, 1e-9, dry)  # a single step
-    assert not is_done
-    assert first == pytest.approx(whole, rel=0.5)
+    run = dry_run(recipe, math.inf)
+    law = SlowLaw(laws.true_law(recipe))
+    monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law)
+    monkeypatch.setattr("surrofe2.workflow.dry_run.clock", lambda: law.time)
+    assert seconds_by_rves(recipe, run) == pytest.approx(run.seconds + run.solves * law.SECONDS)
+
+
+class SlowLaw:
+    """A law of which each point takes a millisecond of its own clock, and a cold one a hundred."""
+
+    SECONDS = 1e-3
+
+    def __init__(self, law):
+        self.law, self.time = law, 0.0
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        self.time += (100.0 if state is None else 1.0) * self.SECONDS * len(F)
+        return self.law.respond(F, F_dot, state, tangents=tangents)
+
+    def accept(self, F, F_dot, response):
+        return self.law.accept(F, F_dot, response)
+
+
+def test_the_advice(recipe_path, changed_recipe, invoke):
+    recipe = load_recipe(recipe_path)
+    assert advised_law(recipe, 10.0) == "rve"  # done before a surrogate is trained
+    assert advised_law(recipe, 1000.0) == "cached"
+    law = SquareLaw()
+    assert invoke("generate", recipe_path, law=law).exit_code == 0
+    assert invoke("train", recipe_path, law=law).exit_code == 0
+    assert advised_law(recipe, 10.0) == "cached"  # it is there
+    without = load_recipe(changed_recipe('file = "cells.safetensors"\n', ""))
+    assert advised_law(without, 1000.0) == "table"
+    implicit = changed_recipe("[macro]", '[macro]\nintegrator = "implicit"')
+    assert advised_law(load_recipe(implicit), 1000.0) == "rve"
+    table = recipe_path.read_text(encoding="utf-8")
+    start, end = table.index("[range]"), table.index("[samples]")
+    recipe_path.write_text(table[:start] + table[end:], encoding="utf-8")
+    assert advised_law(load_recipe(recipe_path), 1000.0) == "rve"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.04, "0.04 s"), (12.0, "10 s"), (80.0, "80 s"), (130.0, "2 min"), (36000.0, "10 h"),
+     (200000.0, "2 days")],
+)  # fmt: skip
+def test_rough_times(seconds, text):
+    assert rough_time(seconds) == text
 
 
 def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
@@ -189,11 +213,3 @@ def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
             pass
         assert compilation.clock() == 3.0
     assert compilation.clock() == 20.0 - 11.0
-
-
-def test_coarser_meshes(recipe_path):
-    recipe = load_recipe(recipe_path, {"macro.elements": [16, 6]})
-    found = coarser(recipe)
-    assert found.macro.elements == (8, 3)
-    assert coarser(found).macro.elements == (4, 1)
-    assert coarser(coarser(found)) is None

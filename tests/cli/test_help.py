@@ -40,7 +40,7 @@ def test_help_of_each_command_has_an_example(command, width):
 
 @pytest.mark.parametrize(
     ("command", "section"),
-    [("refine", "[cells.NAME]"), ("generate", "[samples]"), ("range", "[range]")],
+    [("refine", "[cells.NAME]"), ("generate", "[samples]"), ("check", "[range]")],
 )
 def test_sections_of_a_recipe_are_no_markup(command, section):
     shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "100"})

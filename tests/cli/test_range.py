@@ -1,5 +1,6 @@
-"""`surrofe2 range`: a sampling range from a dry run."""
+"""The sampling range that `surrofe2 check` proposes from a dry run."""
 
+import re
 import tomllib
 
 import numpy as np
@@ -13,8 +14,8 @@ from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange
 from surrofe2.workflow.cell_laws import law_by_region
+from surrofe2.workflow.dry_run import dry_run, proposed_range
 from surrofe2.workflow.laws import quadratic_law
-from surrofe2.workflow.range import met_by_quadratic_law, proposed_range
 from tests.source_contract import ROOT
 
 
@@ -22,10 +23,18 @@ def call(*arguments):
     return CliRunner().invoke(app, [str(entry) for entry in arguments])
 
 
-def proposed_for(path, *options):
-    done = call("range", path, *options)
+def printed_for(path, *options):
+    """The sections that `check` prints, and all that it prints."""
+    done = call("check", path, "--seconds", 600, *options)
     assert done.exit_code == 0, done.output
-    return SamplingRange(**tomllib.loads(done.stdout)["range"]), done.stdout
+    said = done.stdout
+    start = re.search(r"^\[(cells\..*\.)?range\]$", said, re.MULTILINE).start()
+    return tomllib.loads(said[start : said.index(" points, asked about")].rpartition("\n")[0]), said
+
+
+def proposed_for(path, *options):
+    sections, said = printed_for(path, *options)
+    return SamplingRange(**sections["range"]), said
 
 
 @pytest.fixture
@@ -102,12 +111,10 @@ def test_a_recipe_with_the_iterated_solver_is_taken_too(recipe_path):
 def test_each_cell_gets_the_range_that_its_own_points_meet(recipe_path):
     """A stiff layer beside a soft one in series: each strained by its share."""
     recipe_path.write_text(SERIES, encoding="utf-8")
-    done = call("range", recipe_path)
-    assert done.exit_code == 0, done.output
-    printed = tomllib.loads(done.stdout)["cells"]
+    printed = printed_for(recipe_path)[0]["cells"]
     assert list(printed) == ["stiff", "soft"]
     recipe = load_recipe(recipe_path)
-    met = met_by_quadratic_law(recipe)
+    met = dry_run(recipe, 600.0).met
     for name, found in met.items():
         assert SamplingRange(**printed[name]["range"]) == proposed_range(found)
     whole = simulate(

@@ -79,7 +79,7 @@ def test_a_cached_run_loads_what_it_uses(invoke, short_recipe, tmp_path):
     [
         (["--version"], 0, "surrofe2"),
         (["run"], 2, "Missing argument"),
-        (["range", "none.toml"], 1, "none.toml"),
+        (["check", "none.toml"], 1, "none.toml"),
     ],
 )
 def test_the_exit_code_is_that_of_the_command(arguments, code, told):

@@ -183,6 +183,6 @@ def test_large_errors_are_told_with_what_to_do(invoke, recipe_path, recipe, monk
     monkeypatch.setattr(train_workflow, "LARGE_ERROR", 0.999 * rms[name])
     told = large_errors(recipe, trained)
     assert f"the error of {name} is {100 * rms[name]:.2g} % RMS, from 40 usable samples" in told
-    assert "surrofe2 range" in told
+    assert "surrofe2 check" in told
     assert "surrofe2 refine" in told
     assert told in invoke("train", recipe_path).stderr.splitlines()
