@@ -1,6 +1,7 @@
 """From displacement to deformation gradient, and from stress to forces on the nodes.
 
-Two loops over elements and points are compiled. Points are numbered n_q e + q.
+The loops over elements and points are compiled; of many points, all cores share them, and elements
+add up in their order whatever their number. Points are numbered n_q e + q.
 """
 
 from __future__ import annotations
@@ -8,21 +9,31 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.tensors import cofactor, det
 
 Array = NDArray[np.float64]
+
+MANY = 2000
+"""Points from which on more than one core pays."""
+_PART = 64  # elements that a core takes at a time
 
 
 def deformation_gradient(
     discretisation: Discretisation, u: Array, v: Array
 ) -> tuple[Array, Array, Array]:
     """F, Ḟ (n_points, 2, 2) and det F (n_points,) from u, v (n, 2), n at least the nodes."""
-    F, F_dot, J = deformation(discretisation.arrays, u, v)
-    return F, F_dot, J
+    space, count = discretisation.arrays, discretisation.n_points
+    found = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
+    if count < MANY:
+        set_deformation(0, len(space.elements), space, u, v, found)
+    else:
+        _set_deformation_parallel(space, u, v, found)
+    return found
 
 
 def internal_force(
@@ -40,10 +51,15 @@ def internal_force(
 
     It enters (58) as M a = load − f; (58) is printed with both signs reversed.
     """
-    space = discretisation
-    rows = len(space.nodes) if n is None else n
-    force: Array = nodal_forces(space.arrays, F, stress, np.zeros((rows, 2)))
-    return force
+    space = discretisation.arrays
+    of_elements = np.empty((*space.elements.shape, 2))
+    if discretisation.n_points < MANY:
+        set_forces(0, len(space.elements), space, F, stress, of_elements)
+    else:
+        _set_forces_parallel(space, F, stress, of_elements)
+    total = np.zeros((len(discretisation.nodes) if n is None else n, 2))
+    add_at_nodes(space.elements, of_elements, total)
+    return total
 
 
 def element_mean_stress(discretisation: Discretisation, F: Array, stress: Array) -> Array:
@@ -86,22 +102,18 @@ def stress_power(discretisation: Discretisation, F: Array, F_dot: Array, stress:
 
 
 @kernel
-def deformation(space: Any, u: Any, v: Any) -> Any:
-    """F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F at all points.
+def set_deformation(begin: Any, end: Any, space: Any, u: Any, v: Any, set_at: Any) -> None:
+    """Set F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F of elements `begin` to `end`.
 
     Args:
         space: `ElementArrays`.
         u, v: (n, 2).
-
-    Returns:
-        F, F_dot: (n_q n_el, 2, 2); J: (n_q n_el,).
+        set_at: F, Ḟ (n_q n_el, 2, 2) and J (n_q n_el,).
     """
-    elements, gradients = space.elements, space.gradients
+    elements, gradients, (F, F_dot, J) = space.elements, space.gradients, set_at
     n_q, k = gradients.shape[1], gradients.shape[2]
-    n_points = space.weights.size
-    F, F_dot, J = np.empty((n_points, 2, 2)), np.empty((n_points, 2, 2)), np.empty(n_points)
     nodal = np.zeros((k, 4))
-    for e in range(elements.shape[0]):
+    for e in range(begin, end):
         for a in range(k):
             row = elements[e, a]
             for i in range(2):
@@ -124,53 +136,61 @@ def deformation(space: Any, u: Any, v: Any) -> Any:
             F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = xx, xy, yx, yy
             F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1] = vxx, vxy, vyx, vyy
             J[p] = xx * yy - xy * yx
-    return F, F_dot, J
+
+
+@parallel_kernel
+def _set_deformation_parallel(space: Any, u: Any, v: Any, set_at: Any) -> None:
+    for part in prange((space.elements.shape[0] + _PART - 1) // _PART):
+        end = min((part + 1) * _PART, space.elements.shape[0])
+        set_deformation(part * _PART, end, space, u, v, set_at)
 
 
 @kernel
-def nodal_forces(space: Any, F: Any, stress: Any, total: Any) -> Any:
-    """Add f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a of all elements.
+def set_forces(begin: Any, end: Any, space: Any, F: Any, stress: Any, forces: Any) -> None:
+    """Set f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a of elements.
 
     Of triangles Σ_Gauss J w σ F⁻ᵀ∇N_a. J F⁻ᵀ is the cofactor of F, so nothing is divided.
 
     Args:
+        begin, end: of the elements.
         space: `ElementArrays`.
         F, stress: (n_q n_el, 2, 2).
-        total: (n, 2) µN, to which they are added.
-
-    Returns:
-        total.
+        forces: (n_el, k, 2), µN.
     """
     n_q, k = space.gradients.shape[1], space.gradients.shape[2]
-    force = np.empty((k, 2))
-    for e in range(space.elements.shape[0]):
-        force[:] = 0.0
+    for e in range(begin, end):
+        forces[e] = 0.0
         for q in range(n_q):
             p = n_q * e + q
-            add_force(e, q, space, F[p], stress[p], force)
-        for a in range(k):
-            row = space.elements[e, a]
-            total[row, 0] += force[a, 0]
-            total[row, 1] += force[a, 1]
-    return total
+            s00, s01, s10, s11 = stress[p, 0, 0], stress[p, 0, 1], stress[p, 1, 0], stress[p, 1, 1]
+            if k == 4:
+                pressure = 0.5 * (s00 + s11)
+                if q < n_q - 1:
+                    s00, s11 = s00 - pressure, s11 - pressure
+                else:
+                    s00, s11, s01, s10 = pressure, pressure, 0.0, 0.0
+            w = space.weights[e, q]
+            c00, c01, c10, c11 = F[p, 1, 1], -F[p, 1, 0], -F[p, 0, 1], F[p, 0, 0]
+            p00, p01 = w * (s00 * c00 + s01 * c10), w * (s00 * c01 + s01 * c11)
+            p10, p11 = w * (s10 * c00 + s11 * c10), w * (s10 * c01 + s11 * c11)
+            for a in range(k):
+                gx, gy = space.gradients[e, q, a, 0], space.gradients[e, q, a, 1]
+                forces[e, a, 0] += p00 * gx + p01 * gy
+                forces[e, a, 1] += p10 * gx + p11 * gy
+
+
+@parallel_kernel
+def _set_forces_parallel(space: Any, F: Any, stress: Any, forces: Any) -> None:
+    for part in prange((space.elements.shape[0] + _PART - 1) // _PART):
+        end = min((part + 1) * _PART, space.elements.shape[0])
+        set_forces(part * _PART, end, space, F, stress, forces)
 
 
 @kernel
-def add_force(e: Any, q: Any, space: Any, F: Any, stress: Any, force: Any) -> None:
-    """Add what a point of element e contributes to the force (k, 2) on its nodes."""
-    n_q, k = space.gradients.shape[1], space.gradients.shape[2]
-    s00, s01, s10, s11 = stress[0, 0], stress[0, 1], stress[1, 0], stress[1, 1]
-    if k == 4:
-        pressure = 0.5 * (s00 + s11)
-        if q < n_q - 1:
-            s00, s11 = s00 - pressure, s11 - pressure
-        else:
-            s00, s11, s01, s10 = pressure, pressure, 0.0, 0.0
-    w = space.weights[e, q]
-    c00, c01, c10, c11 = F[1, 1], -F[1, 0], -F[0, 1], F[0, 0]
-    p00, p01 = w * (s00 * c00 + s01 * c10), w * (s00 * c01 + s01 * c11)
-    p10, p11 = w * (s10 * c00 + s11 * c10), w * (s10 * c01 + s11 * c11)
-    for a in range(k):
-        gx, gy = space.gradients[e, q, a, 0], space.gradients[e, q, a, 1]
-        force[a, 0] += p00 * gx + p01 * gy
-        force[a, 1] += p10 * gx + p11 * gy
+def add_at_nodes(elements: Any, forces: Any, total: Any) -> None:
+    """Add forces (n_el, k, 2) on the nodes of elements to `total` (n, 2), in their order."""
+    for e in range(elements.shape[0]):
+        for a in range(elements.shape[1]):
+            row = elements[e, a]
+            total[row, 0] += forces[e, a, 0]
+            total[row, 1] += forces[e, a, 1]

@@ -32,7 +32,8 @@ from surrofe2.io.surrogates import content_fingerprint, read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, Problem, Surface, simulate
-from surrofe2.macro.discretisation import n_points_of
+from surrofe2.macro.discretisation import make_discretisation, n_points_of
+from surrofe2.macro.internal_force import MANY, deformation_gradient, internal_force
 from surrofe2.macro.problem import bar
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
@@ -257,6 +258,10 @@ def warm_up(
             law.everywhere(partial(_ask_all, counts=counts))
         else:
             _ask_all(law, counts)
+    if points >= MANY:
+        space = make_discretisation(bar(_INSTANT, (20, 20)).mesh)
+        F, _, _ = deformation_gradient(space, 0.0 * space.nodes, 0.0 * space.nodes)
+        internal_force(space, F, 0.0 * F)
     small = replace(settings, elements=(min(nx, 2), min(ny, 2)))
     for law in laws if settings.integrator == "implicit" else laws[:1]:
         with suppress(SimulationError):  # a law that cannot start says so in the run itself

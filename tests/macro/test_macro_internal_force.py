@@ -9,12 +9,13 @@ from surrofe2.macro import Problem
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import widen_extremes
 from surrofe2.macro.internal_force import (
-    deformation,
+    MANY,
     deformation_gradient,
     element_mean_F,
     element_mean_stress,
     internal_force,
-    nodal_forces,
+    set_deformation,
+    set_forces,
     stress_power,
 )
 from surrofe2.macro.system import make_system
@@ -22,7 +23,7 @@ from surrofe2.macro.tangents import mass_matrix
 from surrofe2.tensors import det
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, bar_system, distorted_bar, random_state, state_vector
-from tests.macro.meshes import plate
+from tests.macro.meshes import KINDS, plate
 
 
 def unheld_state(bar, rng):
@@ -89,7 +90,7 @@ def extremes_twin(F, F_dot):
 def test_deformation_kernel_agrees_with_its_twin(rng):
     bar = distorted_bar(rng).discretisation
     u, v = unheld_state(bar, rng)
-    F, F_dot, J = deformation(bar.arrays, u, v)
+    F, F_dot, J = deformation_gradient(bar, u, v)
     expected_F, expected_rate = deformation_twin(bar, u, v)
     np.testing.assert_allclose(F, expected_F, rtol=0, atol=1e-13)
     np.testing.assert_allclose(F_dot, expected_rate, rtol=0, atol=1e-13)
@@ -99,10 +100,27 @@ def test_deformation_kernel_agrees_with_its_twin(rng):
 def test_force_kernel_agrees_with_its_twin(rng):
     bar = distorted_bar(rng).discretisation
     F, _, _ = deformation_gradient(bar, *unheld_state(bar, rng))
-    stress, before = rng.normal(size=F.shape), rng.normal(size=bar.nodes.shape)
-    force = nodal_forces(bar.arrays, F, stress, before.copy())
+    stress = rng.normal(size=F.shape)
     expected = internal_force_twin(bar, F, stress)
-    np.testing.assert_allclose(force - before, expected, rtol=0, atol=1e-12 * abs(expected).max())
+    atol = 1e-12 * abs(expected).max()
+    np.testing.assert_allclose(internal_force(bar, F, stress), expected, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_points_give_what_few_do(kind, rng, monkeypatch):
+    """To the bit: by several cores and by one, whatever is left over behind the last part."""
+    space = make_system(
+        Problem(mesh=plate(kind, rng, (29, 23)), conditions=()), 0.08
+    ).discretisation
+    assert space.n_points > MANY
+    u, v = unheld_state(space, rng)
+    by_many = deformation_gradient(space, u, v)
+    stress = rng.normal(size=by_many[0].shape)
+    force = internal_force(space, by_many[0], stress)
+    monkeypatch.setattr("surrofe2.macro.internal_force.MANY", space.n_points + 1)
+    for here, there in zip(deformation_gradient(space, u, v), by_many, strict=True):
+        np.testing.assert_array_equal(here, there)
+    np.testing.assert_array_equal(internal_force(space, by_many[0], stress), force)
 
 
 def test_extremes_kernel_agrees_with_its_twin(rng):
@@ -118,7 +136,7 @@ def test_extremes_kernel_agrees_with_its_twin(rng):
 
 
 def test_kernels_may_not_assume_that_there_is_no_nan():
-    for kernel in (deformation, nodal_forces, widen_extremes):
+    for kernel in (set_deformation, set_forces, widen_extremes):
         flags = kernel.targetoptions["fastmath"]
         assert flags <= {"nsz", "arcp", "contract", "afn", "reassoc"}
 
