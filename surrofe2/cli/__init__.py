@@ -62,7 +62,6 @@ COMMANDS = {
         "Look into the plant cells of a run: the RVE at a point over time.",
         "out/cached --point 200,12.5",
     ),
-    "table": (LOOK, "Show and merge tables of runs by --law table.", "show out/table/table.h5"),
     "export": (LOOK, "A surrogate as C source, for other programs.", "surrogate.safetensors"),
     "rest": (PHYSICS, "The tissue at rest under the recipe's loads.", "RECIPE --out out/rest"),
     "modes": (PHYSICS, "Period and damping of small oscillations.", "RECIPE"),
@@ -131,30 +130,27 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command and turn known failures into an exit code."""
         try:
-            found = super().invoke(ctx)
+            return super().invoke(ctx)
         except Surrofe2Error as error:
             if ctx.params.get("traceback"):
                 raise
-            raise _ended("failed", f"error: {error}", 1) from None
+            raise _ended(f"error: {error}", 1) from None
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
             told = shortened(f"{error.filename}: {error.strerror}")
-            raise _ended("failed", f"error: {told}", 1) from None
+            raise _ended(f"error: {told}", 1) from None
         except InterruptedWork as work:
             told = f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}"
-            raise _ended("interrupted", told, exit_code()) from None
+            raise _ended(told, exit_code()) from None
         except KeyboardInterrupt:
             told = "interrupted: nothing was changed"
-            raise _ended("interrupted", told, exit_code()) from None
-        output.end("finished")
-        return found
+            raise _ended(told, exit_code()) from None
 
 
-def _ended(status: str, told: str, code: int) -> typer.Exit:
+def _ended(told: str, code: int) -> typer.Exit:
     """Say how a command ended that did not finish."""
     output.print_error(told)
-    output.end(status, told.partition(": ")[2])
     return typer.Exit(code)
 
 
@@ -188,12 +184,10 @@ def _show_version(wanted: bool) -> None:
 
 SHARED = {
     "--quiet": "Say nothing but warnings and errors.",
-    "--json": "Say all as one JSON object on stdout.",
     "--traceback": "Show where an error came from, not only its sentence.",
 }
 """Options of all commands, which the group takes before a command sees them."""
 Quiet = Annotated[bool, typer.Option("--quiet", help=SHARED["--quiet"])]
-Json = Annotated[bool, typer.Option("--json", help=SHARED["--json"])]
 Traceback = Annotated[
     bool, typer.Option("--traceback", envvar="SURROFE2_TRACEBACK", help=SHARED["--traceback"])
 ]
@@ -221,11 +215,10 @@ def options(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Say the version."),
     ] = False,
     quiet: Quiet = False,
-    json: Json = False,
     traceback: Traceback = False,
 ) -> None:
     """Options before the command."""
-    output.begin(ctx.invoked_subcommand or "", quiet=quiet, as_json=json)
+    output.begin(ctx.invoked_subcommand or "", quiet=quiet)
     package = logging.getLogger("surrofe2")
     if not package.handlers:
         package.addHandler(output.PrintHandler())

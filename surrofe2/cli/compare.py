@@ -36,7 +36,7 @@ def compare(
     show_comparison(result)
     for sentence in missing_notes(runs):
         console.print_line(sentence)
-    console.done(out, " and ".join(COMPARISON_FILES), **result.to_dict())
+    console.done(out, " and ".join(COMPARISON_FILES))
 
 
 def show_comparison(result: Comparison, of: str = "") -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -20,9 +20,6 @@ from surrofe2.cli.output import (  # noqa: F401
 )
 from surrofe2.cli.progress import Report, progress, stages  # noqa: F401
 from surrofe2.errors import InputError, quoted
-
-if TYPE_CHECKING:
-    from surrofe2.io.run_folder import RunRecord
 
 
 class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
@@ -71,16 +68,6 @@ def working(
     """Show the progress of work, and say what was kept where Ctrl-C ends it; see `on_interrupt`."""
     with on_interrupt(kept, begun), progress(what, total, unit) as report:
         yield report
-
-
-def told(record: RunRecord) -> dict[str, Any]:
-    """What `--json` has of a run besides its folder, where run.json has all of it."""
-    return {
-        "law": record.law,
-        "wall_time": record.wall_time,
-        "counts": record.counts,
-        "met": record.met,
-    }
 
 
 AnyInitialisation = Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"]

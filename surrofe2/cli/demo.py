@@ -43,5 +43,4 @@ def demo(
         "wall time and speed-up: of the runs alone, both warm; imports and warm-up before them, "
         "data set and training are not in them"
     )
-    told = {title: bar.comparison and bar.comparison.to_dict() for title, bar in found}
-    console.done(out / REPORT, "data set, surrogate and two bars", comparisons=told)
+    console.done(out / REPORT, "data set, surrogate and two bars")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 from surrofe2.cli import console
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
 from surrofe2.workflow.laws import open_study
@@ -41,4 +39,4 @@ def generate(
             begun = (part.data_path(),)
             with console.working(what, count, "samples", kept, begun) as report:
                 made = generate_data_set(part, fresh=fresh, executor=executor, report=report)
-            console.done(made.path, data_summary(made), of=name, **asdict(made))
+            console.done(made.path, data_summary(made))

@@ -66,7 +66,7 @@ def grid(
         )
     title = f"{recipe.name}, {len(found.rows)} runs"
     console.show_table(title, found.table, names=found.names)
-    console.done(folder, f"{len(found.rows)} runs, {', '.join(GRID_FILES)}", runs=len(found.rows))
+    console.done(folder, f"{len(found.rows)} runs, {', '.join(GRID_FILES)}")
     if found.failed:
         name, sentence = next(iter(found.failed.items()))
         raise SimulationError(

@@ -35,12 +35,12 @@ def new(
     path = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
     first, *others = write_recipe(path, kind, fresh=fresh)
     beside = "".join(f", with {other}" for other in others)
-    console.done(first, f"recipe of {KINDS[kind]}{beside}", timed=False, kind=kind)
+    console.done(first, f"recipe of {KINDS[kind]}{beside}", timed=False)
     console.print_line(f"next: surrofe2 check {path}, after changes; then generate, train, run")
 
 
 def _can_ask() -> bool:
-    return sys.stdin.isatty() and not console.now().is_silent
+    return sys.stdin.isatty() and not console.now().quiet
 
 
 def _asked() -> str:

@@ -1,16 +1,12 @@
-"""What a command says: lines, tables and warnings for people, or all of it as one JSON object.
+"""What a command prints: lines, tables and warnings.
 
-Commands call `print_line`, `print_error`, `show_table` and `done`; whether that is heard, and how,
-stands here alone (`--quiet`, `--json`).
+Commands call `print_line`, `print_error`, `show_table` and `done`; `--quiet` is heeded here alone.
 """
 
 from __future__ import annotations
 
-import json
 import logging
-import math
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,73 +25,28 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Output:
-    """What the command has said so far, for `--json`.
+    """The command that is at work.
 
     Attributes:
-        result: the numbers of the command, by name.
         began: when, by `time.perf_counter`.
     """
 
     command: str = ""
     quiet: bool = False
-    as_json: bool = False
-    lines: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    tables: list[dict[str, Any]] = field(default_factory=list)
-    result: dict[str, Any] = field(default_factory=dict)
     began: float = field(default_factory=time.perf_counter)
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether people are told nothing on stdout."""
-        return self.quiet or self.as_json
 
 
 _now = [Output()]
 
 
-def begin(command: str, *, quiet: bool, as_json: bool) -> None:
-    """A command begins, of which nothing was said."""
-    _now[0] = Output(command, quiet, as_json)
+def begin(command: str, *, quiet: bool) -> None:
+    """A command begins."""
+    _now[0] = Output(command, quiet)
 
 
 def now() -> Output:
-    """What the present command has said."""
+    """The command that is at work."""
     return _now[0]
-
-
-def end(status: str, error: str | None = None) -> None:
-    """Say all as one JSON object where that is wanted."""
-    said = now()
-    if not said.as_json:
-        return
-    found = {
-        "command": said.command,
-        "status": status,
-        "error": error,
-        "seconds": round(time.perf_counter() - said.began, 3),
-        "result": said.result,
-        "tables": said.tables,
-        "lines": said.lines,
-        "warnings": said.warnings,
-    }
-    typer.echo(json.dumps(_plain(found), ensure_ascii=False, allow_nan=False, indent=1))
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON has it; null where a number is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
-        return value
-    try:
-        return _plain(value.tolist())  # of numpy
-    except AttributeError:
-        return str(value)
 
 
 class PrintHandler(logging.Handler):
@@ -114,27 +65,23 @@ def print_error(sentence: str) -> None:
 
 
 def print_warning(sentence: str) -> None:
-    """The same, of a command that goes on; among the warnings of `--json`."""
-    now().warnings.append(" ".join(sentence.split()))
+    """The same, of a command that continues."""
     print_error(sentence)
 
 
 def print_line(sentence: str) -> None:
     """One line on stdout."""
-    now().lines.append(sentence)
-    if not now().is_silent:
+    if not now().quiet:
         typer.echo(sentence)
 
 
-def done(where: str | Path | None, what: str, *, timed: bool = True, **result: Any) -> None:
+def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
     """The line that sums up: where the outcome is, what it is and how long the command took.
 
     Args:
         where: None of a command that wrote no file; its name stands there.
         timed: whether to say how long; not where `what` does.
-        result: numbers for `--json`.
     """
-    now().result |= {"output": None if where is None else str(where), **result}
     print_line(f"{where or now().command}: {what}{f', {took()}' if timed else ''}")
 
 
@@ -148,8 +95,7 @@ def show_table(title: str, table: Table[Any], names: int = 1) -> None:
 
     Where it is wider than the terminal, further tables have the figures that are left.
     """
-    now().tables.append({"title": title, "units": table.units, "rows": table.to_records()})
-    if now().is_silent:
+    if now().quiet:
         return
     columns, rows = table.for_people()
     console = Console()

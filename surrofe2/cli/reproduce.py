@@ -103,4 +103,4 @@ def reproduce(
             if "verdict" in row:
                 print_line(row["verdict"])
     names = ", ".join(path.name for path in paths)
-    done(out, names if study is not None else f"{names}, there already", figure=figure)
+    done(out, names if study is not None else f"{names}, there already")

@@ -45,6 +45,6 @@ def rest(
         record = rest_study(
             study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )
-    console.done(out, rest_summary(record), timed=False, **console.told(record))
+    console.done(out, rest_summary(record), timed=False)
     for sentence, is_warning in surface_notes(record, study):
         (console.print_warning if is_warning else console.print_line)(sentence)

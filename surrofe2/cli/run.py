@@ -118,7 +118,7 @@ def run(
                 fresh=fresh,
                 report=report,
             )
-    console.done(out, run_summary(record), timed=False, **console.told(record))
+    console.done(out, run_summary(record), timed=False)
     if cell_fields:
         begin = time.perf_counter()
         count = add_cell_fields(out)

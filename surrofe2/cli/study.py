@@ -65,8 +65,7 @@ def study(
             tell=console.print_line,
         )
     show_study(found)
-    of = None if found.comparison is None else found.comparison.to_dict()
-    console.done(folder, "all steps done", comparison=of)
+    console.done(folder, "all steps done")
 
 
 def show_study(found: Studied, title: str = "") -> None:

@@ -54,4 +54,4 @@ def tissue(
     begun = (out / "run.json",)
     with console.working("full tissue", study.duration, "µs", kept, begun) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
-    console.done(out, tissue_summary(record), timed=False, **console.told(record))
+    console.done(out, tissue_summary(record), timed=False)

@@ -80,7 +80,7 @@ def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     for line in trained.bound.splitlines():
         console.print_line(line)
     summary = training_summary(trained)
-    console.done(trained.path, summary, of=study.cell_name, kept=trained.kept, errors=errors)
+    console.done(trained.path, summary)
     warning = large_errors(study, trained)
     if warning is not None:
         console.print_warning(warning)
@@ -136,7 +136,7 @@ def refine(
         raise
     show_rounds(found)
     files = ", ".join(str(folder / of_cell(SURROGATE, name)) for name in study.parts(cell))
-    console.done(files, f"settled after {found[-1].round + 1} rounds", rounds=len(found))
+    console.done(files, f"settled after {found[-1].round + 1} rounds")
 
 
 def show_rounds(found: list[Round]) -> None:

@@ -25,8 +25,8 @@ def zoom(
     """Look into the plant cells of a run: the RVE at a point over time.
 
     True RVEs, of cached runs too, take the mean F and Ḟ of the element at the point at the times
-    of the run's fields. DIR receives zoom.png, zoom.gif, zoom.csv (stretch and tension of walls,
-    turgor, area, contact pressure over time), fields.xdmf for ParaView and zoom.xyz for OVITO.
+    of the run's fields. DIR receives zoom.png, zoom.csv (stretch and tension of walls, turgor,
+    area, contact pressure over time) and fields.xdmf for ParaView.
 
     Example: [bold]surrofe2 zoom out/cached --point 200,12.5[/bold]
     """
@@ -43,8 +43,6 @@ def zoom(
         f"element {found.element} at {len(found.t)} times; at the last wall stretch up "
         f"to {last['largest_wall_stretch']:.4g}, turgor {last['lowest_turgor_uN_per_um']:.3g} to "
         f"{last['highest_turgor_uN_per_um']:.3g} µN/µm",
-        element=found.element,
-        last=last,
     )
 
 

@@ -1,4 +1,4 @@
-"""The particles of one RVE over time: for ParaView and for OVITO."""
+"""The particles of one RVE over time, for ParaView."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.io.fields import in_space, writing_series
-from surrofe2.io.files import write_text
 from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
@@ -76,30 +75,3 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
             }
             of_springs = {"wall_stretch": seen.stretch[k], "wall_tension_uN": seen.tension[k]}
             write(float(time), at_points, of_springs)
-
-
-def write_extended_xyz(path: Path, seen: Particles, t: Array) -> None:
-    """Write the RVE at times t (n,), µs, as extended XYZ with its periodic box, for OVITO.
-
-    Species are Wall and Fluid; `pressure` is the turgor of fluid, on walls the largest contact
-    pressure, µN/µm.
-    """
-    names = ["Wall" if wall else "Fluid" for wall in seen.is_wall]
-    lines: list[str] = []
-    for k, time in enumerate(t):
-        periods = np.zeros((3, 3))
-        periods[:2, :2], periods[2, 2] = (seen.F[k] @ seen.lattice).T, 1.0
-        box = " ".join(map(repr, periods.ravel().tolist()))
-        lines += [
-            str(len(names)),
-            f'Lattice="{box}" pbc="T T F" Time={float(time)!r} '
-            "Properties=species:S:1:pos:R:3:velo:R:3:force:R:3:pressure:R:1",
-        ]
-        pressure = np.concatenate([seen.contact_pressure[k], seen.pressure[k]])
-        vectors = (in_space(each[k]) for each in (seen.position, seen.velocity, seen.force))
-        table = np.column_stack([*vectors, pressure])
-        lines += [
-            f"{name} {' '.join(map(repr, row))}"
-            for name, row in zip(names, table.tolist(), strict=True)
-        ]
-    write_text(path, "\n".join(lines) + "\n")

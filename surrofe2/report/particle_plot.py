@@ -1,30 +1,26 @@
-"""Pictures of RVEs: walls by stretch, fluid by pressure, at several times or as an animation."""
+"""Pictures of RVEs: walls by stretch, fluid by pressure, at several times."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surrofe2.io.files import write_bytes
 from surrofe2.report.figures import write_png
 from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
 
-PANELS, ANIMATED = 6, 50
+PANELS = 6
 CLOCK = "t = {:.4g} µs"
 _COPIES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 _WALLS, _FLUID = "viridis", "Blues"
-_FRAMES_PER_SECOND = 12
 
 
 def write_particle_picture(
@@ -45,42 +41,6 @@ def write_particle_picture(
     _add_scales(figure, places.ravel().tolist(), drawn)
     figure.suptitle(title, fontsize=11)
     write_png(path, figure)
-
-
-def write_particle_animation(
-    path: Path,
-    title: str,
-    seen: Particles,
-    t: Array,
-    clock: str = CLOCK,
-    progress: Callable[[int, int], object] | None = None,
-) -> None:
-    """Draw the RVE at up to `ANIMATED` times of t (n,), as `clock` tells, as an animated GIF.
-
-    Args:
-        progress: called with the number of the picture and how many there are.
-    """
-    shown = np.unique(np.linspace(0, len(t) - 1, min(ANIMATED, len(t))).round().astype(int))
-    figure = _new_figure(5.6, 4.6)
-    place = figure.subplots()
-    window = _window(seen)
-    drawn = _draw(place, seen, 0, window)
-    _add_scales(figure, [place], drawn)
-    figure.suptitle(title, fontsize=11)
-
-    def frame(number: int) -> None:
-        k = int(shown[number])
-        place.clear()
-        _draw(place, seen, k, window)
-        place.set_title(clock.format(t[k]), fontsize=9)
-
-    animation = FuncAnimation(figure, frame, frames=len(shown), repeat=False)
-    with TemporaryDirectory() as folder:
-        # Pillow takes the format from the name's ending.
-        drawn_file = Path(folder) / "animation.gif"
-        writer = PillowWriter(fps=_FRAMES_PER_SECOND)
-        animation.save(drawn_file, writer=writer, dpi=80, progress_callback=progress)
-        write_bytes(path, drawn_file.read_bytes())
 
 
 def _new_figure(width: float, height: float) -> Figure:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 from numpy.typing import NDArray
@@ -12,14 +12,10 @@ from numpy.typing import NDArray
 from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.costs import NOTHING, Cost
-from surrofe2.io.files import check_same
 from surrofe2.io.harvest import HarvestWriter
-from surrofe2.io.lock import locked_file
 from surrofe2.io.provenance import Origin
-from surrofe2.io.run_folder import file_fingerprint
-from surrofe2.io.tables import check_table, read_table, stored, write_table
+from surrofe2.io.tables import stored, write_table
 from surrofe2.recipe import Recipe
 
 TABLE, HARVEST = "table.h5", "harvest.h5"
@@ -86,31 +82,3 @@ def counts_with(tables: Mapping[str, StressTable], before: Mapping[str, int]) ->
         counts.update({"table_records": table.size, **changed})
     solves = before.get("rve_solves", 0) + counts.get("table_rve_solves", 0)
     return {**before, **counts, **({"rve_solves": solves} if tables else {})}
-
-
-def merge_tables(files: Sequence[Path], out: Path, *, fresh: bool = False) -> int:
-    """Write the records of all files into one; how many there are.
-
-    Ellipsoids are tested for the smallest tolerance of the files.
-
-    Raises:
-        MismatchError: they are not of the same cell parameters and initialisation.
-    """
-    of = {"files": [file_fingerprint(path) for path in files]}
-    with locked_file(out):
-        if out.exists() and not fresh:
-            kept = read_table(out)
-            check_same(out, of, kept.recipe)
-            return len(kept.records.centre)
-        tables = [read_table(path) for path in files]
-        first = tables[0]
-        tolerance = min(each.tolerance for each in tables)
-        images = 4 if first.cell.symmetry == "D4" else 1
-        records, cost = first.records, sum((each.cost for each in tables), start=NOTHING)
-        for path, more in zip(files[1:], tables[1:], strict=True):
-            check_table(path, more, first.cell, first.initialisation)
-            records = merged(records, more.records, tolerance, images)
-        sources = {"merged": [each.recipe for each in tables], **of}
-        made = replace(first, records=records, tolerance=tolerance, recipe=sources, cost=cost)
-        write_table(out, made)
-        return len(records.centre)

@@ -12,10 +12,10 @@ from surrofe2.errors import FileError, InputError
 from surrofe2.io.columns import write_columns
 from surrofe2.io.fields import ElementMotion, read_element_motion
 from surrofe2.io.lock import locked_folder
-from surrofe2.io.particles import write_extended_xyz, write_rve_fields
+from surrofe2.io.particles import write_rve_fields
 from surrofe2.io.run_folder import RunRecord, read_record
 from surrofe2.macro.discretisation import find_element
-from surrofe2.report.particle_plot import write_particle_animation, write_particle_picture
+from surrofe2.report.particle_plot import write_particle_picture
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.stress_law import describe
@@ -87,7 +87,7 @@ def _law_at(record: RunRecord, motion: ElementMotion, element: int) -> tuple[str
 
 
 def write_zoom(found: Zoom, out: str | Path, report: Report = untold) -> None:
-    """Write zoom.png, zoom.gif, zoom.csv, zoom.xyz for OVITO and fields.xdmf for ParaView.
+    """Write zoom.png, zoom.csv and fields.xdmf for ParaView.
 
     Args:
         report: called with the share that is done and what is made.
@@ -101,15 +101,6 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = untold) -> None:
     with locked_folder(out):
         report(0.1, "picture")
         write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
-        write_particle_animation(
-            out / "zoom.gif",
-            title,
-            found.seen,
-            found.t,
-            clock,
-            lambda k, n: report(0.2 + 0.7 * k / n, "animation"),
-        )
-        report(0.9, "tables and fields")
+        report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", list(columns), list(columns.values()))
-        write_extended_xyz(out / "zoom.xyz", found.seen, found.t)
         write_rve_fields(out, found.seen, found.t)

@@ -144,7 +144,7 @@ def test_a_table_is_no_wider_than_the_terminal(capsys, monkeypatch):
     names = ["stiffness (µN/µm)", "law", *(f"large quantity {k}" for k in range(9))]
     row = ["3000", "cached", *(f"{k}.{k}{k}{k}" for k in range(9))]
     quantities = [Quantity(name, "", "", itemgetter(k)) for k, name in enumerate(names)]
-    output.begin("grid", quiet=False, as_json=False)
+    output.begin("grid", quiet=False)
     output.show_table("Many", Table(quantities, [row, row]), names=2)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 60

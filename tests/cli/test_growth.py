@@ -9,13 +9,11 @@ import pytest
 
 from surrofe2.costs import Cost
 from surrofe2.io.harvest import read_harvest
-from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.io.run_folder import read_record
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import read_table
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.laws import make_table
-from tests.io.test_locks import leave_lock
 from tests.laws import SoftLaw, SquareLaw, square_stress
 
 
@@ -56,29 +54,17 @@ def test_true_answers_of_a_run_are_harvested(invoke, first, recipe_path, tmp_pat
     assert not (tmp_path / "no" / "harvest.h5").exists()
 
 
-def test_tables_merge(invoke, first, recipe_path, changed_recipe, tmp_path):
+def test_a_run_takes_what_several_tables_know(invoke, first, recipe_path, changed_recipe, tmp_path):
     changed_recipe("[0.0, -0.5]", "[0.4, 0.0]")
     run(invoke, recipe_path, tmp_path / "second", "--law", "table")
     files = [first / "table.h5", tmp_path / "second" / "table.h5"]
-    merged = tmp_path / "merged.h5"
-    with locked_file(merged):
-        refused = invoke("table", "merge", *files, "--out", merged)
-    assert f"error: {merged}: in use by" in refused.stderr
-    assert not merged.exists()
-    done = invoke("table", "merge", *files, "--out", merged)
-    assert done.exit_code == 0, done.output
-    sizes = [len(read_table(path).records.centre) for path in (*files, merged)]
-    assert max(sizes[:2]) < sizes[2] <= sum(sizes[:2])
-    leave_lock(file_lock(merged))
-    assert invoke("table", "merge", *files, "--out", merged).exit_code == 0
-    assert not file_lock(merged).exists()
-    assert invoke("table", "merge", *files[::-1], "--out", merged).exit_code == 1
-    shown = invoke("table", "show", merged)
-    assert f"{sizes[2]} records, constrained-runs" in shown.stdout
+    sizes = [len(read_table(path).records.centre) for path in files]
     both = [part for path in files for part in ("--table", path)]
-    again = run(invoke, recipe_path, tmp_path / "third", "--law", "table", *both)
-    assert again.exit_code == 0, again.output
-    assert read_record(tmp_path / "third").counts["table_records"] >= sizes[2]
+    done = run(invoke, recipe_path, tmp_path / "third", "--law", "table", *both)
+    assert done.exit_code == 0, done.output
+    counts = read_record(tmp_path / "third").counts
+    begun = counts["table_records"] - counts["table_added"]
+    assert max(sizes) < begun <= sum(sizes)
 
 
 def test_a_table_of_other_parameters_is_refused(

@@ -1,10 +1,9 @@
-"""What commands say: lines, tables, one JSON object, or nothing."""
+"""What commands print: lines, tables, or nothing."""
 
 from __future__ import annotations
 
 import io
 import itertools
-import json
 import re
 import time
 
@@ -15,38 +14,6 @@ from typer.testing import CliRunner
 from surrofe2.cli import COMMANDS, app, output
 from surrofe2.cli import progress as shown
 from surrofe2.report.tables import Quantity, Table
-
-
-def test_json_is_one_object_and_nothing_else(invoke, recipe_path, tmp_path):
-    runs = [tmp_path / "a", tmp_path / "b"]
-    for run in runs:
-        done = invoke("run", recipe_path, "--law", "rve", "--out", run, "--json")
-        assert done.exit_code == 0, done.output
-        said = json.loads(done.stdout)
-        assert (said["command"], said["status"], said["error"]) == ("run", "finished", None)
-        assert said["result"]["output"] == str(run)
-        assert said["result"]["counts"]["rve_solves"] > 0
-        assert said["lines"][-1].startswith(f"{run}: 4 µs by rve in ")
-    done = invoke("--json", "compare", *runs, "--out", tmp_path / "c")
-    said = json.loads(done.stdout)
-    assert said["result"]["runs"][0]["difference"]["largest"] == 0.0
-    (table, *_) = said["tables"]
-    assert [row["run"] for row in table["rows"]] == ["a", "b"]
-    assert table["units"]["wall_time"] == "s"
-
-
-def test_json_of_a_failure_and_of_an_interruption(invoke, recipe_path, tmp_path):
-    from tests.laws import StoppingLaw
-
-    failed = invoke("run", tmp_path / "no.toml", "--law", "rve", "--out", tmp_path / "a", "--json")
-    said = json.loads(failed.stdout)
-    assert (failed.exit_code, said["status"]) == (1, "failed")
-    assert failed.stderr == f"error: {said['error']}\n"
-    command = ("run", recipe_path, "--law", "rve", "--out", tmp_path / "b", "--json")
-    stopped = invoke(*command, law=StoppingLaw(calls=60))
-    said = json.loads(stopped.stdout)
-    assert (stopped.exit_code, said["status"]) == (130, "interrupted")
-    assert "go on with: surrofe2 --json run" in said["error"]
 
 
 def test_quiet_says_nothing_but_errors(invoke, recipe_path, tmp_path):
@@ -67,7 +34,7 @@ def test_one_command_does_not_quieten_the_next(invoke, recipe_path):
 @pytest.mark.parametrize("width", [40, 80, 120])
 def test_tables_are_no_wider_than_the_terminal(monkeypatch, capsys, width):
     monkeypatch.setenv("COLUMNS", str(width))
-    output.begin("compare", quiet=False, as_json=False)
+    output.begin("compare", quiet=False)
     quantities = [Quantity(f"quantity {k}", "µN/µm", ".6g", lambda row: row) for k in range(9)]
     output.show_table("Numbers", Table(quantities, [1234.56, 0.1]))
     lines = capsys.readouterr().out.splitlines()
@@ -82,7 +49,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
         monkeypatch.setattr(shown, "Console", lambda stderr, terminal=terminal: terminal)
         moments = itertools.count(0.0, 0.6)
         monkeypatch.setattr(shown.time, "perf_counter", lambda moments=moments: next(moments))
-        output.begin("generate", quiet=False, as_json=False)
+        output.begin("generate", quiet=False)
         with shown.progress("generate", 4096, "samples") as report:
             for done in (512, 1024, 2048):
                 report(done, "3 failed")
@@ -99,7 +66,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
 def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch, capsys):
     seconds = [0.0]
     monkeypatch.setattr(shown.time, "perf_counter", lambda: seconds[0])
-    output.begin("generate", quiet=False, as_json=False)
+    output.begin("generate", quiet=False)
     with shown.progress("generate", 100, "samples") as report:
         for k in range(101):
             seconds[0] = 0.4 * k
@@ -139,7 +106,7 @@ def test_help_is_in_groups_of_at_most_twenty_commands():
 def test_all_commands_have_the_options_of_all(name):
     told = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"})
     assert told.exit_code == 0, told.output
-    for option in ("--quiet", "--json", "--traceback"):
+    for option in ("--quiet", "--traceback"):
         assert option in told.output
     assert max(map(len, told.output.splitlines())) <= 80
 

@@ -60,11 +60,9 @@ def seen(study):
 
 def test_the_command_writes_what_it_saw(looked):
     done, out = looked
-    names = ["fields.h5", "fields.xdmf", "zoom.csv", "zoom.gif", "zoom.png", "zoom.xyz"]
+    names = ["fields.h5", "fields.xdmf", "zoom.csv", "zoom.png"]
     assert sorted(path.name for path in out.iterdir()) == names
     assert f"{out}: element 3 at 5 times" in done.stdout
-    with Image.open(out / "zoom.gif") as animation:
-        assert animation.n_frames == 5
     with Image.open(out / "zoom.png") as picture:
         assert np.asarray(picture.convert("L")).std() > 10.0
 
@@ -97,23 +95,6 @@ def test_springs_for_paraview_have_their_length_across_the_boundary_too(looked, 
 def _step(reader, k):
     t, at_points, of_cells = reader.read_data(k)
     return t, at_points, [{name: values[0] for name, values in of_cells.items()}]
-
-
-def test_extended_xyz(looked, seen):
-    _, particles = seen
-    lines = (looked[1] / "zoom.xyz").read_text(encoding="utf-8").splitlines()
-    count = int(lines[0])
-    assert len(lines) == 5 * (count + 2)
-    last = lines[-count - 1 :]
-    box = [float(entry) for entry in last[0].split('"')[1].split()]
-    lattice = particles.F[-1] @ particles.lattice
-    np.testing.assert_allclose(np.reshape(box, (3, 3))[:2, :2].T, lattice, rtol=1e-7)
-    rows = [row.split() for row in last[1:]]
-    assert [row[0] == "Wall" for row in rows] == particles.is_wall.tolist()
-    numbers = np.array([[float(entry) for entry in row[1:]] for row in rows])
-    np.testing.assert_allclose(numbers[:, :2], particles.position[-1], rtol=0, atol=1e-6)
-    walls = particles.is_wall.sum()
-    np.testing.assert_allclose(numbers[walls:, 9], particles.pressure[-1], rtol=1e-6)
 
 
 def test_cell_fields_are_the_extremes_of_the_particles(study, seen):
@@ -156,9 +137,7 @@ def test_zoom_into_a_rest(study, tmp_path, monkeypatch):
     done = call("zoom", tmp_path / "rest", "--point", "10,10", "--out", tmp_path / "look")
     assert done.exit_code == 0, done.output
     told = [line.split(" %")[0] for line in done.stderr.splitlines()]
-    assert told[0] == "zoom: 0"
-    assert "zoom: 43" in told  # the second of three pictures
-    assert told[-1] == "zoom: 90"
+    assert told == ["zoom: 0", "zoom: 10", "zoom: 50"]
     table = np.genfromtxt(tmp_path / "look" / "zoom.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["factor"], [0.0, 0.5, 1.0])
 
