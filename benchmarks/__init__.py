@@ -10,7 +10,6 @@ One module an item of what must hold; each has a TITLE and `run(setting) -> list
     tissue             the bar by FE² against the full tissue
     trust              the cache's error against its tolerance
     macro_overhead     a right-hand side but for its stress law
-    table_learning     a lesson of a table of 100,000 records
     inference          the cached law against torch
     data_set           samples a second
     start_up           help, compilation, memory

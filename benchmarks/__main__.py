@@ -23,7 +23,6 @@ NAMES = (
     "tissue",
     "trust",
     "macro_overhead",
-    "table_learning",
     "inference",
     "data_set",
     "start_up",

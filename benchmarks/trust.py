@@ -183,7 +183,7 @@ def rows_of(
             unit="",
             limit=1.0,
             threads=all_cores(),
-            note=f"{audit['violations']} of {audit['audited']:,} above; {events or 'no alarm'}",
+            note=f"{audit['violations']} of {audit['audited']:,} above; {events or 'none failed'}",
         ),
         Row(
             name=f"{name}: hits of {'all' if case.of_all else 'the'} points"

@@ -165,7 +165,7 @@ class RegionalLaw(Viewed):
         return False if False in found else (None if None in found else True)
 
     def roll_back(self, t: float) -> Any:
-        """As of `AuditedLaw`, of all laws."""
+        """As of `AuditedLaw`, of all laws; only those that failed are then more cautious."""
         return tuple(law.roll_back(t) for law in self._audited)
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:

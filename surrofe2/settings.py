@@ -29,6 +29,8 @@ _LONGEST_NAME, _LONGEST_LIST = 60, 150
 REMOVED: dict[str, str] = {
     "training.form": "leave it out; the network always gives the whole stress",
     "training.energy_hidden": "leave it out; the network always gives the whole stress",
+    "table.enabled": "leave it out; --law cached asks RVEs where the surrogate may not answer, and "
+    "--law table learns from them",
 }
 """Keys that recipes had in earlier versions, as "section.key", and what to do instead."""
 _SMALLEST, _LARGEST, _ENDS = 1e-60, 1e30, (0.0, math.inf, -math.inf)

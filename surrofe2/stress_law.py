@@ -227,8 +227,8 @@ class SwitchingLaw(StressLaw, Protocol):
 class AuditedLaw(StressLaw, Protocol):
     """A law that learns only later how wrong its answers were.
 
-    Whoever steps marks where a chunk of steps begins, and asks for the verdict after every kept
-    step. A chunk that stands ends there, and the next one begins; one that does not is made again
+    Whoever steps marks where a window of steps begins, and asks for the verdict after every kept
+    step. A window that stands ends there, and the next one begins; one that does not is made again
     from its mark, by the state that `roll_back` gives.
     """
 
@@ -243,7 +243,7 @@ class AuditedLaw(StressLaw, Protocol):
         """Whether the steps since the mark stand; None: not known yet, unless `final`."""
 
     def roll_back(self, t: float) -> Any:
-        """The state at the mark, to go on with more caution; t is where the verdict fell."""
+        """The state at the mark, to continue from; t is where the verdict fell."""
 
 
 def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:

@@ -37,7 +37,6 @@ from tests.laws import SoftLaw, SquareLaw
 SHORT = RECIPE.replace("-0.1]", "-0.9]").replace("duration = 4.0", "duration = 2.0")
 SHORT = SHORT.replace("stretch = [0.95, 1.05]", "stretch = [0.98, 1.02]")
 CACHED = SHORT + "[cache]\ntolerance = 0.5\naudit = 0.3\n[table]\ntolerance = 1e-2\n"
-BOTH = CACHED.replace("[table]\n", "[table]\nenabled = true\n")
 SMALL = RECIPE.replace("= 100.0\n", "= 50.0\n").replace("[100.0, 50.0]", "[50.0, 25.0]")
 TISSUE = SMALL.replace("duration = 4.0", "duration = 0.3\noutput_interval = 0.1")
 LEAVING = RECIPE.replace("-0.1]", "-8.0]").replace("duration = 4.0", "duration = 0.5")
@@ -84,7 +83,6 @@ COMMANDS = {
     "rve": (SHORT, by("rve")),
     "surrogate": (RECIPE, by("surrogate")),
     "cached": (CACHED, by("cached")),
-    "cached and table": (BOTH, by("cached")),
     "table": (CACHED, by("table")),
     "implicit": (SHORT + 'integrator = "implicit"\n', by("rve")),
     "tissue": (TISSUE, lambda recipe, folder: run_tissue(recipe, folder / "out")),
@@ -94,7 +92,7 @@ COMMANDS = {
 """By name: recipe, and the command on it in a folder."""
 NEED_NO_SURROGATE = ("generate", "train", "train on more and more", "rve", "table", "implicit",
                      "tissue", "refine", "grid")  # fmt: skip
-NEED_TANGENTS = ("cached and table", "table", "implicit")
+NEED_TANGENTS = ("table", "implicit")
 
 
 @contextmanager

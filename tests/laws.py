@@ -459,9 +459,6 @@ class Untaught:
     def status_and_bound(self, F, F_dot, tolerance=np.inf):
         return self.lookup(F, F_dot, tolerance)[1:]
 
-    def is_of_table(self, F, F_dot, tolerance):
-        return np.zeros(len(F), dtype=bool)
-
     def tangents(self, F, F_dot):
         raise InputError("tangents: none")
 

@@ -23,7 +23,6 @@ from benchmarks import (
     linear_cost,
     macro_overhead,
     paper_scheme,
-    table_learning,
     tissue,
     trust,
 )
@@ -130,7 +129,6 @@ def test_plain_and_lane_forces_are_those_of_the_twin(setting):
         inference,
         pytest.param(initialisations, marks=pytest.mark.slow),
         linear_cost,
-        pytest.param(table_learning, marks=pytest.mark.slow),
     ],
 )
 def test_a_piece_gives_well_formed_rows(module, setting):

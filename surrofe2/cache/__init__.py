@@ -1,9 +1,8 @@
 """Stress from a surrogate or a table where it may be trusted, from the true law elsewhere.
 
 In reading order: `protocols` is what a cache asks of others, `settings` of its user; `branches`
-says which part answers which point, `cached_law` is the law; `monitor` holds what changes with
-kept steps: `audit` finds how wrong the answers were, `trust` and `chunk` draw the conclusions,
-`cost` says whether it pays. `table` is a surrogate that learns as it is used.
+says which part answers which point, `audit` finds how wrong the answers were, `trust` draws the
+conclusions, `cached_law` is the law. `table` is a surrogate that learns as it is used.
 """
 
 from __future__ import annotations
@@ -15,6 +14,6 @@ from surrofe2.public_names import public_names
 if TYPE_CHECKING:
     from surrofe2.cache.cached_law import CachedLaw
     from surrofe2.cache.settings import CacheSettings, TableSettings
-    from surrofe2.cache.table.stress_table import ChainedSurrogate, StressTable, sampled_spread
+    from surrofe2.cache.table.stress_table import StressTable, sampled_spread
 
 __getattr__, __dir__ = public_names(__name__)

@@ -1,4 +1,11 @@
-"""Audits: a share of the cache's answers is compared with the true law, and the errors recorded."""
+"""Audits: answers of the cache, chosen at random, are compared with RVEs, and the errors recorded.
+
+Each answer at a kept step draws a number u from [0, 1). It is audited at once where u is below the
+audited fraction. Answers with the next smallest u are remembered, as many as `trust.AUDITS` audits
+are short of, and audited where a run ends with fewer: so a run of any length, which nobody knows
+before, has at least so many audits, or as many as answers, and those of a window are a simple
+random sample of its answers (bottom-k sampling).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.branches import Indices, beyond_bifurcation, part_of, within
-from surrofe2.cache.protocols import Fallback
+from surrofe2.cache.protocols import Fallback, Surrogate
+from surrofe2.cache.trust import AUDITS, wrong_at_most
 from surrofe2.simd import TILE
 from surrofe2.stress_law import StressResponse
 from surrofe2.tensors import stress_error
@@ -19,8 +27,6 @@ Array = NDArray[np.float64]
 
 BATCH = 16
 """Audits that wait for each other: RVEs are solved several at once for little more than one."""
-MORE = 4.0
-"""Times as many answers are audited after some that were wrong made a run go back."""
 _AT_ONCE = 32  # points whose distances to all others are at hand
 BINS_A_DECADE = 50
 """A quantile is the upper edge of its bin: at most 4.7 % too large, never too small."""
@@ -88,6 +94,7 @@ class ErrorRecord:
             "audited": self.audited,
             "unsolved": self.unsolved,
             "violations": self.violations,
+            "wrong_at_most": wrong_at_most(self.violations, self.audited) if self.audited else None,
             "tolerance": self.tolerance,
             "rms": float(np.sqrt(self.sum_of_squares / solved)) if solved else None,
             "largest": self.largest if solved else None,
@@ -110,7 +117,7 @@ class Question(NamedTuple):
     Attributes:
         step: (k,) accepted steps before them. points: (k,) where.
         F, F_dot, stress: (k, 2, 2) what was asked and answered. bound: (k,) of the error, µN/µm.
-        weight: (k,) how many times an error counts, as the bound does.
+        draw: (k,) u by which they were chosen.
     """
 
     step: NDArray[np.int64]
@@ -119,7 +126,11 @@ class Question(NamedTuple):
     F_dot: Array
     stress: Array
     bound: Array
-    weight: Array
+    draw: Array
+
+    def only(self, chosen: NDArray[Any]) -> Question:
+        """Those of the answers."""
+        return Question(*(part[chosen] for part in self))
 
 
 class Finding(NamedTuple):
@@ -139,62 +150,117 @@ class Finding(NamedTuple):
 class Audit:
     """Chooses answers at random, by a seed, and compares them batch by batch.
 
+    Args:
+        fraction: of the answers that are audited at once; 0: none is, at the end neither.
+        tolerance: allowed error, µN/µm.
+
     Attributes:
         record: of all audits so far.
     """
 
-    def __init__(self, fallback: Fallback, share: float, seed: int, tolerance: float) -> None:
+    def __init__(
+        self,
+        surrogate: Surrogate,
+        fallback: Fallback,
+        fraction: float,
+        seed: int,
+        tolerance: float,
+    ) -> None:
         self.record = ErrorRecord(tolerance)
-        self._fallback = fallback
-        self._share = share
+        self._surrogate, self._fallback = surrogate, fallback
+        self._fraction = fraction
         self._random = np.random.default_rng(seed)
         self._waiting: list[Question] = []
+        self._spare: list[Question] = []
+        self._below = 1.0  # u of answers that may still be among the remembered
         self._last: tuple[Indices, Array, Any] | None = None
 
-    def choose(self, points: Indices) -> Indices:
-        """Those of the points that are to be audited, each with the share's probability."""
-        if self._share == 0.0:
-            return points[:0]
-        return points[self._random.random(len(points)) < self._share]
+    def choose(
+        self,
+        step: int,
+        points: Indices,
+        F: Array,
+        F_dot: Array,
+        stress: Array,
+        bound: Array,
+        more: float = 1.0,
+    ) -> bool:
+        """Choose among the answers at `points` of all (n, …) of a step; whether an audit is due.
 
-    def wait(self, question: Question) -> bool:
-        """Put a question on the pile; whether the pile is due."""
-        if len(question.points):
-            self._waiting.append(question)
-        return sum(len(each.points) for each in self._waiting) >= BATCH
+        more: times as many are audited as usually.
+        """
+        if self._fraction == 0.0 or not len(points):
+            return False
+        draw, fraction = self._random.random(len(points)), min(1.0, more * self._fraction)
+        short = AUDITS - self.record.audited - self._count(self._waiting)
+        if short <= 0:
+            self._spare = []
+        chosen = (draw < (max(fraction, self._below) if short > 0 else fraction)).nonzero()[0]
+        if not len(chosen):
+            return False
+        at, draw = points[chosen], draw[chosen]
+        steps = np.full(len(at), step)
+        asked = Question(steps, at, F[at], F_dot[at], stress[at], bound[at], draw)
+        now = draw < fraction
+        if now.any():
+            self._waiting.append(asked.only(now))
+        if short > 0 and not now.all():
+            self._spare.append(asked.only(~now))
+            if self._count(self._spare) > 2 * AUDITS:
+                self._spare = [self._smallest(short)]
+                self._below = float(self._spare[0].draw.max())
+        return self._count(self._waiting) >= BATCH
+
+    def begin(self) -> None:
+        """A window begins: answers before it stand, and are not remembered any more."""
+        self._spare, self._below = [], 1.0
+
+    def end(self) -> None:
+        """The run is over: let as many wait as it is short of `trust.AUDITS` audits."""
+        short = AUDITS - self.record.audited - self._count(self._waiting)
+        if short > 0 and self._spare:
+            self._waiting.append(self._smallest(short))
+        self._spare = []
+
+    def _smallest(self, count: int) -> Question:
+        """The remembered answers with the smallest draws, at most so many, in the order of time."""
+        spare = _joined(self._spare)
+        return spare.only(np.sort(np.argsort(spare.draw, kind="stable")[:count]))
+
+    def _count(self, questions: list[Question]) -> int:
+        return sum(len(each.points) for each in questions)
 
     def run(self, *, whole: bool = True) -> Finding | None:
         """Audit what waits, or of several steps as much as fills tiles of RVEs; None: nothing."""
         if not self._waiting:
             return None
         one_step = len(self._waiting) == 1
-        asked, self._waiting = self._joined(), []
+        asked, self._waiting = _joined(self._waiting), []
         left = 0 if whole or one_step else len(asked.points) % TILE
         if left:
-            asked, rest = (Question(*parts) for parts in zip(*_cut(asked, left), strict=True))
-            self._waiting = [rest]
+            self._waiting = [asked.only(np.arange(len(asked.points))[-left:])]
+            asked = asked.only(np.arange(len(asked.points))[:-left])
         truth = self._solve(asked)
-        error = asked.weight * stress_error(asked.stress, truth.stress)
+        weight = self._surrogate.weight(asked.F, asked.F_dot, self.record.tolerance)
+        error = weight * stress_error(asked.stress, truth.stress)
         error[truth.status != 0] = np.nan
         broken = self.record.add(error)
         self._note_worst(asked, truth.stress, error)
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
 
     def go_back(self, step: int, record: Mapping[str, Any]) -> None:
-        """Have this record, and none waiting of answers after so many steps; audit more from here
-        on, for something was wrong."""
-        self.record, waiting = ErrorRecord(**record), list[Question]()
-        for each in self._waiting:
-            kept: dict[str, Any] = {k: v[each.step <= step] for k, v in each._asdict().items()}
-            waiting += [Question(**kept)] if len(kept["step"]) else []
-        self._waiting = waiting
-        self._share = min(1.0, self._share * MORE)
+        """Have this record, and forget all that was chosen after so many steps."""
+        self.begin()
+        self.record = ErrorRecord(**record)
+        kept = [each.only(each.step <= step) for each in self._waiting]
+        self._waiting = [each for each in kept if len(each.step)]
 
     def to_arrays(self) -> dict[str, NDArray]:
         """What waits, and what the next audit starts from."""
         arrays: dict[str, NDArray] = {}
-        if self._waiting:
-            arrays |= within("waiting", self._joined()._asdict())
+        for name, questions in (("waiting", self._waiting), ("spare", self._spare)):
+            if questions:
+                arrays |= within(name, _joined(questions)._asdict())
         if self._last is not None:
             points, at, state = self._last
             arrays |= {"last_points": points, "last_at": at, **within("last", state.to_arrays())}
@@ -204,24 +270,22 @@ class Audit:
         """Plain values: all audits so far, and the random stream."""
         return {
             "record": self.record.to_values(),
-            "share": self._share,
+            "below": self._below,
             "random": self._random.bit_generator.state,
         }
 
     def restore(self, arrays: Mapping[str, NDArray], values: Mapping[str, Any]) -> None:
         """Go on where another audit gave these by `to_arrays` and `to_values`."""
-        waiting = part_of(arrays, "waiting")
+        waiting, spare = part_of(arrays, "waiting"), part_of(arrays, "spare")
         self._waiting = [Question(**waiting)] if waiting else []
+        self._spare = [Question(**spare)] if spare else []
         self._last = None
         if "last_points" in arrays:
             state = self._fallback.state_from_arrays(part_of(arrays, "last"))
             self._last = arrays["last_points"].astype(np.intp), arrays["last_at"], state
         self.record = ErrorRecord(**values["record"])
-        self._share = float(values["share"])
+        self._below = float(values["below"])
         self._random.bit_generator.state = values["random"]
-
-    def _joined(self) -> Question:
-        return Question(*(np.concatenate(part) for part in zip(*self._waiting, strict=True)))
 
     def _solve(self, asked: Question) -> StressResponse:
         """The true law, from the last batch: of the same points, or else of nearest (F, Ḟ)."""
@@ -259,9 +323,8 @@ class Audit:
         }
 
 
-def _cut(asked: Question, left: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Each array of a question without its last so many entries, and these."""
-    return [(part[:-left], part[-left:]) for part in asked]
+def _joined(questions: list[Question]) -> Question:
+    return Question(*(np.concatenate(part) for part in zip(*questions, strict=True)))
 
 
 def together(F: Array, F_dot: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.protocols import Fallback, Surrogate
+from surrofe2.cache.trust import RETURN, STAY
 from surrofe2.errors import InputError
 from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
 
@@ -18,9 +18,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 NOT_TRUSTED = np.int8(Status.NOT_TRUSTED)
-STAY, RETURN = 0.9, 0.8
-"""Shares of the tolerance up to which the bound foreseen may rise for a point to stay with the
-surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
 
 
 def is_ready(tensors: Any) -> bool:
@@ -247,7 +244,6 @@ def accept_known(
     F: Array,
     F_dot: Array,
     response: StressResponse,
-    timed: AbstractContextManager[None],
 ) -> tuple[CachedState, Acceptance]:
     """The state after the fallback has accepted its points, and what it said, for all points."""
     state: CachedState = response.state
@@ -257,8 +253,7 @@ def accept_known(
     answer = StressResponse(
         response.stress[points], response.status[points], state.on_fallback.state
     )
-    with timed:
-        accepted = law.accept(F[points], F_dot[points], answer)
+    accepted = law.accept(F[points], F_dot[points], answer)
     status = response.status.copy()
     status[points] = accepted.status
     said = Acceptance(status)

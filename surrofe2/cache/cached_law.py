@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.cache.audit import Audit
 from surrofe2.cache.branches import (
     NO_POINTS,
     CachedState,
@@ -19,6 +20,7 @@ from surrofe2.cache.branches import (
     accept_known,
     added,
     answer_both,
+    beyond_bifurcation,
     check_state,
     choose_branches,
     is_ready,
@@ -27,9 +29,10 @@ from surrofe2.cache.branches import (
     tangents_of_both,
     within,
 )
-from surrofe2.cache.monitor import NO_EFFORT, Monitor, effort_of
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
+from surrofe2.cache.trust import Trust, Window
+from surrofe2.sampling import QUANTITIES, farthest_out
 from surrofe2.stress_law import (
     SURROGATE,
     TABLE,
@@ -44,14 +47,35 @@ from surrofe2.views import Viewed
 
 Array = NDArray[np.float64]
 
+FALLBACK, AUDIT = 0, 1
+"""Why an RVE answered, see `OnTrueAnswer`."""
+_REASONS = {
+    Status.OUT_OF_RANGE: "out_of_range",
+    Status.NOT_FINITE: "not_finite",
+    Status.NOT_TRUSTED: "not_trusted",
+}
+
+
+def effort_of(count: int, why: NDArray[np.int8]) -> dict[str, int]:
+    """Of `count` points, hits and fallbacks, the latter also by the surrogate's reason (k,)."""
+    counts = np.bincount(why, minlength=len(Status)).tolist()
+    by_reason = {f"fallbacks_{name}": counts[code] for code, name in _REASONS.items()}
+    return {"hits": count - len(why), "fallbacks": len(why), **by_reason}
+
+
+NO_EFFORT = effort_of(0, np.empty(0, dtype=np.int8))
+
 
 class CachedLaw(Viewed):
     """σ(F, Ḟ) from `surrogate` where its bound is within the tolerance, else from `fallback`.
 
     Within a step a point may move from the surrogate to the fallback, not back; the answer that
     finds one says so (`StressResponse.switched`) and the step is begun anew, see
-    `stress_law.SwitchingLaw`. `respond` is pure but for a stopwatch: counts, audits, trust, harvest
-    and learning change in `accept`, and only when no point objects, and in `verdict`.
+    `stress_law.SwitchingLaw`. `respond` is pure: counts, audits, trust, harvest and learning change
+    in `accept`, and only when no point objects, and in `verdict`.
+
+    Audits are judged in windows of steps (`trust`). Whoever marks where a window begins can go back
+    to it; for others a window that failed only makes the next steps more cautious.
 
     Args:
         surrogate: e.g. `surrofe2.surrogate.SurrogateLaw`; see `protocols.Surrogate`.
@@ -91,20 +115,58 @@ class CachedLaw(Viewed):
         """Points at ends of kept steps since the last reset: `hits`, `fallbacks` and, of these,
         by reason; `in_domain`, those within the range of the surrogate; `steps`; `switched`,
         solves by which a point began a step on the fallback."""
-        return dict(self._monitor.counts)
+        return dict(self._counts)
 
     def reset_counts(self) -> None:
-        """Begin as if nothing had been asked: counts, audits, trust and stopwatch."""
-        self._monitor = Monitor(self.surrogate, self.fallback, self.settings, self.on_true_answer)
+        """Begin as if nothing had been asked: counts, audits and trust."""
+        surrogate, own = self.surrogate, self.settings
+        self._spread = surrogate.stress_spread if surrogate.has_bound else None
+        allowed = np.inf if self._spread is None else own.tolerance * float(self._spread)
+        self._counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
+        self._left_range: dict[str, dict[str, float]] = {}
+        self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
+        self._trust = Trust(allowed)
+        self._window = Window(0.0, 0, self._trust.tolerance)
+        self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None
+        if self._spread is None and np.isfinite(own.tolerance):
+            self._trust.warn(
+                0,
+                "the surrogate knows no bound of its error: its range alone decides, whatever "
+                "the tolerance",
+            )
+        if surrogate.has_bound and not surrogate.is_calibrated and np.isfinite(allowed):
+            self._trust.warn(
+                0,
+                "the surrogate's error was not calibrated, its bound is infinite and RVEs answer "
+                "instead: calibrate it after training (surrofe2 train does, from Python "
+                "surrofe2.calibrate), or allow the tolerance inf",
+            )
 
     def history(self) -> dict[str, Any]:
         """How the cache has done so far, as plain values for run.json."""
-        return self._monitor.history()
+        return {
+            "tolerance": {
+                "share": self.settings.tolerance,
+                "relative": self.settings.relative,
+                "spread": self._spread,
+                "absolute": self._trust.allowed,
+            },
+            "accepted": dict(self._counts),
+            "left_range": {name: dict(left) for name, left in self._left_range.items()},
+            "audit": {
+                "share": self.settings.audit,
+                "seed": self.settings.seed,
+                **self._audit.record.to_dict(),
+            },
+            "trust": self._trust.to_dict(),
+        }
 
     def report(self) -> dict[str, Any]:
-        """`history` at the end of a run: what still waits is audited, and the cost is stated."""
-        return self._monitor.report()
+        """`history` at the end of a run: what still waits is audited."""
+        self._audit.end()
+        self._run_audit()
+        return self.history()
 
     @property
     def is_audited(self) -> bool:
@@ -113,24 +175,61 @@ class CachedLaw(Viewed):
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
-        """On chunks of steps, in order: which stand and which were rolled back, and why."""
-        return [dict(each) for each in self._monitor.decisions]
+        """On windows of steps, in order: which stand and which were rolled back, and why."""
+        return [dict(each) for each in self._decisions]
 
     def mark(self, t: float, state: CachedState) -> None:
-        """What was kept up to t stands; what follows may be rolled back to here."""
-        self._monitor.begin_chunk(t)
+        """What was kept up to t stands; what follows may be rolled back to here.
+
+        Where a window ends before it is full, as others' windows do, the next one carries on its
+        audits, so that the plan holds for each.
+        """
+        window = self._window
+        if window.before is not None and t > window.begin:
+            self._decide(t, "stands")
+        if window.is_full and not window.failed:
+            self._trust.stand()
+        carried = {} if window.is_full or window.failed else window.counts()
+        before = {
+            "carried": carried,
+            "counts": dict(self._counts),
+            "left_range": {name: dict(left) for name, left in self._left_range.items()},
+            "record": self._audit.record.to_values(),
+        }
+        self._window = Window(t, self._counts["steps"], self._trust.tolerance, before, **carried)
+        self._audit.begin()
         self._marked = state
 
     def verdict(self, *, final: bool = False) -> bool | None:
         """Whether the steps since the mark stand; None: not known yet."""
-        with self._monitor.meter.part("total"):
-            return self._monitor.verdict(final=final)
+        window, trust = self._window, self._trust
+        if final:
+            self._audit.end()
+        is_over = final or window.is_full
+        if is_over:
+            self._run_audit()
+        if not (window.stands or window.failed or trust.is_off):
+            trust.fail(self._counts["steps"], window)
+        return False if window.failed else (True if is_over else None)
 
     def roll_back(self, t: float) -> CachedState:
-        """The state at the mark, by the bound as it is now."""
+        """The state at the mark, with the trust of now: if these answers failed, with less."""
+        window, before = self._window, self._window.before
+        assert before is not None
         assert self._marked is not None
-        self._monitor.go_back(t)
-        return replace(self._marked, tolerance=self._monitor.trust.tolerance)
+        self._decide(t, "rolled back")
+        self._counts = dict(before["counts"])
+        self._left_range = {name: dict(left) for name, left in before["left_range"].items()}
+        self._audit.go_back(window.step, before["record"])
+        if window.failed:
+            before["carried"] = {}  # under another factor it says nothing
+        at = window.begin, window.step, self._trust.tolerance
+        self._window = Window(*at, before, **before["carried"])
+        return replace(self._marked, tolerance=self._trust.tolerance)
+
+    def _decide(self, t: float, decision: str) -> None:
+        step, tolerance = self._counts["steps"], self._trust.tolerance
+        self._decisions.append(self._window.decision(t, step, tolerance, decision))
 
     def to_arrays(self, state: CachedState) -> dict[str, NDArray]:
         """All that decides what comes next, `state` being what `accept` gave last.
@@ -138,17 +237,33 @@ class CachedLaw(Viewed):
         That is its branches with the fallback's warm start, counts, audits with those that wait,
         trust, the random stream, and what the surrogate has learnt.
         """
-        marked = {} if self._marked is None else self._marked.to_arrays()
+        values = {
+            "counts": self._counts,
+            "left_range": self._left_range,
+            "trust": asdict(self._trust),
+            "audit": self._audit.to_values(),
+            "window": asdict(self._window),
+            "decisions": self._decisions,
+        }
         return {
+            "values": np.frombuffer(json.dumps(values).encode(), dtype=np.uint8),
             **within("state", state.to_arrays()),
-            **within("marked", marked),
-            **within("monitor", self._monitor.to_arrays()),
+            **within("marked", {} if self._marked is None else self._marked.to_arrays()),
+            **within("audit", self._audit.to_arrays()),
+            **within("surrogate", self.surrogate.to_arrays()),
         }
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
-        """Go on where a law of the same parts and settings gave these; its state to continue by."""
+        """Continue where a law of the same parts and settings gave these; the state to do so by."""
         self.reset_counts()
-        self._monitor.from_arrays(part_of(arrays, "monitor"))
+        values = json.loads(arrays["values"].tobytes())
+        self._counts = dict(values["counts"])
+        self._left_range = dict(values["left_range"])
+        self._trust = Trust(**values["trust"])
+        self._window = Window(**values["window"])
+        self._decisions = list(values["decisions"])
+        self._audit.restore(part_of(arrays, "audit"), values["audit"])
+        self.surrogate.from_arrays(part_of(arrays, "surrogate"))
         marked = part_of(arrays, "marked")
         self._marked = CachedState.from_arrays(marked, self.fallback) if marked else None
         return CachedState.from_arrays(part_of(arrays, "state"), self.fallback)
@@ -165,17 +280,9 @@ class CachedLaw(Viewed):
             F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
-        began = perf_counter()
-        answer = self._respond(F, F_dot, state, tangents)
-        self._monitor.meter.answered(len(F), perf_counter() - began)
-        return answer
-
-    def _respond(
-        self, F: Array, F_dot: Array, given: CachedState | None, tangents: bool
-    ) -> StressResponse:
-        count = len(F)
+        given, count = state, len(F)
         if given is None:
-            state = CachedState(count, tolerance=self._monitor.trust.tolerance)
+            state = CachedState(count, tolerance=self._trust.tolerance)
         else:
             state = check_state(given, count)
         stress, status, bound = look_up(self.surrogate, F, F_dot, state)
@@ -189,14 +296,11 @@ class CachedLaw(Viewed):
                 after,
                 {**NO_EFFORT, "hits": count},
                 slopes,
-                sources=partial(self._sources, F, F_dot, after),
+                sources=partial(self._sources, after),
             )
         check_deformation(F, F_dot)  # hits are in range, hence finite and det F > 0
         why = status[missed]
-        with self._monitor.meter.part("fallback"):
-            answer = answer_both(
-                self.fallback, F, F_dot, state.on_fallback, missed, tangents=tangents
-            )
+        answer = answer_both(self.fallback, F, F_dot, state.on_fallback, missed, tangents=tangents)
         known = PointSet(
             np.concatenate([state.on_fallback.points, missed]),
             np.concatenate([state.on_fallback.why, why]),
@@ -218,17 +322,14 @@ class CachedLaw(Viewed):
             if tangents
             else None,
             switched,
-            sources=partial(self._sources, F, F_dot, after),
+            sources=partial(self._sources, after),
         )
 
-    def _sources(self, F: Array, F_dot: Array, state: CachedState) -> Sources:
+    def _sources(self, state: CachedState) -> Sources:
         """Where an answer came from, `state` being the one that it carries."""
-        source = np.full(state.count, SURROGATE, dtype=np.int8)
+        source = np.full(state.count, TABLE if self.surrogate.learns else SURROGATE, dtype=np.int8)
         bound = np.zeros(state.count) if state.bound is None else state.bound.copy()
-        free, known = state.free().nonzero()[0], state.on_fallback
-        if len(free) and self.surrogate.learns:
-            of_table = self.surrogate.is_of_table(F[free], F_dot[free], state.tolerance)
-            source[free[of_table]] = TABLE
+        known = state.on_fallback
         source[known.points], bound[known.points] = known.why, 0.0
         return Sources(source, bound)
 
@@ -241,10 +342,7 @@ class CachedLaw(Viewed):
         self, F: Array, F_dot: Array, response: StressResponse
     ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
         """As of `LearningLaw`: the fallback's check, and the rest."""
-        with self._monitor.meter.part("total"):
-            state, accepted = accept_known(
-                self.fallback, F, F_dot, response, self._monitor.meter.part("fallback")
-            )
+        state, accepted = accept_known(self.fallback, F, F_dot, response)
         if accepted.status.any():
             return accepted.status, lambda: Acceptance(accepted.status, state)
         return accepted.status, partial(self._learn, F, F_dot, response, state, accepted)
@@ -258,13 +356,10 @@ class CachedLaw(Viewed):
         accepted: Acceptance,
     ) -> Acceptance:
         """What follows on the fallback having `accepted`, which left `state`."""
-        before: CachedState = response.state
-        with self._monitor.meter.part("total"):
-            if accepted.stress is not None:
-                response = replace(response, stress=accepted.stress)
-            self._monitor.note(F, F_dot, response.stress, state)
-            chosen = self._choose_branches(F, F_dot, response, state)
-        self._monitor.meter.sample(self.fallback, before.before, (F, F_dot))
+        if accepted.stress is not None:
+            response = replace(response, stress=accepted.stress)
+        self._note(F, F_dot, response.stress, state)
+        chosen = self._choose_branches(F, F_dot, response, state)
         if accepted.stress is None:
             return chosen
         return replace(
@@ -273,33 +368,106 @@ class CachedLaw(Viewed):
             left_bifurcation=accepted.left_bifurcation,
         )
 
+    def _note(self, F: Array, F_dot: Array, stress: Array, state: CachedState) -> None:
+        """Everything that changes at a kept step but the branches."""
+        counts, known, hits = self._counts, state.on_fallback, state.free().nonzero()[0]
+        for name, value in effort_of(state.count, known.why).items():
+            counts[name] += value
+        counts["steps"] += 1
+        counts["in_domain"] += len(hits)
+        if len(known):
+            out = known.points[known.why == Status.OUT_OF_RANGE]
+            self._note_what_left(F[out], F_dot[out])
+            self._distribute(F, F_dot, stress, known)
+        if self._trust.is_off or state.bound is None:
+            return
+        more = self._trust.more_audits
+        if self._audit.choose(counts["steps"], hits, F, F_dot, stress, state.bound, more):
+            self._run_audit(whole=False)
+
+    def _note_what_left(self, F: Array, F_dot: Array) -> None:
+        """Count by quantity the points beyond the range, and keep the farthest value of each."""
+        if self.surrogate.range is None:
+            return
+        found = zip(*farthest_out(self.surrogate.range, F, F_dot), strict=True)
+        for which, value, bound in found:
+            if which < 0:
+                continue
+            new = {"points": 0, "farthest": float(value), "bound": float(bound)}
+            left = self._left_range.setdefault(QUANTITIES[which], new)
+            left["points"] += 1
+            if abs(value - bound) > abs(left["farthest"] - left["bound"]):
+                left["farthest"], left["bound"] = float(value), float(bound)
+
+    def _distribute(self, F: Array, F_dot: Array, stress: Array, known: PointSet) -> None:
+        """Give the fallback's answers to whoever keeps or learns them."""
+        known = known.only(~beyond_bifurcation(known.state, len(known)))
+        if not len(known):
+            return
+        at, exact = (F[known.points], F_dot[known.points]), stress[known.points]
+        if self.on_true_answer is not None:
+            none = np.zeros(len(known), dtype=np.int8)
+            self.on_true_answer(*at, exact, none, np.full(len(known), FALLBACK, dtype=np.int8))
+        self.surrogate.learn(*at, exact, known.state)
+
+    def _run_audit(self, *, whole: bool = True) -> None:
+        """Audit what waits, or full tiles of it; distribute the RVEs' answers, learn from what was
+        wrong, and judge."""
+        result = self._audit.run(whole=whole)
+        if result is None:
+            return
+        asked, is_one_of_several = result.asked, beyond_bifurcation(result.state, len(result.error))
+        if self.on_true_answer is not None:
+            kept = ~is_one_of_several
+            why = np.full(int(kept.sum()), AUDIT, dtype=np.int8)
+            self.on_true_answer(
+                asked.F[kept], asked.F_dot[kept], result.stress[kept], result.status[kept], why
+            )
+        wrong = (result.broken & (result.status == 0) & ~is_one_of_several).nonzero()[0]
+        if len(wrong):
+            state = None if result.state is None else result.state.take(wrong)
+            self.surrogate.learn(asked.F[wrong], asked.F_dot[wrong], result.stress[wrong], state)
+        self._window.add(asked.points, result.broken, result.error, asked.bound)
+        if self._window.before is None:
+            self._judge_alone()
+
+    def _judge_alone(self) -> None:
+        """Judge a window of steps that nobody marked, to which nobody goes back."""
+        window, trust = self._window, self._trust
+        if trust.is_off or (window.stands and not window.is_full):
+            return
+        if window.stands:
+            trust.stand()
+        else:
+            trust.fail(self._counts["steps"], window)
+        self._window = Window(0.0, self._counts["steps"], trust.tolerance)
+
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
         """The start of a step with the points `switched` on the fallback; see `SwitchingLaw`."""
-        with self._monitor.meter.part("total"):
-            state: CachedState = response.state
-            new = (state.free() & (switched != 0)).nonzero()[0]
-            answer = self._solve_cold(F, F_dot, new)
-            stress, status = response.stress.copy(), response.status.copy()
-            stress[new], status[new] = answer.stress, answer.status
-            known = state.on_fallback.and_also(new, switched[new], answer.state)
-            return Acceptance(status, replace(state, on_fallback=known), stress)
+        state: CachedState = response.state
+        new = (state.free() & (switched != 0)).nonzero()[0]
+        answer = self._solve_cold(F, F_dot, new)
+        stress, status = response.stress.copy(), response.status.copy()
+        stress[new], status[new] = answer.stress, answer.status
+        known = state.on_fallback.and_also(new, switched[new], answer.state)
+        return Acceptance(status, replace(state, on_fallback=known), stress)
 
     def _choose_branches(
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
     ) -> Acceptance:
         """Choose the branches of the next step, looking ahead to where it will end."""
-        tolerance, known = self._monitor.trust.tolerance, state.on_fallback
+        tolerance, known = self._trust.tolerance, state.on_fallback
         stress = response.stress
-        if self._monitor.trust.is_off:
+        if self._trust.is_off:
             leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
             stay = np.ones(len(known), dtype=bool)
         else:
             leaving, of_surrogate, status, returning = choose_branches(
                 self.surrogate, F, F_dot, state, tolerance
             )
-            self._monitor.counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
+            self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
             stay = ~returning
             if returning.any():
                 stress = stress.copy()
@@ -311,9 +479,9 @@ class CachedLaw(Viewed):
             fresh = PointSet(new, leaving[new], answer.state).only(solved)
             stress = stress.copy()
             stress[fresh.points] = answer.stress[solved]
-            self._monitor.counts["switched"] += len(new)
+            self._counts["switched"] += len(new)
             if len(fresh):
-                self._monitor.distribute(F, F_dot, stress, fresh)
+                self._distribute(F, F_dot, stress, fresh)
                 after = after.and_also(fresh.points, fresh.why, fresh.state)
         return Acceptance(
             response.status,
@@ -323,9 +491,8 @@ class CachedLaw(Viewed):
 
     def _solve_cold(self, F: Array, F_dot: Array, points: Indices) -> StressResponse:
         """The fallback's checked answer at points it does not know yet."""
-        with self._monitor.meter.part("fallback"):
-            at = F[points], F_dot[points]
-            answer = answer_both(self.fallback, F, F_dot, NO_POINTS, points)
-            accepted = self.fallback.accept(*at, answer)
+        at = F[points], F_dot[points]
+        answer = answer_both(self.fallback, F, F_dot, NO_POINTS, points)
+        accepted = self.fallback.accept(*at, answer)
         stress = answer.stress if accepted.stress is None else accepted.stress
         return replace(answer, stress=stress, status=accepted.status, state=accepted.state)

@@ -76,9 +76,6 @@ class Surrogate(Protocol):
     ) -> tuple[NDArray[np.int8], Array]:
         """Those of `lookup`, for less where no stress is needed: asked for a step ahead."""
 
-    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
-        """(n,) whether a table answers there, and not what was trained."""
-
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """Of the stress of `lookup`, for implicit macro steps; InputError where it has none."""
 

@@ -1,4 +1,14 @@
-"""Decides how far the surrogate is trusted: by audits, and by signs of a fault without any."""
+"""How far the surrogate is trusted: one acceptance plan for windows of audits, and its factor.
+
+Answers of the cache are audited at random, and errors above the tolerance are violations. Audits
+are judged in windows: a window of n audits with k violations stands where the exact upper bound of
+Clopper and Pearson (1934) on the share w of wrong answers, at the confidence C, is at most W,
+
+    P(Bin(n, W) ≤ k) ≤ 1 − C,
+
+and while it has no more than the k that `AUDITS` audits may have. A window that fails is rolled
+back where a time loop can, and the bounds count more often from there on.
+"""
 
 from __future__ import annotations
 
@@ -7,43 +17,128 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy  # scipy.special is loaded where an audit finds a violation
+import scipy  # scipy.special is loaded where a window has more violations than `VIOLATIONS`
 from numpy.typing import NDArray
-
-from surrofe2.stress_law import Status
-from surrofe2.tensors import transpose
 
 Array = NDArray[np.float64]
 
-NOMINAL = 0.01
-"""Share of answers whose error may exceed the bound."""
-ALARM = 1e-4
-"""An alarm is raised when at most the nominal share would give so many violations by chance
-with no more than this probability."""
-RECENT = 500
-"""Audits over which a fault that begins late is looked for."""
+WRONG, CONFIDENCE = 0.02, 0.95
+"""W and C: a window of which 2 % of the answers are wrong stands with a probability of at most 5 %,
+the consumer's risk."""
+AUDITS, VIOLATIONS = 320, 2
+"""n and k of a window. (313, 2) is the smallest plan by which besides a window with 0.1 % of wrong
+answers stands with a probability of at least 99.5 %, the producer's risk; 320 are ten batches of
+RVEs more than nothing: n may be larger, k then follows from the bound. No run has fewer audits."""
+MARGIN = 1.1
+"""By so much the bounds of the violations exceed the tolerance after the factor was raised."""
+LEAST_RAISE = 2.0
+"""A factor is raised at least so many times, so that few windows fail in a row."""
 LARGEST_FACTOR = 100.0
-_MARGIN = 1.1
-
-SILENT_STEPS, SILENT_POINTS = 20, 1000
-"""Accepted steps and points from the start of a run, at rest, that should have had a hit. Later
-silence may be honest: the tissue left the range, or what the tolerance allows."""
-PATIENCE_WITH_LEARNERS = 40
-"""As many times longer is waited for a surrogate that knows little at first and learns."""
-EVERY = 5
-"""Steps between looks at the answers."""
-LOOKS = 3
-"""Looks in a row that must find the same fault."""
-_DISTINCT = 1e-3
-"""Spread of FᵀF from which points are different questions."""
-
-_REASONS = {
-    Status.OUT_OF_RANGE: "out of range",
-    Status.NOT_FINITE: "not finite",
-    Status.NOT_TRUSTED: "not trusted",
-}
+"""Beyond it the bound says nothing of the error, and the cache is switched off."""
+MORE_AUDITS = 4.0
+"""Times as many answers are audited in the window after one that failed, which finds a fault that
+is left after a quarter of the steps."""
+STAY, RETURN = 0.9, 0.8
+"""Shares of the tolerance up to which the bound foreseen may rise for a point to stay with the
+surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
+_MOST_NAMED = 32  # points that a decision names
 
 _log = logging.getLogger("surrofe2.cache")
+
+
+def wrong_at_most(violations: int, audits: int, confidence: float = CONFIDENCE) -> float:
+    """Upper confidence bound on the share of wrong answers, of which a random sample was audited.
+
+    The share w by which P(Bin(audits, w) ≤ violations) = 1 − confidence; 1 where all were wrong.
+    """
+    if violations >= audits:
+        return 1.0
+    if violations == 0:
+        return float(-np.expm1(np.log1p(-confidence) / audits))
+    return float(scipy.special.betaincinv(violations + 1, audits - violations, confidence))
+
+
+def stands(violations: int, audits: int) -> bool:
+    """Whether a window with so many violations among so many audits stands, see the module."""
+    return violations <= VIOLATIONS or wrong_at_most(violations, audits) <= WRONG
+
+
+@dataclass
+class Window:
+    """Kept steps whose audits are judged together; plain values, for checkpoints.
+
+    Attributes:
+        begin: µs; step: kept steps before it.
+        threshold: that bounds are compared with, µN/µm; negative: nothing is trusted.
+        before: what a law has to know that goes back to its begin; None where none can.
+        audits, violations: so far; points: of the violations, the first of them.
+        least_bound: smallest of the bounds that the violations had, µN/µm.
+        error, bound: of the worst audit, µN/µm; None where the RVE has no stress.
+        failed: whether it was found wrong.
+    """
+
+    begin: float
+    step: int
+    threshold: float
+    before: dict[str, Any] | None = None
+    audits: int = 0
+    violations: int = 0
+    points: list[int] = field(default_factory=list)
+    least_bound: float = np.inf
+    error: float | None = None
+    bound: float | None = None
+    failed: bool = False
+
+    def add(
+        self, points: NDArray[np.intp], is_wrong: NDArray[np.bool_], error: Array, bound: Array
+    ) -> None:
+        """Take note of audits (k,): where, violations, error (NaN without RVE stress), bound."""
+        wrong = is_wrong.nonzero()[0]
+        self.audits += len(error)
+        self.violations += len(wrong)
+        self.points += points[wrong[: _MOST_NAMED - len(self.points)]].tolist()
+        self.least_bound = min(self.least_bound, float(bound[wrong].min(initial=np.inf)))
+        known = np.nan_to_num(error, nan=-1.0)
+        worst = int(known.argmax())
+        if known[worst] > (-1.0 if self.error is None else self.error):
+            self.error, self.bound = float(known[worst]), float(bound[worst])
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it has the audits of the plan."""
+        return self.audits >= AUDITS
+
+    def counts(self) -> dict[str, Any]:
+        """Its audits, for a window that continues them."""
+        return {
+            "audits": self.audits,
+            "violations": self.violations,
+            "points": list(self.points),
+            "least_bound": self.least_bound,
+            "error": self.error,
+            "bound": self.bound,
+        }
+
+    @property
+    def stands(self) -> bool:
+        """Whether it does by its audits so far, of which it will have at least `AUDITS`."""
+        return stands(self.violations, self.audits)
+
+    def decision(self, t: float, step: int, threshold: float, decision: str) -> dict[str, Any]:
+        """A line of the event log, of a window that ends at t after so many kept steps."""
+        return {
+            "decision": decision,
+            "t": t,
+            "from_t": self.begin,
+            "steps": step - self.step,
+            "audits": self.audits,
+            "violations": self.violations,
+            "points": self.points,
+            "true_error": self.error,
+            "bound": self.bound,
+            "threshold_before": None if self.threshold < 0.0 else self.threshold,
+            "threshold_after": None if threshold < 0.0 else threshold,
+        }
 
 
 @dataclass
@@ -54,164 +149,61 @@ class Trust:
         allowed: the user's tolerance, µN/µm.
         factor: by which bounds are multiplied before they are compared with it.
         is_off: the cache answers nothing any more.
+        more_audits: by which the fraction of answers that are audited is multiplied.
+        failures: windows that failed; standing: that stood since the factor changed.
         events: what was found and done, in order, each with its step.
-        audits, violations: under this factor.
-        broken, ratios: of the latest of these, whether each was a violation, and error/bound.
     """
 
     allowed: float
     factor: float = 1.0
     is_off: bool = False
+    more_audits: float = 1.0
+    failures: int = 0
+    standing: int = 0
     events: list[dict[str, Any]] = field(default_factory=list)
-    audits: int = 0
-    violations: int = 0
-    broken: list[bool] = field(default_factory=list)
-    ratios: list[float] = field(default_factory=list)
 
     @property
     def tolerance(self) -> float:
         """What a bound may be at most, µN/µm; negative: nothing is trusted."""
         return -1.0 if self.is_off else self.allowed / self.factor
 
-    def judge(self, step: int, broken: NDArray[np.bool_], error: Array, bound: Array) -> bool:
-        """Take note of audits (k,); tighten or switch off if too many broke the tolerance, and say
-        whether."""
-        self.broken = [*self.broken, *broken.tolist()][-RECENT:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self.ratios = [*self.ratios, *(error / bound).tolist()][-RECENT:]
-        self.audits += len(broken)
-        self.violations += int(broken.sum())
-        recent = sum(self.broken), len(self.broken)
-        for violations, audits in ((self.violations, self.audits), recent):
-            if chance(violations, audits) < ALARM:
-                self.tighten(step, violations, audits)
-                return True
-        return False
+    def fail(self, step: int, window: Window) -> None:
+        """Raise the factor so that none of the window's violations would have been answered, or
+        switch off where that takes too large a one."""
+        window.failed = True
+        self.failures += 1
+        self.standing, self.more_audits = 0, MORE_AUDITS
+        finding = (
+            f"{window.violations} of {window.audits} audited answers are off by more than the "
+            f"tolerance of {self.allowed:.3g} µN/µm"
+        )
+        has_bound = 0.0 < window.least_bound < np.inf
+        just_enough = MARGIN * self.allowed / window.least_bound if has_bound else np.inf
+        factor = max(LEAST_RAISE * self.factor, just_enough)
+        if factor <= LARGEST_FACTOR:
+            self.factor = factor
+            does = f"the bounds count {factor:.3g} times from here on"
+        else:
+            self.is_off = True
+            does = "the cache is off from here on, RVEs answer"
+        self._note(step, f"{finding}; {does}", "off" if self.is_off else "tightened")
 
-    def switch_off(self, step: int, finding: str) -> None:
-        """Stop using the cache for good."""
-        self.is_off = True
-        self._note(step, f"{finding}; the cache is off from here on, RVEs answer", "off")
+    def stand(self) -> None:
+        """Take note of a window that stood: audits are as many as before, and the factor is halved
+        after as many windows as failed, and one."""
+        self.standing += 1
+        self.more_audits = 1.0
+        if self.standing > self.failures and self.factor > 1.0:
+            self.factor, self.standing = max(1.0, 0.5 * self.factor), 0
 
     def warn(self, step: int, finding: str) -> None:
-        """Say something that changes nothing."""
+        """Report something that changes nothing."""
         self._note(step, finding, "none")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
         return {"factor": self.factor, "off": self.is_off, "events": list(self.events)}
 
-    def tighten(self, step: int, violations: int, audits: int) -> None:
-        """Multiply the bound so that no answer would have been given that broke the tolerance."""
-        finding = (
-            f"{violations} of {audits} audited answers are off by more than the tolerance of "
-            f"{self.allowed:.3g} µN/µm (at most {100.0 * NOMINAL:g} % should be)"
-        )
-        ratios = np.array(self.ratios)[np.array(self.broken, dtype=bool)]
-        wanted = _MARGIN * float(ratios.max()) if np.isfinite(ratios).all() else np.inf
-        factor = max(2.0 * self.factor, wanted)
-        self.audits = self.violations = 0  # under this factor they say nothing of the next
-        self.broken, self.ratios = [], []
-        if not factor <= LARGEST_FACTOR:
-            self.switch_off(step, finding)
-            return
-        self.factor = factor
-        self._note(
-            step, f"{finding}; its bound counts {factor:.3g} times from here on", "tightened"
-        )
-
     def _note(self, step: int, sentence: str, action: str) -> None:
         _log.warning("cache, step %d: %s", step, sentence)
         self.events.append({"step": step, "finding": sentence, "action": action})
-
-
-@dataclass
-class FaultDetector:
-    """Detects a broken surrogate without audits: no hits, a constant answer, or a constant bound.
-
-    Attributes:
-        learns: whether it may begin empty.
-        steps: accepted ones; silent_steps, silent_points: those without any hit so far.
-        one_answer, constant_bound: looks in a row that found the fault.
-        bound: at the first hit of the latest look.
-    """
-
-    learns: bool
-    steps: int = 0
-    silent_steps: int = 0
-    silent_points: int = 0
-    one_answer: int = 0
-    constant_bound: int = 0
-    bound: float | None = None
-    has_hit: bool = False
-
-    def check(
-        self,
-        F: Array,
-        stress: Array,
-        bound: Array,
-        hits: NDArray[np.intp],
-        why: NDArray[np.int8],
-        tolerance: float,
-    ) -> str | None:
-        """Take note of an accepted step.
-
-        Args:
-            F, stress: (n, 2, 2) of all points. bound: (n,), used at hits alone.
-            hits: (k,) points the surrogate answered; why: (n − k,) why it did not, elsewhere.
-            tolerance: that bounds were compared with, µN/µm.
-        """
-        self.steps += 1
-        if not len(hits):
-            return None if self.has_hit else self._silence(why)
-        self.has_hit = True
-        if self.steps % EVERY or not _differ(F[hits]):
-            return None
-        self.one_answer = self.one_answer + 1 if _is_one_answer(stress[hits]) else 0
-        if self.one_answer >= LOOKS:
-            return f"the surrogate gave one answer at {len(hits)} different deformations"
-        changes = self._bound_changes(bound[hits], tolerance)
-        self.constant_bound = 0 if changes else self.constant_bound + 1
-        if self.constant_bound >= LOOKS:
-            return f"the surrogate's bound stands still at {self.bound:.3g} µN/µm"
-        return None
-
-    def _silence(self, why: NDArray[np.int8]) -> str | None:
-        self.silent_steps += 1
-        self.silent_points += len(why)
-        patience = PATIENCE_WITH_LEARNERS if self.learns else 1
-        if (
-            self.silent_steps < SILENT_STEPS * patience
-            or self.silent_points < SILENT_POINTS * patience
-        ):
-            return None
-        codes, counts = np.unique(why, return_counts=True)
-        most = Status(int(codes[counts.argmax()]))
-        return (
-            f"no hit in {self.silent_steps} steps ({self.silent_points} points, most of them "
-            f"{_REASONS.get(most, most.name)})"
-        )
-
-    def _bound_changes(self, bound: Array, tolerance: float) -> bool:
-        """A bound that is the tolerance itself is no estimate of this point, and may stand."""
-        before, self.bound = self.bound, float(bound[0])
-        if not np.isfinite(self.bound) or self.bound in (0.0, tolerance):
-            return True
-        same = bool((bound == bound[0]).all())
-        return not same or (before is not None and before != self.bound)
-
-
-def _differ(F: Array) -> bool:
-    return bool(np.ptp(transpose(F) @ F, axis=0).max() > _DISTINCT)
-
-
-def _is_one_answer(stress: Array) -> bool:
-    """Whether trace and norm are the same everywhere: rotations of one stress are one answer."""
-    norm = np.sqrt((stress**2).sum(axis=(1, 2)))
-    spread = np.ptp(norm) + np.ptp(stress[:, 0, 0] + stress[:, 1, 1])
-    return bool(spread <= 1e-9 * norm.max())
-
-
-def chance(violations: int, audits: int) -> float:
-    """Probability of so many violations or more among so many audits at the nominal share."""
-    return float(scipy.special.bdtrc(violations - 1, audits, NOMINAL)) if violations else 1.0

@@ -133,10 +133,6 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Nothing."""
 
-    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
-        """Nowhere."""
-        return np.zeros(len(F), dtype=np.bool_)
-
     def _dealt(self, what: str, count: int) -> Blocks | None:
         """Who has what of so many points or elements; None where rank 0 had better have all."""
         if count < LEAST * self.crew.ranks:

@@ -229,10 +229,6 @@ class SurrogateLaw(Viewed):
         """
         return status_and_bound(F, F_dot, self.arrays, self.bound_arrays, tolerance)
 
-    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
-        """Nowhere."""
-        return np.zeros(len(F), dtype=np.bool_)
-
     def extrapolate(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""
         F, F_dot = check_deformation(F, F_dot)

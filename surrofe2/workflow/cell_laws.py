@@ -177,7 +177,7 @@ def cache_report(law: StressLaw, *, whole: bool = False) -> dict[str, Any] | Non
     """What a cached law has to report, of several cells under `cells` by name; None of others.
 
     Args:
-        whole: the run is over: audit what waits and say what true RVEs would have cost.
+        whole: the run is over: audit what waits.
     """
     if isinstance(law, CachedLaw):
         return law.report() if whole else law.history()

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from surrofe2.cache import CachedLaw, ChainedSurrogate, StressTable, sampled_spread
+from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.costs import NOTHING, Cost, Meter
@@ -130,15 +130,15 @@ def choose_law(
     RVEs and lookups are those of all ranks where a crew is at work.
 
     Args:
-        tables: files of tables to start from.
+        tables: files of tables that a run by a table starts from.
         on_true_answer: is given true answers at accepted steps, see `CachedLaw`.
 
     Raises:
         InputError: tables for a law that takes none, or the recipe has several cells.
         MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
-    if tables and kind not in ("cached", "table"):
-        raise InputError(f"--table: not with --law {kind}; it must be cached or table")
+    if tables and kind != "table":
+        raise InputError(f"--table: not with --law {kind}; it must be table")
     if kind == "rve":
         rve = shared(true_law(recipe))
         return ChosenLaw(rve, (rve,))
@@ -160,25 +160,15 @@ def choose_law(
     if kind == "surrogate":
         return ChosenLaw(learnt, (learnt,), record)
     rve = shared(true_law(recipe, surrogate))
-    if not (recipe.table.enabled or tables):
-        law = CachedLaw(learnt, rve, recipe.cache, on_true_answer)
-        return ChosenLaw(law, (learnt, rve), record)
-    table = make_table(recipe, rve, tables, surrogate.stress_spread)
-    record |= {"tables": _record_of(tables)}
-    law = CachedLaw(ChainedSurrogate(learnt, table), rve, recipe.cache, on_true_answer)
-    return ChosenLaw(law, (learnt, rve), record, {recipe.cell_name or "": table})
+    law = CachedLaw(learnt, rve, recipe.cache, on_true_answer)
+    return ChosenLaw(law, (learnt, rve), record)
 
 
-def make_table(
-    recipe: Recipe, law: Fallback, files: Sequence[Path] = (), spread: float | None = None
-) -> StressTable:
-    """A table for a recipe, with the records of these files or, alone, of the undeformed state.
+def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> StressTable:
+    """A table for a recipe, with the records of these files, or of the undeformed state.
 
-    Its kernels are loaded before; the rest is its `cost`.
-
-    Args:
-        spread: of the stress, µN/µm, given by a surrogate before the table; None: the table is
-            alone, and takes that of the first file, or samples it.
+    Its kernels are loaded before; the rest is its `cost`. The spread of the stress is that of the
+    first file, or of samples.
 
     Raises:
         MismatchError: a file is of other cell parameters or initialisation.
@@ -189,14 +179,12 @@ def make_table(
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
-    is_alone = spread is None
-    if spread is None:
-        spread = found[0].spread if found else sampled_spread(law, wanted)
+    spread = found[0].spread if found else sampled_spread(law, wanted)
     tolerance, most = recipe.table.tolerance * spread, recipe.table.most_records
     table = StressTable(law, tolerance, wanted, spread, most_records=most)
     for stored in found:
         table.restore(merged(table.records, stored.records, tolerance, table.images))
-    if is_alone and not table.size:  # behind a surrogate it learns what that does not know
+    if not table.size:
         table.learn_rest()
     table.cost = meter.cost
     return table

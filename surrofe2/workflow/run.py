@@ -223,7 +223,7 @@ def costs(counts: Mapping[str, int]) -> str:
 
 
 def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
-    """Sentences on audit, trust and cost of a run, each with whether it is a warning."""
+    """Sentences on audits and trust of a run, each with whether it is a warning."""
     for name, cache in caches_of(record.cache).items():
         of = name and f"{name}: "
         yield f"{of}audit: {audit_sentence(cache)}", False
@@ -238,8 +238,6 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
             )
         for event in cache["trust"]["events"]:
             yield f"{of}cache, step {event['step']}: {event['finding']}", True
-        if cache["cost"] is not None:
-            yield f"{of}cost: {cache['cost']['sentence']}", not cache["cost"]["pays"]
 
 
 def audit_sentence(cache: Mapping[str, Any]) -> str:
@@ -254,4 +252,7 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
         )
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
-    return f"{text}; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"
+    return (
+        f"{text}; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm, so with 95 % "
+        f"confidence at most {100.0 * audit['wrong_at_most']:.2g} % of all"
+    )

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.cache.audit import BATCH, Audit, ErrorRecord, Question
-from surrofe2.cache.cost import FEW
+from surrofe2.cache.audit import BATCH, Audit, ErrorRecord
+from surrofe2.cache.trust import AUDITS
 from surrofe2.errors import InputError
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Status, StressResponse
@@ -101,10 +101,53 @@ def test_audits_wait_for_each_other_and_none_is_forgotten():
     walk(cached, 30)
     assert truth.sizes
     assert min(truth.sizes) >= BATCH
-    before = sum(truth.sizes) - 3 * FEW  # by which the true law is timed, by two calls
-    truth.sizes = ()
+    before = sum(truth.sizes)
     audited = cached.report()["audit"]["audited"]
-    assert audited == before + truth.sizes[0]
+    assert audited == sum(truth.sizes) > before
+
+
+@pytest.mark.parametrize("steps", [5, 40, 200])
+def test_a_run_of_any_length_has_the_audits_of_the_plan(steps):
+    """Of fewer answers all, of more the answers with the smallest draws, each as likely."""
+    kept = []
+    cached = law(audit=0.005, on_true_answer=lambda F, F_dot, stress, status, why: kept.append(F))
+    asked = walk(cached, steps)
+    answers = 40 * steps
+    assert cached.report()["audit"]["audited"] == min(AUDITS, answers)
+    shears = np.concatenate([F for F, _ in asked])[:, 0, 1]
+    audited = np.concatenate(kept)[:, 0, 1]
+    assert np.isin(audited, shears).all()
+    if answers > AUDITS:
+        # Mean and spread are those of a random sample of the answers.
+        scatter = shears.std() / np.sqrt(AUDITS)
+        assert abs(audited.mean() - shears.mean()) < 3.0 * scatter
+        assert audited.std() == pytest.approx(shears.std(), rel=0.15)
+
+
+def test_every_answer_is_audited_with_the_same_probability():
+    """2,000 answers of four steps, over many seeds: as many audits of each step."""
+    F = np.tile(np.eye(2), (500, 1, 1))
+    zero, bound, by_step = 0.0 * F, np.zeros(500), np.zeros(4)
+    for seed in range(50):
+        audit = Audit(Surrogate(), Truth(), fraction=0.05, seed=seed, tolerance=1.0)
+        for step in range(4):
+            audit.choose(step, np.arange(500), F, zero, zero, bound)
+        audit.end()
+        asked = audit.run().asked
+        assert len(asked.step) == AUDITS
+        assert len({*zip(asked.step.tolist(), asked.points.tolist(), strict=True)}) == AUDITS
+        by_step += np.bincount(asked.step, minlength=4)
+    # Hypergeometric: 80 of each step with a variance of 320 · ¼ · ¾ · 1,680/1,999 a seed.
+    scatter = np.sqrt(50 * 320 * 3 / 16 * 1680 / 1999)
+    assert (abs(by_step - 50 * 80) < 4.0 * scatter).all()
+
+
+def test_without_a_fraction_nothing_is_audited():
+    cached = law(audit=0.0)
+    walk(cached, 20)
+    audit = cached.report()["audit"]
+    assert audit["audited"] == 0
+    assert audit["wrong_at_most"] is None
 
 
 @dataclass
@@ -146,7 +189,7 @@ def test_a_sparse_audit_starts_warm_from_its_own_side():
 
 def test_audits_of_several_steps_fill_tiles():
     truth = Warm()
-    walk(law(audit=0.3, truth=truth), 15, points=20)  # then the costs of truth are sampled
+    walk(law(audit=0.3, truth=truth), 15, points=20)
     sizes = [len(F) for F, _ in truth.asked]
     assert min(sizes) >= BATCH
     assert not any(size % TILE for size in sizes)
@@ -154,14 +197,14 @@ def test_audits_of_several_steps_fill_tiles():
 
 def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
     truth = Warm()
-    audit = Audit(truth, share=1.0, seed=0, tolerance=1.0)
+    audit = Audit(Surrogate(), truth, fraction=1.0, seed=0, tolerance=1.0)
 
     def asked(points, shears):
         F = np.eye(2) * np.ones((len(points), 1, 1))
         F[:, 0, 1] = shears
-        zero = np.zeros_like(F)
-        none = np.zeros(len(F))
-        audit.wait(Question(none.astype(int), np.array(points), F, zero, zero, none, none + 1.0))
+        whole = np.tile(np.eye(2), (10, 1, 1))
+        whole[points] = F
+        audit.choose(1, np.array(points), whole, 0.0 * whole, 0.0 * whole, np.zeros(10))
         audit.run()
 
     asked([3, 5, 9], [0.1, 0.2, 0.4])

@@ -1,4 +1,4 @@
-"""Search, growth, shrinkage and first size of ellipsoids, against plain numpy."""
+"""Growth, shrinkage and first size of ellipsoids, against plain numpy."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from surrofe2.cache.table.records import (
     limited,
     make_records,
 )
-from surrofe2.cache.table.search_tree import DEPTH, find_all, make_tree
 
 
 def random_records(count, seed=0):
@@ -29,42 +28,6 @@ def random_records(count, seed=0):
 def bounds(records, x):
     d = x - records.centre
     return np.einsum("ni,nij,nj->n", d, records.curvature, d)
-
-
-def find(x, limit, records, tree):
-    """(record, bound) of the least bound at x; −1 where none is at most the limit."""
-    found, bound = np.empty(1000, dtype=np.int32), np.empty(1000)
-    stack = np.empty(DEPTH, dtype=np.int32)
-    count = find_all(x, limit, records.centre, records.curvature, tree, stack, found, bound)
-    assert (np.diff(found[:count]) > 0).all()
-    return (found[:count][bound[:count].argmin()], bound[:count].min()) if count else (-1, limit)
-
-
-@pytest.mark.parametrize("limit", [12.0, 24.0])
-@pytest.mark.parametrize("count", [1, 3, 4, 5, 300])
-def test_search_finds_the_least_bound_of_all(count, limit):
-    records = random_records(count)
-    tree = make_tree(records.centre, records.extent, 12.0)
-    found = 0
-    for x in np.random.default_rng(1).normal(size=(200, 7)):
-        at, bound = find(x, limit, records, tree)
-        expected = bounds(records, x)
-        if expected.min() > limit:
-            assert at == -1
-        else:
-            assert at == expected.argmin()
-            assert bound == pytest.approx(expected.min(), rel=1e-12)
-            found += 1
-    assert found > 0
-
-
-def test_search_of_nothing_and_of_equals():
-    records = random_records(1).take(np.zeros(40, dtype=int))
-    tree = make_tree(records.centre, records.extent, 1.0)
-    assert find(records.centre[0], 1.0, records, tree)[1] == 0.0
-    nothing = records.take(np.empty(0, dtype=int))
-    empty = make_tree(nothing.centre, nothing.extent, 1.0)
-    assert find(np.zeros(7), 1.0, nothing, empty)[0] == -1
 
 
 @pytest.mark.parametrize("radius", [0.5, 1.4])
@@ -94,12 +57,11 @@ def along(records, radius):
 
 
 def weighed(radius, error, rule=None):
-    """One true answer at a radius in the ellipsoid of tolerance 1, off by a Frobenius error."""
+    """One RVE answer at a radius in the ellipsoid of tolerance 1, off by a Frobenius error."""
     records = random_records(1)
     x = along(records, radius)
     s = linear(records, x) + np.array([error * np.sqrt(2.0), 0.0, 0.0, 0.0])
-    tree = make_tree(records.centre, records.extent, 1.0)
-    covered, counts = update_ellipsoids(x[None], s[None], 1, records, tree, rule or Rule())
+    covered, counts = update_ellipsoids(x[None], s[None], 1, records, 1.0, rule or Rule())
     return covered[0], counts, bounds(records, x)[0]
 
 

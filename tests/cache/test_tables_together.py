@@ -1,17 +1,12 @@
-"""Tables with others: merged, behind a surrogate, taught by a cached law."""
+"""Tables with others: merged, and taught by a cached law."""
 
 import numpy as np
-import pytest
 
-from surrofe2.cache import CachedLaw, CacheSettings, ChainedSurrogate
+from surrofe2.cache import CachedLaw
 from surrofe2.cache.table.ellipsoids import merged
-from surrofe2.errors import MismatchError
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import sample
-from surrofe2.stress_law import Status
-from surrofe2.tensors import stress_error
-from tests.cache.tables import RANGE, SPREAD, make, states, taught
-from tests.laws import SquareLaw, Untaught, square_stress
+from tests.cache.tables import RANGE, make, states, taught
+from tests.laws import SquareLaw, square_stress
 
 
 def test_merged_tables_know_what_both_know():
@@ -36,46 +31,6 @@ def test_a_merged_table_is_cut_where_the_other_knows_better():
     volume = np.linalg.det(records.curvature)
     before = np.concatenate([np.linalg.det(t.records.curvature) for t in (sound, table)])
     assert volume.sum() > 1.5 * before.sum()
-
-
-class Half(Untaught):
-    """Knows F₁₁ ≤ 1, off by 0.01."""
-
-    stress_spread = SPREAD
-
-    def __init__(self, law):
-        self.cell, self.initialisation, self.density = law.cell, law.initialisation, law.density
-
-    def lookup(self, F, F_dot, tolerance=np.inf):
-        stress, status = square_stress(F, F_dot) + 0.01, np.zeros(len(F), dtype=np.int8)
-        status[F[:, 0, 0] > 1.0] = Status.OUT_OF_RANGE
-        stress[status != 0] = np.nan
-        return stress, status, np.where(status == 0, 0.01, np.inf)
-
-
-def test_a_table_behind_a_surrogate_answers_the_rest():
-    law = SquareLaw()
-    table = make(law)
-    F, F_dot = sample(RANGE, 200, 3)
-    cached = CachedLaw(
-        ChainedSurrogate(Half(law), table), law, settings=CacheSettings(tolerance=5e-2, audit=0.0)
-    )
-    for _ in range(2):
-        cached.reset_counts()
-        answer = cached.respond(F, F_dot)
-        cached.accept(F, F_dot, answer)
-    left = F[:, 0, 0] > 1.0
-    assert cached.counts["hits"] == 200
-    exact = square_stress(F, F_dot)
-    np.testing.assert_allclose(answer.stress[~left], exact[~left] + 0.01, atol=1e-12)
-    assert stress_error(answer.stress, exact)[left].max() <= table.tolerance
-    assert 0 < table.size < left.sum()
-
-
-def test_a_table_of_another_cell_is_refused_behind_a_surrogate():
-    other = SquareLaw(CellParameters.preset("water"))
-    with pytest.raises(MismatchError, match="use a table of these parameters"):
-        ChainedSurrogate(Half(SquareLaw()), make(other))
 
 
 def test_a_cached_law_teaches_its_table_only_at_kept_steps():

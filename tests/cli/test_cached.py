@@ -156,25 +156,26 @@ def test_the_record_tells_how_wrong_the_cache_was(invoke, recipe_path, tmp_path)
     assert cache["audit"]["largest"] <= 0.02
     assert cache["audit"]["worst"]["error"] == cache["audit"]["largest"]
     assert cache["trust"] == {"factor": 1.0, "off": False, "events": []}
-    assert cache["cost"]["true"] > 0.0
     assert f"audit: {cache['audit']['audited']} of {cache['audit']['audited']}" in done.stdout
     assert "0 above the tolerance of 0.02 µN/µm" in done.stdout
-    # Laws without cells are cheap: a cache, every answer of which is audited, cannot pay.
-    assert not cache["cost"]["pays"]
-    assert "cost: the cache does not pay here; use --law rve" in done.stderr
+    share = cache["audit"]["wrong_at_most"]
+    assert share == pytest.approx(1.0 - 0.05 ** (1.0 / cache["audit"]["audited"]))
+    assert f"so with 95 % confidence at most {100.0 * share:.2g} % of all" in done.stdout
 
 
-def test_a_corrupted_surrogate_is_switched_off_loudly(invoke, recipe_path, tmp_path, bias):
+def test_a_corrupted_surrogate_loses_trust_loudly(invoke, recipe_path, tmp_path, bias):
     bias[0] = 1.0
     done = invoke(
         "run", recipe_path, "--law", "cached", "--out", tmp_path / "cached", "--audit", "1.0"
     )
     assert done.exit_code == 0, done.output
-    trust = read_record(tmp_path / "cached").cache["trust"]
-    assert trust["off"]
-    assert trust["events"][0]["action"] == "off"
+    record = read_record(tmp_path / "cached")
+    (event,) = record.cache["trust"]["events"]
+    assert event["action"] == "tightened"
+    assert record.counts["fallbacks_not_trusted"] == record.counts["fallbacks"] > 0
+    assert record.cache["accepted"]["hits"] <= 20  # at the very start, which cannot go back
     assert "audited answers are off by more than the tolerance" in done.stderr
-    assert "the cache is off from here on, RVEs answer" in done.stderr
+    assert "the bounds count 2.75 times from here on" in done.stderr
 
 
 @pytest.mark.usefixtures("bias")

@@ -134,22 +134,6 @@ def _trained(invoke, recipe_path):
 
 
 @pytest.mark.usefixtures("_trained")
-def test_a_table_behind_the_network_takes_what_it_may_not_answer(
-    invoke, recipe_path, changed_recipe, tmp_path
-):
-    changed_recipe("-0.1]", "-2.0]")
-    changed_recipe("[load]", "[cache]\ntolerance = 1e-5\n\n[load]")
-    alone = run(invoke, recipe_path, tmp_path / "alone", "--law", "cached")
-    changed_recipe("[load]", "[table]\nenabled = true\ntolerance = 1e-2\n\n[load]")
-    both = run(invoke, recipe_path, tmp_path / "both", "--law", "cached")
-    assert both.exit_code == alone.exit_code == 0, both.output
-    counts = [read_record(tmp_path / name).counts for name in ("alone", "both")]
-    assert counts[0]["fallbacks"] > 1000
-    assert counts[1]["fallbacks"] < 0.9 * counts[0]["fallbacks"]
-    assert counts[1]["table_records"] > 0
-
-
-@pytest.mark.usefixtures("_trained")
 def test_a_harvest_is_added_to_the_training_data(invoke, first, recipe_path, changed_recipe):
     surrogate = recipe_path.parent / "cells.safetensors"
     before = read_surrogate(surrogate)

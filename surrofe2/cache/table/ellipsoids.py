@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.table.records import OUTPUTS, Records, joined
-from surrofe2.cache.table.search_tree import DEPTH, Tree, enlarge, find_all, make_tree, quadratic
 from surrofe2.compilation import kernel
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
 from surrofe2.tensors import INPUTS
@@ -50,7 +49,6 @@ _RULE = Rule()
 _NO_GROWTH = Rule(reach=1.0, growing=-1.0)
 SAME = 0.01
 """A record within so small a share of the tolerance of another, by its bound, adds nothing."""
-_MOST = 4096  # records that may have something to say of a point
 
 
 def update_ellipsoids(
@@ -58,7 +56,7 @@ def update_ellipsoids(
     s: Array,
     images: int,
     records: Records,
-    tree: Tree,
+    tolerance: float,
     rule: Rule = _RULE,
 ) -> tuple[NDArray[np.bool_], dict[str, int]]:
     """(covered (m,), counts) of m true answers, by which curvature and extent change in place.
@@ -67,45 +65,25 @@ def update_ellipsoids(
         x, s: (m, 7), (m, 4) inputs and stress.
         images: 4 with the symmetry D4, 1 without.
         records: whose arrays are changed.
-        tree: of the records, for the tolerance that decides; its boxes grow with them.
+        tolerance: µN/µm, that decides.
     """
     covered = np.zeros(len(x), dtype=np.bool_)
     counts = np.zeros(2, dtype=np.int64)
-    _update(x, s, images, rule, records, tree, covered, counts)
+    _update(x, s, images, rule, records, float(tolerance), covered, counts)
     return covered, {"grown": int(counts[0]), "shrunk": int(counts[1])}
 
 
 @kernel
-def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore[no-untyped-def]
-    tolerance = tree.tolerance
+def _update(x, s, images, rule, records, tolerance, covered, counts):  # type: ignore[no-untyped-def]
     reach = rule.reach * tolerance
     p, candidate = np.empty(INPUTS), np.empty(INPUTS)
-    found, bounds = np.empty(images * _MOST, dtype=np.int32), np.empty(_MOST)
-    stack = np.empty(DEPTH, dtype=np.int32)
     for point in range(x.shape[0]):
-        many = 0
-        for flips in range(images):
-            for i in range(INPUTS):
-                p[i] = x[point, i] * INPUT_SIGNS[flips, i]
-            many += find_all(
-                p,
-                reach,
-                records.centre,
-                records.curvature,
-                tree,
-                stack,
-                found[many : many + _MOST],
-                bounds,
-            )
-        nearest, least, last, within = -1, reach, -1, False
-        for k in np.sort(found[:many]):
-            if k == last:
-                continue
-            last = k
+        nearest, least, within = -1, reach, False
+        for k in range(records.centre.shape[0]):
             for flips in range(images):
                 for i in range(INPUTS):
                     p[i] = x[point, i] * INPUT_SIGNS[flips, i] - records.centre[k, i]
-                bound = quadratic(p, records.curvature[k])
+                bound = _quadratic(p, records.curvature[k])
                 if bound > reach:
                     continue
                 error = _error(p, s[point], flips, records.stress[k], records.slope[k])
@@ -123,8 +101,19 @@ def _update(x, s, images, rule, records, tree, covered, counts):  # type: ignore
             counts[0] += 1
             target = rule.grown * tolerance
             set_bound(candidate, target, records.curvature[nearest], records.extent[nearest])
-            enlarge(nearest, records.centre, records.extent, tree)
             covered[point] = True
+
+
+@kernel
+def _quadratic(d, matrix):  # type: ignore[no-untyped-def]
+    """dᵀ M d."""
+    total = 0.0
+    for i in range(INPUTS):
+        row = 0.0
+        for j in range(INPUTS):
+            row += matrix[i, j] * d[j]
+        total += row * d[i]
+    return total
 
 
 @kernel
@@ -166,21 +155,18 @@ def merged(first: Records, second: Records, tolerance: float, images: int) -> Re
         tolerance: µN/µm, for which ellipsoids are tested.
         images: 4 with the symmetry D4, 1 without.
     """
-    near = SAME * tolerance
-    tree = make_tree(first.centre, first.extent, near)
     is_known = np.empty(len(second.centre), dtype=np.bool_)
-    _hold_any(second.centre, near, first, tree, is_known)
+    _hold_any(second.centre, SAME * tolerance, first, is_known)
     records = joined(first, second.take(np.flatnonzero(~is_known)))
-    tree = make_tree(records.centre, records.extent, tolerance)
-    update_ellipsoids(records.centre, records.stress, images, records, tree, _NO_GROWTH)
+    update_ellipsoids(records.centre, records.stress, images, records, tolerance, _NO_GROWTH)
     return records
 
 
 @kernel
-def _hold_any(x, limit, records, tree, held):  # type: ignore[no-untyped-def]
+def _hold_any(x, limit, records, held):  # type: ignore[no-untyped-def]
     """Fill held (m,): whether the bound of any record at x (m, 7) is at most `limit`."""
-    found, bounds = np.empty(1, dtype=np.int32), np.empty(1)
-    stack = np.empty(DEPTH, dtype=np.int32)
     for p in range(x.shape[0]):
-        many = find_all(x[p], limit, records.centre, records.curvature, tree, stack, found, bounds)
-        held[p] = many > 0
+        held[p] = False
+        for k in range(records.centre.shape[0]):
+            d = x[p] - records.centre[k]
+            held[p] |= _quadratic(d, records.curvature[k]) <= limit

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.table.records import OUTPUTS
 from surrofe2.cache.table.screen import PRODUCTS, fill_bounds, fill_products
-from surrofe2.cache.table.search_tree import DEPTH, find_all
 from surrofe2.compilation import kernel, parallel_kernel
 from surrofe2.simd import TILE, any_less, load, root, spread, store, where_less
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
@@ -30,7 +29,6 @@ MANY = 1000  # points from which on more than one core pays
 _OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
 _NOT_TRUSTED = int(Status.NOT_TRUSTED)
 _AT_ONCE = 16 * TILE  # points a core answers at once
-_MOST = 256  # models that answer for an image of a point
 _NEAREST = 1e-9  # of the tolerance: a bound that is as good as none
 _SLACK = 1.0 + 1e-6  # for the rounding of screened bounds
 
@@ -47,36 +45,34 @@ def look_up(
     tolerances: tuple[float, float],
     images: int,
     records: Any,
-    tree: Any,
     screen: Any,
 ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.float64]]:
     """(stress (n, 2, 2), status (n,), bound (n,)) as `StressTable.lookup` gives them.
 
     Args:
         tolerances: that is asked for, and the table's own.
-        screen: of all records, see `make_screen`; without rows the tree is searched.
+        screen: of all records, see `make_screen`.
     """
     count = len(F)
     answer = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
     compute = _all_parallel if count >= MANY else _some
-    compute(0, count, (F, F_dot), tolerances, images, records, tree, screen, answer)
+    compute(0, count, (F, F_dot), tolerances, images, records, screen, answer)
     return answer
 
 
 @parallel_kernel
-def _all_parallel(first, last, asked, tolerances, images, records, tree, screen, answer):  # type: ignore[no-untyped-def]
+def _all_parallel(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
     for part in prange((last - first + _AT_ONCE - 1) // _AT_ONCE):
         begin = first + part * _AT_ONCE
         end = min(begin + _AT_ONCE, last)
-        _some(begin, end, asked, tolerances, images, records, tree, screen, answer)
+        _some(begin, end, asked, tolerances, images, records, screen, answer)
 
 
 @kernel
-def _some(first, last, asked, tolerances, images, records, tree, screen, answer):  # type: ignore[no-untyped-def]
+def _some(first, last, asked, tolerances, images, records, screen, answer):  # type: ignore[no-untyped-def]
     (F, F_dot), (tolerance, own) = asked, tolerances
     room, x = np.zeros((_ROWS, TILE)), np.empty(INPUTS)
     inputs, bounds, products = room[: _ONE + 1], room[_IMAGES:_PRODUCTS], room[_PRODUCTS:]
-    candidates = np.empty(TILE * images * _MOST, dtype=np.int32)
     limit = min(own, tolerance * abs(tolerance) / own)
     store(1.0, room, _ONE)
     for start in range(first, last, TILE):
@@ -88,52 +84,14 @@ def _some(first, last, asked, tolerances, images, records, tree, screen, answer)
         for row in range(_S, _LEAST):
             store(0.0, room, row)
         store(np.inf, room, _LEAST)
-        if screen.shape[0]:
-            fill_products(inputs, products)
-            for k in range(screen.shape[0]):
-                fill_bounds(screen, k, products, bounds)
-                for flips in range(images):
-                    if any_less(load(bounds, flips), _SLACK * own):
-                        _ask(k, flips, limit, own, records, room)
-        else:
-            many = _find_candidates(room, images, own, records, tree, candidates)
-            for n in range(many):
-                for flips in range(images):
-                    _ask(candidates[n], flips, limit, own, records, room)
+        fill_products(inputs, products)
+        for k in range(screen.shape[0]):
+            fill_bounds(screen, k, products, bounds)
+            for flips in range(images):
+                if any_less(load(bounds, flips), _SLACK * own):
+                    _ask(k, flips, limit, own, records, room)
         for lane in range(min(TILE, last - start)):
             _write(room, lane, own, start + lane, answer)
-
-
-@kernel
-def _find_candidates(room, images, own, records, tree, candidates):  # type: ignore[no-untyped-def]
-    """How many records hold an image of any of eight points, in rising order in `candidates`."""
-    image, found = np.empty(INPUTS), np.empty(_MOST, dtype=np.int32)
-    bounds, stack = np.empty(_MOST), np.empty(DEPTH, dtype=np.int32)
-    many = 0
-    for lane in range(TILE):
-        for flips in range(images):
-            for i in range(INPUTS):
-                image[i] = room[i, lane] * INPUT_SIGNS[flips, i]
-            count = find_all(
-                image, own, records.centre, records.curvature, tree, stack, found, bounds
-            )
-            for n in range(count):
-                many = _put_in(found[n], many, candidates)
-    return many
-
-
-@kernel
-def _put_in(k, many, candidates):  # type: ignore[no-untyped-def]
-    """Put k into its place among so many candidates, once; how many there are then."""
-    place = many
-    while place > 0 and candidates[place - 1] > k:
-        place -= 1
-    if place > 0 and candidates[place - 1] == k:
-        return many
-    for n in range(many, place, -1):
-        candidates[n] = candidates[n - 1]
-    candidates[place] = k
-    return many + 1
 
 
 @kernel

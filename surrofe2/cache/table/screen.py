@@ -1,4 +1,4 @@
-"""Which records of a small table may hold any of eight points, or an image of them.
+"""Which records of a table may hold any of eight points, or an image of them.
 
 Multiplied out, the bound (x − x₀)ᵀ C (x − x₀) of a record is a polynomial of degree 2 in x. An
 image flips the sign of each of its 36 monomials as it flips one component of a tensor, the parity
@@ -23,9 +23,6 @@ from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 
-MOST_SCREENED = 512
-"""Records of a table that is searched whole; in a larger one a tree is faster."""
-
 
 def _parity(pair: tuple[int, int]) -> int:
     return parity(tuple(k for k in pair if k < INPUTS))
@@ -41,8 +38,8 @@ _SUM, _DIFFERENCE, _SHEAR, _SPIN = _ENDS
 
 
 def make_screen(records: Records, count: int) -> Array:
-    """(count, `PRODUCTS`) coefficients of the bounds; no rows where there are too many records."""
-    screen = np.empty((count if count <= MOST_SCREENED else 0, PRODUCTS))
+    """(count, `PRODUCTS`) coefficients of the bounds of the first `count` records."""
+    screen = np.empty((count, PRODUCTS))
     _fill(records.centre, records.curvature, screen)
     return screen
 

@@ -8,31 +8,33 @@ error of its linear model. And of all ellipsoids that hold a point the best one 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cache.branches import part_of, within
-from surrofe2.cache.protocols import Fallback, Surrogate
+from surrofe2.cache.protocols import Fallback
 from surrofe2.cache.table.ellipsoids import update_ellipsoids
 from surrofe2.cache.table.lookup import MANY, look_up
 from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
 from surrofe2.cache.table.screen import make_screen
-from surrofe2.cache.table.search_tree import Tree, insert, make_tree
 from surrofe2.costs import NOTHING
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, half_widths, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
-from surrofe2.stress_law import Status, Tangents
+from surrofe2.stress_law import Tangents
 from surrofe2.tensors import stress_spread, to_components, to_inputs, transpose
 
 Array = NDArray[np.float64]
 
 SPREAD_SAMPLES = 32
 """By them the spread is known within 0.3 % of that of 512 on all recipes."""
-_WHOLE_TABLE = 100_000
+MOST_RECORDS = 4096
+"""All of them are screened for every point, so a lookup costs as much as there are."""
+
+_log = logging.getLogger("surrofe2.cache")
 
 
 class StressTable:
@@ -47,7 +49,7 @@ class StressTable:
             an ellipsoid may reach at first; the table answers beyond it too.
         spread: of the stress, µN/µm, of which tolerances are shares.
         records: what is known already.
-        most_records: after so many none is added.
+        most_records: after so many none is added; the law answers where none holds a point.
 
     Attributes:
         cell, initialisation, density: those of the law.
@@ -70,7 +72,7 @@ class StressTable:
         range: SamplingRange,
         spread: float,
         records: Records | None = None,
-        most_records: int = _WHOLE_TABLE,
+        most_records: int = MOST_RECORDS,
     ) -> None:
         if not 0.0 < tolerance < np.inf:
             raise InputError(f"table.tolerance: {tolerance} µN/µm; it must be positive and finite")
@@ -120,17 +122,13 @@ class StressTable:
         if self._screen is None:
             self._screen = make_screen(self._records, self.size)
         tolerances = float(tolerance), self.tolerance
-        return look_up(F, F_dot, tolerances, self.images, self._records, self._tree, self._screen)
+        return look_up(F, F_dot, tolerances, self.images, self._records, self._screen)
 
     def status_and_bound(
         self, F: Array, F_dot: Array, tolerance: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
         """Those of `lookup`."""
         return self.lookup(F, F_dot, tolerance)[1:]
-
-    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
-        """Everywhere."""
-        return np.ones(len(F), dtype=np.bool_)
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """An InputError: each record has its own slope, which jumps from one to the next."""
@@ -146,18 +144,24 @@ class StressTable:
         self._screen = None
         x, R = to_inputs(F, F_dot)
         s = to_components(transpose(R) @ stress @ R)
-        covered, counts = update_ellipsoids(x, s, self.images, self._records, self._tree)
+        known = Records(*(part[: self.size] for part in self._records))
+        covered, counts = update_ellipsoids(x, s, self.images, known, self.tolerance)
         self._count(counts)
         left = np.flatnonzero(~covered)
         while len(left) and self.size < self.most_records:
             chosen = left[self._apart(x[left])][: self.most_records - self.size]
             new = self._solved(x[chosen], R[chosen], state, chosen)
             left = np.setdiff1d(left, chosen, assume_unique=True)
-            tree = make_tree(new.centre, new.extent, self.tolerance)
-            covered, counts = update_ellipsoids(x[left], s[left], self.images, new, tree)
+            covered, counts = update_ellipsoids(x[left], s[left], self.images, new, self.tolerance)
             left = left[~covered]
             self._add(new)
             self._count({**counts, "added": len(new.centre)})
+            if self.size >= self.most_records:
+                _log.warning(
+                    "the table is full with %d records; it grows its ellipsoids, and RVEs answer "
+                    "where none holds. A larger table.tolerance needs fewer",
+                    self.size,
+                )
 
     def learn_rest(self) -> None:
         """Make the undeformed state a record, at which all points of a tissue begin: else each of
@@ -186,18 +190,14 @@ class StressTable:
         """Know these records and no others."""
         self.size, self._screen = len(records.centre), None
         self._make_room(records, self.size)
-        self._tree = make_tree(records.centre, records.extent, self.tolerance, 2 * self.size)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Records, the order in which they are searched, and counts, for `from_arrays`."""
-        counts = np.array(list(self.counts.values()))
-        return {**self.records._asdict(), "counts": counts, **within("tree", self._tree._asdict())}
+        """Records and counts, for `from_arrays`."""
+        return {**self.records._asdict(), "counts": np.array(list(self.counts.values()))}
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Know what another table of the same law and tolerance knew at its `to_arrays`."""
         self.restore(Records(*(arrays[name] for name in Records._fields)))
-        tree: Any = part_of(arrays, "tree")
-        self._tree = Tree(**tree | {"tolerance": float(tree["tolerance"])})
         self.counts = dict(zip(self.counts, arrays["counts"].tolist(), strict=True))
 
     def _add(self, new: Records) -> None:
@@ -207,7 +207,6 @@ class StressTable:
             self._make_room(self.records, size)
         for mine, theirs in zip(self._records, new, strict=True):
             mine[self.size : size] = theirs
-        self._tree = insert(self._tree, self._records.centre, self._records.extent, size)
         self.size = size
 
     def _make_room(self, known: Records, size: int) -> None:
@@ -271,72 +270,3 @@ def sampled_spread(law: Fallback, range: SamplingRange, seed: int = 1) -> float:
     if not len(valid):
         raise InputError("range: no sample of it has a stress; narrow it")
     return stress_spread(valid)
-
-
-class ChainedSurrogate:
-    """A surrogate, and a table for what it may not answer; the table alone learns.
-
-    Attributes:
-        cell, initialisation, density, stress_spread, has_bound: those of the surrogate.
-
-    Raises:
-        MismatchError: they are not of the same plant cell and initialisation.
-    """
-
-    has_tangents, learns = False, True
-
-    def __init__(self, surrogate: Surrogate, table: StressTable) -> None:
-        if surrogate.cell != table.cell or surrogate.initialisation != table.initialisation:
-            raise MismatchError(
-                f"table: of cell parameters {table.cell.fingerprint}, {table.initialisation}, the "
-                f"surrogate of {surrogate.cell.fingerprint}, {surrogate.initialisation}; use a "
-                "table of these parameters"
-            )
-        self.surrogate = surrogate
-        self.table = table
-        self.cell, self.initialisation = surrogate.cell, surrogate.initialisation
-        self.density, self.stress_spread = surrogate.density, surrogate.stress_spread
-        self.has_bound, self.range = surrogate.has_bound, surrogate.range
-        self.is_calibrated = surrogate.is_calibrated
-        self.tangents, self.learn = table.tangents, table.learn
-        self.to_arrays, self.from_arrays = table.to_arrays, table.from_arrays
-
-    def held_to(self, tolerance: float, relative: float) -> ChainedSurrogate:
-        """With the surrogate held to them."""
-        return ChainedSurrogate(self.surrogate.held_to(tolerance, relative), self.table)
-
-    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
-        """(n,) that of the surrogate, 1 where the table answers."""
-        of_table = self.is_of_table(F, F_dot, tolerance)
-        return np.where(of_table, 1.0, self.surrogate.weight(F, F_dot, tolerance))
-
-    def lookup(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
-    ) -> tuple[Array, NDArray[np.int8], Array]:
-        """As `Surrogate.lookup`; a point that neither knows has the surrogate's status."""
-        stress, status, bound = self.surrogate.lookup(F, F_dot, tolerance)
-        missed = status.nonzero()[0]
-        if not len(missed):
-            return stress, status, bound
-        answer, known, of_table = self.table.lookup(F[missed], F_dot[missed], tolerance)
-        found = known == Status.OK
-        at = missed[found]
-        stress[at], status[at], bound[at] = answer[found], Status.OK, of_table[found]
-        return stress, status, bound
-
-    def status_and_bound(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
-    ) -> tuple[NDArray[np.int8], Array]:
-        """Those of `lookup`."""
-        status, bound = self.surrogate.status_and_bound(F, F_dot, tolerance)
-        missed = status.nonzero()[0]
-        if len(missed):
-            known, of_table = self.table.status_and_bound(F[missed], F_dot[missed], tolerance)
-            found = known == Status.OK
-            status[missed[found]], bound[missed[found]] = Status.OK, of_table[found]
-        return status, bound
-
-    def is_of_table(self, F: Array, F_dot: Array, tolerance: float) -> NDArray[np.bool_]:
-        """See `Surrogate.is_of_table`."""
-        status, _ = self.surrogate.status_and_bound(F, F_dot, tolerance)
-        return status != Status.OK

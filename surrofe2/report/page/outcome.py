@@ -7,7 +7,6 @@ import numpy as np
 from surrofe2.costs import Balance, Cost
 from surrofe2.io.fields import F_NAME, STRESS_NAME
 from surrofe2.io.run_costs import made_for
-from surrofe2.io.run_folder import caches_of
 from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table_of
@@ -128,11 +127,6 @@ def cost_section(seen: Seen) -> str:
         parts.append(paragraph(f"{run.name}: {run.balance.sentence}.", "headline"))
         if run.balance.made:
             figures.append(_break_even(run.name, run.balance))
-    for each in seen.runs:
-        for cell, cache in caches_of(each.record.cache).items():
-            if cost := cache.get("cost"):
-                of = f"{each.name}, {cell}" if cell else each.name
-                parts.append(paragraph(f"{of}: {cost['sentence']}."))
     if not any(run.balance for run in runs):
         parts.append(
             missing(

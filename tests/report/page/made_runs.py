@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
-from surrofe2.cache.monitor import effort_of
+from surrofe2.cache.cached_law import effort_of
 from surrofe2.io.run_folder import write_record
 from surrofe2.macro import simulate
 from surrofe2.stress_law import Status
@@ -66,5 +66,4 @@ def cache_report():
         "left_range": {},
         "audit": {"share": 0.2, "seed": 1, **audit.to_dict()},
         "trust": {"factor": 1.0, "off": False, "events": [{"step": 3, "finding": "a finding"}]},
-        "cost": {"sentence": "the cache pays", "pays": True},
     }
