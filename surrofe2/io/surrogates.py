@@ -29,7 +29,7 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_value
 from surrofe2.surrogate.domain import Domain
-from surrofe2.surrogate.error_bound import Calibration, scale_table
+from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
@@ -140,12 +140,12 @@ def _calibration(content: Mapping[str, Any]) -> Calibration:
         kind: {**figures, "quantile": float(figures["quantile"])}
         for kind, figures in content["kinds"].items()
     }
-    scale, quantile = np.array(content["scale"]), float(content["quantile"])
-    newer = max(0, len(scale_table()) - len(scale))  # products that older files know nothing of
-    scale = np.concatenate([scale, np.zeros(newer)])
-    known: dict[str, Any] = {"scale": scale, "quantile": quantile, "kinds": kinds}
-    if "near" in content:
-        known["near"] = np.array(content["near"])
+    known = {
+        "scale": np.array(content["scale"]),
+        "near": np.array(content["near"]),
+        "quantile": float(content["quantile"]),
+        "kinds": kinds,
+    }
     return Calibration(**{**content, **known})
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -96,5 +96,6 @@ def scale_table() -> Table:
     found += [(NORM,) * power for power in (1, 2, 3, 4)]
     found += [(k,) for k in squares]
     found += list(combinations_with_replacement(squares, 2))
+    found += [(i, i, j, j) for i, j in combinations(squares, 2)]  # the corners of the range
     found += [(NEAR,)]
     return padded_table(found)
