@@ -133,19 +133,6 @@ def test_a_file_without_domain_and_bound(calibrated, tmp_path):
     assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
 
 
-def test_a_file_from_before_a_product_of_the_local_scale_keeps_its_bound(calibrated, tmp_path):
-    """Its scale has one coefficient less; the last is then zero."""
-    shorter = calibrated.calibration.scale.copy()
-    shorter[-1] = 0.0
-    old = replace(calibrated, calibration=replace(calibrated.calibration, scale=shorter))
-    path = tmp_path / "a.safetensors"
-    object.__setattr__(old.calibration, "scale", shorter[:-1])
-    write_surrogate(old, path)
-    F, F_dot = random_states(RANGE, 100, seed=3).states
-    object.__setattr__(old.calibration, "scale", shorter)
-    assert np.array_equal(read_surrogate(path).error_bound(F, F_dot), old.error_bound(F, F_dot))
-
-
 def test_a_bound_against_its_error():
     error = np.random.default_rng(0).exponential(1.0, 2000)
     told = bound_against_error(3.0 * error, error)
