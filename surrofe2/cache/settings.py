@@ -32,7 +32,7 @@ class CacheSettings:
     )
     audit: float = setting(
         0.005,
-        "share of the cache's answers at accepted steps that an RVE answers too",
+        "fraction of the cache's answers that RVEs compute, too, of a run at least 320; 0: none",
         least=0.0,
         most=1.0,
     )

@@ -10,6 +10,7 @@ import pytest
 
 import surrofe2
 from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache.trust import WRONG
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
@@ -26,8 +27,6 @@ RANGES = {
 }
 SPREAD = {"printed": 70.0, "water": 16.0}
 """µN/µm: about those of the default recipes."""
-NOMINAL = 0.01
-"""Audits are a sample: of a chunk that is wrong by twice this, one in 600 stands."""
 
 
 def shear_of(F):
@@ -35,7 +34,7 @@ def shear_of(F):
 
 
 class Kept(CachedLaw):
-    """Keeps what stands: (F, Ḟ, stress) of all accepted answers of the surrogate, by chunk."""
+    """Keeps what stands: (F, Ḟ, stress) of all accepted answers of the surrogate, by window."""
 
     def __init__(self, *args):
         super().__init__(*args)
@@ -55,23 +54,21 @@ class Kept(CachedLaw):
         return super().roll_back(t)
 
     def wrong_shares(self, law, allowed):
-        """Of each chunk that stands: the share of its answers that are off by more than allowed."""
-        for chunk in self.standing:
-            F, F_dot, stress = (np.concatenate(part) for part in zip(*chunk, strict=True))
+        """Of each window that stands: the share of its answers that are off by more than allowed."""
+        for window in self.standing:
+            F, F_dot, stress = (np.concatenate(part) for part in zip(*window, strict=True))
             if len(F):
                 error = stress_error(stress, law.respond(F, F_dot).stress)
                 yield float(np.mean(error > allowed))
 
 
 def check(surrogate, law, duration, audit):
-    """No chunk of the bar that stands is wrong; how many steps went back."""
+    """No window of the bar that stands is wrong; how many steps went back."""
     cached = Kept(surrogate, law, CacheSettings(audit=audit))
     run = simulate(LoadCase(duration=duration), cached, MacroSettings(frames=2))
-    assert (
-        max(cached.wrong_shares(law, 1e-3 * surrogate.stress_spread), default=0.0) <= 2.0 * NOMINAL
-    )
+    assert max(cached.wrong_shares(law, 1e-3 * surrogate.stress_spread), default=0.0) <= WRONG
     audited = cached.report()["audit"]
-    assert audited["violations"] <= NOMINAL * audited["audited"]
+    assert audited["violations"] <= 0.5 * WRONG * audited["audited"]
     return run.counts["rolled_back_steps"]
 
 

@@ -162,6 +162,9 @@ def _bound_curves(run: SeenRun, high: float) -> list[Curve]:
 def _worst(of: str, audit: Mapping[str, Any]) -> str:
     worst = audit["worst"]
     text = f"{of}: {audit['audited']:,} answers audited, {audit['violations']} above the tolerance"
+    if audit.get("wrong_at_most") is not None:  # runs of earlier versions do not have it
+        share = 100.0 * audit["wrong_at_most"]
+        text += f", so with 95 % confidence at most {share:.2g} % of all answers are"
     if not isinstance(worst, Mapping):
         return paragraph(f"{text}.")
     return paragraph(

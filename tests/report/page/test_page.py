@@ -81,7 +81,8 @@ def test_what_ran_stands_in_the_page(page):
         "it pays from 8 such runs",
         "200 answers of kept steps came from the cache, 6 from true RVEs (6 out of range), 2.91 %",
         "cached, step 3: a finding",
-        "40 answers audited, 0 above the tolerance; the worst error is 0.003 µN/µm",
+        "40 answers audited, 0 above the tolerance, so with 95 % confidence at most 7.2 % of all "
+        "answers are; the worst error is 0.003 µN/µm",
         f"where the bound was {BOUND} µN/µm (step 7, point 3)",
         "cached: 2 events",
         "Range that was met",
