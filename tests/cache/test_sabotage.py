@@ -54,7 +54,7 @@ class Kept(CachedLaw):
         return super().roll_back(t)
 
     def wrong_shares(self, law, allowed):
-        """Of each window that stands: the share of its answers that are off by more than allowed."""
+        """Of each window that stands: the share of its answers off by more than allowed."""
         for window in self.standing:
             F, F_dot, stress = (np.concatenate(part) for part in zip(*window, strict=True))
             if len(F):
