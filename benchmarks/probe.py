@@ -27,12 +27,11 @@ def main() -> None:
 
     from surrofe2.macro import MacroSettings, simulate
     from surrofe2.recipe import load_recipe
-    from surrofe2.workflow.laws import choose_law, warm_up
+    from surrofe2.workflow.laws import choose_law
 
     recipe = load_recipe(given.recipe)
     chosen = choose_law(recipe, given.law, given.surrogate)
     settings = MacroSettings(elements=(given.elements, given.elements))
-    warm_up(chosen.parts, settings)
     load = replace(recipe.load, duration=given.duration)
     done = simulate(load, chosen.law, settings)
     print(

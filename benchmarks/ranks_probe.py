@@ -19,7 +19,7 @@ from surrofe2.io.surrogates import read_surrogate
 from surrofe2.ranks.crew import Crew, serve
 from surrofe2.ranks.shared import distributed, own_part
 from surrofe2.ranks.world import world
-from surrofe2.workflow.laws import use_threads, warm_up
+from surrofe2.workflow.laws import use_threads
 
 SIZES = (8, 1024, 65_536, 1_048_576)
 """Bytes of a message."""
@@ -56,9 +56,7 @@ def _measured(given: argparse.Namespace, crew: Crew | None) -> dict[str, Any]:
         law = CachedLaw(surrogate, law)
     if crew is not None:
         law = distributed(law, crew)
-    parts = (law.surrogate, law.fallback) if given.law == "cached" else (law,)
     settings = MacroSettings(elements=(given.elements, given.elements))
-    warm_up(parts, settings)
     simulate(LoadCase(duration=given.duration / 20.0), law, settings)
     if crew is not None:
         crew.reset_counts()
@@ -70,7 +68,7 @@ def _measured(given: argparse.Namespace, crew: Crew | None) -> dict[str, Any]:
         "steps": run.counts["steps"],
         "fallbacks": run.effort.get("fallbacks", 0),
         "last": run.curve.displacement[-1].tolist(),
-        "fingerprint": own_part(parts[-1]).cell.fingerprint,
+        "fingerprint": own_part(law.fallback if given.law == "cached" else law).cell.fingerprint,
         **({} if crew is None else crew.report()),
     }
 

@@ -107,6 +107,11 @@ def clock() -> float:
     return now - _waited[0]
 
 
+def seconds_compiling() -> float:
+    """Seconds of wall in which this process compiled kernels or read them so far."""
+    return _waited[0]
+
+
 def cpu_clock() -> float:
     """Seconds of CPU, but for those that this process compiles kernels or reads them."""
     now = _begun[0][1] if _begun else process_time()

@@ -55,7 +55,7 @@ def the_rve() -> RveLaw:
 @cache
 def the_surrogate() -> SurrogateLaw:
     """Its surrogate."""
-    (law,) = choose_law(the_recipe(), "surrogate").parts
+    law = choose_law(the_recipe(), "surrogate").law
     assert isinstance(law, SurrogateLaw)
     return law
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.compilation import clock
 from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.internal_force import deformation_gradient, internal_force, stress_power
 from surrofe2.macro.system import System
@@ -113,9 +113,9 @@ class EquationsOfMotion:
     def accept(self, now: Evaluation) -> Evaluation | NoStress:
         """Let the law commit its answer: the evaluation by which the next step begins."""
         self.is_committing = True
-        started = perf_counter()
+        started = clock()
         acceptance = self.law.accept(now.F, now.F_dot, now.response)
-        self.tally.law_seconds += perf_counter() - started
+        self.tally.law_seconds += clock() - started
         return self._begin(now, acceptance)
 
     def begin(self, t: float, y: Array) -> Evaluation | NoStress | Switched:
@@ -158,9 +158,9 @@ class EquationsOfMotion:
         """The start of the step under way with these points on another branch of the law."""
         start, law = self._start, cast(SwitchingLaw, self.law)
         response = replace(start.response, state=self.law_state)
-        started = perf_counter()
+        started = clock()
         acceptance = law.restart_step(start.F, start.F_dot, response, points)
-        self.tally.law_seconds += perf_counter() - started
+        self.tally.law_seconds += clock() - started
         self.tally.counts["repeated_steps"] += 1
         return self._begin(start, acceptance)
 
@@ -260,9 +260,9 @@ class EquationsOfMotion:
         return now
 
     def _ask(self, F: Array, F_dot: Array, tangents: bool = False) -> StressResponse:
-        started = perf_counter()
+        started = clock()
         response = self.law.respond(F, F_dot, self.law_state, tangents=tangents)
-        self.tally.law_seconds += perf_counter() - started
+        self.tally.law_seconds += clock() - started
         for name, value in response.effort.items():
             self.tally.effort[name] += int(value)
         return response

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
-from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.compilation import clock, cpu_clock
 from surrofe2.errors import InputError
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.evaluation import Evaluation
@@ -159,9 +159,9 @@ class Recorder:
         self._record_dissipation = settings.record_dissipation and (
             resume is None or len(resume.samples) > 0
         )
-        begin = perf_counter() if begin is None else begin
+        begin = clock() if begin is None else begin
         self._started = begin - (resume.wall_time["total"] if resume else 0.0)
-        self._cpu_started = process_time() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
+        self._cpu_started = cpu_clock() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
         self._state: MacroState
         if resume is not None:
             self._state = replace(resume, frames=resume.frames.copy())
@@ -262,7 +262,7 @@ class Recorder:
         return {"stress": stress, "law_state": self._equations.law_state, **self._cost()}
 
     def _cost(self) -> dict[str, Any]:
-        tally, total = self._equations.tally, perf_counter() - self._started
+        tally, total = self._equations.tally, clock() - self._started
         law = tally.law_seconds
         return {
             "counts": {name: tally.counts[name] for name in COUNTS},
@@ -271,7 +271,7 @@ class Recorder:
                 "total": total,
                 "law": law,
                 "macro": total - law,
-                "cpu": process_time() - self._cpu_started,
+                "cpu": cpu_clock() - self._cpu_started,
             },
         }
 

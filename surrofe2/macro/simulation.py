@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
-from time import perf_counter
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.checkpoint_clock import CheckpointClock
+from surrofe2.compilation import clock
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
@@ -156,7 +156,7 @@ def simulate(
         contact.check_start()
     if resume is not None:
         _check_same_run(resume, system, settings)
-    begin = perf_counter()
+    begin = clock()
     equations = EquationsOfMotion(system, law, t=0.0 if resume is None else resume.t)
     if problem.surface is not None:
         if resume is None:
@@ -167,7 +167,7 @@ def simulate(
             rest = resume.rest
         system = equations.system = system.from_rest(rest)
     recorder = Recorder(equations, settings, resume, begin)
-    duration, clock = problem.duration, CheckpointClock(checkpoint_interval)
+    duration, due = problem.duration, CheckpointClock(checkpoint_interval)
     with one_blas_thread():  # as in every step
         stepper = _make_stepper(equations, settings, recorder, resume)
     try:
@@ -189,8 +189,8 @@ def simulate(
                     stepper = _make_stepper(equations, settings, recorder, back)
                 if progress is not None:
                     progress(stepper.now.t, duration)
-                if checkpoint is not None and clock.is_due():
-                    clock.write(partial(checkpoint, recorder.checkpoint()))
+                if checkpoint is not None and due.is_due():
+                    due.write(partial(checkpoint, recorder.checkpoint()))
     except SimulationError as error:
         so_far = _make_run(system, recorder.state(), given, finished=False)
         raise SimulationError(str(error), partial=so_far) from error

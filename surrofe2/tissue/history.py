@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from time import perf_counter
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.compilation import clock
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError
 from surrofe2.tissue.conditions import Conditions
@@ -167,15 +167,15 @@ class Recorder:
             (conditions.boundary(name), conditions.lengths(name)) for name in problem.places()
         ]
         self._supports = conditions.components()
-        self._created = perf_counter()
+        self._created = clock()
         self.state: TissueState
 
     def begin(self, velocity: Array, rates: Array) -> None:
         """Record the tissue at rest and, with the velocities of `TissueDynamics.start`, t = 0."""
         dynamics = self._dynamics
         relaxed = dynamics.x
-        relaxation_time = perf_counter() - self._created
-        self._started = perf_counter()
+        relaxation_time = clock() - self._created
+        self._started = clock()
         dynamics.counts.clear()
         elastic = dynamics.elastic_energy()
         resting = self._forces(0.0, np.zeros(len(self._conditions.problem.loads)))
@@ -210,7 +210,7 @@ class Recorder:
             force_evaluations=state.force_evaluations, list_builds=state.list_builds
         )
         self.state = state
-        self._started = perf_counter() - state.run_time
+        self._started = clock() - state.run_time
 
     def record(self, steps: int, works: Array) -> None:
         """Record the next output time, `steps` after the last.
@@ -248,7 +248,7 @@ class Recorder:
         return {
             "force_evaluations": counts["force_evaluations"],
             "list_builds": counts["list_builds"],
-            "run_time": perf_counter() - self._started,
+            "run_time": clock() - self._started,
         }
 
     def _row(self, t: float, before: TissueState, works: Array) -> Array:

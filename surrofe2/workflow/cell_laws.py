@@ -62,7 +62,6 @@ def choose_laws(
     laws = {name: each.law for name, each in chosen.items()}
     return ChosenLaw(
         RegionalLaw(laws, recipe.points_of_cells(mesh)),
-        tuple(part for each in chosen.values() for part in each.parts),
         surrogate_record({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
         {name: table for each in chosen.values() for name, table in each.tables.items()},
     )

@@ -1,13 +1,11 @@
-"""The stress law of a run: chosen by name, its parts read from files, and warmed up."""
+"""The stress law of a run: chosen by name, its parts read from files."""
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.costs import NOTHING, Cost, Meter
-from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
+from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.kept import (
     read_attached,
     read_reference,
@@ -30,31 +28,16 @@ from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_folder import file_fingerprint
 from surrofe2.io.surrogates import content_fingerprint, read_surrogate
 from surrofe2.io.tables import check_table, read_table
-from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, Problem, Surface, simulate
-from surrofe2.macro.discretisation import make_discretisation, n_points_of
-from surrofe2.macro.internal_force import MANY, deformation_gradient, internal_force
-from surrofe2.macro.problem import bar
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.ranks.crew import crew_at_work
-from surrofe2.ranks.distributed_law import DistributedLaw
-from surrofe2.ranks.distributed_surrogate import DistributedSurrogate
 from surrofe2.ranks.shared import shared
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
-from surrofe2.simd import TILE
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
 
-_MANY_POINTS = 2048
-"""So many points make every law use all cores if any number does."""
-_MANY_RVES = 4 * TILE
-"""So many make true RVEs do so; irregular ones are dear, and large."""
-_INSTANT = LoadCase(duration=1e-3, watched=(0.0, 0.0))
-"""Watched at a node, for which nothing has to be searched."""
 _AT_REST = 1e-6
 """Largest stress of an undeformed RVE, µN/µm."""
 
@@ -102,13 +85,12 @@ def _is_usable(known: ReferenceState, cell: CellParameters) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ChosenLaw:
-    """A law, the laws it is made of, what to record of its surrogate, and its tables by cell.
+    """A law, what to record of its surrogate, and its tables by cell.
 
     The only cell of a recipe with [cell] is called "".
     """
 
     law: StressLaw
-    parts: tuple[StressLaw, ...]
     surrogate: Mapping[str, Any] | None = None
     tables: Mapping[str, StressTable] = field(default_factory=dict)
 
@@ -141,12 +123,12 @@ def choose_law(
         raise InputError(f"--table: not with --law {kind}; it must be table")
     if kind == "rve":
         rve = shared(true_law(recipe))
-        return ChosenLaw(rve, (rve,))
+        return ChosenLaw(rve)
     if kind == "table":
         rve = shared(true_law(recipe))
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, on_true_answer)
-        return ChosenLaw(law, (rve,), _record_of(tables), {recipe.cell_name or "": table})
+        return ChosenLaw(law, _record_of(tables), {recipe.cell_name or "": table})
     path = surrogate_file or recipe.training_path()
     surrogate = read_surrogate(path)
     record: dict[str, Any] = {
@@ -158,23 +140,22 @@ def choose_law(
     check_surrogate(recipe, surrogate, path)
     learnt = shared(surrogate)
     if kind == "surrogate":
-        return ChosenLaw(learnt, (learnt,), record)
+        return ChosenLaw(learnt, record)
     rve = shared(true_law(recipe, surrogate))
     law = CachedLaw(learnt, rve, recipe.cache, on_true_answer)
-    return ChosenLaw(law, (learnt, rve), record)
+    return ChosenLaw(law, record)
 
 
 def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> StressTable:
     """A table for a recipe, with the records of these files, or of the undeformed state.
 
-    Its kernels are loaded before; the rest is its `cost`. The spread of the stress is that of the
-    first file, or of samples.
+    What it begins with is its `cost`. The spread of the stress is that of the first file, or of
+    samples.
 
     Raises:
         MismatchError: a file is of other cell parameters or initialisation.
     """
     wanted = recipe.sampling_range()
-    StressTable(law, 1.0, wanted, 1.0).warm_up()
     meter = Meter()
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
@@ -218,65 +199,6 @@ def check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
             f"{path}: trained for initialisation {surrogate.initialisation}, the run has "
             f"{recipe.rve.initialisation}; train a surrogate for this recipe"
         )
-
-
-def warm_up(
-    laws: tuple[StressLaw, ...],
-    settings: MacroSettings,
-    *,
-    points: int | None = None,
-    surface: Surface | None = None,
-) -> float:
-    """Load or compile all that a run with these settings calls, outside its clock; seconds it took.
-
-    Each law is asked for as many points as the run has, up to where no law takes another way for
-    more, and where laws share the points for a single one; and a small bar moves for an instant.
-
-    Args:
-        points: that the run has; left out: those of a bar with the elements of the settings.
-        surface: of its problem.
-    """
-    begin = time.perf_counter()
-    if points is None:
-        points = n_points_of(bar(_INSTANT, settings.elements).mesh)
-    most, (nx, ny) = min(points, _MANY_POINTS), settings.elements
-    counts = (1, most) if len(laws) > 1 else (most,)
-    for law in laws:
-        if isinstance(law, DistributedLaw | DistributedSurrogate):
-            law.everywhere(partial(_ask_all, counts=counts))
-        else:
-            _ask_all(law, counts)
-    if points >= MANY:
-        space = make_discretisation(bar(_INSTANT, (20, 20)).mesh)
-        F, _, _ = deformation_gradient(space, 0.0 * space.nodes, 0.0 * space.nodes)
-        internal_force(space, F, 0.0 * F)
-    small = replace(settings, elements=(min(nx, 2), min(ny, 2)))
-    for law in laws if settings.integrator == "implicit" else laws[:1]:
-        with suppress(SimulationError):  # a law that cannot start says so in the run itself
-            simulate(_INSTANT if surface is None else _with_sides(small, surface), law, small)
-    crew = crew_at_work()
-    if crew is not None:
-        crew.reset_counts()
-    return time.perf_counter() - begin
-
-
-def _ask_all(law: StressLaw, counts: tuple[int, ...]) -> None:
-    """Ask a law for so many points whatever a run asks."""
-    for count in counts:
-        if isinstance(law, RveLaw):
-            count = min(count, _MANY_RVES)
-        F = np.tile([[1.0, 1e-3], [0.0, 1.0]], (count, 1, 1))
-        answer = law.respond(F, 0.0 * F)
-        law.respond(F, 0.0 * F, law.accept(F, 0.0 * F, answer).state)
-        if isinstance(law, SurrogateLaw):
-            law.status_and_bound(F, 0.0 * F)
-
-
-def _with_sides(settings: MacroSettings, surface: Surface) -> Problem:
-    """The small bar with a law of its free sides."""
-    laws = surface.law
-    first = next(iter(laws.values())) if isinstance(laws, Mapping) else laws
-    return replace(bar(_INSTANT, settings.elements), surface=Surface(law=first))
 
 
 def open_study(path: Path, threads: int | None) -> Recipe:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
@@ -14,14 +13,14 @@ import numpy as np
 
 from surrofe2.cache.branches import part_of, within
 from surrofe2.checkpoint_clock import CheckpointClock
+from surrofe2.compilation import clock, seconds_compiling
 from surrofe2.errors import InputError
 from surrofe2.io.fields import write_fields
 from surrofe2.io.run_folder import RunRecord, write_energies, write_history, write_load_path
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
-from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
-from surrofe2.workflow.laws import kept_reference, warm_up
+from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
     Recording,
@@ -66,7 +65,7 @@ def rest_study(
     chosen = choose_laws(recipe, "rve", problem.mesh)
     problem = with_surface(recipe, problem, kept_reference)
     found: tuple[Rest | None, Frames, np.ndarray] | None = None  # replaced whole, so never torn
-    begin = compilation = 0.0
+    begin, before = 0.0, seconds_compiling()
 
     def store(record: RunRecord, last: Rest) -> RunRecord:
         assert found is not None
@@ -78,21 +77,19 @@ def rest_study(
         cell = cell_of_elements(chosen.law, len(space.elements))
         write_fields(folder, space.nodes, space.elements, frames, cell)
         write_points(folder, space, frames)
-        wall = {"total": time.perf_counter() - begin, "compilation": compilation}
+        wall = {"total": clock() - begin, "compilation": seconds_compiling() - before}
         met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
         record = with_rest(record, last.system.rest)
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
     def compute(current: Recording) -> Rest:
-        nonlocal found, begin, compilation
-        points, surface = n_points_of(problem.mesh), problem.surface
-        compilation = warm_up(chosen.parts, recipe.macro, points=points, surface=surface)
-        begin = time.perf_counter()
+        nonlocal found, begin
+        begin = clock()
         arrays = current.last_state()
         if arrays is not None:
             begin -= float(arrays["seconds"])
             found = None, Frames(**part_of(arrays, "frames")), arrays["forces"]
-        clock = CheckpointClock(CHECKPOINT_INTERVAL)
+        due = CheckpointClock(CHECKPOINT_INTERVAL)
 
         def reached(rest: Rest) -> None:
             nonlocal found
@@ -100,15 +97,15 @@ def rest_study(
             if found is not None:
                 frames, forces = found[1].followed_by(frames), np.append(found[2], forces, axis=0)
             found = rest, frames, forces
-            if clock.is_due():
-                clock.write(checkpoint)
+            if due.is_due():
+                due.write(checkpoint)
             report(rest.factor / factor if factor else 1.0, "")
 
         def checkpoint() -> None:
             assert found is not None
             rest, frames, forces = found
             assert rest is not None
-            more = {"seconds": np.array(time.perf_counter() - begin), "forces": forces}
+            more = {"seconds": np.array(clock() - begin), "forces": forces}
             more |= within("law", law_arrays(chosen.law, rest.law_state))
             current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | more)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.cache.branches import part_of, within
+from surrofe2.compilation import seconds_compiling
 from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import InputError
 from surrofe2.io.events import write_events
@@ -15,7 +16,6 @@ from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_costs import cost_of
 from surrofe2.io.run_folder import RunRecord, caches_of
 from surrofe2.macro import MacroRun, MacroState, simulate
-from surrofe2.macro.discretisation import n_points_of
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import out_of_range
 from surrofe2.workflow.cell_laws import (
@@ -26,7 +26,7 @@ from surrofe2.workflow.cell_laws import (
     law_arrays,
     law_state,
 )
-from surrofe2.workflow.laws import kept_reference, warm_up
+from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
     CHECKPOINT_INTERVAL,
     Recording,
@@ -72,17 +72,18 @@ def run_study(
             "cached, surrogate or rve, or --integrator explicit"
         )
     problem = recipe.problem()
+    before = seconds_compiling()
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
     problem = with_surface(recipe, problem, kept_reference)
-    compilation, earlier = 0.0, sum((read_cost(each) or NOTHING for each in tables), start=NOTHING)
+    earlier = sum((read_cost(each) or NOTHING for each in tables), start=NOTHING)
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
         record = with_results(record, run)
         seconds = _with_beginning(record.wall_time, chosen.cost)
         record = replace(
             record,
-            wall_time={**seconds, "compilation": compilation},
+            wall_time={**seconds, "compilation": seconds_compiling() - before},
             counts=counts_with(chosen.tables, record.counts),
         )
         outputs.store(chosen.tables, earlier + cost_of(record))
@@ -90,7 +91,6 @@ def run_study(
         return record
 
     def compute(current: Recording) -> MacroRun:
-        nonlocal compilation
         arrays = current.last_state()
         state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
         if arrays is not None and state is not None:
@@ -107,14 +107,7 @@ def run_study(
             if decisions:
                 write_events(folder, decisions)
 
-        points = n_points_of(problem.mesh)
         report(0.0, "loading kernels")
-        compilation = warm_up(
-            chosen.parts,
-            recipe.macro,
-            points=points,
-            surface=problem.surface,
-        )
         try:
             with recipe.named(InputError):
                 return simulate(
@@ -196,7 +189,7 @@ def run_summary(record: RunRecord) -> str:
         f"{record.duration:g} µs by {record.law} in "
         f"{time_text(wall['total'])} (law {time_text(wall['law'])}, "
         f"macro {time_text(wall['macro'])}; "
-        f"compilation {time_text(wall.get('compilation', 0.0))} before), {costs(counts)}"
+        f"compilation {time_text(wall.get('compilation', 0.0))} besides), {costs(counts)}"
     )
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
+from surrofe2.compilation import seconds_compiling
 from surrofe2.errors import InputError
 from surrofe2.io.fields import write_particle_fields
 from surrofe2.io.run_folder import RunRecord, write_curve, write_energies, write_history
 from surrofe2.recipe import Recipe
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
-from surrofe2.tissue.simulation import held_and_loaded, make_conditions, step_at_rest, with_step
+from surrofe2.tissue.simulation import make_conditions, step_at_rest, with_step
 from surrofe2.tissue_problem import cells_of, problem_of_tissue
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
@@ -45,7 +45,7 @@ def run_tissue(
     conditions = make_conditions(problem, cells, references)
     bears = step_at_rest(conditions, cells, references)
     recipe = replace(recipe, tissue=with_step(recipe.tissue, bears))
-    compilation = 0.0
+    before = seconds_compiling()
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
         write_curve(folder, run.curve, run.curves)
@@ -54,17 +54,13 @@ def run_tissue(
         write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
         return replace(
             record,
-            wall_time={**run.wall_time, "compilation": compilation},
+            wall_time={**run.wall_time, "compilation": seconds_compiling() - before},
             counts=run.counts,
             threads=run.threads,
         )
 
     def compute(current: Recording) -> TissueRun:
-        nonlocal compilation
         arrays = current.last_state()
-        begin = time.perf_counter()  # forces and energy are compiled outside the clock of the run
-        held_and_loaded(conditions, recipe.tissue).elastic_energy()
-        compilation = time.perf_counter() - begin
         return simulate_tissue(
             problem,
             cells,

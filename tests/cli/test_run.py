@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from surrofe2 import compilation
 from surrofe2.io.run_folder import read_curve, read_record
-from surrofe2.workflow.run import step_notes
+from surrofe2.workflow import laws
+from surrofe2.workflow.run import run_study, step_notes
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw
 from tests.run_records import finished_record
@@ -180,3 +183,35 @@ def test_many_implicit_steps_are_told(recipe):
     ((sentence, is_warning),) = step_notes(many, implicit)
     assert is_warning
     assert sentence.startswith("implicit: 3001 steps; ")
+
+
+def test_the_bar_says_that_kernels_are_loaded_until_the_first_step(recipe, folder, monkeypatch):
+    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
+    told = []
+    run_study(recipe, "rve", folder, report=lambda t, note: told.append((t, note)))
+    assert told[0] == (0.0, "loading kernels")
+    assert told[1][0] > 0.0
+    assert {note for _, note in told[1:]} == {""}
+
+
+class CompilingLaw(SoftLaw):
+    """Compiles for a second in its fourth answer."""
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        if self.calls == 3:
+            with compilation._waiting():
+                time.sleep(1.0)
+        return super().respond(F, F_dot, state, tangents=tangents)
+
+
+def test_the_clock_of_a_run_stands_while_kernels_are_compiled(recipe, folder, monkeypatch):
+    """A longer first call would count in full by any other clock."""
+    short = replace(recipe, load=replace(recipe.load, duration=0.2))
+    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
+    run_study(short, "rve", folder / "warm")
+    law = CompilingLaw()
+    monkeypatch.setattr(laws, "true_law", lambda part, *_: law.of(part.cell, part.rve))
+    wall = run_study(short, "rve", folder / "cold").wall_time
+    assert law.calls > 3
+    assert wall["compilation"] >= 1.0
+    assert wall["law"] <= wall["total"] < 0.9

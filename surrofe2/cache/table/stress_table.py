@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surrofe2.cache.protocols import Fallback
 from surrofe2.cache.table.ellipsoids import update_ellipsoids
-from surrofe2.cache.table.lookup import MANY, look_up
+from surrofe2.cache.table.lookup import look_up
 from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
 from surrofe2.cache.table.screen import make_screen
 from surrofe2.costs import NOTHING
@@ -172,19 +172,6 @@ class StressTable:
         if not accepted.status.any():
             stress = answer.stress if accepted.stress is None else accepted.stress
             self.learn(F, F_dot, stress, accepted.state)
-
-    def warm_up(self) -> None:
-        """Compile everything by letting an empty table of the same law learn once."""
-        F = np.array([[[1.0, 1e-3], [0.0, 1.0]]])
-        probe = StressTable(self.law, self.tolerance, self.range, self.stress_spread)
-        answer = self.law.respond(F, 0.0 * F)
-        state = self.law.accept(F, 0.0 * F, answer).state
-        probe.learn(F, 0.0 * F, answer.stress, state)
-        probe.learn(1.001 * F, 0.0 * F, answer.stress, state)
-        probe._add(probe.records)
-        probe.lookup(F, 0.0 * F)
-        many = np.repeat(F, MANY, axis=0)
-        probe.lookup(many, 0.0 * many)
 
     def restore(self, records: Records) -> None:
         """Know these records and no others."""
