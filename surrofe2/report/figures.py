@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -44,7 +45,7 @@ _STYLES: dict[str, dict[str, Any]] = {
     "no stable state found": _AREA | {"color": PURPLE},
     "solve failed": _AREA | {"color": "black"},
 }
-_OTHER = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Colours of curves without a style of their own, in turn."""
 _TURNS: tuple[dict[str, str], ...] = (
     {"marker": "o", "linestyle": "-"},
@@ -120,14 +121,32 @@ def write_figure(
     table: Table[Any] | None = None,
 ) -> None:
     """Draw panels, so many in a row, into a PNG; below all of them the table and one legend."""
+    figure = make_figure(panels, columns=columns, table=table)
+    figure.suptitle(title, fontsize=11)
+    write_png(path, figure)
+
+
+def make_figure(
+    panels: Sequence[Panel],
+    size: tuple[float, float] | None = None,
+    columns: int = 1,
+    table: Table[Any] | None = None,
+) -> Figure:
+    """A figure of panels, so many in a row; below all of them the table and one legend.
+
+    size: width and height in inches; None: as the panels need.
+    """
     rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
     heights = [_PANEL_SIZE[1] * max(panel.height for panel in row) for row in rows]
     if table is not None:
         heights.append(_LINE_HEIGHT * (len(table.rows) + 2))
-    width = max(_PANEL_SIZE[0] * columns, 6.4 if table is None else 8.0)
-    size = (width, sum(heights) + _LEGEND_HEIGHT)
+    if size is None:
+        width = max(_PANEL_SIZE[0] * columns, 6.4 if table is None else 8.0)
+        size = (width, sum(heights) + _LEGEND_HEIGHT)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
+    if not heights:
+        return figure
     axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
     for place in axes.flat[len(panels) :]:
         place.axis("off")
@@ -135,9 +154,16 @@ def write_figure(
         _draw_panel(place, panel)
     if table is not None:
         _draw_table(axes[-1, 0], table)
-    figure.suptitle(title, fontsize=11)
     _draw_legend(figure, axes.flat)
-    write_png(path, figure)
+    return figure
+
+
+def svg_of(figure: Figure) -> bytes:
+    """A figure as SVG, whose words stay words."""
+    drawn = BytesIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "surrofe2"}):
+        figure.savefig(drawn, format="svg", metadata={"Date": None})
+    return drawn.getvalue()
 
 
 def write_png(path: Path, figure: Figure) -> None:
@@ -200,10 +226,10 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
 def _other_style(k: int, markers: bool) -> dict[str, str]:
     """Colours in turn; where they begin anew, with another marker and dash."""
-    colour = _OTHER[k % len(_OTHER)]
+    colour = PALETTE[k % len(PALETTE)]
     if not markers:
         return {"color": colour, "linestyle": _DASHES[k % len(_DASHES)]}
-    return {"color": colour, **_TURNS[k // len(_OTHER) % len(_TURNS)]}
+    return {"color": colour, **_TURNS[k // len(PALETTE) % len(_TURNS)]}
 
 
 def _draw_legend(figure: Figure, places: Iterable[Axes]) -> None:

@@ -8,7 +8,6 @@ from surrofe2.report.comparison_plot import comparison_title
 from surrofe2.report.page.html import document, missing, paragraph
 from surrofe2.report.page.motion import motion_section
 from surrofe2.report.page.origin import (
-    again_section,
     event_section,
     origin_section,
     particle_section,
@@ -50,6 +49,5 @@ def page_of(seen: Seen) -> str:
         ("cells", "Plant cells", particle_section(seen)),
         ("events", "Events", event_section(seen)),
         ("origin", "Provenance", origin_section(seen)),
-        ("again", "Reproduce", again_section(seen)),
     )
     return document(f"surrofe2: {names}", sections, json.dumps({"runs": data}))

@@ -42,11 +42,6 @@ def folded(summary: str, content: str) -> str:
     return f"<details><summary>{escape(summary)}</summary>{content}</details>"
 
 
-def code(text: str) -> str:
-    """Lines as they are."""
-    return f'<pre tabindex="0">{escape(text)}</pre>'
-
-
 def table(headings: Sequence[str], rows: Sequence[Sequence[Any]], names: int = 1) -> str:
     """A table that scrolls by itself where it is wider than the page.
 

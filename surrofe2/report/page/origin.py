@@ -1,20 +1,17 @@
-"""Where a run comes from: events, settings, provenance, and how to run it again."""
+"""Where a run comes from: plant cells, events, settings, provenance."""
 
 from __future__ import annotations
 
 import base64
 import json
-import re
 import shlex
-from collections.abc import Mapping
 from typing import Any
 
 from surrofe2.io.files import flat
-from surrofe2.report.page.html import code, figure, folded, missing, paragraph, section, table
+from surrofe2.report.page.html import figure, folded, missing, paragraph, section, table
 from surrofe2.report.page.seen import Seen, SeenRun
 
 _MOST_EVENTS = 200
-_NOT_OF_A_RECIPE = ("recipe", "rest")
 
 
 def particle_section(seen: Seen) -> str:
@@ -113,82 +110,3 @@ def _provenance(run: SeenRun) -> dict[str, str]:
         **{f"SHA-256 of {name}": value[:16] for name, value in record.files.items()},
     }
     return {key: _short(value) for key, value in found.items()}
-
-
-def again_section(seen: Seen) -> str:
-    """The recipe as a file, and the commands that make the runs and this page."""
-    parts = []
-    known: dict[str, str] = {}
-    lines = [f'pip install "surrofe2=={seen.runs[0].record.package_version}"']
-    for each in seen.runs:
-        text = recipe_text(each.record.recipe)
-        name = known.get(text)
-        if name is None:
-            stem = re.sub(r"\W+", "-", str(each.record.recipe.get("recipe") or "study.toml"))
-            name = f"{stem.removesuffix('-toml')}{len(known) + 1 if known else ''}.toml"
-            known[text] = name
-            if each.record.surrogate and each.record.law != "table":
-                lines += [f"surrofe2 generate {name}", f"surrofe2 train {name}"]
-        elif each.record.surrogate and not any(line == f"surrofe2 train {name}" for line in lines):
-            lines += [f"surrofe2 generate {name}", f"surrofe2 train {name}"]
-        lines.append(_command(each, name))
-    folders = " ".join(shlex.quote(f"out/{each.name}") for each in seen.runs)
-    lines.append(f"surrofe2 report {folders}")
-    parts.append(paragraph("Save the recipe under its name, then:"))
-    parts.append(code("\n".join(lines)))
-    parts += [folded(name, code(text)) for text, name in known.items()]
-    parts.append(
-        missing(
-            "The same version, processor and number of threads give the same bits; others agree "
-            "within the tolerances of the recipe. A mesh file is not in this page, but its SHA-256 "
-            "is among the entries."
-        )
-    )
-    return section("again", "How to reproduce", parts)
-
-
-def _command(run: SeenRun, recipe: str) -> str:
-    record, out = run.record, shlex.quote(f"out/{run.name}")
-    if "rest" in record.recipe:
-        rest = record.recipe["rest"]
-        return f"surrofe2 rest {recipe} --factor {rest['factor']:g} --out {out}"
-    if record.law == "tissue":
-        return f"surrofe2 tissue {recipe} --out {out}"
-    return f"surrofe2 run {recipe} --law {record.law} --threads {record.threads} --out {out}"
-
-
-def recipe_text(recipe: Mapping[str, Any]) -> str:
-    """A recorded recipe as TOML; entries that are None keep their default."""
-    lines: list[str] = []
-    _add_tables(lines, "", {k: v for k, v in recipe.items() if k not in _NOT_OF_A_RECIPE})
-    return "\n".join(lines).strip() + "\n"
-
-
-def _add_tables(lines: list[str], prefix: str, entries: Mapping[str, Any]) -> None:
-    tables = {key: value for key, value in entries.items() if isinstance(value, Mapping)}
-    own = {k: v for k, v in entries.items() if k not in tables and v is not None}
-    if own:
-        lines += [
-            *(["", f"[{prefix}]"] if prefix else []),
-            *(f"{_key(k)} = {_value(v)}" for k, v in own.items()),
-        ]
-    for key, value in tables.items():
-        _add_tables(lines, f"{prefix}.{_key(key)}".lstrip("."), value)
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, Mapping):
-        return (
-            "{"
-            + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
-            + "}"
-        )
-    if value in ("inf", "-inf", "nan"):
-        return str(value)
-    return json.dumps(value, ensure_ascii=False)

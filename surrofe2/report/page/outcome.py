@@ -9,9 +9,9 @@ from surrofe2.io.fields import F_NAME, STRESS_NAME
 from surrofe2.io.run_costs import made_for
 from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
 from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.page.charts import bars, chart
 from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table_of
 from surrofe2.report.page.seen import Seen, SeenRun
-from surrofe2.report.page.svg import bars, chart
 
 _MOST_RUNS = 2.0
 """Runs, as multiples of those from which on a cache pays, that its picture shows."""

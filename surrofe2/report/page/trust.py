@@ -12,11 +12,11 @@ from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME
 from surrofe2.io.run_folder import caches_of
 from surrofe2.report.comparison_plot import audit_curves, clock_of
 from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.page.charts import chart
 from surrofe2.report.page.colours import SOURCES
 from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table
 from surrofe2.report.page.motion import mesh_picture
 from surrofe2.report.page.seen import Seen, SeenRun
-from surrofe2.report.page.svg import chart
 from surrofe2.stress_law import TABLE
 
 Array = NDArray[np.float64]

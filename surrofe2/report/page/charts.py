@@ -1,0 +1,52 @@
+"""Charts of the page: panels of curves and bars as SVG pictures, drawn as all figures are."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Mapping, Sequence
+from html import escape
+
+from surrofe2.report.figures import PALETTE, Panel, make_figure, svg_of
+
+_BAR_ROW, _LEGEND = 0.45, 0.6
+"""Inches."""
+
+
+def chart(panel: Panel) -> str:
+    """The curves of a panel with its axes and legend."""
+    named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
+    what = f"{panel.title or panel.y_label} over {panel.x_label}"
+    return _picture(svg_of(make_figure([panel])), f"{what}: {named}" if named else what)
+
+
+def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
+    """A bar for each row, its parts by name one after the other, with their sum."""
+    names = list(dict.fromkeys(name for _, parts in rows for name in parts))
+    figure = make_figure([], (4.6, _BAR_ROW * len(rows) + _LEGEND))
+    axes = figure.subplots()
+    for k, (_, parts) in enumerate(rows):
+        left = 0.0
+        for name, value in parts.items():
+            colour = PALETTE[names.index(name) % len(PALETTE)]
+            axes.barh(k, value, left=left, height=0.6, color=colour, label=name)
+            left += value
+    labels = [f"{label}: {sum(parts.values()):.3g} {unit}" for label, parts in rows]
+    axes.set_yticks(range(len(rows)), labels)
+    axes.invert_yaxis()
+    axes.set_xlabel(unit)
+    handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
+    told = "; ".join(
+        f"{label}: " + ", ".join(f"{name} {value:.3g} {unit}" for name, value in parts.items())
+        for label, parts in rows
+    )
+    return _picture(svg_of(figure), told)
+
+
+def _picture(svg: bytes, told: str) -> str:
+    """An SVG as an image; its words for those who do not see it."""
+    words = re.sub(r"\$([^$]*)\$", lambda found: found[1].replace("_", ""), " ".join(told.split()))
+    source = base64.b64encode(svg).decode()
+    alt = escape(words, quote=True)
+    return f'<img class="chart" alt="{alt}" src="data:image/svg+xml;base64,{source}">'
