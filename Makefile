@@ -11,7 +11,7 @@ BIN := .venv/bin
 .PHONY: paper demo docs test test-slow lint bench bench-quick accept-cache clean
 
 demo: .venv/.installed
-	$(BIN)/surrofe2 demo
+	$(BIN)/surrofe2 study data/bending-bar.toml --out out/demo
 
 test: .venv/.installed
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
@@ -35,14 +35,18 @@ bench-quick: .venv/.installed
 	$(BIN)/python -m benchmarks --quick
 
 accept-cache: .venv/.installed
-	$(BIN)/python -m benchmarks --only trust climb
+	$(BIN)/python -m benchmarks --only trust
+	for preset in printed water; do \
+	    $(BIN)/python -m validation worst-answer --cell $$preset --out out/bench --fresh || exit 1; \
+	done
 
 paper: .venv/.installed
 	for preset in printed water; do \
-	    for figure in fig5 fig6 fig8 rates stability memory; do \
-	        $(BIN)/surrofe2 reproduce $$figure --preset $$preset --out out/paper || exit 1; \
+	    for figure in fig5 fig6 fig8 rates; do \
+	        $(BIN)/python -m validation $$figure --cell $$preset --out out/paper || exit 1; \
 	    done; \
-	    $(BIN)/surrofe2 moduli --preset $$preset --tables --out out/paper/moduli-$$preset.json || exit 1; \
+	    $(BIN)/surrofe2 moduli --preset $$preset --tables --memory out/paper --stability out/paper \
+	        --out out/paper/moduli-$$preset.json || exit 1; \
 	done
 
 clean:

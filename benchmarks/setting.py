@@ -43,12 +43,10 @@ class Setting:
     Attributes:
         quick: less of everything; limits that are set for the whole bar are not judged.
         out: folder for results and for surrogates, which are kept for the next time.
-        peers: a Python with other particle codes, see `peers`.
     """
 
     quick: bool
     out: Path
-    peers: str | None = None
 
     def pick(self, full: T, quick: T) -> T:
         """The value for this mode."""

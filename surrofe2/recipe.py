@@ -1,4 +1,4 @@
-"""Study recipes: one TOML file that drives generate, train, run and demo.
+"""Study recipes: one TOML file that drives generate, train and run.
 
 Each section of a recipe is the frozen dataclass of the layer it configures (`CellParameters`,
 `RveSettings`, …), so names, types, defaults and bounds stand there and nowhere else; what is wrong

@@ -76,7 +76,7 @@ def test_moduli_from_loops_are_those_of_the_tangents():
 
 
 @pytest.mark.slow
-def test_a_grid_search_over_true_stresses_prefers_the_larger_network():
+def test_a_grid_search_over_stresses_of_rves_prefers_the_larger_network():
     """The Python example on few rows and sizes."""
     script = runpy.run_path(str(FOLDER / "network_size.py"))
     sizes = {"hidden": [(1,), (6,)], "baseline_degree": [1]}

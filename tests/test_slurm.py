@@ -12,10 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from surrofe2.io.data_sets import read_data_set
 from surrofe2.io.run_folder import read_record
-from surrofe2.recipe import load_recipe
-from surrofe2.workflow.generate import generate_data_set
 from tests.conftest import RECIPE
 
 ROOT = Path(__file__).parents[1]
@@ -49,10 +46,6 @@ def test_a_script_is_whole_and_on_the_page(script):
     assert f"examples/slurm/{script.name} RECIPE" in text
     page = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")
     assert f"{{literalinclude}} ../examples/slurm/{script.name}\n" in page
-
-
-def test_there_are_four():
-    assert [path.stem for path in SCRIPTS] == ["data", "grid", "run", "study"]
 
 
 @pytest.fixture
@@ -133,21 +126,6 @@ def test_a_run_over_ranks_goes_back_into_the_queue_and_goes_on(job):
 
 
 @pytest.mark.slow
-def test_data_by_workers_and_training(job):
-    """In four pieces, of which a command that has workers does two itself."""
-    text = RECIPE.replace("count = 40", "count = 1600")
-    (job.folder / "recipe.toml").write_text(text, encoding="utf-8")
-    said = done(job("data", ntasks=2))
-    assert said.count("Registered to:") == 2
-    assert (job.folder / "cells.safetensors").exists()
-    made = read_data_set(job.folder / "cells.h5")
-    (job.folder / "alone.toml").write_text(text.replace("cells.", "alone."), encoding="utf-8")
-    alone = load_recipe(job.folder / "alone.toml")
-    generate_data_set(alone)
-    assert made.fingerprint == read_data_set(alone.data_path()).fingerprint
-
-
-@pytest.mark.slow
 def test_a_grid_by_an_array_and_its_table(job):
     parts = {"SLURM_ARRAY_JOB_ID": "76"}
     for k in (0, 8):
@@ -172,15 +150,3 @@ def test_an_interrupted_member_of_an_array_goes_back_alone(job):
     interrupt(process, folder / "run.json")
     done(process, 130)
     assert requeued(job.folder) == ["requeue 76_3"]
-
-
-@pytest.mark.slow
-def test_a_study_interrupted_and_whole(job):
-    process = job("study")
-    interrupt(process, job.folder / "cells.h5")
-    done(process, 130)
-    assert requeued(job.folder) == [f"requeue {JOB}"]
-    done(job("study"))
-    assert (job.folder / "out" / "study" / "report.html").exists()
-    for law in ("rve", "cached"):
-        assert read_record(job.folder / "out" / "study" / law).status == "finished"

@@ -2,5 +2,4 @@
 
 felupe         a stress law as the material of a FElupe solid body
 micro_manager  RVEs and surrogate as micro simulations of preCICE's Micro Manager
-scikit_learn   a surrogate as a regressor of scikit-learn
 """

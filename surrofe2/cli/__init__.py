@@ -24,7 +24,7 @@ from surrofe2.cli.streams import leave, note_errors
 from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
-STUDY, LOOK, PHYSICS, PAPER = "Study", "Look", "Physics", "Paper"
+STUDY, LOOK, PHYSICS = "Study", "Look", "Physics"
 COMMANDS = {
     "new": (STUDY, "Write a recipe to start from.", "bar.toml --example bar"),
     "check": (
@@ -66,12 +66,6 @@ COMMANDS = {
     "rest": (PHYSICS, "The tissue at rest under the recipe's loads.", "RECIPE --out out/rest"),
     "modes": (PHYSICS, "Period and damping of small oscillations.", "RECIPE"),
     "moduli": (PHYSICS, "Elastic and viscous moduli of a plant cell at rest.", "--cell water"),
-    "demo": (PAPER, "The paper's bar by true and by cached FE², all steps at once.", ""),
-    "reproduce": (
-        PAPER,
-        "A figure of the paper, or a study beyond it.",
-        "fig5 --cell water --out out/paper",
-    ),
 }
 """By name: the group in help, a line, and what follows the name in an example."""
 

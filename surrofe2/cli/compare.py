@@ -39,10 +39,9 @@ def compare(
     console.done(out, " and ".join(COMPARISON_FILES))
 
 
-def show_comparison(result: Comparison, of: str = "") -> None:
+def show_comparison(result: Comparison) -> None:
     """The figures of a comparison as a table."""
-    title = f"{of}, against {result.reference}" if of else f"Against {result.reference}"
-    console.show_table(title, result.table)
+    console.show_table(f"Against {result.reference}", result.table)
     if result.force_table.rows:
         console.show_table("Forces on the tissue", result.force_table)
     for run in result.runs:

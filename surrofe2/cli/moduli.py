@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -17,12 +19,16 @@ from surrofe2.cli.console import (
     done,
     on_interrupt,
     print_line,
+    progress,
     show_table,
     stages,
 )
 from surrofe2.io.files import is_there, write_json
-from surrofe2.report.study import NamedCell
+from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.rve import INITIALISATIONS
+from surrofe2.studies import memory as memory_of
+from surrofe2.studies import stability as stability_of
+from surrofe2.studies.memory import MemorySettings
 from surrofe2.studies.moduli import (
     CHANGES,
     cell_moduli,
@@ -45,6 +51,25 @@ def moduli(
     tables: Annotated[
         bool, typer.Option("--tables", help="Also how they change with turgor, walls, particles.")
     ] = False,
+    memory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Also whether a cache on (F, Ḟ) is sound, by two pasts that end in the same "
+            "(F, Ḟ); figure, CSV and numbers in DIR.",
+        ),
+    ] = None,
+    period: Annotated[
+        float,
+        typer.Option(metavar="µs", help="--memory: period of the fastest motion expected."),
+    ] = MemorySettings().period,
+    stability: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Also where the cell has a stable equilibrium; map, CSV and numbers in DIR.",
+        ),
+    ] = None,
     out: JsonFile = None,
     fresh: Fresh = False,
 ) -> None:
@@ -61,7 +86,55 @@ def moduli(
     asked = of.identity({"initialisation": initialisation, "tables": tables})
     if out is not None and not fresh and is_there(out, asked):
         print_line(f"{out}: there already")
+    else:
+        _moduli(of, initialisation, tables, out, asked)
+    if memory is not None:
+        wanted = MemorySettings(period=period)
+        _study(
+            "memory", of, memory, asdict(wanted), fresh,
+            lambda report: memory_of.describe(
+                memory_of.memory(of.cell, wanted, progress=_counted(report))
+            ),
+        )  # fmt: skip
+    if stability is not None:
+        _study(
+            "stability", of, stability, {}, fresh,
+            lambda report: stability_of.describe(
+                stability_of.stability_map(of.cell, progress=_counted(report))
+            ),
+        )  # fmt: skip
+
+
+def _study(
+    name: str,
+    of: NamedCell,
+    folder: Path,
+    asked: Mapping[str, Any],
+    fresh: bool,
+    make: Callable[[Report], Study],
+) -> None:
+    """Make a study of the cell unless it is in the folder, and show it."""
+
+    def compute() -> Study:
+        with progress(name, 1.0, "parts") as report:
+            return make(report)
+
+    with on_interrupt("nothing was changed"):
+        study, paths = keep_study(folder, name, of, asked, compute, fresh=fresh)
+    files = ", ".join(path.name for path in paths)
+    if study is None:
+        print_line(f"{folder}: {files}, there already")
         return
+    show_table(f"{' '.join(study.title.split())}, {of}", study.table)
+    for row in study.table.to_records():
+        if "verdict" in row:
+            print_line(row["verdict"])
+    print_line(f"{folder}: {files}")
+
+
+def _moduli(
+    of: NamedCell, initialisation: str, tables: bool, out: Path | None, asked: Mapping[str, Any]
+) -> None:
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
     with on_interrupt("nothing was changed"), stages() as stage:
         found = {}

@@ -64,14 +64,14 @@ def study(
             stage=stage,
             tell=console.print_line,
         )
-    show_study(found)
+    _show(found)
     console.done(folder, "all steps done")
 
 
-def show_study(found: Studied, title: str = "") -> None:
+def _show(found: Studied) -> None:
     """What the runs of a study came to: their comparison, and what their caches say."""
     if found.comparison is not None:
-        show_comparison(found.comparison, title)
+        show_comparison(found.comparison)
     for record in found.records:
         for sentence, is_warning in cache_notes(record):
             if is_warning or found.comparison is None:

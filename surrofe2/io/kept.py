@@ -1,4 +1,4 @@
-"""What takes long to compute and is kept: settled reference states, and curves of long studies.
+"""What takes long to compute and is kept: settled reference states, surface tables, long curves.
 
 Each is a JSON file that is taken only by the configuration and the sources of the package that it
 was computed with. Nine Voronoi plant cells take ten seconds to settle; their positions are a few
@@ -7,17 +7,13 @@ kilobytes.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from surrofe2.compilation import cache_folder
-from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError
 from surrofe2.io.files import plain, read_json, write_json
 from surrofe2.io.hdf5 import reading_hdf5
@@ -94,46 +90,3 @@ def _checked(stored: Mapping[str, Any], cell: CellParameters) -> ReferenceState 
     except (TypeError, ValueError, OverflowError):  # InputError and MismatchError among them
         return None
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class KeptCurve:
-    """A curve and what it cost: wall time in s."""
-
-    curve: DisplacementCurve
-    seconds: float
-
-
-class KeptCurves:
-    """A folder with one file a curve, NAME-DIGEST.json; the digest is of its configuration."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def read(self, name: str, configuration: Mapping[str, Any]) -> KeptCurve | None:
-        """The curve of exactly this configuration, or None."""
-        path = self._path(name, configuration)
-        stored = read_kept(path, configuration)
-        if stored is None:
-            return None
-        try:
-            curve = DisplacementCurve(np.array(stored["t"]), np.array(stored["displacement"]))
-            return KeptCurve(curve, float(stored["seconds"]))
-        except (KeyError, TypeError, ValueError, OverflowError):
-            raise FileError(f"{path}: not a whole curve; delete it") from None
-
-    def write(self, name: str, configuration: Mapping[str, Any], kept: KeptCurve) -> Path:
-        """Keep a curve; the path of its file."""
-        path = self._path(name, configuration)
-        values = {
-            "units": {"t": "µs", "displacement": "µm", "seconds": "s, wall time"},
-            "seconds": kept.seconds,
-            "t": kept.curve.t,
-            "displacement": kept.curve.displacement,
-        }
-        write_kept(path, configuration, values)
-        return path
-
-    def _path(self, name: str, configuration: Mapping[str, Any]) -> Path:
-        text = json.dumps(plain(configuration), sort_keys=True)
-        return self.folder / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.json"

@@ -3,7 +3,6 @@
 tables           one list of quantities, rendered for console, CSV, JSON and Markdown
 figures          panels of curves in one style, as PNG
 study            what a study hands over, and its files
-damped_fit       period and decrement of a displacement curve
 comparison       runs against a reference
 comparison_plot  their picture
 page             runs as one HTML page

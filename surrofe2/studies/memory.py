@@ -20,15 +20,34 @@ from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.settings import check_settings, setting
-from surrofe2.studies.drives import returning, steady_shear
 from surrofe2.units import RATE, TIME
 
 Array = NDArray[np.float64]
+Path = Callable[[float], tuple[Array, Array]]
+"""(F, Ḟ) at a time in µs."""
 
 _NOISE = 1e-9
 """Differences below this part of the stress are the integrator's."""
 _SHORT = 0.1
 """Part of the fastest period within which a memory must fade to 1/e."""
+
+
+def steady_shear(rate: float, start: float = 0.0) -> Path:
+    """F of eq. (73) with F_xy = start + rate t, and Ḟ of eq. (74), rate in 1/µs."""
+    F_dot = np.array([[0.0, rate], [0.0, 0.0]])
+    return lambda t: (np.array([[1.0, start + rate * t], [0.0, 1.0]]), F_dot)
+
+
+def returning(path: Path, stretch: float, shear: float, period: float) -> Path:
+    """A path, but for an excursion D sin²(πt/T) before t = 0: F and Ḟ meet there, F̈ does not."""
+    omega, away = 2.0 * np.pi / period, 0.5 * np.array([[stretch, shear], [0.0, 0.0]])
+
+    def excursion(t: float) -> tuple[Array, Array]:
+        F, F_dot = path(t)
+        angle = omega * min(t, 0.0)
+        return F + (1.0 - np.cos(angle)) * away, F_dot + omega * np.sin(angle) * away
+
+    return excursion
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,6 @@ In reading order:
     recipe_check   what is wrong with a recipe, before anything is computed
     dry_run        the range that a recipe needs, how long true RVEs take, which law to take
     study          all of a recipe: data set, surrogate, runs and their comparison
-    demo           the same with two bars
-    reproduce      studies of many bars, each curve kept
 
 Everywhere: what is finished is kept, what was interrupted goes on, `fresh` starts over whatever is
 there, and output of other settings is refused with a MismatchError that names the difference.

@@ -1,8 +1,7 @@
-"""Runs through a surrogate, and the demo, over a law without cells."""
+"""Runs through a surrogate over a law without cells."""
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from surrofe2.io.run_folder import read_curve, read_record
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
-from tests.laws import SoftLaw, StoppingLaw
+from tests.laws import StoppingLaw
 
 
 @pytest.fixture
@@ -102,22 +101,6 @@ def test_missing_surrogate(invoke, recipe_path, tmp_path):
         f"error: {recipe_path.parent / 'cells.safetensors'}: cannot be read: "
         "No such file or directory\n"
     )
-
-
-def test_demo(invoke, recipe_path, tmp_path):
-    out = tmp_path / "demo"
-    done = invoke("demo", "--recipe", recipe_path, "--out", out)
-    assert done.exit_code == 0, done.output
-    result = json.loads((out / "comparison" / "comparison.json").read_text(encoding="utf-8"))
-    assert result["reference"] == "rve"
-    assert result["runs"][0]["difference"]["largest"] < 1e-3
-    assert (out / "comparison" / "comparison.png").exists()
-    law = SoftLaw()
-    again = invoke("demo", "--recipe", recipe_path, "--out", out, law=law)
-    assert again.exit_code == 0, again.output
-    assert law.calls == 0
-    assert "40 samples (already finished)" in again.stdout
-    assert "(already trained)" in again.stdout
 
 
 @pytest.fixture

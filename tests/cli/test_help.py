@@ -29,7 +29,7 @@ def test_help_names_workflow_and_units():
     assert "micrometre, microsecond, nanogram" in shown.output
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "check", "demo"])
+@pytest.mark.parametrize("command", [*COMMANDS, "check"])
 @pytest.mark.parametrize("width", ["30", "100"])
 def test_help_of_each_command_has_an_example(command, width):
     shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": width})

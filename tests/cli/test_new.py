@@ -9,7 +9,6 @@ import pytest
 
 from surrofe2.io.run_folder import read_record
 from surrofe2.recipe import load_recipe
-from surrofe2.workflow import demo
 from surrofe2.workflow.new_recipe import KINDS, write_recipe
 from surrofe2.workflow.run import run_study
 from tests.laws import SquareLaw
@@ -114,13 +113,3 @@ def test_the_kind_is_asked_for(invoke, tmp_path, monkeypatch, answer, kind):
     assert asked.exit_code == 0, asked.output
     assert "3  contact  a block between two plates" in asked.output
     assert f"recipe of {KINDS[kind]}" in asked.output
-
-
-def test_the_demo_has_its_recipe_wherever_it_is_called(tmp_path, monkeypatch):
-    monkeypatch.chdir(ROOT)
-    assert demo.demo_recipe(Path("out/demo")) == Path("data/bending-bar.toml")
-    monkeypatch.chdir(tmp_path)
-    path = demo.demo_recipe(Path("out/demo"))
-    assert load_recipe(path).data_path() == Path("out/demo/bending-bar.h5")
-    path.write_text(path.read_text(encoding="utf-8").replace("3072", "512"), encoding="utf-8")
-    assert load_recipe(demo.demo_recipe(Path("out/demo"))).samples.count == 512

@@ -31,7 +31,6 @@ COMMANDS = {
     "rest": "rest {recipe} --out {out} --load-steps 100000 --fresh",
     "refine": "refine {recipe} --out {out} --fresh",
     "grid": "grid {recipe} --set cache.tolerance=0.1 --out {out} --fresh",
-    "reproduce": "reproduce fig8 --out {out} --duration 100000 --fresh",
 }
 SOON = 2.0
 

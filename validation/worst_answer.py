@@ -1,23 +1,24 @@
 """Does the cache accept any state with an error above its tolerance? A search for the worst.
 
 From the worst of `STATES` states of the sampling range a (1 + 1) evolution strategy climbs, once
-the error over its bound, once the error over what is allowed, among accepted states only.
-`make accept-cache` writes its section of docs/trust.md.
+the error over its bound, once the error over what is allowed, among accepted states only. The
+preset's row in docs/trust.md is replaced by what a whole search finds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.row import Row
-from benchmarks.setting import ROOT, Array, Setting, rve
-from benchmarks.trust import PRESETS, SEARCH, TOLERANCE, with_search
+from benchmarks.trust import SEARCH
 from surrofe2.cache import CacheSettings
 from surrofe2.io.files import write_text
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate import SurrogateLaw
@@ -29,12 +30,17 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.tensors import stress_error
+from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.train import train_surrogate
+from validation.setting import ROOT, Setting
 
-TITLE = "The worst states that a search finds among those that the cache accepts"
+Array = NDArray[np.float64]
+
 STATES, STARTS, GENERATIONS = 100_000, 400, 60
 _KINDS = {random_states: 0.5, random_corners: 0.25, random_small_states: 0.25}
 _STEP = 0.3  # first step / distance from rest, in half widths
 _GROWTH = 1.5  # of a step that succeeds; one in five does where its length stays
+_GOALS = {"over_bound": "error / bound", "over_tolerance": "error / allowed"}
 
 
 class Judged(NamedTuple):
@@ -48,7 +54,7 @@ class Judged(NamedTuple):
     over_bound: Array
     over_tolerance: Array
 
-    def of(self, chosen: NDArray) -> Judged:
+    def of(self, chosen: NDArray[np.int64]) -> Judged:
         """These states."""
         return Judged(*(part[chosen] for part in self))
 
@@ -68,7 +74,7 @@ class Search:
         kept = np.flatnonzero(status == 0)
         over_bound, over_tolerance = np.full((2, len(at)), -1.0)
         if len(kept):
-            path = DeformationPaths("climb", F[None, kept], F_dot[None, kept], np.arange(len(kept)))
+            path = DeformationPaths("worst", F[None, kept], F_dot[None, kept], np.arange(len(kept)))
             true, unknown = true_stress(path, self.law)
             error = stress_error(stress[kept], true)
             error *= self.surrogate.weight(F[kept], F_dot[kept], self.allowed)
@@ -115,67 +121,73 @@ def _box(range: SamplingRange) -> tuple[Array, Array]:
     return np.array([middle, middle, 0.0]), np.array([half, half, range.shear])
 
 
-def search(
-    preset: str, surrogate: SurrogateLaw, states: int, starts: int, generations: int
-) -> dict[str, float]:
-    """The largest ratios among random states and after climbing, and how many were accepted."""
-    found = Search(surrogate, rve(preset), CacheSettings(tolerance=TOLERANCE))
-    kinds = [kind(surrogate.range, int(n * states), 7).states for kind, n in _KINDS.items()]
-    at = np.concatenate([from_state(*each, surrogate.range) for each in kinds])
-    random = found.judge(at)
-    told = {"accepted": float((random.over_bound >= 0.0).mean())}
-    above = random.over_tolerance > 1.0
-    for goal in ("over_bound", "over_tolerance"):
+class Found(NamedTuple):
+    """A goal: its largest value among random states and after climbing, and what was climbed to.
+
+    above: states whose error is above what is allowed, random and climbed to.
+    """
+
+    goal: str
+    random: float
+    climbed: float
+    above: int
+    accepted: float
+    """Fraction of the random states that the cache accepts."""
+    values: Array
+
+
+QUANTITIES: tuple[Quantity[Found], ...] = (
+    Quantity("measure", "", "", lambda row: _GOALS[row.goal]),
+    Quantity("accepted", "%", ".1f", lambda row: 100.0 * row.accepted),
+    Quantity("largest of all", "", ".2g", lambda row: row.random),
+    Quantity("largest climbed to", "", ".2g", lambda row: row.climbed),
+    Quantity("above what is allowed", "", "d", lambda row: row.above),
+)
+
+
+def search(found: Search, states: int, starts: int, generations: int) -> list[Found]:
+    """What both goals come to."""
+    kinds = [kind(found.range, int(n * states), 7).states for kind, n in _KINDS.items()]
+    random = found.judge(np.concatenate([from_state(*each, found.range) for each in kinds]))
+    accepted, rows = float((random.over_bound >= 0.0).mean()), []
+    for goal in _GOALS:
         value = random._asdict()[goal]
         best = found.climb(random.of(np.argsort(value)[-starts:]), goal, generations, seed=8)
-        told[f"{goal}_random"] = float(value.max())
-        told[f"{goal}_climbed"] = float(best._asdict()[goal].max())
-        told[f"{goal}_above"] = int((best.over_tolerance > 1.0).sum())
-    return told | {"above": int(above.sum())}
-
-
-def run(setting: Setting) -> list[Row]:
-    """The search for both presets; its section of docs/trust.md."""
-    rows, found = [], {}
-    effort = setting.pick((STATES, STARTS, GENERATIONS), (2000, 20, 5))
-    for preset in setting.pick(PRESETS, PRESETS[:1]):
-        told = found[preset] = search(preset, setting.surrogate(preset), *effort)
-        above = told["above"] + told["over_bound_above"] + told["over_tolerance_above"]
+        climbed = best._asdict()[goal]
+        above = (random.over_tolerance > 1.0).sum() + (best.over_tolerance > 1.0).sum()
         rows.append(
-            Row(
-                name=f"{preset}: largest error that a search finds / what is allowed",
-                value=max(told["over_tolerance_climbed"], told["over_tolerance_random"]),
-                unit="",
-                limit=1.0,
-                note=f"{above:g} above; error over bound up to {told['over_bound_climbed']:.3g}",
-            )
+            Found(goal, float(value.max()), float(climbed.max()), int(above), accepted, climbed)
         )
-    if not setting.quick:
-        page = ROOT / "docs" / "trust.md"
-        write_text(page, with_search(page.read_text(encoding="utf-8"), _section(found)))
     return rows
 
 
-def _section(found: Mapping[str, Mapping[str, float]]) -> str:
-    lines = [
-        "| preset | accepted | error / bound: of all | climbed | error / allowed: of all | climbed "
-        "| above |",
-        "|" + " --- |" * 7,
-    ]
-    for preset, told in found.items():
-        above = told["above"] + told["over_bound_above"] + told["over_tolerance_above"]
-        ratios = [
-            f"{told[f'{goal}_{stage}']:.2g}"
-            for goal in ("over_bound", "over_tolerance")
-            for stage in ("random", "climbed")
-        ]
-        lines.append(
-            f"| {preset} | {100.0 * told['accepted']:.1f} % | {' | '.join(ratios)} | {above:g} |"
-        )
-    return (
-        f"{SEARCH}\n\nHalf of {STATES:,} states are random, a quarter in corners, a quarter near "
-        "rest. Where the cache accepts one, its answer is compared with a true RVE. From the "
-        f"{STARTS} worst an evolution strategy climbs over {GENERATIONS} generations, once the "
-        "error over its bound, once the error over what is allowed, among accepted states. "
-        "`python -m benchmarks --only climb` does it.\n\n" + "\n".join(lines) + "\n"
+def worst_answer(setting: Setting) -> Study:
+    """The search with the surrogate of the preset's shipped recipe, trained where it is not yet."""
+    recipe = setting.recipe()
+    generate_data_set(recipe)
+    surrogate = train_surrogate(recipe).surrogate
+    effort = (2000, 20, 5) if setting.quick else (STATES, STARTS, GENERATIONS)
+    rows = search(Search(surrogate, RveLaw(recipe.cell, recipe.rve), CacheSettings()), *effort)
+    if not setting.quick:
+        publish(setting.of.name, rows)
+    curves = (
+        Curve(_GOALS[row.goal], np.linspace(0.0, 100.0, row.values.size), np.sort(row.values),
+              markers=False)
+        for row in rows
+    )  # fmt: skip
+    return Study(
+        title="The worst states that a search finds among those that the cache accepts",
+        panels=(Panel("states climbed to (%)", "error over bound or allowed", tuple(curves)),),
+        table=Table(QUANTITIES, rows),
     )
+
+
+def publish(preset: str, rows: list[Found]) -> None:
+    """Replace the preset's row in docs/trust.md."""
+    page = ROOT / "docs" / "trust.md"
+    before, heading, section = page.read_text(encoding="utf-8").partition(SEARCH)
+    ratios = " | ".join(f"{value:.2g}" for row in rows for value in (row.random, row.climbed))
+    above = max(row.above for row in rows)
+    line = f"| {preset} | {100.0 * rows[0].accepted:.1f} % | {ratios} | {above} |"
+    section = re.sub(rf"(?m)^\| {re.escape(preset)} \|.*$", line, section)
+    write_text(page, before + heading + section)

@@ -1,0 +1,55 @@
+"""The ablation's regressors, and the search for the worst answer."""
+
+import numpy as np
+import pytest
+
+from surrofe2.cache import CacheSettings
+from surrofe2.sampling import SamplingRange, sample
+from surrofe2.stress_samples import StressSamples
+from tests.laws import RANGE, Learnt, Truth, lattice_samples
+from validation.ablation import Folded, LinearFromNearest, NearestNeighbours
+from validation.worst_answer import Search, from_state, to_state
+
+
+@pytest.mark.parametrize("regressor", [NearestNeighbours, LinearFromNearest])
+def test_rivals_have_the_symmetry_of_the_square(regressor):
+    """σ(F Q) with Q of the square's group, and σ(Q F) = Q σ Qᵀ."""
+    samples = lattice_samples(200)
+    slopes = np.random.default_rng(0).normal(size=(2, 200, 2, 2, 2, 2))
+    samples = StressSamples(
+        F=samples.F, F_dot=samples.F_dot, stress=samples.stress, status=samples.status,
+        cell=samples.cell, initialisation="elastic", range=RANGE, seed=1,
+        P_by_F=slopes[0], P_by_F_dot=slopes[1],
+    )  # fmt: skip
+    law = Folded(regressor(), samples)
+    F, F_dot = sample(SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01), 20, 7)
+    stress = law.stress(F, F_dot)
+    for Q in (np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([[1.0, 0.0], [0.0, -1.0]])):
+        np.testing.assert_allclose(
+            law.stress(Q @ F @ Q.T, Q @ F_dot @ Q.T), Q @ stress @ Q.T, rtol=1e-9, atol=1e-9
+        )
+
+
+class Peaked(Learnt):
+    """Wrong by twice the tolerance on a peak that few states are near."""
+
+    range = SamplingRange(stretch=(0.9, 1.1), shear=0.1, rate=0.01)
+
+    def __init__(self):
+        def error(F, F_dot):
+            far = (F[:, 0, 0] - 1.05) ** 2 + (F[:, 1, 1] - 0.97) ** 2 + (F[:, 0, 1] - 0.03) ** 2
+            return 2e-3 * self.stress_spread / (1.0 + 1e4 * far)
+
+        super().__init__(error, lambda F, F_dot: np.full(len(F), 5e-4 * self.stress_spread))
+
+
+def test_a_search_finds_the_error_that_random_states_do_not():
+    found = Search(Peaked(), Truth(), CacheSettings())
+    at = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 7))
+    some = found.judge(at)
+    np.testing.assert_allclose(from_state(*to_state(at, Peaked.range), Peaked.range), at)
+    np.testing.assert_allclose(some.over_bound, 2.0 * some.over_tolerance)
+    starts = some.of(np.argsort(some.over_bound)[-20:])
+    assert starts.over_tolerance.max() < 1.0
+    best = found.climb(starts, "over_bound", 60, seed=1)
+    assert best.over_tolerance.max() > 1.9

@@ -1,0 +1,285 @@
+"""What each part of the surrogate is worth: its parts added one by one, and what else there is.
+
+Every contender learns from the first n samples of one Sobol sequence and is measured on another:
+error by `stress_error`, relative to the spread of stress there; cost of a query by the wall time of
+80 points at once, the number of the paper's bar. docs/ablation.md says what the figures show.
+
+The other regressors read the scaled inputs of the network (U and RᵀḞ, so rotations are out) folded
+by the square cell's group into difference ≥ 0 and shear ≥ 0, and answer in components of P̂ = RᵀP.
+So they have the network's symmetries, though with an edge where the fold is. `StressTable` folds by
+itself.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import nan
+from time import perf_counter, process_time
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF
+from sklearn.neighbors import KNeighborsRegressor
+
+from benchmarks.timing import threads
+from surrofe2.cache import StressTable
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import Study
+from surrofe2.report.tables import Quantity, Table
+from surrofe2.rve import RveLaw
+from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
+from surrofe2.stress_samples import StressSamples
+from surrofe2.surrogate import train
+from surrofe2.surrogate.features import input_scale
+from surrofe2.surrogate.piola import to_cauchy, to_piola, to_slopes
+from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tensors import stress_error, stress_spread, to_inputs
+from surrofe2.workflow.generate import sample_stress
+from validation.setting import Setting
+
+Array = NDArray[np.float64]
+Stress = Callable[[Array, Array], Array]
+"""Cauchy stress (n, 2, 2) at (F, Ḟ); NaN where no answer is given."""
+
+POINTS, REPEATS = 80, 25
+TEST_SEED = 987_654
+NEIGHBOURS = 8
+TABLE_TOLERANCE = 1e-3  # of a `StressTable`, relative to the spread of stress
+_SOLVES_A_RECORD = 8
+_TUNED_ON = 512  # samples that the length scales of the Gaussian process are fitted to
+_WEIGHT = 0.1
+
+_plain = partial(replace, baseline_degree=0, tangent_weight=0.0)
+NETWORKS: Mapping[str, Callable[[TrainingSettings], TrainingSettings]] = {
+    "plain MLP": _plain,
+    "plain MLP, 4 × the iterations": lambda s: _plain(s, iterations=4 * s.iterations),
+    "+ symmetry": _plain,
+    "+ tangents": partial(_plain, tangent_weight=_WEIGHT),
+    "+ Kelvin–Voigt": partial(replace, baseline_degree=1, tangent_weight=_WEIGHT),
+    "+ polynomial": partial(replace, baseline_degree=3, tangent_weight=_WEIGHT),
+    "+ polynomial − tangents": partial(replace, baseline_degree=3, tangent_weight=0.0),
+}
+"""The last but one is the recipe's own."""
+WITHOUT_SYMMETRY = tuple(NETWORKS)[:2]
+TABLE = "table"
+
+
+class Regressor(Protocol):
+    """Components of P̂ (n, 4) at folded inputs (n, 7)."""
+
+    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
+        """Learn from inputs, P̂ and, where there are any, its slopes (n, 4, 7)."""
+
+    def predict(self, x: Array) -> Array:
+        """P̂ (n, 4)."""
+
+
+class Folded:
+    """A regressor as a stress law of a square plant cell."""
+
+    def __init__(self, regressor: Regressor, samples: StressSamples) -> None:
+        valid = samples.valid
+        self.scale = input_scale(samples.range)
+        self.regressor = regressor
+        x, signs_in, signs_out = fold(to_inputs(valid.F, valid.F_dot)[0] / self.scale)
+        slopes = None
+        if valid.P_by_F is not None and valid.P_by_F_dot is not None:
+            slopes = to_slopes(valid.F, valid.P_by_F, valid.P_by_F_dot) * self.scale
+            slopes = signs_out[:, :, None] * slopes * signs_in[:, None, :]
+        regressor.fit(x, signs_out * to_piola(valid.F, valid.stress), slopes)
+
+    def stress(self, F: Array, F_dot: Array) -> Array:
+        """Cauchy stress (n, 2, 2)."""
+        x, _, signs = fold(to_inputs(F, F_dot)[0] / self.scale)
+        return to_cauchy(F, signs * self.regressor.predict(x))
+
+
+def fold(x: Array) -> tuple[Array, Array, Array]:
+    """(folded inputs, their signs (n, 7), signs of the components (n, 4))."""
+    image = canonical_image(x)
+    return x * INPUT_SIGNS[image], INPUT_SIGNS[image], COMPONENT_SIGNS[image]
+
+
+class NearestNeighbours:
+    """Mean of the nearest samples, weighted by the inverse of their distance."""
+
+    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
+        """See `Regressor`."""
+        self.model = KNeighborsRegressor(min(NEIGHBOURS, len(x)), weights="distance").fit(x, P)
+
+    def predict(self, x: Array) -> Array:
+        """See `Regressor`."""
+        return np.asarray(self.model.predict(x))
+
+
+class GaussianProcess:
+    """Squared exponentials with a length scale an input, shared by the components."""
+
+    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
+        """See `Regressor`."""
+        self.spread = P.std(axis=0)
+        kernel = RBF(np.full(x.shape[1], 4.0), (0.5, 1e3))
+        first = GaussianProcessRegressor(kernel, alpha=1e-10)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # a length scale at its bound
+            first.fit(x[:_TUNED_ON], (P / self.spread)[:_TUNED_ON])
+        last = GaussianProcessRegressor(first.kernel_, alpha=1e-10, optimizer=None)
+        self.model = last.fit(x, P / self.spread)
+
+    def predict(self, x: Array) -> Array:
+        """See `Regressor`."""
+        return np.asarray(self.model.predict(x)) * self.spread
+
+
+class LinearFromNearest:
+    """The nearest sample, extrapolated by its exact tangents: a table without its ellipsoids."""
+
+    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
+        """See `Regressor`; slopes are needed."""
+        assert slopes is not None
+        self.tree, self.x, self.P, self.slopes = cKDTree(x), x, P, slopes
+
+    def predict(self, x: Array) -> Array:
+        """See `Regressor`."""
+        k = self.tree.query(x)[1]
+        step = np.einsum("nij,nj->ni", self.slopes[k], x - self.x[k])
+        return np.asarray(self.P[k] + step)
+
+
+RIVALS: Mapping[str, Callable[[], Regressor]] = {
+    "nearest neighbours": NearestNeighbours,
+    "Gaussian process": GaussianProcess,
+    "linear from nearest": LinearFromNearest,
+}
+CONTENDERS = (*NETWORKS, *RIVALS, TABLE)
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One contender at one number of samples.
+
+    rms, worst: error relative to the spread of stress, over what is answered; NaN where nothing
+    is. answered: fraction of the points that are. query: µs a point of `POINTS` at once.
+    training: s of CPU time.
+    """
+
+    contender: str
+    samples: int
+    rms: float
+    worst: float
+    answered: float
+    query: float
+    training: float
+
+
+QUANTITIES: tuple[Quantity[Result], ...] = (
+    Quantity("contender", "", "", lambda row: row.contender),
+    Quantity("samples", "", "d", lambda row: row.samples),
+    Quantity("RMS error", "%", ".2g", lambda row: 100.0 * row.rms),
+    Quantity("worst", "%", ".2g", lambda row: 100.0 * row.worst),
+    Quantity("answered", "%", ".3g", lambda row: 100.0 * row.answered),
+    Quantity("query", "µs a point", ".2g", lambda row: row.query),
+    Quantity("training", "CPU s", ".0f", lambda row: row.training),
+)
+
+
+def ablation(setting: Setting) -> Study:
+    """All contenders at all numbers of samples, for the recipe's plant cell, law and range."""
+    recipe = setting.recipe()
+    law, range_ = RveLaw(recipe.cell, recipe.rve), recipe.sampling_range()
+    counts = (64, 128) if setting.quick else (256, 1024)
+    samples = sample_stress(law, range_, max(counts), seed=recipe.samples.seed)
+    truth = sample_stress(law, range_, 256 if setting.quick else 2048, seed=TEST_SEED).valid
+    results = []
+    with threads(1):
+        for count in counts:
+            for name in CONTENDERS:
+                few = samples.at(np.arange(count))
+                results.append(compete(name, law, few, recipe.training, truth))
+                print(f"{name}, {count} samples: {100.0 * results[-1].rms:.2g} %", flush=True)
+    return describe(results)
+
+
+def compete(
+    name: str,
+    law: RveLaw,
+    samples: StressSamples,
+    settings: TrainingSettings,
+    truth: StressSamples,
+) -> Result:
+    """One contender: learnt from `samples`, measured on `truth`; the table asks `law`, too."""
+    begin = process_time()
+    reference, query = _learn(name, law, samples, settings)
+    training = process_time() - begin
+    found = reference(truth.F, truth.F_dot)
+    answered = np.isfinite(found).all(axis=(1, 2))
+    error = stress_error(found[answered], truth.stress[answered]) / stress_spread(truth.stress)
+    F, F_dot = (np.ascontiguousarray(array[:POINTS]) for array in (truth.F, truth.F_dot))
+    query(F, F_dot)
+    times = []
+    for _ in range(REPEATS):
+        begin = perf_counter()
+        query(F, F_dot)
+        times.append(perf_counter() - begin)
+    return Result(
+        contender=name,
+        samples=len(samples.F),
+        rms=float(np.sqrt((error**2).mean())) if error.size else nan,
+        worst=float(error.max()) if error.size else nan,
+        answered=float(answered.mean()),
+        query=1e6 * min(times) / len(F),
+        training=training,
+    )
+
+
+def _learn(
+    name: str, law: RveLaw, samples: StressSamples, settings: TrainingSettings
+) -> tuple[Stress, Stress]:
+    """(stress for errors, stress as a run asks for it)."""
+    if name == TABLE:
+        table = learn_table(law, samples)
+        return (lambda F, F_dot: table.lookup(F, F_dot)[0],) * 2
+    if name in RIVALS:
+        return (Folded(RIVALS[name](), samples).stress,) * 2
+    symmetry = "none" if name in WITHOUT_SYMMETRY else None
+    surrogate = train(samples, NETWORKS[name](settings), symmetry=symmetry)
+    return surrogate.extrapolate, lambda F, F_dot: surrogate.lookup(F, F_dot)[0]
+
+
+def learn_table(law: RveLaw, samples: StressSamples) -> StressTable:
+    """A table that has spent as many RVE solves as there are samples, a record about each 8th."""
+    spread = stress_spread(samples.valid.stress)
+    most = max(1, len(samples.F) // _SOLVES_A_RECORD)
+    table = StressTable(law, TABLE_TOLERANCE * spread, samples.range, spread, most_records=most)
+    valid = samples.valid
+    table.learn(valid.F[:most], valid.F_dot[:most], valid.stress[:most])
+    return table
+
+
+def describe(results: list[Result]) -> Study:
+    """Error over samples and error over cost, with the table for people."""
+    learning, costs = [], []
+    for name in CONTENDERS:
+        found = [result for result in results if result.contender == name and result.answered]
+        if found:
+            error = np.array([100.0 * result.rms for result in found])
+            learning.append(Curve(name, np.array([float(r.samples) for r in found]), error))
+            costs.append(Curve(name, np.array([found[-1].query]), error[-1:]))
+    most, label = max(result.samples for result in results), "RMS error (% of spread)"
+    cost = f"cost a query (µs a point at {POINTS}), {most} samples"
+    return Study(
+        title="Surrogate part by part, and what else there is",
+        panels=(
+            Panel("RVE samples", label, tuple(learning), log_x=True, log_y=True),
+            Panel(cost, label, tuple(costs), log_x=True, log_y=True),
+        ),
+        columns=2,
+        table=Table(QUANTITIES, results),
+    )

@@ -1,0 +1,325 @@
+"""One run of a problem by one method, its kept curve, and how far it is from the full tissue."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.io.kept import read_kept, write_kept
+from surrofe2.macro import Rest, Surface, find_rest, simulate
+from surrofe2.macro.tangents import factorised, mass_matrix
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe import Recipe, make_recipe
+from surrofe2.regional_law import RegionalLaw
+from surrofe2.report.figures import Curve, Panel
+from surrofe2.report.study import NamedCell
+from surrofe2.report.tables import Quantity
+from surrofe2.rve import RveLaw
+from surrofe2.surface.cell_surface import CellSurface, table_within
+from surrofe2.surface.slab_law import SlabLaw, rows_across
+from surrofe2.tissue import simulate_tissue
+from surrofe2.tissue_problem import cells_of, problem_of_tissue
+from validation.damped_fit import DampedFit, first_minimum, fit_damped_modes
+
+Array = NDArray[np.float64]
+
+TISSUE, FE2, SURFACE = "tissue", "slow-manifold", "with surface law"
+"""Methods besides the other initialisations; the last is FE² whose free sides have a law, too."""
+FREE_SIDES = ("top", "bottom", "right")
+STRETCH, RATE = (0.96, 1.03), 0.008
+"""Of the table of the surface law; beyond there are slabs of plant cells."""
+STEPS = 8
+"""Of small oscillations in an output interval: their period errs by 1e-4 of itself."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """A run of a problem for a plant cell by a method.
+
+    Attributes:
+        problem: its name; runs of one problem and of as many plant cells across are compared.
+        across: plant cells across what bends or is pulled.
+        method: "tissue", an initialisation of FE², or "with surface law".
+        table: the problem as the nested tables of a recipe, but for the cell where it has one.
+        measures: names among `MEASURES` of what is compared.
+        axis: component of what is watched, 0 or 1.
+        force: name of the condition whose force is watched; None: the displacement.
+        linear: FE² oscillates about its state of rest by the stiffness and damping there: what it
+            does for small loads, in a second.
+        even: whether the surface takes its plant cells evenly from the stiffness of the section.
+        note: what tells the run from another of this method, such as its step.
+    """
+
+    problem: str
+    of: NamedCell
+    across: int
+    method: str
+    table: Mapping[str, Any] = field(repr=False)
+    measures: tuple[str, ...]
+    axis: int = 1
+    force: str | None = None
+    linear: bool = False
+    even: bool = False
+    note: str = ""
+
+    @property
+    def recipe(self) -> Recipe:
+        """The problem as a recipe states it, by RVEs of this method."""
+        cell = {} if "cells" in self.table else {"cell": self.of.cell.to_dict()}
+        how = FE2 if self.method in (TISSUE, SURFACE) else self.method
+        return make_recipe({**cell, "rve": {"initialisation": how}, **self.table})
+
+    @property
+    def elements(self) -> tuple[int, int] | None:
+        """In x and y; None for a tissue."""
+        section = self.table.get("mesh") or self.table.get("macro", {})
+        return None if self.method == TISSUE else tuple(section["elements"])
+
+    @property
+    def run_name(self) -> str:
+        """How tables and legends name the run."""
+        mesh = f" {self.elements[0]}x{self.elements[1]}" if self.elements else ""
+        return f"{'full tissue' if self.method == TISSUE else self.method}{mesh}{self.note}"
+
+    @property
+    def name(self) -> str:
+        """How progress names the run, and the stem of its file."""
+        return f"{self.of.name}, {self.problem}, {self.across} plant cells across, {self.run_name}"
+
+    def compute(self) -> Run:
+        """Make the run."""
+        recipe, begin = self.recipe, perf_counter()
+        references = {name: RveLaw(part.cell).reference for name, part in recipe.parts().items()}
+        if self.method == TISSUE:
+            tissue = problem_of_tissue(recipe)
+            run: Any = simulate_tissue(
+                tissue, cells_of(recipe), recipe.tissue, reference=list(references.values())
+            )
+            return self._run(run)
+        problem = recipe.problem()
+        laws = {
+            name: RveLaw(part.cell, part.rve, reference=references[name])
+            for name, part in recipe.parts().items()
+        }
+        law = RegionalLaw(laws, recipe.points_of_cells(problem.mesh)) if recipe.types else laws[""]
+        if self.method == SURFACE:
+            skin = surface_of(self.of.cell, rows_across(self.across))
+            problem = replace(problem, surface=Surface(law=skin, on=FREE_SIDES))
+        if not self.linear:
+            return self._run(simulate(problem, law, recipe.macro))
+        begin = perf_counter()
+        rest = find_rest(problem, law, recipe.macro, factor=0.0)
+        load = recipe.bar_load()
+        t = load.output_times()
+        u = small_oscillations(rest, t, load.body_force)
+        return Run(self, t, u[:, self.axis], perf_counter() - begin)
+
+    def _run(self, run: Any) -> Run:
+        t, u, seconds = run.curve.t, run.curve.displacement[:, self.axis], run.wall_time["total"]
+        if self.force is not None:
+            u = run.history[f"force {self.force} {'xy'[self.axis]}"]
+        return Run(self, t, np.asarray(u), seconds)
+
+    def compute_or_read(self, folder: Path) -> Run:
+        """The run from its file in a folder, else computed and written there."""
+        path = folder / f"{re.sub(r'[^0-9A-Za-z.]+', '-', self.name)}.json"
+        made_by = {"recipe": self.recipe.to_dict(), "method": self.method, "linear": self.linear}
+        stored = read_kept(path, made_by)
+        if stored is not None:
+            return Run(self, np.array(stored["t"]), np.array(stored["u"]), stored["seconds"])
+        run = self.compute()
+        write_kept(path, made_by, {"t": run.t, "u": run.u, "seconds": run.seconds})
+        return run
+
+
+@dataclass(frozen=True, slots=True)
+class Fitting:
+    """Fit of `modes` damped modes to the samples between two fractions of the curve."""
+
+    name: str
+    modes: int
+    begin: float = 0.0
+    end: float = 1.0
+
+    def fit(self, t: Array, u: Array) -> DampedFit:
+        """Of u(t), µm over µs."""
+        span = t[-1] - t[0]
+        within = (t >= self.begin * span) & (t <= self.end * span)
+        return fit_damped_modes(t[within], u[within], self.modes)
+
+
+FITTINGS = (
+    Fitting("two modes", 2),
+    Fitting("three modes", 3),
+    Fitting("four modes", 4),
+    Fitting("two modes, last four fifths", 2, 0.2),
+    Fitting("two modes, last three fifths", 2, 0.4),
+    Fitting("two modes, first four fifths", 2, 0.0, 0.8),
+)
+"""The first is the one of the figures (docs/theory.md, period and decrement)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run: t (m,) µs, what is watched u (m,) in µm or µN, and the wall time in s."""
+
+    case: Case
+    t: Array
+    u: Array
+    seconds: float
+
+    @cached_property
+    def fit(self) -> DampedFit:
+        """By the first of `FITTINGS`."""
+        return FITTINGS[0].fit(self.t, self.u)
+
+    @cached_property
+    def decrements(self) -> tuple[float, ...]:
+        """By all of `FITTINGS`."""
+        rest = (each.fit(self.t, self.u).first.decrement for each in FITTINGS[1:])
+        return self.fit.first.decrement, *rest
+
+
+MEASURES: Mapping[str, tuple[str, Callable[[Run], float]]] = {
+    "first minimum": ("µm", lambda run: first_minimum(run.t, run.u)[1]),
+    "period": ("µs", lambda run: run.fit.first.period),
+    "decrement": ("", lambda run: run.fit.first.decrement),
+    "held force": ("µN", lambda run: float(run.u[run.t >= 0.75 * run.t[-1]].mean())),
+}
+"""What is read off a run, with its unit; the boundary that is pulled rests in the last quarter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A measure of a run, or of the limit of its meshes, and of the full tissue where there is one.
+
+    The surface takes c plant cells of n from the stiffness of a section, which is that of a force,
+    or of the inverse square of a period: c = n (1 − tissue/FE²), and it does not depend on n where
+    nothing else is wrong.
+    """
+
+    case: Case
+    run_name: str
+    measure: str
+    value: float | None
+    tissue: float | None
+    off: float | None
+    """Run / tissue − 1, %."""
+    seconds: float | None
+
+    @property
+    def c(self) -> float | None:
+        """Plant cells that the free sides take from a section that is pulled or pressed evenly."""
+        if self.off is None or not self.case.even or self.case.method == SURFACE:
+            return None
+        ratio = 1.0 + self.off / 100.0
+        stiffness = {"held force": ratio, "period": ratio**-2}.get(self.measure)
+        return None if stiffness is None else self.case.across * (1.0 - 1.0 / stiffness)
+
+
+ROWS: tuple[Quantity[Row], ...] = (
+    Quantity("problem", "", "", lambda row: row.case.problem),
+    Quantity("plant cells across", "", "d", lambda row: row.case.across),
+    Quantity("run", "", "", lambda row: row.run_name),
+    Quantity("measure", "µm, µs, µN", "", lambda row: row.measure),
+    Quantity("value", "", ".5g", lambda row: row.value),
+    Quantity("full tissue", "", ".5g", lambda row: row.tissue),
+    Quantity("off", "%", "+.2f", lambda row: row.off),
+    Quantity("c", "plant cells", ".3f", lambda row: row.c),
+    Quantity("time", "s", ".1f", lambda row: row.seconds),
+)
+
+
+def compare(runs: Sequence[Run]) -> list[Row]:
+    """Each measure of each run against the first tissue of the same problem and size, if any."""
+    tissues: dict[tuple[str, int], Run] = {}
+    for run in runs:
+        if run.case.method == TISSUE:
+            tissues.setdefault((run.case.problem, run.case.across), run)
+    rows = []
+    for run in runs:
+        there = tissues.get((run.case.problem, run.case.across))
+        for name in run.case.measures:
+            _, get = MEASURES[name]
+            value, true = get(run), None if there in (None, run) else get(there)
+            off = None if true is None else 100.0 * (value / true - 1.0)
+            rows.append(Row(run.case, run.case.run_name, name, value, true, off, run.seconds))
+    return rows
+
+
+def curves_panel(runs: Iterable[Run], title: str) -> Panel:
+    """What is watched over time, a line for each run."""
+    runs = list(runs)
+    case = runs[0].case
+    shown = f"force {case.force} (µN)" if case.force else f"displacement $u_{'xy'[case.axis]}$ (µm)"
+    return Panel(
+        title=title,
+        x_label="time $t$ (µs)",
+        y_label=shown,
+        curves=tuple(
+            Curve(run.case.method, run.t, run.u, run.case.run_name, markers=False) for run in runs
+        ),
+    )
+
+
+def off_panel(title: str, x_label: str, points: Iterable[tuple[str, float, float]]) -> Panel:
+    """Distance from the tissue in % over x, a line for each name of (name, x, %)."""
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for name, x, y in points:
+        lines.setdefault(name, []).append((float(x), y))
+    return Panel(
+        title=title,
+        x_label=x_label,
+        y_label="over full tissue − 1 (%)",
+        curves=tuple(Curve(name, *np.array(line).T) for name, line in lines.items()),
+        log_x=True,
+        x_ticks=tuple(sorted({x for line in lines.values() for x, _ in line})),
+        zero=True,
+    )
+
+
+def small_oscillations(rest: Rest, t: Array, body_force: tuple[float, float]) -> Array:
+    """M ü + C u̇ + K u = l about a rest by the trapezoidal rule.
+
+    Args:
+        t: (m,) evenly spaced, µs.
+        body_force: µm/µs², of l, from t = 0 on.
+
+    Returns:
+        (m, 2) displacement of the watched point, µm.
+    """
+    system = rest.system
+    step = (t[1] - t[0]) / STEPS
+    mass, damping, stiffness = mass_matrix(system), rest.damping, rest.stiffness
+    load = system.pick(system.mass @ np.tile(body_force, (system.n_rows, 1)))
+    solve = factorised((4.0 / step**2 * mass + 2.0 / step * damping + stiffness).tocsc())
+    assert solve is not None
+    nodes, weights = system.watched[0]
+    u, v, rows = np.zeros_like(load), np.zeros_like(load), np.zeros(2 * system.n_rows)
+    a = np.asarray(system.solve_mass(load))
+    seen = np.zeros((len(t), 2))
+    for k in range(1, len(t)):
+        for _ in range(STEPS):
+            inert = 4.0 / step * (u / step + v) + a
+            after = solve(load + mass @ inert + damping @ (2.0 / step * u + v))
+            rate = 2.0 / step * (after - u) - v
+            a = 2.0 / step * (rate - v) - a
+            u, v = after, rate
+        rows[system.free] = u
+        seen[k] = weights @ rows.reshape(-1, 2)[nodes]
+    return seen
+
+
+@lru_cache(maxsize=4)
+def surface_of(cell: CellParameters, rows: int) -> CellSurface:
+    """The surface law of a plant cell on the slow manifold by slabs of so many rows."""
+    slab = SlabLaw(cell, initialisation=FE2, rows=rows)
+    return CellSurface(table_within(slab, STRETCH, RATE), rows, lambda: slab)
