@@ -140,7 +140,6 @@ def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, A
             for name, each in surrogates.items()
             for part, cost in each.get("cost", {}).items()
         },
-        "tables": {name: each.get("tables") for name, each in surrogates.items()},
     }
 
 

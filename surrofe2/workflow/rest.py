@@ -86,9 +86,12 @@ def rest_study(
         nonlocal found, begin
         begin = clock()
         arrays = current.last_state()
+        state = None
         if arrays is not None:
-            begin -= float(arrays["seconds"])
-            found = None, Frames(**part_of(arrays, "frames")), arrays["forces"]
+            with current.restoring():
+                begin -= float(arrays["seconds"])
+                found = None, Frames(**part_of(arrays, "frames")), arrays["forces"]
+                state = law_state(chosen.law, part_of(arrays, "law"))
         due = CheckpointClock(CHECKPOINT_INTERVAL)
 
         def reached(rest: Rest) -> None:
@@ -119,7 +122,7 @@ def rest_study(
                     load_steps=load_steps,
                     reached=reached,
                     resume=arrays,
-                    law_state=law_state(chosen.law, part_of(arrays or {}, "law")),
+                    law_state=state,
                 )
         except KeyboardInterrupt:
             if found is not None and found[0] is not None:

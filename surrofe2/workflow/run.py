@@ -1,4 +1,4 @@
-"""A bar by a chosen stress law, into a run folder."""
+"""A recipe's problem by a stress law, and the folder that it is written to."""
 
 from __future__ import annotations
 
@@ -92,11 +92,14 @@ def run_study(
 
     def compute(current: Recording) -> MacroRun:
         arrays = current.last_state()
-        state = None if arrays is None else MacroState.from_arrays(part_of(arrays, "macro"))
-        if arrays is not None and state is not None:
-            state = replace(state, law_state=law_state(chosen.law, part_of(arrays, "law")))
-            outputs.restore(part_of(arrays, "harvest"))
-            current.cache = cache_report(chosen.law)
+        state: MacroState | None = None
+        if arrays is not None:
+            with current.restoring():
+                macro, law = (part_of(arrays, name) for name in ("macro", "law"))
+                state = MacroState.from_arrays(macro)
+                state = replace(state, law_state=law_state(chosen.law, law))
+                outputs.restore(part_of(arrays, "harvest"))
+                current.cache = cache_report(chosen.law)
 
         def checkpoint(state: MacroState) -> None:
             arrays = within("macro", state.to_arrays())

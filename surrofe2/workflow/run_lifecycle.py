@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import platform
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -87,14 +87,15 @@ class Recording:
         write_checkpoint(self._checkpoint_path(), arrays, self._kind())
         self.cache = cache
 
-    def whole(self, compute: Callable[[Recording], Any]) -> None:
-        """Compute and store a whole result.
+    @contextmanager
+    def restoring(self) -> Iterator[None]:
+        """While what the checkpoint holds becomes a state again: any failure is the checkpoint's.
 
         Raises:
-            FileError: there is no going on from the checkpoint, whatever that shows itself by.
+            FileError: it has no state of this run.
         """
         try:
-            self.finish(compute(self))
+            yield
         except (SimulationError, FileError, MismatchError):
             raise
         except Exception as error:
@@ -102,10 +103,10 @@ class Recording:
                 raise
             why = error if isinstance(error, InputError) else type(error).__name__
             path = self._checkpoint_path()
-            log.debug("%s: going on from it failed", path, exc_info=error)
+            log.debug("%s: no state of this run", path, exc_info=error)
             raise FileError(
-                f"{path}: the run cannot go on from it ({why}); start over with "
-                "--fresh; --traceback shows where it failed"
+                f"{path}: no state of this run ({why}); start over with --fresh; --traceback "
+                "shows where it failed"
             ) from error
 
     def finish(self, result: Any) -> None:
@@ -164,7 +165,7 @@ def _recorded(
         current.earlier = open_run_folder(folder, record, fresh=fresh)
         if current.earlier is not None:
             write_record(folder, record)
-        current.whole(compute)
+        current.finish(compute(current))
     except SimulationError as error:
         partial = current.partial if error.partial is None else error.partial
         current.end("failed", partial, str(error))

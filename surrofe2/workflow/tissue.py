@@ -60,7 +60,10 @@ def run_tissue(
         )
 
     def compute(current: Recording) -> TissueRun:
-        arrays = current.last_state()
+        arrays, state = current.last_state(), None
+        if arrays is not None:
+            with current.restoring():
+                state = TissueState.from_arrays(arrays)
         return simulate_tissue(
             problem,
             cells,
@@ -69,7 +72,7 @@ def run_tissue(
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
             checkpoint=lambda state: current.checkpoint(state.to_arrays()),
             checkpoint_interval=CHECKPOINT_INTERVAL,
-            resume=None if arrays is None else TissueState.from_arrays(arrays),
+            resume=state,
         )
 
     record = replace(
@@ -105,6 +108,6 @@ def tissue_summary(record: RunRecord) -> str:
     return (
         f"{record.duration:g} µs of {counts['particles']} particles in "
         f"{time_text(wall['total'])} (relaxation {time_text(wall['relaxation'])}, run "
-        f"{time_text(wall['run'])}; compilation {time_text(wall.get('compilation', 0.0))} before), "
-        f"{counts['steps']} steps, {rate:.3g} million particle-steps/s"
+        f"{time_text(wall['run'])}; compilation {time_text(wall.get('compilation', 0.0))} "
+        f"besides), {counts['steps']} steps, {rate:.3g} million particle-steps/s"
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import compilation
+from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.io.run_folder import read_curve, read_record
 from surrofe2.workflow import laws
 from surrofe2.workflow.run import run_study, step_notes
@@ -183,6 +184,28 @@ def test_many_implicit_steps_are_told(recipe):
     ((sentence, is_warning),) = step_notes(many, implicit)
     assert is_warning
     assert sentence.startswith("implicit: 3001 steps; ")
+
+
+class BrokenLaw(SoftLaw):
+    """A law with a fault."""
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        raise ZeroDivisionError("a fault of the law")
+
+
+def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(invoke, recipe_path, folder):
+    command = ("run", recipe_path, "--law", "rve", "--out", folder)
+    assert invoke(*command, law=StoppingLaw(calls=60)).exit_code == 130
+    faulty = invoke(*command, law=BrokenLaw())
+    assert isinstance(faulty.exception, ZeroDivisionError)
+    path = folder / "checkpoint.h5"
+    arrays = read_checkpoint(path, "a rve run")
+    write_checkpoint(path, {name: arrays[name] for name in arrays if "macro" not in name},
+                     "a rve run")  # fmt: skip
+    refused = invoke(*command)
+    assert refused.exit_code == 1
+    assert refused.stderr.startswith(f"error: {path}: no state of this run (macro state: ")
+    assert invoke(*command, "--fresh").exit_code == 0
 
 
 def test_the_bar_says_that_kernels_are_loaded_until_the_first_step(recipe, folder, monkeypatch):
