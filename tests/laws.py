@@ -450,10 +450,10 @@ class Untaught:
     has_bound, has_tangents, learns, stress_spread, range = True, False, False, 1.0, None
     is_calibrated = True
 
-    def held_to(self, tolerance, relative):
+    def with_tolerance(self, tolerance, relative):
         return self
 
-    def weight(self, F, F_dot, tolerance):
+    def local_tolerance(self, F, F_dot):
         return np.ones(len(F))
 
     def status_and_bound(self, F, F_dot, tolerance=np.inf):

@@ -60,11 +60,11 @@ class Judged(NamedTuple):
 
 
 class Search:
-    """What a surrogate that is held to the tolerances of a cache accepts, and how wrong it is."""
+    """What a surrogate with the tolerances of a cache accepts, and how wrong it is."""
 
     def __init__(self, surrogate: SurrogateLaw, law: RveLaw, settings: CacheSettings) -> None:
         self.law, self.range = law, surrogate.range
-        self.surrogate = surrogate.held_to(settings.tolerance, settings.relative)
+        self.surrogate = surrogate.with_tolerance(settings.tolerance, settings.relative)
         self.allowed = settings.tolerance * surrogate.stress_spread
 
     def judge(self, at: Array) -> Judged:
@@ -77,7 +77,7 @@ class Search:
             path = DeformationPaths("worst", F[None, kept], F_dot[None, kept], np.arange(len(kept)))
             true, unknown = true_stress(path, self.law)
             error = stress_error(stress[kept], true)
-            error *= self.surrogate.weight(F[kept], F_dot[kept], self.allowed)
+            error /= self.surrogate.local_tolerance(F[kept], F_dot[kept])
             error[unknown != 0] = np.inf
             over_bound[kept], over_tolerance[kept] = error / bound[kept], error / self.allowed
         return Judged(at, over_bound, over_tolerance)

@@ -62,9 +62,9 @@ def the_surrogate() -> SurrogateLaw:
 
 @cache
 def the_bound() -> SurrogateLaw:
-    """Its surrogate, held to the tolerances of the cache."""
+    """Its surrogate with the tolerances of the cache."""
     settings = the_recipe().cache
-    return the_surrogate().held_to(settings.tolerance, settings.relative)
+    return the_surrogate().with_tolerance(settings.tolerance, settings.relative)
 
 
 class PointSimulation(MicroSimulationInterface):

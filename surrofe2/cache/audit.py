@@ -241,8 +241,8 @@ class Audit:
             self._waiting = [asked.only(np.arange(len(asked.points))[-left:])]
             asked = asked.only(np.arange(len(asked.points))[:-left])
         truth = self._solve(asked)
-        weight = self._surrogate.weight(asked.F, asked.F_dot, self.record.tolerance)
-        error = weight * stress_error(asked.stress, truth.stress)
+        error = stress_error(asked.stress, truth.stress)
+        error /= self._surrogate.local_tolerance(asked.F, asked.F_dot)
         error[truth.status != 0] = np.nan
         broken = self.record.add(error)
         self._note_worst(asked, truth.stress, error)

@@ -96,7 +96,7 @@ class CachedLaw(Viewed):
     ) -> None:
         check_match(surrogate, fallback)
         own = self.settings = settings or CacheSettings()
-        self.surrogate = surrogate.held_to(own.tolerance, own.relative)
+        self.surrogate = surrogate.with_tolerance(own.tolerance, own.relative)
         self.fallback = fallback
         self.density = fallback.density
         self.on_true_answer = on_true_answer

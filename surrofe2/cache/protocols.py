@@ -55,12 +55,12 @@ class Surrogate(Protocol):
     def learns(self) -> bool:
         """Whether true answers change it; one that learns may begin empty."""
 
-    def held_to(self, tolerance: float, relative: float) -> Surrogate:
-        """The same, whose bounds count more often where, relative to the local stress, less than
-        the tolerance is allowed; shares of the spread, and of the local stress."""
+    def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
+        """The same, whose bounds of `lookup` are divided by `local_tolerance`; shares of the
+        spread, and of the local stress."""
 
-    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
-        """(n,) how many times an error counts, as the bound of `lookup` does, at least 1."""
+    def local_tolerance(self, F: Array, F_dot: Array) -> Array:
+        """(n,) what an error may be, as a share of the tolerance, at most 1."""
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf

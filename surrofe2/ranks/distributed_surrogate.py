@@ -59,14 +59,14 @@ class DistributedSurrogate(CrewLaw[SurrogateLaw]):
         """Whether the bound of its error is known."""
         return self.law.is_calibrated
 
-    def held_to(self, tolerance: float, relative: float) -> DistributedSurrogate:
+    def with_tolerance(self, tolerance: float, relative: float) -> DistributedSurrogate:
         """As of `SurrogateLaw`; every rank has it besides this one."""
-        law = self.law.held_to(tolerance, relative)
+        law = self.law.with_tolerance(tolerance, relative)
         return self if law is self.law else DistributedSurrogate(law, self.crew)
 
-    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
+    def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         """As of `SurrogateLaw`."""
-        return self.law.weight(F, F_dot, tolerance)
+        return self.law.local_tolerance(F, F_dot)
 
     def lookup(
         self, F: Array, F_dot: Array, tolerance: float = np.inf

@@ -1,4 +1,4 @@
-"""Stress, status and error bound of a surrogate in one compiled pass, block by block.
+"""Stress, status and error bound of a surrogate in one compiled pass, block by block; its domain.
 
 Layout and names as in `compiled_frame`.
 """
@@ -12,9 +12,8 @@ from numba import prange
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.simd import TILE
+from surrofe2.simd import TILE, load, root, spread, store, where_less
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.compiled_bound import BOUND_ROWS, BoundArrays, apply_bound
 from surrofe2.surrogate.compiled_frame import (
     BLOCK,
     FRAME_ROWS,
@@ -28,6 +27,15 @@ from surrofe2.surrogate.compiled_frame import (
     take_rotation_out,
 )
 from surrofe2.surrogate.compiled_network import evaluate_network, make_room, set_polynomial_slopes
+from surrofe2.surrogate.domain import Domain, boundary_table
+from surrofe2.surrogate.error_bound import (
+    COMPRESSION,
+    NEAR,
+    NORM,
+    REACH,
+    Calibration,
+    scale_table,
+)
 from surrofe2.surrogate.network_arrays import NetworkArrays
 from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.tensors import INPUTS
@@ -37,7 +45,12 @@ Array = NDArray[np.float64]
 MANY = 2000
 """Points from which on more than one core pays."""
 _PART = 16 * BLOCK  # points that a core takes at a time
-_OK, _OUT_OF_RANGE, _NOT_FINITE = int(Status.OK), int(Status.OUT_OF_RANGE), int(Status.NOT_FINITE)
+_OK, _OUT_OF_RANGE = int(Status.OK), int(Status.OUT_OF_RANGE)
+_NOT_FINITE, _NOT_TRUSTED = int(Status.NOT_FINITE), int(Status.NOT_TRUSTED)
+_ROWS = NEAR + 1
+_HEIGHT, _BOUND = _ROWS, _ROWS + 1
+_BOUND_ROWS = _BOUND + 1  # that `_apply_bound` works in
+_FACTORS = 4  # of each product
 
 
 class Answer(NamedTuple):
@@ -51,6 +64,49 @@ class Answer(NamedTuple):
     def empty(cls, count: int) -> Answer:
         """Room for so many points."""
         return cls(np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count))
+
+
+class BoundArrays(NamedTuple):
+    """Domain and bound as the arrays their kernel reads.
+
+    Attributes:
+        factor: (7,) 1/scale of the inputs.
+        boundary_table: (k, 4) int64; boundary: (k,) float64; no rows: no sample failed.
+        bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
+        near: (7,) share of each squared input in the size of a state.
+        tolerance: (8,) `error_bound.tolerance_coefficients`; empty: bounds count once everywhere.
+    """
+
+    factor: NDArray[np.float64]
+    boundary_table: NDArray[np.int64]
+    boundary: NDArray[np.float64]
+    bound_table: NDArray[np.int64]
+    bound: NDArray[np.float64]
+    near: NDArray[np.float64]
+    tolerance: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        domain: Domain | None,
+        calibration: Calibration | None,
+        tolerance: NDArray[np.float64] | None = None,
+    ) -> BoundArrays:
+        """The arrays of a domain (None: everywhere) and a bound (None: infinite)."""
+        table, boundary = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
+        bound_table, bound = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
+        factor, near = np.ones(INPUTS), np.ones(INPUTS)
+        if domain is not None:
+            factor = 1.0 / domain.scale
+            if len(domain.boundary):
+                table, boundary = boundary_table(domain.square), domain.boundary
+            if calibration is not None and np.isfinite(calibration.quantile):
+                used = calibration.scale > 0.0
+                bound_table = scale_table()[used]
+                bound = calibration.quantile * calibration.scale[used]
+                near = calibration.near
+        coefficients = np.empty(0) if tolerance is None else tolerance
+        return cls(factor, table, boundary, bound_table, bound, near, coefficients)
 
 
 def lookup(
@@ -105,7 +161,7 @@ def lookup_part(  # type: ignore[no-untyped-def]
     begin, end, F, F_dot, network, bounds, tolerance, answer
 ):
     """Set the answer at points `begin` to `end`."""
-    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((BOUND_ROWS, TILES, TILE))
+    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((_BOUND_ROWS, TILES, TILE))
     room = make_room(network, network, np.int64(0))  # one signature for all numbers of inputs
     for start in range(begin, end, BLOCK):
         read_points(start, F, F_dot, frame)
@@ -115,7 +171,7 @@ def lookup_part(  # type: ignore[no-untyped-def]
         evaluate_network(network, room)
         set_stress(room.y, frame)
         _write_stress(start, frame, answer)
-        apply_bound(start, frame, bounds, tolerance, rows, answer.status, answer.bound)
+        _apply_bound(start, frame, bounds, tolerance, rows, answer.status, answer.bound)
         for point in range(start, min(start + BLOCK, F.shape[0])):
             if answer.status[point] != _OK:
                 answer.stress[point] = np.nan
@@ -134,6 +190,74 @@ def _write_stress(start, frame, answer):  # type: ignore[no-untyped-def]
         answer.status[start + p] = code
 
 
+@kernel
+def _apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: ignore[no-untyped-def]
+    """Write the bound, and the status outside the domain or where the bound is too large.
+
+    room: (`_BOUND_ROWS`, TILES, TILE). status: what the range test gave.
+    """
+    x = room[:_ROWS]
+    scale_inputs(frame, arrays.factor, x)
+    room[_HEIGHT] = 0.0
+    _add_products(arrays.boundary_table, arrays.boundary, x, room, _HEIGHT)
+    _square_rows(arrays.near, x)
+    room[_BOUND] = 0.0
+    _add_products(arrays.bound_table, arrays.bound, x, room, _BOUND)
+    if arrays.tolerance.shape[0]:
+        _divide_by_local_tolerance(arrays.tolerance, x, room)
+    known = arrays.bound.shape[0] > 0
+    for p in range(min(TILES * TILE, status.shape[0] - start)):
+        point, t, lane = start + p, p // TILE, p % TILE
+        value = room[_BOUND, t, lane] if known else np.inf
+        code = status[point]
+        if code == 0 and not room[_HEIGHT, t, lane] <= 0.0:
+            code = _OUT_OF_RANGE
+        if code == 0 and not value <= tolerance:
+            code = _NOT_TRUSTED
+        bound[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
+        status[point] = code
+
+
+@kernel
+def _square_rows(near, x):  # type: ignore[no-untyped-def]
+    """Rows 0 to 6 squared, row 8: the square of s where negative, row 9: the mean square, row 10:
+    m/(m + `REACH`), m their mean by the shares `near`."""
+    for t in range(TILES):
+        low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
+        store(low * low, x, COMPRESSION, t)
+        total, size = spread(0.0), spread(0.0)
+        for k in range(INPUTS):
+            square = load(x, k, t) * load(x, k, t)
+            store(square, x, k, t)
+            total += square
+            size += near[k] * square
+        store(total * (1.0 / INPUTS), x, NORM, t)
+        store(size / (size + REACH), x, NEAR, t)
+
+
+@kernel
+def _divide_by_local_tolerance(coefficients, x, room):  # type: ignore[no-untyped-def]
+    """Divide the bound by `error_bound.local_tolerance`, by squared inputs."""
+    for t in range(TILES):
+        square = spread(0.0)
+        for k in range(INPUTS):
+            square += coefficients[k] * load(x, k, t)
+        share = root(square) + coefficients[INPUTS]
+        share = where_less(share, 1.0, share, 1.0)
+        store(load(room, _BOUND, t) / share, room, _BOUND, t)
+
+
+@kernel
+def _add_products(table, coefficients, x, room, row):  # type: ignore[no-untyped-def]
+    for t in range(TILES):
+        total = load(room, row, t)
+        for k in range(table.shape[0]):
+            product = load(x, table[k, 0], t) * load(x, table[k, 1], t)
+            product = product * (load(x, table[k, 2], t) * load(x, table[k, 3], t))
+            total += coefficients[k] * product
+        store(total, room, row, t)
+
+
 @parallel_kernel
 def _test_parallel(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ignore[no-untyped-def]
     for part in prange((F.shape[0] + _PART - 1) // _PART):
@@ -143,7 +267,7 @@ def _test_parallel(F, F_dot, limits, bounds, tolerance, status, bound):  # type:
 
 @kernel
 def _test_some(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ignore[no-untyped-def]
-    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((BOUND_ROWS, TILES, TILE))
+    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((_BOUND_ROWS, TILES, TILE))
     for start in range(0, F.shape[0], BLOCK):
         read_points(start, F, F_dot, frame)
         take_rotation_out(frame)
@@ -151,7 +275,7 @@ def _test_some(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ign
         for p in range(min(BLOCK, F.shape[0] - start)):
             inside = frame[INSIDE, p // TILE, p % TILE] > 0.0
             status[start + p] = _OK if inside else _OUT_OF_RANGE
-        apply_bound(start, frame, bounds, tolerance, rows, status, bound)
+        _apply_bound(start, frame, bounds, tolerance, rows, status, bound)
 
 
 @kernel

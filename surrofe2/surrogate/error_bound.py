@@ -3,6 +3,14 @@
 The local scale s(F, Ḟ) > 0 is a sum of products of squared inputs with coefficients ≥ 0. It does
 not change under rotations nor under the square cell's group D4. `calibration` finds it, and says
 what the bound promises.
+
+A bound is compared with the local tolerance, in µN/µm,
+
+    allowed(F, Ḟ) = min(tolerance, 2 b + relative L),    L² = Σ_k (|∂P/∂x_k| x_k)²,
+
+where b is the bound of the error at rest, and L the size of the stress that the moduli at rest
+give, each of the seven inputs of `tensors` counted by itself, so that it vanishes at rest alone.
+A surrogate with the exact tangents at rest has errors of second order there, which stay below.
 """
 
 from __future__ import annotations
@@ -26,6 +34,9 @@ COMPRESSION, NORM, NEAR = 8, 9, 10
 REACH = 3e-4
 """Mean square of the inputs, by the stress each gives, at which `NEAR` is half of what it comes to:
 the error is exactly 0 at rest, grows from there with the square, and soon no more."""
+SOLVED = 1e-8
+"""Of the spread of stress: stresses of RVEs are known no more exactly."""
+_AT_REST = 2.0  # times the bound there, so that a point at rest is far from the threshold
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -99,3 +110,24 @@ def scale_table() -> Table:
     found += [(i, i, j, j) for i, j in combinations(squares, 2)]  # the corners of the range
     found += [(NEAR,)]
     return padded_table(found)
+
+
+def tolerance_coefficients(
+    sizes: Array, at_rest: float, spread: float, tolerance: float, relative: float
+) -> Array:
+    """(8,) squares of what each scaled input adds to allowed/tolerance, and what it is at rest.
+
+    Args:
+        sizes: (7,) of the stress by each scaled input, µN/µm. at_rest: bound there, µN/µm.
+        tolerance: share of the spread, µN/µm; relative: share of the local stress.
+    """
+    most = tolerance * spread
+    return np.append(
+        (relative * sizes / most) ** 2, max(_AT_REST * at_rest, SOLVED * spread) / most
+    )
+
+
+def local_tolerance(x: Array, coefficients: Array) -> Array:
+    """(n,) allowed/tolerance at scaled inputs (n, 7), at most 1."""
+    share: Array = coefficients[INPUTS] + np.sqrt(x**2 @ coefficients[:INPUTS])
+    return np.minimum(share, 1.0)

@@ -15,6 +15,7 @@ from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
+from surrofe2.square_symmetry import COMPONENTS
 from surrofe2.stress_law import (
     Acceptance,
     Status,
@@ -23,11 +24,14 @@ from surrofe2.stress_law import (
     check_deformation,
 )
 from surrofe2.stress_samples import StressSamples
-from surrofe2.surrogate.allowance import make_allowance, weight
-from surrofe2.surrogate.compiled_bound import BoundArrays
-from surrofe2.surrogate.compiled_lookup import evaluate_slopes, lookup, status_and_bound
+from surrofe2.surrogate.compiled_lookup import (
+    BoundArrays,
+    evaluate_slopes,
+    lookup,
+    status_and_bound,
+)
 from surrofe2.surrogate.domain import Domain, scaled_inputs
-from surrofe2.surrogate.error_bound import Calibration
+from surrofe2.surrogate.error_bound import Calibration, local_tolerance, tolerance_coefficients
 from surrofe2.surrogate.network_arrays import (
     NetworkArrays,
     NetworkParameters,
@@ -36,11 +40,13 @@ from surrofe2.surrogate.network_arrays import (
 )
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.polynomial import Polynomial
-from surrofe2.surrogate.scoring import errors_of
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tensors import rotation, to_components, transpose
 from surrofe2.views import Viewed
 
 Array = NDArray[np.float64]
+
+_ROUNDING = 1e-12  # of the largest spread: less is no spread
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,7 +70,7 @@ class SurrogateLaw(Viewed):
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
         cost: of its `data`, its `training` and its `calibration`, as far as known.
-        allowance: how often bounds count, see `held_to`; None: once.
+        tolerance: coefficients of the local tolerance, see `with_tolerance`; None: of none.
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
 
@@ -83,14 +89,14 @@ class SurrogateLaw(Viewed):
     calibration: Calibration | None = None
     reference: ReferenceState | None = None
     cost: Mapping[str, Cost] = field(default_factory=dict)
-    allowance: Array | None = field(default=None, repr=False)
+    tolerance: Array | None = field(default=None, repr=False)
     arrays: NetworkArrays = field(init=False, repr=False)
     bound_arrays: BoundArrays = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arrays", NetworkArrays.of(self.network, self.range))
         calibration = self.calibration if self.is_calibrated else None
-        bounds = BoundArrays.of(self.domain, calibration, self.allowance)
+        bounds = BoundArrays.of(self.domain, calibration, self.tolerance)
         object.__setattr__(self, "bound_arrays", bounds)
 
     def __repr__(self) -> str:
@@ -176,29 +182,29 @@ class SurrogateLaw(Viewed):
             return self.calibration.stress_spread
         return float(np.hypot.reduce([self.errors["spread"][k] for k in ("xx", "xy", "yx", "yy")]))
 
-    def held_to(self, tolerance: float, relative: float) -> SurrogateLaw:
-        """This law, whose bounds count more often where less than the tolerance is allowed.
+    def with_tolerance(self, tolerance: float, relative: float) -> SurrogateLaw:
+        """This law, whose bounds are divided by `local_tolerance`.
 
-        See `allowance`. Where tolerance or bound are infinite they count once.
+        Where tolerance or bound are infinite, the local tolerance is 1.
 
         Args:
             tolerance: share of the spread of stress; relative: share of the local stress.
         """
-        plain = self if self.allowance is None else replace(self, allowance=None)
+        plain = self if self.tolerance is None else replace(self, tolerance=None)
         at_rest = float(plain.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
         if self.domain is None or not np.isfinite([tolerance, relative, at_rest]).all():
             return plain
         sizes = sizes_at_rest(self.network) * self.domain.scale
-        return replace(
-            self,
-            allowance=make_allowance(sizes, at_rest, self.stress_spread, tolerance, relative),
+        coefficients = tolerance_coefficients(
+            sizes, at_rest, self.stress_spread, tolerance, relative
         )
+        return replace(self, tolerance=coefficients)
 
-    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
-        """(n,) how many times an error counts, as a bound does."""
-        if self.allowance is None or self.domain is None:
+    def local_tolerance(self, F: Array, F_dot: Array) -> Array:
+        """(n,) what an error may be, as a share of the tolerance, at most 1; see `error_bound`."""
+        if self.tolerance is None or self.domain is None:
             return np.ones(len(F))
-        return weight(scaled_inputs(F, F_dot, self.domain.scale), self.allowance)
+        return local_tolerance(scaled_inputs(F, F_dot, self.domain.scale), self.tolerance)
 
     def error_bound(self, F: Array, F_dot: Array) -> Array:
         """(n,) bound of the error of the stress in µN/µm; see `calibration` for what it promises.
@@ -266,3 +272,34 @@ class SurrogateLaw(Viewed):
     @cached_property
     def _slope_polynomial(self) -> Polynomial:
         return slope_polynomial(self.network)
+
+
+def errors_of(answer: Array, samples: StressSamples) -> dict[str, Any]:
+    """Errors of answers (n, 2, 2) at samples, by component of S and of σ.
+
+    Returns:
+        `points`, and by component `spread` (standard deviation over the samples, µN/µm), `rms`
+        and `worst` (relative to the spread).
+    """
+    R = rotation(samples.F)
+    exact, found = (_all_components(stress, R) for stress in (samples.stress, answer))
+    spread = exact.std(axis=0)
+    largest = max(spread.max(), np.finfo(float).tiny)
+    scale = np.where(spread > _ROUNDING * largest, spread, largest)
+    error = np.abs(found - exact) / scale
+    names = (*COMPONENTS, "xx", "xy", "yx", "yy")
+    figures = {
+        "spread": spread,
+        "rms": np.sqrt((error**2).mean(axis=0)),
+        "worst": error.max(axis=0),
+    }
+    named = {
+        key: {name: float(value) for name, value in zip(names, values, strict=True)}
+        for key, values in figures.items()
+    }
+    return {"points": len(R), **named}
+
+
+def _all_components(stress: Array, R: Array) -> Array:
+    rotated = to_components(transpose(R) @ stress @ R)
+    return np.concatenate([rotated, stress.reshape(-1, 4)], axis=1)

@@ -138,7 +138,7 @@ def _row(
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
     source = folder / "run" / of_cell(HARVEST, name)
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
-    held = surrogate.held_to(tolerance, recipe.cache.relative)
+    held = surrogate.with_tolerance(tolerance, recipe.cache.relative)
     unknown, audit = unknown_states(harvest, held, tolerance * spread)
     added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
@@ -251,7 +251,7 @@ def unknown_states(
     if len(audited):
         answer, status, _ = surrogate.lookup(harvest.F[audited], harvest.F_dot[audited])
         error = stress_error(answer, harvest.stress[audited])
-        error *= surrogate.weight(harvest.F[audited], harvest.F_dot[audited], allowed)
+        error /= surrogate.local_tolerance(harvest.F[audited], harvest.F_dot[audited])
         error = np.where(status == 0, error, np.inf)
         unknown[audited[error > allowed]] = True
         quantile = float(np.quantile(error, AUDIT_QUANTILE))

@@ -170,7 +170,7 @@ def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch)
         return stress, status, bound
 
     monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "held_to", lambda law, *_: law)
+    monkeypatch.setattr(SurrogateLaw, "with_tolerance", lambda law, *_: law)
     monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
     monkeypatch.setattr(SurrogateLaw, "stress_spread", 2.0, raising=False)
     options = ("--law", "rve,cached", "--set", "cache.audit=1.0")

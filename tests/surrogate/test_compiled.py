@@ -10,9 +10,8 @@ from surrofe2.sampling import contains, sample
 from surrofe2.simd import fill_tanh
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings
-from surrofe2.surrogate.compiled_bound import BoundArrays
 from surrofe2.surrogate.compiled_frame import BLOCK
-from surrofe2.surrogate.compiled_lookup import MANY, evaluate_slopes, lookup
+from surrofe2.surrogate.compiled_lookup import MANY, BoundArrays, evaluate_slopes, lookup
 from surrofe2.surrogate.features import SYMMETRIES, input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.network_arrays import NetworkArrays, slope_polynomial

@@ -98,11 +98,11 @@ class StressTable:
         """What the table knows now, a copy."""
         return Records(*(part[: self.size].copy() for part in self._records))
 
-    def held_to(self, tolerance: float, relative: float) -> StressTable:
+    def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
         """Itself: it is grown for one tolerance."""
         return self
 
-    def weight(self, F: Array, F_dot: Array, tolerance: float) -> Array:
+    def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         """(n,) ones."""
         return np.ones(len(F))
 
