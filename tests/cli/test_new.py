@@ -1,4 +1,4 @@
-"""Recipes to start from: each loads, runs, and says of each key what the settings say."""
+"""Recipes to start from: each loads, runs, and explains its keys."""
 
 from __future__ import annotations
 
