@@ -19,7 +19,6 @@ from surrofe2.cli.output import (  # noqa: F401
     took,
 )
 from surrofe2.cli.progress import Report, progress, stages  # noqa: F401
-from surrofe2.errors import InputError, quoted
 
 
 class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
@@ -123,23 +122,3 @@ Fresh = Annotated[
     bool, typer.Option("--fresh", help="Start over; default: keep what is there and go on.")
 ]
 KEPT_RUN = "{} keeps the run up to its last checkpoint"
-
-
-def integers(option: str, text: str, least: int = 1) -> tuple[int, ...]:
-    """Integers between commas, in their order.
-
-    Args:
-        option: whose text it is, for the message.
-
-    Raises:
-        InputError: not integers, or one of them less than `least`.
-    """
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if not numbers or min(numbers) < least:
-        raise InputError(
-            f"{option}: {quoted(text)}; it must be integers of at least {least} with commas"
-        )
-    return numbers

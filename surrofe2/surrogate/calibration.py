@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 
 MARGIN = 1.5
 """Times the largest quantile is taken: a search for the worst state accepted at a tolerance finds
-errors of up to 1.3 times that without it (benchmarks/climb.py), and none above with it."""
+errors of up to 1.3 times that without it (validation/worst_answer.py), and none above with it."""
 _DOUBT = 0.05  # that a set of paths gives a bound that breaks more often than it says
 _LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way out from rest
 _LEAST_AT_REST = 1e-5  # and everywhere above this
