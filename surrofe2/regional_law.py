@@ -20,7 +20,7 @@ from surrofe2.stress_law import (
     SwitchingLaw,
     Tangents,
 )
-from surrofe2.views import Viewed
+from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -62,6 +62,9 @@ class RegionalLaw(Viewed):
         self.density = np.empty(everyone.size)
         for law, own in self._parts:
             self.density[own] = law.density
+
+    def facts(self) -> Facts:
+        return self.laws
 
     @property
     def has_tangents(self) -> bool:

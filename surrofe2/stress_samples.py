@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
-from surrofe2.views import Viewed
+from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 
@@ -74,6 +74,21 @@ class StressSamples(Viewed):
         for name, array in arrays.items():
             if not np.isfinite(array[self.status == 0]).all():
                 raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
+
+    def facts(self) -> Facts:
+        left = self.left_bifurcation
+        has_left = np.zeros(len(self.F), np.bool_) if left is None else left
+        has_stress = self.status == 0
+        return {
+            "samples": f"{len(self.F):,}",
+            "usable": f"{int((has_stress & ~has_left).sum()):,}",
+            "failed": f"{int((~has_stress).sum()):,}",
+            "left a bifurcation": f"{int((has_stress & has_left).sum()):,}",
+            "tangents": "no" if self.P_by_F is None else "yes",
+            "plant cell": self.cell.preset_name,
+            "initialisation": self.initialisation,
+            "range": self.range,
+        }
 
     def __repr__(self) -> str:
         lost = int((np.asarray(self.status) != 0).sum())

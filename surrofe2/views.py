@@ -1,29 +1,86 @@
-"""What people ask of results in a notebook: pictures, tables of other libraries, HTML.
-
-What draws and converts stands in `surrofe2.report`, above all that it shows, and is imported when
-it is asked for; results themselves know no drawing.
-"""
+"""What people ask of results in a notebook: facts as HTML, pictures, tables of other libraries."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from html import escape
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import InputError
+from surrofe2.units import ENERGY, FORCE, LENGTH
+
+Array = NDArray[np.float64]
+Facts = Mapping[str, object]
+
+_WIDTH, _HEIGHT = 320.0, 90.0
 
 
-class Viewed:
+class Viewed(ABC):
     """What a notebook shows as HTML."""
 
     __slots__ = ()
 
+    @abstractmethod
+    def facts(self) -> Facts:
+        """What matters of it, by name."""
+
     def _repr_html_(self) -> str:
-        shown: str = import_module("surrofe2.report.notebook").html(self)
-        return shown
+        rows = "".join(
+            f'<tr><th style="text-align:left">{escape(name)}</th>'
+            f'<td style="text-align:left">{escape(str(value))}</td></tr>'
+            for name, value in self.facts().items()
+        )
+        return f"<div><strong>{type(self).__name__}</strong><table>{rows}</table></div>"
+
+
+class Series(NamedTuple):
+    """A quantity over time: (m,) values with its group, displacement, force, place or energy."""
+
+    values: Array
+    unit: str
+    group: str
 
 
 class ViewedRun(Viewed):
-    """A run, which is looked at over its time."""
+    """A run, which is looked at over its time.
+
+    Attributes:
+        curve: displacement of the first watched point; `curves`: of all by name.
+        energies, history: (m,) by name; energies in pJ, forces in µN, places in µm.
+    """
 
     __slots__ = ()
+
+    curve: Any
+    curves: Any
+    energies: Any
+    history: Any
+
+    def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Whole fields and their coordinates, as `xarray.Dataset` takes them; here none."""
+        return {}, {}
+
+    def series(self) -> dict[str, Series]:
+        """All quantities over the output times, by name."""
+        found = {
+            f"u_{axis} {name}": Series(values, LENGTH, "displacement")
+            for name, curve in self.curves.items()
+            for axis, values in zip("xy", curve.displacement.T, strict=True)
+        }
+        for name, values in self.history.items():
+            is_force = name.startswith("force")
+            unit, group = (FORCE, "force") if is_force else (LENGTH, "place")
+            found[name] = Series(values, unit, group)
+        return found | {
+            f"energy {name}": Series(values, ENERGY, "energy")
+            for name, values in self.energies.items()
+        }
 
     def plot(self) -> Any:
         """Displacements, forces and energies over time, by matplotlib.
@@ -31,7 +88,25 @@ class ViewedRun(Viewed):
         Returns:
             The axes, from top to bottom; their `figure` can be saved.
         """
-        return import_module("surrofe2.report.run_views").plot(self)
+        import matplotlib.pyplot as plt
+
+        groups: dict[str, dict[str, Series]] = {}
+        for name, each in self.series().items():
+            groups.setdefault(each.group, {})[name] = each
+        shown = {g: groups[g] for g in ("displacement", "force", "energy") if g in groups}
+        figure, axes = plt.subplots(
+            len(shown), sharex=True, squeeze=False, layout="constrained",
+            figsize=(7, 2.6 * len(shown)),
+        )  # fmt: skip
+        for place, (group, those) in zip(axes[:, 0], shown.items(), strict=True):
+            for name, each in those.items():
+                place.plot(self.curve.t, each.values, label=name.removeprefix(f"{group} "))
+            place.set_ylabel(f"{group} ({next(iter(those.values())).unit})")
+            place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+            place.grid(alpha=0.3)
+        axes[-1, 0].set_xlabel("time t (µs)")
+        figure.align_ylabels()
+        return axes[:, 0]
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame` over t in µs of displacements, forces and energies.
@@ -41,7 +116,11 @@ class ViewedRun(Viewed):
         Raises:
             InputError: pandas is not installed.
         """
-        return import_module("surrofe2.report.run_views").to_pandas(self)
+        pandas, found = _library("pandas", "to_pandas"), self.series()
+        columns = {name: each.values for name, each in found.items()}
+        frame = pandas.DataFrame(columns, index=pandas.Index(self.curve.t, name="t_us"))
+        frame.attrs["units"] = {"t_us": "µs", **{name: each.unit for name, each in found.items()}}
+        return frame
 
     def to_xarray(self) -> Any:
         """An `xarray.Dataset` of the same, each variable with its unit, and of whole fields.
@@ -51,4 +130,57 @@ class ViewedRun(Viewed):
         Raises:
             InputError: xarray is not installed.
         """
-        return import_module("surrofe2.report.run_views").to_xarray(self)
+        xarray = _library("xarray", "to_xarray")
+        fields, coordinates = self.fields_over_time()
+        for name, each in self.series().items():
+            fields[name] = "t", each.values, {"units": each.unit}
+        coordinates["t"] = "t", self.curve.t, {"units": "µs"}
+        return xarray.Dataset(fields, coordinates, {"source": repr(self)})
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_().removesuffix("</div>") + f"{_drawn(self.curve)}</div>"
+
+
+def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[str, int]) -> Facts:
+    """Facts of all runs: how long, how fast, how far."""
+    largest = np.linalg.norm(curve.displacement, axis=1).max(initial=0.0)
+    return {
+        "time": f"{curve.t[-1] if curve.t.size else 0.0:g} µs in {counts.get('steps', 0):,} steps",
+        "wall time": f"{wall.get('total', 0.0):.3g} s",
+        "largest displacement": f"{largest:.4g} µm",
+    }
+
+
+def _drawn(curve: DisplacementCurve) -> str:
+    """The components of a displacement over time, between their extremes."""
+    if curve.t.size < 2:
+        return ""
+    u: Array = curve.displacement
+    low, high = float(u.min()), float(u.max())
+    x = _WIDTH * (curve.t - curve.t[0]) / (curve.t[-1] - curve.t[0])
+    y = _HEIGHT * (high - u) / max(high - low, 1e-300)
+    lines = [
+        f'<polyline fill="none" stroke="{colour}" points="'
+        + " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y[:, k], strict=True))
+        + '"/>'
+        for k, colour in enumerate(("#0072B2", "#D55E00"))
+    ]
+    told = f"displacement {low:.4g} to {high:.4g} µm: u_x blue, u_y orange"
+    return (
+        f'<svg width="{_WIDTH:g}" height="{_HEIGHT:g}" role="img" aria-label="{told}">'
+        f"<title>{told}</title>{''.join(lines)}</svg><br/><small>{told}</small>"
+    )
+
+
+def _library(name: str, method: str) -> Any:
+    """A library that surrofe2 does not need for anything else.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{method}: {name} is not installed; install it: pip install {name}"
+        ) from None

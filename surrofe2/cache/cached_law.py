@@ -43,7 +43,7 @@ from surrofe2.stress_law import (
     check_deformation,
     require_tangents,
 )
-from surrofe2.views import Viewed
+from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 
@@ -101,6 +101,16 @@ class CachedLaw(Viewed):
         self.density = fallback.density
         self.on_true_answer = on_true_answer
         self.reset_counts()
+
+    def facts(self) -> Facts:
+        counts = self.counts
+        return {
+            "surrogate": self.surrogate,
+            "fallback": self.fallback,
+            "tolerance": f"{self.settings.tolerance:g} of the spread of stress",
+            "answered by the surrogate": f"{counts['hits']:,}",
+            "by the fallback": f"{counts['fallbacks']:,}",
+        }
 
     def __repr__(self) -> str:
         return f"<CachedLaw: {self.counts['hits']} hits; {self.surrogate}, else {self.fallback}>"

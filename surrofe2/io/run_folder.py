@@ -27,7 +27,7 @@ from surrofe2.io.files import (
 from surrofe2.io.lock import folder_lock
 from surrofe2.settings import check_value, hints_of
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
-from surrofe2.views import ViewedRun
+from surrofe2.views import Facts, ViewedRun, course
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 2
@@ -145,6 +145,37 @@ class StoredRun(ViewedRun):
     record: RunRecord
     curve: DisplacementCurve
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def curves(self) -> dict[str, DisplacementCurve]:
+        """Displacement of every watched point by name."""
+        first = next(iter(self.record.problem.get("watched", {})), "watched point")
+        found = {first: self.curve}
+        names, columns = read_columns(self.folder / "curve.csv")
+        for k in range(3, len(names), 2):
+            name = names[k].partition("_um ")[2]
+            found[name] = DisplacementCurve(self.curve.t, columns[:, k : k + 2])
+        return found
+
+    @property
+    def energies(self) -> dict[str, np.ndarray]:
+        """(m,) energies in pJ by name; none without their file."""
+        path = self.folder / "energies.csv"
+        if not path.exists():
+            return {}
+        names, columns = read_columns(path)
+        values = zip(names[1:], columns.T[1:], strict=True)
+        return {name.removesuffix("_pJ"): column for name, column in values}
+
+    def facts(self) -> Facts:
+        record = self.record
+        return {
+            "folder": self.folder,
+            "law": f"{record.law}, {record.initialisation}",
+            "plant cell": presets_of(record.recipe),
+            **course(self.curve, record.wall_time, record.counts),
+            "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
+        }
 
 
 def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> RunRecord | None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
+from typing import Any
 
 import numba
 import numpy as np
@@ -34,7 +35,8 @@ from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.stress_law import StressLaw
 from surrofe2.threads import one_blas_thread
-from surrofe2.views import ViewedRun
+from surrofe2.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
+from surrofe2.views import Facts, ViewedRun, course
 
 Array = NDArray[np.float64]
 
@@ -97,6 +99,32 @@ class MacroRun(ViewedRun):
     problem: Problem | LoadCase
     law: StressLaw
     settings: MacroSettings
+
+    def facts(self) -> Facts:
+        return {
+            "law": self.law,
+            "mesh": f"{len(self.elements)} elements, {len(self.nodes)} nodes",
+            **course(self.curve, self.wall_time, self.counts),
+            "finished": "yes" if self.finished else "no",
+        }
+
+    def fields_over_time(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        frames, found = self.frames, dict[str, Any]()
+        for name, at, values, unit in (
+            ("displacement", "node", frames.displacement, LENGTH),
+            ("velocity", "node", frames.velocity, VELOCITY),
+            ("stress", "element", frames.stress, STRESS),
+            ("F", "element", frames.F, NONE),
+            ("F_dot", "element", frames.F_dot, RATE),
+        ):
+            axes = ("axis",) if values.ndim == 3 else ("row", "column")
+            found[f"field {name}"] = ("frame", at, *axes), values, {"units": unit}
+        found["elements"] = ("element", "corner"), self.elements
+        where = {
+            "frame": ("frame", frames.t, {"units": TIME}),
+            "position": (("node", "axis"), self.nodes, {"units": LENGTH}),
+        }
+        return found, where
 
     def __repr__(self) -> str:
         end = "finished" if self.finished else "unfinished"

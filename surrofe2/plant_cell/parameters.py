@@ -125,6 +125,12 @@ class CellParameters:
         return replace(PRESETS[name], **changes)
 
     @property
+    def preset_name(self) -> str:
+        """Name of the preset that it is, or that it has constants of its own, and fingerprint."""
+        name = next((name for name, known in PRESETS.items() if known == self), "its own constants")
+        return f"{name} ({self.fingerprint})"
+
+    @property
     def symmetry(self) -> str:
         """Point group of the RVE: "D4", "D6" or "none"."""
         return SYMMETRIES[self.arrangement]

@@ -7,6 +7,4 @@ comparison       runs against a reference
 comparison_plot  their picture
 page             runs as one HTML page
 grid             a parameter study
-run_views        a run as a picture, and for pandas and xarray
-notebook         runs, samples and laws as HTML
 """

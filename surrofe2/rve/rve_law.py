@@ -30,7 +30,7 @@ from surrofe2.stress_law import (
     check_deformation,
     describe,
 )
-from surrofe2.views import Viewed
+from surrofe2.views import Facts, Viewed
 
 _RENEW_AFTER = {"slow-manifold": 9}
 _RENEW_AFTER_ELSE = 4
@@ -89,6 +89,16 @@ class RveLaw(Viewed):
     def __reduce__(self) -> tuple[Any, ...]:
         """What another process makes the same law of; the reference is not settled again."""
         return _same_law, (self.cell, self.settings, self.reference)
+
+    def facts(self) -> Facts:
+        return {
+            "plant cell": self.cell.preset_name,
+            "arrangement": f"{self.cell.cells} × {self.cell.arrangement}",
+            "initialisation": self.initialisation,
+            "solver": self.settings.solver,
+            "wall rest length": f"{self.rest_length:.4g} µm",
+            "density": f"{self.density:.4g} ng/µm²",
+        }
 
     def __repr__(self) -> str:
         cell = self.cell

@@ -42,7 +42,7 @@ from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tensors import rotation, to_components, transpose
-from surrofe2.views import Viewed
+from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,22 @@ class SurrogateLaw(Viewed):
         calibration = self.calibration if self.is_calibrated else None
         bounds = BoundArrays.of(self.domain, calibration, self.tolerance)
         object.__setattr__(self, "bound_arrays", bounds)
+
+    def facts(self) -> Facts:
+        errors = self.errors
+        return {
+            "plant cell": self.cell.preset_name,
+            "initialisation": self.initialisation,
+            "range": self.range,
+            "bound of its error": "calibrated" if self.is_calibrated else "none",
+            "held-out samples": errors.get("points", "none"),
+            **{
+                f"error of {name}, of the spread": f"{100.0 * rms:.2g} % RMS, "
+                f"{100.0 * errors['worst'][name]:.2g} % at worst"
+                for name, rms in errors.get("rms", {}).items()
+                if name in ("xx", "xy", "yx", "yy")
+            },
+        }
 
     def __repr__(self) -> str:
         bound = "bound calibrated" if self.is_calibrated else "no bound"

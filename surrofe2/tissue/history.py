@@ -18,7 +18,7 @@ from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.pair_lists import bonded_particles
 from surrofe2.tissue.problem import TissueProblem
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.views import ViewedRun
+from surrofe2.views import Facts, ViewedRun, course
 
 Array = NDArray[np.float64]
 
@@ -124,6 +124,13 @@ class TissueRun(ViewedRun):
     counts: dict[str, int]
     threads: int
     finished: bool
+
+    def facts(self) -> Facts:
+        return {
+            "particles": f"{self.counts['particles']:,}",
+            **course(self.curve, self.wall_time, self.counts),
+            "finished": "yes" if self.finished else "no",
+        }
 
 
 _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
