@@ -17,26 +17,14 @@ from benchmarks.row import Row
 from benchmarks.setting import Setting
 
 TITLE = "MPI ranks"
-_DURATIONS = {"rve": 0.5, "cached": 3.0}
-"""µs of 64 × 64 elements, some seconds each."""
+_DURATION = 0.5
+"""µs of 64 × 64 elements, some seconds."""
 
 
 def run(setting: Setting) -> list[Row]:
-    """2 ranks of 1 thread against 1 rank of 2 threads by both laws, in turns."""
-    surrogate = setting.recipe("printed").training_path()
-    setting.surrogate("printed")
-    rows = []
-    for law, duration in _DURATIONS.items():
-        rows += _law(setting, law, duration, surrogate)
-    return rows
-
-
-def _law(setting: Setting, law: str, duration: float, surrogate: Path) -> list[Row]:
+    """2 ranks of 1 thread against 1 rank of 2 threads by RVEs, in turns."""
     elements = setting.pick(64, 16)
-    arguments = [
-        "--law", law, "--surrogate", str(surrogate), "--elements", str(elements),
-        "--duration", str(duration),
-    ]  # fmt: skip
+    arguments = ["--elements", str(elements), "--duration", str(_DURATION)]
     pairs = [
         (probe(1, *arguments, "--threads", "2"), probe(2, *arguments, "--threads", "1"))
         for _ in range(setting.pick(5, 1))
@@ -47,7 +35,7 @@ def _law(setting: Setting, law: str, duration: float, surrogate: Path) -> list[R
     speed = np.array([one["total"] / two["total"] for one, two in pairs])
     two = sorted((two for _, two in pairs), key=lambda each: float(each["total"]))[len(pairs) // 2]
     one = sorted(one["total"] for one, _ in pairs)[len(pairs) // 2]
-    bar = f"{law}: {elements} × {elements} elements over {duration:g} µs"
+    bar = f"rve: {elements} × {elements} elements over {_DURATION:g} µs"
     away = two["computing"] + two["messages"]
     seconds = {
         "assembly and time stepping": two["macro"],
@@ -65,8 +53,7 @@ def _law(setting: Setting, law: str, duration: float, surrogate: Path) -> list[R
             baseline="1 rank of 2 threads",
             baseline_value=one,
             threads=1,
-            note=f"{two['total']:.3g} against {one:.3g} s; {two['steps']} steps, "
-            f"{two['bytes'] / two['calls'] / 1e6:.2g} MB a right-hand side",
+            note=f"{two['total']:.3g} against {one:.3g} s; {two['steps']} steps",
         )
     ]
     rows += [
@@ -75,20 +62,17 @@ def _law(setting: Setting, law: str, duration: float, surrogate: Path) -> list[R
         )
         for name, each in seconds.items()
     ]
-    if law == "cached":
-        (small, latency), *_, (large, longest) = (
-            (int(size), taken) for size, taken in two["messages_by_size"].items()
-        )
-        rows += [
-            Row(
-                name=f"a message of {small} bytes between two ranks", value=1e6 * latency, unit="µs"
-            ),
-            Row(
-                name=f"a message of {large} bytes between two ranks",
-                value=large / longest / 1e9,
-                unit="GB/s",
-            ),
-        ]
+    (small, latency), *_, (large, longest) = (
+        (int(size), taken) for size, taken in two["messages_by_size"].items()
+    )
+    rows += [
+        Row(name=f"a message of {small} bytes between two ranks", value=1e6 * latency, unit="µs"),
+        Row(
+            name=f"a message of {large} bytes between two ranks",
+            value=large / longest / 1e9,
+            unit="GB/s",
+        ),
+    ]
     return rows
 
 

@@ -1,23 +1,20 @@
 """One short run of the bar, alone or by all ranks that mpiexec starts of this; prints JSON.
 
-`mpiexec -n 2 python -m benchmarks.ranks_probe --law cached …`
+`mpiexec -n 2 python -m benchmarks.ranks_probe`
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from surrofe2 import LoadCase, MacroSettings, RveLaw, simulate
-from surrofe2.cache import CachedLaw
-from surrofe2.io.surrogates import read_surrogate
-from surrofe2.ranks.crew import Crew, serve
-from surrofe2.ranks.shared import distributed, own_part
+from surrofe2 import CellParameters, LoadCase, MacroSettings, RveLaw, simulate
+from surrofe2.ranks.distributed_law import distributed
+from surrofe2.ranks.driver import Driver, serve
 from surrofe2.ranks.world import world
 from surrofe2.workflow.laws import use_threads
 
@@ -28,8 +25,6 @@ SIZES = (8, 1024, 65_536, 1_048_576)
 def main() -> None:
     """Rank 0 measures, the others serve."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--law", choices=("rve", "cached"), required=True)
-    parser.add_argument("--surrogate", type=Path, required=True)
     parser.add_argument("--elements", type=int, default=64)
     parser.add_argument("--duration", type=float, default=1.0, help="µs")
     parser.add_argument("--threads", type=int, default=1)
@@ -43,33 +38,29 @@ def main() -> None:
     if comm.rank:
         serve(comm)
         return
-    with Crew(comm) as crew:
-        found = _measured(given, crew)
+    with Driver(comm) as driver:
+        found = _measured(given, driver)
     print(json.dumps(found | {"messages_by_size": echoes}))
 
 
-def _measured(given: argparse.Namespace, crew: Crew | None) -> dict[str, Any]:
+def _measured(given: argparse.Namespace, driver: Driver | None) -> dict[str, Any]:
     """Seconds of a run after a warm-up, and where they went."""
-    surrogate = read_surrogate(given.surrogate)
-    law: Any = RveLaw(surrogate.cell, initialisation=surrogate.initialisation)
-    if given.law == "cached":
-        law = CachedLaw(surrogate, law)
-    if crew is not None:
-        law = distributed(law, crew)
+    law: Any = RveLaw(CellParameters.preset("printed"))
+    if driver is not None:
+        law = distributed(law, driver)
     settings = MacroSettings(elements=(given.elements, given.elements))
     simulate(LoadCase(duration=given.duration / 20.0), law, settings)
-    if crew is not None:
-        crew.reset_counts()
+    if driver is not None:
+        driver.reset_counts()
     run = simulate(LoadCase(duration=given.duration), law, settings)
     return {
         **run.wall_time,
         "stresses": run.counts["stress_points"] + run.counts["dissipation_points"],
         "calls": run.counts["stress_calls"],
         "steps": run.counts["steps"],
-        "fallbacks": run.effort.get("fallbacks", 0),
         "last": run.curve.displacement[-1].tolist(),
-        "fingerprint": own_part(law.fallback if given.law == "cached" else law).cell.fingerprint,
-        **({} if crew is None else crew.report()),
+        "fingerprint": law.cell.fingerprint,
+        **({} if driver is None else driver.report()),
     }
 
 

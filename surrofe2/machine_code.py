@@ -1,11 +1,9 @@
-"""Machine code of a kernel that is its own: the same bits in every process, read in less time.
+"""How numba lays out the machine code of our kernels: aligned arrays, and names of its own.
 
 numba gives each kernel copies of the functions that it calls, under names that all kernels share.
 Of equal names the one that comes first into a process serves all, and copies that were optimised
-in different surroundings round differently: so results would depend on which kernels a process
-had loaded or compiled before. Here a kernel keeps its copies to itself. And numba reads, beside a
-kept kernel's machine code, the code from which other kernels could take functions, which takes
-ten times as long: here that waits until one does.
+in different surroundings round differently: results would depend on which kernels a process has
+loaded or compiled before. Here a kernel keeps its copies to itself.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from llvmlite import binding
 from numba.core.base import BaseContext
 from numba.core.codegen import JITCodeLibrary
 
@@ -25,71 +22,20 @@ CACHE_LINE = 64
 class OwnCode(JITCodeLibrary):
     """Machine code without names that other kernels' code could stand in for."""
 
-    _kept: tuple[bytes, bytes] | None = None
-    """Machine code and bitcode as they were read; None where it was compiled in this process."""
-    _is_made = False
-    """Whether there is machine code already; of what others only take copies of, none is made."""
+    _shared_module: Any
 
     def _finalize_final_module(self) -> None:
-        if self._kept is None:
+        if self._shared_module is None:  # what other kernels take copies of stays as it was
             self._shared_module = self._final_module.clone()
-            for function in _defined(self._shared_module, "external"):
-                function.linkage = "linkonce_odr"
-            for function in _defined(self._final_module, "linkonce_odr"):
-                function.linkage = "internal"
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def _optimize_final_module(self) -> None:
-        if not self._is_wrapper:  # it is optimised with what takes a copy of it
-            super()._optimize_final_module()
-
-    @property
-    def _is_wrapper(self) -> bool:
-        """Whether it only calls the body of a parallel loop; numba's names for such code."""
-        return self.name == "parallelgufuncwrapper" or "_GufuncWrapper" in self.name
-
-    def _make(self) -> None:
-        if not self._is_made:
-            super()._finalize_final_module()
-            self._is_made = True
-
-    def serialize_using_object_code(self) -> Any:
-        """Name, machine code and bitcode, to be kept."""
-        self._ensure_finalized()
-        self._make()
-        return super().serialize_using_object_code()
-
-    @classmethod
-    def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
-        name, kind, data = state
-        if kind != "object":
-            return super()._unserialize(codegen, state)
-        library = codegen.create_library(name)
-        library._kept = data
-        library.enable_object_caching()
-        library._set_compiled_object(data[0])
-        library._finalize_final_module()
-        return library
-
-    def _get_module_for_linking(self) -> Any:
-        if self._kept is not None and self._shared_module is None:
-            self._shared_module = binding.parse_bitcode(self._kept[1])
-        return super()._get_module_for_linking()
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """Address of a function of this code; 0 where it has none of that name."""
-        self._ensure_finalized()
-        self._make()
-        if self._kept is not None and name.encode() in self._kept[0]:
-            self._codegen._engine._defined_symbols.add(name)
-        return int(super().get_pointer_to_function(name))
+            _relink(self._shared_module, "external", "linkonce_odr")
+        _relink(self._final_module, "linkonce_odr", "internal")
+        super()._finalize_final_module()
 
 
-def _defined(module: Any, linkage: str) -> Iterator[Any]:
+def _relink(module: Any, before: str, after: str) -> None:
     for function in module.functions:
-        if not function.is_declaration and function.linkage.name == linkage:
-            yield function
+        if not function.is_declaration and function.linkage.name == before:
+            function.linkage = after
 
 
 @contextmanager

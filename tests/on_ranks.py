@@ -1,7 +1,7 @@
 """Runs by all ranks that mpiexec starts of `python -m tests.on_ranks HOME OUT CASE…`.
 
 A case is a name of `tests.test_going_on`; after `stop:` it is interrupted after three steps, after
-`go:` it goes on. Few points are shared too, and dealt anew after every step.
+`go:` it resumes. Few points are shared too.
 """
 
 from __future__ import annotations
@@ -11,14 +11,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from surrofe2.ranks import (
-    Crew,
-    dealing,
-    distributed_law,
-    distributed_surrogate,
-    rank_states,
-    serve,
-)
+from surrofe2.ranks import Driver, distributed_law, serve
 from surrofe2.recipe import load_recipe
 from surrofe2.workflow.run import run_study
 from tests import test_going_on as cases
@@ -45,10 +38,9 @@ def main():
 
 
 if __name__ == "__main__":
-    distributed_surrogate.LEAST = distributed_law.PATIENCE = rank_states.LEAST = 1
-    dealing.UNEVEN = 0.0
+    distributed_law.LEAST = 1
     if MPI.COMM_WORLD.rank:
         serve(MPI.COMM_WORLD)
     else:
-        with Crew(MPI.COMM_WORLD):
+        with Driver(MPI.COMM_WORLD):
             main()

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.simd import TILE
 from surrofe2.stress_law import StressLaw, StressResponse, describe, require_tangents
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import choose_law, true_law
@@ -101,16 +100,15 @@ class PointSimulation(MicroSimulationInterface):
         self._keep()
         if self._state is None:
             return None
-        arrays = self._state.to_arrays()  # a point fills all lanes of its tile with copies
-        return {name: a[..., :1].copy() if a.ndim > 1 else a for name, a in arrays.items()}
+        arrays: dict[str, NDArray[Any]] = self._state.to_arrays()
+        return arrays
 
     def set_state(self, state: Mapping[str, NDArray[Any]] | None) -> None:
         """Go on from what `get_state` gave."""
         self._solved = None
         self._state = None
         if state is not None:
-            tiles = {k: np.repeat(a, TILE, -1) if a.ndim > 1 else a for k, a in state.items()}
-            self._state = the_rve().state_from_arrays(tiles)
+            self._state = the_rve().state_from_arrays(state)
 
     def get_global_id(self) -> int:
         """Number among all simulations."""

@@ -105,7 +105,7 @@ class Fallback(StressLaw, Protocol):
         """How its RVE is initialised."""
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
-        """The state whose `PointStates.to_arrays` gave these arrays, to the bit."""
+        """The state whose `PointStates.to_arrays` gave these arrays."""
 
 
 class PointStates(Protocol):

@@ -1,4 +1,4 @@
-"""A command that mpiexec has started several times: rank 0 carries it out, the others serve it."""
+"""A command that mpiexec started several times: rank 0 carries it out, the others work for it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager, nullcontext
 
 import typer
 
-from surrofe2.ranks.crew import Crew, serve
+from surrofe2.ranks.driver import Driver, serve
 from surrofe2.ranks.world import is_first, leave, own_threads, watched, world, world_size
 from surrofe2.workflow.laws import use_threads
 
@@ -34,5 +34,5 @@ def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
         atexit.register(leave)  # when all is said: a launcher may not listen any longer
         if comm.rank:
             raise typer.Exit(serve(comm))
-        with Crew(comm):
+        with Driver(comm):
             yield threads

@@ -91,7 +91,7 @@ def run(
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
     ParaView; with --law table the table, with --law cached or table the harvest of true stresses.
 
-    mpiexec -n N before the command deals the points to N ranks (needs surrofe2[mpi]).
+    mpiexec -n N before the command deals the RVEs to N ranks (needs surrofe2[mpi]).
 
     Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
 

@@ -68,8 +68,8 @@ class RunRecord:
             came to.
         problem: counts of the mesh, its names, conditions, bodies and watched points; of a
             run also the largest `penetration` of each body, µm.
-        ranks: of a run on several: how many and of how many threads each, what travelled, seconds
-            of the law on the slowest rank, of messages and idle, since the run last went on.
+        ranks: of a run on several: how many and of how many threads each, how many exchanges,
+            seconds of the law on the slowest rank and of messages, since the run last resumed.
         files: SHA-256 of each CSV file and the event log, as they were when this was written.
     """
 

@@ -41,11 +41,3 @@ def spline_curvature(s, h):
 def spline_bend(slope_over_length, length, inverse, h):
     """d(W′/|r|)/d|r| in 1/µm⁵, of W′/|r|, |r| and 1/|r|."""
     return (spline_curvature(length * (1.0 / h), h) - slope_over_length) * inverse
-
-
-@pair_law
-def spline_third(s, h):
-    """d³W/dr³ in 1/µm⁵; it jumps at s = 1 and s = 2."""
-    outer = where_less(s, 2.0, -1.5, 0.0)
-    inner = where_less(s, 1.0, 6.0, 0.0)
-    return SIGMA / (h * h * h * h * h) * (outer + inner)

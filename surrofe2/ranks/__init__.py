@@ -1,10 +1,8 @@
-"""A stress law whose points are dealt to persistent MPI ranks; rank 0 has the time loop.
+"""RVEs on several MPI ranks; rank 0 has the time loop.
 
-In reading order: `world` finds out whether there are ranks; `dealing` cuts points into blocks;
-`crew` is how rank 0 and the others work on one task at a time; `tasks` are what they do;
-`rank_states` stands on rank 0 for warm starts that stay where they are; `crew_law` is a law that
-every rank has, `distributed_law` and `distributed_surrogate` are the two; `shared` makes them of
-others.
+In reading order: `world` finds out whether there are ranks; `driver` is how rank 0 sends one task
+at a time to all ranks and collects their results; `distributed_law` is the stress law whose points
+the ranks share.
 """
 
 from __future__ import annotations
@@ -14,8 +12,7 @@ from typing import TYPE_CHECKING
 from surrofe2.public_names import public_names
 
 if TYPE_CHECKING:
-    from surrofe2.ranks.crew import Crew, serve
-    from surrofe2.ranks.distributed_law import DistributedLaw
-    from surrofe2.ranks.shared import distributed
+    from surrofe2.ranks.distributed_law import DistributedLaw, distributed
+    from surrofe2.ranks.driver import Driver, serve
 
 __getattr__, __dir__ = public_names(__name__)

@@ -3,41 +3,151 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.cache.cached_law import CachedLaw
 from surrofe2.errors import InputError
-from surrofe2.plant_cell.tiles import unpack
-from surrofe2.ranks import rank_states
-from surrofe2.ranks.crew_law import CrewLaw
-from surrofe2.ranks.dealing import Index, deal, is_uneven, redeal
-from surrofe2.ranks.desk import Told, dense
-from surrofe2.ranks.rank_states import Place, RankState
-from surrofe2.ranks.tasks import Accept, Answered, Respond
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import tiles_for
+from surrofe2.ranks.driver import Driver, Worker, driver_at_work
+from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.stress_law import Acceptance, StressResponse, check_deformation, require_tangents
+from surrofe2.rve.rve_state import RveState
+from surrofe2.simd import TILE
+from surrofe2.stress_law import (
+    Acceptance,
+    StressLaw,
+    StressResponse,
+    Tangents,
+    check_deformation,
+    require_tangents,
+)
+from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Shares = list[Index]
+"""For each rank the numbers of its points."""
 
-PATIENCE = 8
-"""Kept steps after which points may be dealt anew."""
-_WEIGHT = 0.25
-"""Of the latest step in how long the ranks take."""
-_BYTES = {"respond": 96, "tangents": 256, "accept": 96}
-"""A point that came and went."""
+LEAST = 16
+"""Tiles of a rank: fewer RVEs are solved sooner than they are sent, as those of an audit are."""
+_PLACE = [("owner", np.intp), ("number", np.intp), ("row", np.intp), ("left", np.bool_)]
 
 
-class DistributedLaw(CrewLaw[RveLaw]):
-    """σ(F, Ḟ) of RVEs that live on the ranks of a crew; see `StressLaw` and `cache.Fallback`.
+class RankState:
+    """Warm start of n points that stays on the ranks which own them; see `cache.PointStates`.
 
-    Points are dealt in blocks of whole tiles. RVE states, with their factors, stay where they were
-    made: on rank 0 a `RankState` stands for them. (F, Ḟ) and stresses travel. Answers are those
-    of `law` itself, by any number of ranks. Where some ranks take longer than others, `accept`
-    deals the points of the next step by what they cost.
+    Rank 0 knows only the places. `take` and `put` rearrange these and send nothing: a point never
+    moves to another rank.
+
+    Attributes:
+        law: whose state it is.
+        places: (n,) records of the rank that owns the point, the number of that rank's state which
+            has it, the row there, and whether the point left its branch at a bifurcation.
     """
+
+    def __init__(self, law: DistributedLaw, places: NDArray[Any], kept: Mapping[int, _Kept]):
+        self.law, self.places = law, places
+        self._kept = {each: kept[each] for each in np.unique(places["number"]).tolist()}
+
+    @property
+    def points(self) -> int:
+        """n."""
+        return len(self.places)
+
+    @property
+    def left_points(self) -> NDArray[np.bool_]:
+        """(n,) where the stress is one of several."""
+        left: NDArray[np.bool_] = self.places["left"]
+        return left
+
+    def shares(self) -> Shares:
+        """The points of each rank, in ascending order."""
+        owner = self.places["owner"]
+        counts = np.bincount(owner, minlength=self.law.driver.ranks)
+        return np.split(np.argsort(owner, kind="stable"), np.cumsum(counts)[:-1])
+
+    def take(self, index: Index) -> RankState:
+        """The state of these points, in this order; a point may be taken twice."""
+        if len(index) == self.points and (index == np.arange(self.points)).all():
+            return self
+        return RankState(self.law, self.places[index], self._kept)
+
+    def put(self, index: Index, part: RankState) -> RankState:
+        """This state with that of these points replaced."""
+        places = self.places.copy()
+        places[index] = part.places
+        return RankState(self.law, places, {**self._kept, **part._kept})
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """All of it, as one `RveState` of all points would give it."""
+        number, shares = self.joined(), self.shares()
+        found = self.law.driver.do(_to_arrays, [(number,) if len(own) else None for own in shares])
+        names = next(each for each in found if each is not None)
+        return {name: _gathered(shares, found, itemgetter(name)) for name in names}
+
+    def joined(self) -> int:
+        """The number by which every rank has its points, in ascending order, in one state."""
+        (number, *others), shares = self._kept, self.shares()
+        rows = self.places["row"]
+        if others or not all((rows[own] == np.arange(len(own))).all() for own in shares):
+            kept = _Kept(self.law.driver)
+            number, parts = kept.number, [self.places[own] for own in shares]
+            tasks = [(number, part["number"], part["row"]) if len(part) else None for part in parts]
+            self.law.driver.do(_join, tasks)
+            for own in shares:  # so that the next answer from here finds them joined
+                self.places["row"][own] = np.arange(len(own))
+            self.places["number"], self._kept = number, {number: kept}
+        return number
+
+
+class _Kept:
+    """Ranks keep the state of this number as long as any `RankState` refers to it."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver, self.number = driver, driver.new_number()
+
+    def __del__(self) -> None:
+        self._driver.drop(self.number)
+
+
+class DistributedLaw:
+    """σ(F, Ḟ) of RVEs that live on the ranks of a driver; see `StressLaw` and `cache.Fallback`.
+
+    Points without a state are dealt to ranks in equal blocks of whole tiles, few points to one
+    rank, each time to the next one. RVE states, with their factors, stay there: on rank 0 a
+    `RankState` stands for them. (F, Ḟ) are scattered and stresses gathered.
+
+    Attributes:
+        law: that of rank 0; every rank has the same.
+        driver: of this very process.
+    """
+
+    def __init__(self, law: RveLaw, driver: Driver) -> None:
+        self.law, self.driver = law, driver
+        self._number, self._next = driver.new_number(), 0
+        driver.do(_have, [(self._number, law)] * driver.ranks)
+
+    @property
+    def cell(self) -> CellParameters:
+        """Parameters of the plant cell."""
+        return self.law.cell
+
+    @property
+    def initialisation(self) -> str:
+        """How its RVE is initialised."""
+        return self.law.initialisation
+
+    @property
+    def density(self) -> float:
+        """Mass per reference area, ng/µm²."""
+        return self.law.density
 
     @property
     def has_tangents(self) -> bool:
@@ -46,10 +156,10 @@ class DistributedLaw(CrewLaw[RveLaw]):
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
         """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""
-        points = int(arrays["points"])
-        left = unpack(arrays["left"], points)
-        state = self._new_state(self._dealt(points), left)
-        self.crew.do(Place(state.number, self._number, state.cuts), arrays)
+        state, number = self._new_state(self._dealt(len(arrays["z"])), arrays["left"])
+        parts = [{name: each[own] for name, each in arrays.items()} for own in state.shares()]
+        tasks = [(self._number, number, part) if len(part["z"]) else None for part in parts]
+        self.driver.do(_from_arrays, tasks)
         return state
 
     def respond(
@@ -61,78 +171,75 @@ class DistributedLaw(CrewLaw[RveLaw]):
             require_tangents(self)
         if not len(F):
             return StressResponse(np.empty((0, 2, 2)), np.empty(0, np.int8), state, {})
-        if state is None:
-            cuts, before = self._dealt(len(F)), None
-        else:
-            cuts, before = self._checked(state, len(F)).cuts, state.number
-        after = self._new_state(cuts, np.zeros(len(F), dtype=np.bool_))
-        task = Respond(self._number, before, after.number, cuts, tangents)
-        answer: Answered = self.crew.do(task, F, F_dot)
-        size = _BYTES["respond"] + _BYTES["tangents"] * tangents
-        seconds = self.crew.count(answer.told, size * self._away(after))
-        if state is None:
-            after.seconds = seconds
-        else:
-            after.seconds, after.steps = state.seconds + _WEIGHT * seconds, state.steps
-        told, left = answer.told, _marked(len(F), answer.told)
-        after.left_points = dense(len(F), [_ones(each.left) for each in told], np.bool_)
+        before = None if state is None else self._checked(state, len(F)).joined()
+        owner = self._dealt(len(F)) if state is None else state.places["owner"]
+        after, number = self._new_state(owner, np.zeros(len(F), dtype=np.bool_))
+        shares = after.shares()
+        given = self._number, before, number, tangents
+        tasks = [(*given, F[own], F_dot[own]) if len(own) else None for own in shares]
+        answers: list[StressResponse | None] = self.driver.do(_respond, tasks)
+        after.places["left"] = _gathered(shares, answers, lambda each: each.state)
         effort: Counter[str] = Counter()
-        for each in told:
-            effort.update(each.effort)
-        assert answer.values is not None
+        for each in answers:
+            effort.update({} if each is None else each.effort)
+        slopes = None
+        if tangents:
+            slopes = Tangents(
+                _gathered(shares, answers, lambda each: each.tangents.P_by_F),
+                _gathered(shares, answers, lambda each: each.tangents.P_by_F_dot),
+            )
+        left = after.left_points
         return StressResponse(
-            answer.values,
-            dense(len(F), [each.status for each in told], np.int8),
+            _gathered(shares, answers, lambda each: each.stress),
+            _gathered(shares, answers, lambda each: each.status),
             after,
             dict(effort),
-            answer.tangents,
-            left_bifurcation=left,
-            reasons={k: why for each in told for k, why in each.reasons.items()},
+            slopes,
+            left_bifurcation=left if left.any() else None,
         )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """As of `StressLaw`; where that pays the points are dealt anew."""
+        """As of `StressLaw`."""
         if not len(F):
             return Acceptance(response.status, response.state)
         F, F_dot = check_deformation(F, F_dot)
         state = self._checked(response.state, len(F))
-        after = self._new_state(state.cuts, state.left_points)
-        task = Accept(self._number, state.number, after.number, state.cuts)
-        stress = np.ascontiguousarray(response.stress)
-        answer: Answered = self.crew.do(task, F, F_dot, stress, response.status)
-        spent = self.crew.count(answer.told, _BYTES["accept"] * self._away(after))
-        after.seconds = (1.0 - _WEIGHT) * (state.seconds + _WEIGHT * spent)
-        after.steps = state.steps + 1
-        told, left = answer.told, _marked(len(F), answer.told)
-        after.left_points = dense(len(F), [_ones(each.left) for each in told], np.bool_)
-        changed = None
-        for each in told:
-            if each.stress is not None:
-                changed = response.stress.copy() if changed is None else changed
-                changed[each.stress[0]] = each.stress[1]
-        status = dense(len(F), [each.status for each in told], np.int8)
-        return Acceptance(status, self._levelled(after), changed, left)
-
-    def _levelled(self, state: RankState) -> RankState:
-        """The state dealt anew where some ranks take so much longer than others that it pays."""
-        if state.steps < PATIENCE or not state.is_shared or not is_uneven(state.seconds):
-            return state
-        state.steps = 0
-        cuts = redeal(state.cuts, state.seconds)
-        return state if (cuts == state.cuts).all() else state.dealt(cuts)
-
-    def _new_state(self, cuts: NDArray[np.int64], left: NDArray[np.bool_]) -> RankState:
-        return RankState(self.crew, self._number, cuts, left)
+        before, shares = state.joined(), state.shares()
+        after, number = self._new_state(state.places["owner"], state.left_points)
+        answered = F, F_dot, response.stress, response.status
+        given = self._number, before, number
+        tasks = [(*given, *(a[own] for a in answered)) if len(own) else None for own in shares]
+        said = self.driver.do(_accept, tasks)
+        after.places["left"] = _gathered(shares, said, lambda each: each.state)
+        left = _gathered(shares, said, lambda each: each.left_bifurcation)
+        return Acceptance(
+            _gathered(shares, said, lambda each: each.status),
+            after,
+            _gathered(shares, said, lambda each: each.stress) if left.any() else None,
+            left if left.any() else None,
+        )
 
     def _dealt(self, points: int) -> Index:
-        return deal(points, self.crew.ranks, rank_states.LEAST)
+        """(points,) owners of points without a state."""
+        ranks, tiles = self.driver.ranks, tiles_for(points)
+        sharing = min(ranks, max(1, tiles // LEAST))
+        owner = np.repeat(np.arange(tiles) * sharing // tiles, TILE)[:points]
+        if sharing < ranks:  # few points each time, as of a cache, shall not pile up on rank 0
+            owner, self._next = (owner + self._next) % ranks, self._next + sharing
+        return owner
 
-    def _away(self, state: RankState) -> int:
-        """Points of other ranks than 0."""
-        return state.points - int(state.cuts[1])
+    def _new_state(self, owner: Index, left: NDArray[np.bool_]) -> tuple[RankState, int]:
+        """A state that ranks are to have by this number."""
+        kept = _Kept(self.driver)
+        places = np.empty(len(owner), dtype=_PLACE)
+        places["owner"], places["number"], places["left"] = owner, kept.number, left
+        state = RankState(self, places, {kept.number: kept})
+        for own in state.shares():
+            places["row"][own] = np.arange(len(own))
+        return state, kept.number
 
     def _checked(self, state: Any, points: int) -> RankState:
-        if isinstance(state, RankState) and state.points == points and state.law == self._number:
+        if isinstance(state, RankState) and state.points == points and state.law is self:
             return state
         raise InputError(
             f"state: not a state of this DistributedLaw for {points} points; pass what an earlier "
@@ -140,12 +247,106 @@ class DistributedLaw(CrewLaw[RveLaw]):
         )
 
 
-def _ones(points: NDArray[np.intp] | None) -> tuple[NDArray[np.intp], Any] | None:
-    return None if points is None else (points, True)
+def _gathered(shares: Shares, parts: Sequence[Any], values_of: Callable[[Any], Any]) -> NDArray:
+    """(n, …) the values of all ranks, None from ranks without points."""
+    found = [(own, values_of(part)) for own, part in zip(shares, parts, strict=True) if len(own)]
+    whole = np.empty((sum(map(len, shares)), *found[0][1].shape[1:]), found[0][1].dtype)
+    for own, values in found:
+        whole[own] = values
+    return whole
 
 
-def _marked(count: int, told: list[Told]) -> NDArray[np.bool_] | None:
-    """(count,) points that left their branch; None: no rank says so."""
-    if all(each.newly_left is None for each in told):
-        return None
-    return dense(count, [_ones(each.newly_left) for each in told], np.bool_)
+# Tasks: what each rank does, rank 0 too, with its `Worker` and the arguments scattered to it.
+
+
+def _have(worker: Worker, number: int, law: RveLaw) -> None:
+    worker.laws[number] = law
+
+
+def _join(worker: Worker, after: int, numbers: Index, rows: Index) -> None:
+    """Bring points of several states, row by row, into one."""
+    first, *others = np.unique(numbers).tolist()
+    state = worker.states[first].take(np.where(numbers == first, rows, 0))
+    for number in others:
+        at = np.flatnonzero(numbers == number)
+        state = state.put(at, worker.states[number].take(rows[at]))
+    worker.states[after] = state
+
+
+def _respond(
+    worker: Worker,
+    law: int,
+    before: int | None,
+    after: int,
+    tangents: bool,
+    F: Array,
+    F_dot: Array,
+) -> StressResponse:
+    """The answer; the place of its state, which stays here, is taken by `left_points`."""
+    state = None if before is None else worker.states[before]
+    answer = worker.laws[law].respond(F, F_dot, state, tangents=tangents)
+    worker.states[after] = answer.state
+    return replace(answer, state=answer.state.left_points)
+
+
+def _accept(
+    worker: Worker,
+    law: int,
+    before: int,
+    after: int,
+    F: Array,
+    F_dot: Array,
+    stress: Array,
+    status: NDArray[np.int8],
+) -> Acceptance:
+    """As of `_respond`, with stress and marks of a bifurcation filled in where there are none."""
+    said = worker.laws[law].accept(F, F_dot, StressResponse(stress, status, worker.states[before]))
+    state: RveState = said.state
+    worker.states[after] = state
+    left = np.zeros(len(F), np.bool_) if said.left_bifurcation is None else said.left_bifurcation
+    stress = stress if said.stress is None else said.stress
+    return Acceptance(said.status, state.left_points, stress, left)
+
+
+def _to_arrays(worker: Worker, number: int) -> dict[str, NDArray]:
+    return worker.states[number].to_arrays()
+
+
+def _from_arrays(worker: Worker, law: int, number: int, arrays: Mapping[str, NDArray]) -> None:
+    worker.states[number] = worker.laws[law].state_from_arrays(arrays)
+
+
+def distributed(law: StressLaw, driver: Driver) -> Any:
+    """The same law with its RVEs on all ranks.
+
+    A surrogate, a table, and what a cached law decides and counts stay on rank 0.
+
+    Raises:
+        InputError: it is none of ours.
+    """
+    match law:
+        case RveLaw():
+            return DistributedLaw(law, driver)
+        case SurrogateLaw():
+            return law
+        case CachedLaw(fallback=RveLaw() as fallback):
+            rves = DistributedLaw(fallback, driver)
+            return CachedLaw(law.surrogate, rves, law.settings, law.on_true_answer)
+        case RegionalLaw():
+            laws = {name: distributed(each, driver) for name, each in law.laws.items()}
+            return RegionalLaw(laws, law.points)
+    raise InputError(
+        f"law: {type(law).__name__}; it must be an RveLaw, a SurrogateLaw, a CachedLaw with RVEs "
+        "or a RegionalLaw of these"
+    )
+
+
+def shared(law: RveLaw) -> Any:
+    """The law with its RVEs on all ranks where this process drives several; else itself."""
+    driver = driver_at_work()
+    return law if driver is None else DistributedLaw(law, driver)
+
+
+def own_part(law: Any) -> Any:
+    """The law of rank 0 behind a distributed one; else itself."""
+    return law.law if isinstance(law, DistributedLaw) else law

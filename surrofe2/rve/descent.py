@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -48,8 +48,6 @@ PAIRED = 0.02
 """Distance of fluid particles below which they count as one, µm."""
 LEAST = 1e-12
 """Stiffness of a mode that counts as one, over the largest of a particle."""
-ACCURACY = 1e-10
-"""That of stiffnesses, over the largest of a particle."""
 STEPS, HALVINGS = 100, 30
 """Steps down to a minimum, and halvings of each, after which there is none."""
 ROAM = 2.0
@@ -246,66 +244,22 @@ def _step(F: Reals, forces: Reals, values: Reals) -> tuple[Reals, bool]:
             return forces, True
         step = scipy.linalg.lapack.dpotrs(factor, forces)[0]
     else:
-        step = _over_saddle(F, forces, hessian, resting)
+        step = over_saddle(F, forces, hessian, resting)
     step = step * min(DOWN / max(_lengths(step[None]).max(), 1e-300), 1.0)
     return step, False
 
 
-def _over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals:
+def over_saddle(F: Reals, forces: Reals, hessian: Reals, resting: bool) -> Reals:
     """H⁻¹ f with the sign of the unstable modes turned, or, `resting`, the kick along these."""
-    modes = Modes(hessian)
+    stiffness, modes = np.linalg.eigh(hessian)
     if resting:
-        along = modes.unstable.T @ modes.reduce(_pattern(F, len(forces)))
-        step = modes.expand(modes.unstable @ (-modes.stiffness * along))
+        unstable = modes[:, stiffness < 0.0]
+        along = unstable.T @ _pattern(F, len(forces))
+        step = unstable @ (-stiffness[stiffness < 0.0] * along)
         return step * (KICK / max(_lengths(step[None]).max(), 1e-300))
     least = LEAST * np.abs(np.diagonal(hessian)).max()  # a particle that touches nothing stays
-    reduced, stiffness = modes.reduce(forces), modes.stiffness
-    turned = 1.0 / np.maximum(-stiffness, least) - 1.0 / (stiffness + least)
-    step = modes.solve(reduced, least)
-    return modes.expand(step + modes.unstable @ ((reduced @ modes.unstable) * turned))
-
-
-class Modes:
-    """A symmetric matrix H = Q T Qᵀ with T tridiagonal, and its unstable modes.
-
-    Attributes:
-        stiffness: (k,) the eigenvalues below 0. unstable: (n, k) Qᵀ times their eigenvectors.
-    """
-
-    def __init__(self, matrix: Reals) -> None:
-        lapack = scipy.linalg.lapack
-        self._reflectors, self._diagonal, self._beside, self._scales, _ = lapack.dsytrd(
-            matrix, lower=1
-        )
-        accuracy = ACCURACY * float(np.abs(self._diagonal).max())
-        count, values, block, split, _ = lapack.dstebz(
-            self._diagonal, self._beside, 1, -np.inf, 0.0, 0, 0, accuracy, b"B"
-        )
-        self.stiffness = values[:count]
-        self.unstable, _ = lapack.dstein(self._diagonal, self._beside, self.stiffness, block, split)
-        self.unstable = self.unstable[:, :count]
-
-    def _rotate(self, vector: Reals, transposed: bytes) -> Reals:
-        turned = vector.copy()
-        below = self._reflectors[1:, :-1]
-        turned[1:] = scipy.linalg.lapack.dormqr(
-            b"L", transposed, below, self._scales, vector[1:, None], 64
-        )[0][:, 0]
-        return turned
-
-    def reduce(self, vector: Reals) -> Reals:
-        """Qᵀ b."""
-        return self._rotate(vector, b"T")
-
-    def expand(self, vector: Reals) -> Reals:
-        """Q b."""
-        return self._rotate(vector, b"N")
-
-    def solve(self, vector: Reals, more: float) -> Reals:
-        """(T + `more`)⁻¹ b."""
-        diagonal, beside = self._diagonal + more, self._beside
-        solved: Any = scipy.linalg.lapack.dgtsv(beside, diagonal, beside, vector)[3]
-        return np.asarray(solved)
+    turned = np.where(stiffness < 0.0, np.maximum(-stiffness, least), stiffness + least)
+    return modes @ ((modes.T @ forces) / turned)
 
 
 def _pattern(F: Reals, free: int) -> Reals:

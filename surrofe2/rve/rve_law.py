@@ -156,14 +156,12 @@ class RveLaw(Viewed):
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
-        """The state whose `to_arrays` gave these, to the bit; factors that they do without are
-        made anew where the state is now.
+        """The state whose `to_arrays` gave these, with factors made where it is now.
+
+        What is solved from it agrees within the tolerance of the RVEs, not to the bit.
         """
-        if "blocks" in arrays:
-            return RveState.from_arrays(arrays, self._name)
-        factors = self.unit_cell.factors.repeated(len(arrays["z"]))
-        state = RveState.from_arrays(arrays, self._name, factors)
-        return self._renewed(state, np.ones(len(arrays["z"]), dtype=np.bool_))[0]
+        state = RveState.from_arrays(arrays, self._name, self.unit_cell.factors)
+        return self._renewed(state, np.ones(len(state.z), dtype=np.bool_))[0]
 
     def respond(
         self, F: Any, F_dot: Any, state: RveState | None = None, *, tangents: bool = False

@@ -13,7 +13,7 @@ for as long as any state refers to it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,9 +31,6 @@ from surrofe2.simd import TILE, load, store
 Reals = NDArray[np.float64]
 
 SLOPES = 8
-MANY_BYTES = 1 << 30
-"""Of factors, from which on checkpoints do without them: 45,000 points of the paper's cell."""
-_TILES = ("z", "F", "F_dot", "iterations", "left", "fluctuation", "elastic")
 _BYTES = 4
 _Pointer: Any = types.CPointer  # type: ignore[attr-defined]
 
@@ -66,17 +63,6 @@ class Factors:
     def nbytes(self) -> int:
         """Of all blocks, each counted once."""
         return len(np.unique(self.address)) * self.blocks[0].nbytes
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Each block once, and which is whose, for `from_arrays`."""
-        _, first, block_of = np.unique(self.address, return_index=True, return_inverse=True)
-        return {"blocks": np.stack([self.blocks[k] for k in first]), "block_of": block_of}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Factors:
-        """The factors whose `to_arrays` gave these."""
-        blocks = [np.array(block) for block in arrays["blocks"]]
-        return cls.of([blocks[k] for k in arrays["block_of"]])
 
     def repeated(self, tiles: int) -> Factors:
         """The first tile's factors for `tiles` tiles."""
@@ -190,33 +176,18 @@ class RveState:
         """(points,) `left`."""
         return unpack(self.left, self.points)
 
-    def to_arrays(self, *, factors: bool | None = None) -> dict[str, NDArray[Any]]:
-        """All of it, for `from_arrays`; shared blocks of factors once.
-
-        factors: whether with them; None: unless they are `MANY_BYTES`, which a law can make anew.
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """(n, …) of all points by name, for `from_arrays`; not the factors, which are large and
+        can be made again.
         """
-        own: dict[str, Any] = {
-            "points": np.array(self.points),
-            "is_checked": np.array(self.is_checked),
-        }
-        kept = self.factors.nbytes < MANY_BYTES if factors is None else factors
-        return own | self._tiles(self) | (self.factors.to_arrays() if kept else {})
+        return {name: unpack(tiles, self.points) for name, tiles in self._tiles(self).items()}
 
     @classmethod
-    def from_arrays(
-        cls, arrays: Mapping[str, NDArray[Any]], of: str, factors: Factors | None = None
-    ) -> RveState:
-        """The state whose `to_arrays` gave these, to the bit, of the same law.
-
-        factors: where the arrays have none.
-        """
-        return cls(
-            of=of,
-            points=int(arrays["points"]),
-            factors=factors or Factors.from_arrays(arrays),
-            is_checked=bool(arrays["is_checked"]),
-            **{name: arrays[name] for name in _TILES if name in arrays},
-        )
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], of: str, factors: Factors) -> RveState:
+        """The state of the same law whose `to_arrays` gave these, with the first of `factors`."""
+        points = len(arrays["z"])
+        tiles: dict[str, Any] = {name: pack(values) for name, values in arrays.items()}
+        return cls(of=of, points=points, factors=factors.repeated(tiles_for(points)), **tiles)
 
     def take(self, index: NDArray[np.intp]) -> RveState:
         """The state of the points `index` alone."""
@@ -251,33 +222,6 @@ class RveState:
         if self.elastic is not None or other.elastic is not None:
             tiles["elastic"] = self.relaxed
         return tiles
-
-
-def joined_arrays(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """The arrays of one state from those of states of its points in their order, each of whole
-    tiles but the last.
-    """
-    names = [name for name in (*_TILES, "blocks") if any(name in part for part in parts)]
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    if "blocks" in joined:
-        first = np.cumsum([0, *(len(part["blocks"]) for part in parts)])
-        block_of = [part["block_of"] + k for part, k in zip(parts, first, strict=False)]
-        joined["block_of"] = np.concatenate(block_of)
-    return joined | {
-        "points": np.array(sum(int(part["points"]) for part in parts)),
-        "is_checked": np.array(all(bool(part["is_checked"]) for part in parts)),
-    }
-
-
-def cut_arrays(arrays: Mapping[str, NDArray[Any]], points: slice) -> dict[str, NDArray[Any]]:
-    """Those of the state of some points alone, of whole tiles but the last."""
-    tiles = slice(points.start // TILE, tiles_for(points.stop))
-    part = {name: arrays[name][tiles] for name in _TILES if name in arrays}
-    if "blocks" in arrays:
-        blocks, block_of = np.unique(arrays["block_of"][tiles], return_inverse=True)
-        part |= {"blocks": arrays["blocks"][blocks], "block_of": block_of}
-    count = np.array(points.stop - points.start)
-    return part | {"points": count, "is_checked": arrays["is_checked"]}
 
 
 def with_copies(index: NDArray[np.intp], points: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

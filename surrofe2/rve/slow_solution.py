@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.rve.newton import SKIP, SOLVE, newton, solve_tiles
-from surrofe2.rve.particle_state import Drive, empty_answer
+from surrofe2.rve.particle_state import Answer, Drive, empty_answer
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
 from surrofe2.rve.solve import Solution
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
@@ -34,7 +34,8 @@ class SlowSolution(Solution):
         )
         iterations[:] = -1
         if not self.cold:
-            self._follow_from(moving, Drive(before.F, before.F_dot))
+            at, address = Drive(before.F, before.F_dot), self.state.factors.address
+            follow(self.given, moving, at, address, *self.law, self.settings.tolerance, self.answer)
         lost = iterations < 0
         if lost.any():
             self._follow_anew(moving, lost)
@@ -48,19 +49,23 @@ class SlowSolution(Solution):
         elastic = np.where(lanes, before.relaxed, moving.elastic)
         self._newton_where_open(elastic, before.relaxed)
         found = lost & (iterations > 0) & (self.status == _OK)
-        np.copyto(moving.elastic, elastic, where=lanes)
-        np.copyto(moving.z, elastic, where=lanes)
         tiles = np.asarray(lost.any(axis=1))
         factors = self.state.factors.renewed(tiles)
         self.state = replace(self.state, factors=factors)
-        renew_slow(F, moving.elastic, factors.address, tiles, *self.law, np.empty_like(lost))
-        solved, stress, z = iterations.copy(), self.answer.stress.copy(), moving.z.copy()
-        self._follow_from(moving, Drive(F, np.where(lanes, 0.0, self.given.rate)))
-        self._newton_slow(moving, lost & found & (iterations < 0))
-        # lanes of the same tiles that were warm stay as they were
-        np.copyto(iterations, solved, where=~lost)
-        np.copyto(self.answer.stress, stress, where=~lanes)
-        np.copyto(moving.z, z, where=~lanes)
+        renew_slow(F, elastic, factors.address, tiles, *self.law, np.empty_like(lost))
+        # these tiles alone are followed again, and lanes of them that were warm keep what they have
+        lost_here, here = lost[tiles], lanes[tiles]
+        part = Moving(
+            np.where(lanes, elastic, moving.z)[tiles], elastic[tiles], moving.fluctuation[tiles]
+        )
+        given, answer = Drive(*(each[tiles] for each in self.given)), empty_answer(len(lost_here))
+        at, address = Drive(given.F, np.where(here, 0.0, given.rate)), factors.address[tiles]
+        follow(given, part, at, address, *self.law, self.settings.tolerance, answer)
+        self._newton_slow(given, part, answer, lost_here & found[tiles] & (answer.iterations < 0))
+        whole = moving.z, moving.elastic, moving.fluctuation, self.answer.stress
+        for kept, new in zip(whole, (*part, answer.stress), strict=True):
+            kept[tiles] = np.where(here, new, kept[tiles])
+        iterations[tiles] = np.where(lost_here, answer.iterations, iterations[tiles])
         self.status[lost & ~found & (self.status == _OK)] = Status.NOT_CONVERGED
         missed = lost & found & (iterations < 0)
         if missed.any():
@@ -85,19 +90,15 @@ class SlowSolution(Solution):
         self.newton_solves += int(wanted.sum())
         self.status[wanted & (counts < 0)] = Status.NOT_CONVERGED
 
-    def _follow_from(self, moving: Moving, at: Drive) -> None:
-        address, tolerance = self.state.factors.address, self.settings.tolerance
-        follow(self.given, moving, at, address, *self.law, tolerance, self.answer)
-
-    def _newton_slow(self, moving: Moving, soft: NDArray[np.bool_]) -> None:
+    def _newton_slow(
+        self, given: Drive, moving: Moving, answer: Answer, soft: NDArray[np.bool_]
+    ) -> None:
         """Where z_el is stable but so soft that `follow` misses z."""
-        if not soft.any():
-            return
-        iterations = self.answer.iterations
-        counts = np.where(soft, 0, 1).astype(np.int32)
-        answer = self.answer._replace(iterations=counts)
-        newton_slow(self.given, moving, *self.law, self.settings.tolerance, answer)
-        iterations[soft] = counts[soft]
+        if soft.any():
+            counts = np.where(soft, 0, 1).astype(np.int32)
+            own = answer._replace(iterations=counts)
+            newton_slow(given, moving, *self.law, self.settings.tolerance, own)
+            answer.iterations[soft] = counts[soft]
 
     def _all_tangents(self) -> Array:
         values, state = np.empty((len(self.status), 2, 2, 8, TILE)), self.state

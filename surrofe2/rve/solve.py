@@ -66,7 +66,8 @@ def solve_rves(
     Args:
         kind: as `slow_solution.solution_kind` says.
         drive: F and Ḟ in tiles.
-        before: where to start from; it is not touched. `cold`: it is the state at rest.
+        before: where to start from; it is not touched. It need not be near if `cold`, which makes
+            new factors.
         level: which of the unit's lists of contacts to take first.
         earlier: how far points have come by shorter lists.
     """

@@ -1,4 +1,4 @@
-"""Exact tangents ∂P/∂F and ∂P/∂Ḟ by the implicit function theorem (not in the paper).
+"""Tangents ∂P/∂F and ∂P/∂Ḟ by the implicit function theorem (not in the paper).
 
 See docs/theory.md, tangents.
 With P = −1/V₀ Σ_k f_k ⊗ z_k over local particles (eq. 54, material positions z) and J the Jacobian
@@ -11,7 +11,7 @@ components (a, b), with the transposed Jacobian::
 What the velocities do is the initialisation's:
 
 - elastic, constrained runs: v = Ḟ Z, so velocities move with z; the elastic J and δf know no v.
-- slow manifold: v = ∂x_el/∂F : Ḟ whatever z is, see `elastic_modes`.
+- slow manifold: v = ∂x_el/∂F : Ḟ whatever z is, see `equilibrium_modes`.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from surrofe2.io.surrogates import content_fingerprint, read_surrogate
 from surrofe2.io.tables import check_table, read_table
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.ranks.shared import shared
+from surrofe2.ranks.distributed_law import shared
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
@@ -109,7 +109,7 @@ def choose_law(
 ) -> ChosenLaw:
     """The law called `kind` for a recipe; its surrogate from `surrogate_file` or the recipe.
 
-    RVEs and lookups are those of all ranks where a crew is at work.
+    RVEs are on all ranks where this process drives several.
 
     Args:
         tables: files of tables that a run by a table starts from.
@@ -138,11 +138,10 @@ def choose_law(
         "cost": {name: each.to_dict() for name, each in surrogate.cost.items()},
     }
     check_surrogate(recipe, surrogate, path)
-    learnt = shared(surrogate)
     if kind == "surrogate":
-        return ChosenLaw(learnt, record)
+        return ChosenLaw(surrogate, record)
     rve = shared(true_law(recipe, surrogate))
-    law = CachedLaw(learnt, rve, recipe.cache, on_true_answer)
+    law = CachedLaw(surrogate, rve, recipe.cache, on_true_answer)
     return ChosenLaw(law, record)
 
 

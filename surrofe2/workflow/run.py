@@ -180,7 +180,7 @@ def rank_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
     parts = ", ".join(f"{name} {100.0 * each / total:.0f} %" for name, each in shares.items())
     yield (
         f"ranks: {of['ranks']} of {of['threads']} threads; {parts} of {time_text(total)}; "
-        f"{of['bytes'] / 1e6:.3g} MB in {of['tasks']} exchanges",
+        f"{of['tasks']} exchanges",
         False,
     )
 

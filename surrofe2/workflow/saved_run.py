@@ -43,8 +43,8 @@ from surrofe2.macro.problem import label
 from surrofe2.macro.simulation import as_problem
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
 from surrofe2.problem_sections import sections_of
-from surrofe2.ranks.crew import crew_at_work
-from surrofe2.ranks.shared import own_part
+from surrofe2.ranks.distributed_law import own_part
+from surrofe2.ranks.driver import driver_at_work
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import StressLaw
@@ -121,12 +121,12 @@ def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
 
 def with_results(record: RunRecord, run: MacroRun) -> RunRecord:
     """The record with what a run, whole or not, met and cost."""
-    crew = crew_at_work()
+    driver = driver_at_work()
     told = replace(record, problem={**record.problem, "penetration": penetrations(run)})
     cache = cache_report(run.law, whole=run.finished)  # which audits what still waits
     return replace(
         with_rest(told, run.rest),
-        ranks=None if crew is None else crew.report(),
+        ranks=None if driver is None else driver.report(),
         wall_time=run.wall_time,
         counts=_counts(run, cache),
         cache=cache,
@@ -239,7 +239,7 @@ class _Asked:
                 return cls("surrogate", _entries(law.cell), rve, {}, learnt, prints)
             case CachedLaw():
                 true, cache = cls.of(law.fallback), asdict(law.settings)
-                known = own_part(law.surrogate)
+                known = law.surrogate
                 if not isinstance(known, SurrogateLaw):
                     return replace(true, kind="table", cache=cache)
                 learnt = cls.of(known).surrogate

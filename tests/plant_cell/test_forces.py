@@ -6,7 +6,7 @@ from numba import njit
 from scipy.integrate import quad
 
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
-from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope, spline_third
+from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
 from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.simd import TILE, load, store
 from tests.plant_cell.lanes_of_states import Patch
@@ -35,9 +35,7 @@ def patch(request):
 
 def test_smoothing_kernel_integrates_to_one_and_its_slopes_are_its_derivatives():
     h = 5.5
-    w, slope, curvature, third = map(
-        call_kernel, (spline, spline_slope, spline_curvature, spline_third)
-    )
+    w, slope, curvature = map(call_kernel, (spline, spline_slope, spline_curvature))
     at = lambda law, r: law(np.array([r]), h)[0]  # noqa: E731
     total, _ = quad(lambda r: 2 * np.pi * r * at(w, r), 0, 2 * h, points=[h])
     assert total == pytest.approx(1.0, abs=1e-12)
@@ -47,8 +45,6 @@ def test_smoothing_kernel_integrates_to_one_and_its_slopes_are_its_derivatives()
                                rtol=1e-7, atol=1e-12)  # fmt: skip
     np.testing.assert_allclose(curvature(r, h), (slope(r + step, h) - slope(r - step, h))
                                / (2 * step), rtol=1e-7, atol=1e-12)  # fmt: skip
-    np.testing.assert_allclose(third(r, h), (curvature(r + step, h) - curvature(r - step, h))
-                               / (2 * step), rtol=1e-7, atol=1e-9)  # fmt: skip
     assert w(np.array([11.0, 12.0]), h).tolist() == [0.0, 0.0]
 
 

@@ -11,7 +11,7 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import RveLaw
-from surrofe2.rve.descent import ROAM, Landscape, Modes, descend
+from surrofe2.rve.descent import KICK, ROAM, Landscape, descend, over_saddle
 from surrofe2.rve.near_contacts import NearContacts
 from surrofe2.rve.particle_state import stored_energy
 from surrofe2.stress_law import Status, describe
@@ -167,21 +167,21 @@ def test_contacts_left_out_change_no_bit():
     np.testing.assert_array_equal(*energies)
 
 
-def test_unstable_modes_are_those_of_numpy():
-    """A matrix with one, two and no eigenvalue below 0, and its smallest sizes."""
+@pytest.mark.parametrize("below", [[-2.0, -1.0], [-1.0], [-1.0, -1.0]])
+def test_steps_over_a_saddle_go_down_unstable_modes(below):
+    """By (A15); at rest along these modes alone, whatever their eigenvectors' signs."""
     rng = np.random.default_rng(1)
-    for values in ([-2.0, -1.0, *range(1, 20)], [-1.0, 0.5], [-1.0, -1.0, 3.0], [1.0, 2.0, 3.0]):
-        turn, _ = np.linalg.qr(rng.normal(size=(len(values), len(values))))
-        matrix, b = (turn * values) @ turn.T, rng.normal(size=len(values))
-        modes = Modes(matrix)
-        below = [value for value in values if value < 0.0]
-        np.testing.assert_allclose(np.sort(modes.stiffness), np.sort(below), atol=1e-8)
-        along = modes.expand(modes.unstable @ (modes.unstable.T @ modes.reduce(b)))
-        expected = turn[:, : len(below)] @ (turn[:, : len(below)].T @ b)
-        np.testing.assert_allclose(along, expected, rtol=0, atol=1e-12)
-        solved = modes.expand(modes.solve(modes.reduce(b), 0.1))
-        shifted = matrix + 0.1 * np.eye(len(b))
-        np.testing.assert_allclose(shifted @ solved, b, rtol=0, atol=1e-12)
+    values = np.array([*below, *range(1, 21 - len(below))])
+    turn, _ = np.linalg.qr(rng.normal(size=(len(values), len(values))))
+    matrix, forces = (turn * values) @ turn.T, rng.normal(size=len(values))
+    step = over_saddle(np.eye(2), forces, matrix, resting=False)
+    expected = turn @ ((turn.T @ forces) / np.abs(values))
+    np.testing.assert_allclose(step, expected, rtol=0, atol=1e-10)
+    kick = over_saddle(np.eye(2), 0.0 * forces, matrix, resting=True)
+    stable = turn[:, len(below) :]
+    np.testing.assert_allclose(stable.T @ kick, 0.0, atol=1e-12)
+    lengths = np.linalg.norm(kick.reshape(-1, 2), axis=1)
+    assert lengths.max() == pytest.approx(KICK, rel=1e-12)
 
 
 def test_far_points_alone_have_the_bits_of_a_batch():

@@ -1,0 +1,80 @@
+"""`mpiexec -n N python -m tests.law_on_ranks`: a law on ranks against the same law on rank 0."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from mpi4py import MPI
+
+from surrofe2 import CellParameters, RveLaw
+from surrofe2.errors import SimulationError
+from surrofe2.ranks import Driver, distributed, distributed_law, serve
+
+
+def check(laws, F, F_dot, states, **options):
+    """Both laws respond and accept alike; their states."""
+    here, there = (
+        law.respond(F, F_dot, state, **options) for law, state in zip(laws, states, strict=True)
+    )
+    far = np.abs(here.stress).max()
+    np.testing.assert_allclose(there.stress, here.stress, rtol=0.0, atol=1e-9 * far)
+    np.testing.assert_array_equal(there.status, here.status)
+    assert there.effort["rve_solves"] == here.effort["rve_solves"]
+    if here.tangents is not None:
+        for name in ("P_by_F", "P_by_F_dot"):
+            slopes = getattr(here.tangents, name)
+            np.testing.assert_allclose(
+                getattr(there.tangents, name), slopes, rtol=0.0, atol=1e-7 * np.abs(slopes).max()
+            )
+    answers = zip(laws, (here, there), strict=True)
+    return [law.accept(F, F_dot, answer).state for law, answer in answers]
+
+
+def check_states(law, there):
+    """States are taken apart, put together and stored as those of one process."""
+    random, laws = np.random.default_rng(1), (law, there)
+    F = np.eye(2) + 0.03 * random.standard_normal((99, 2, 2))
+    F_dot = 1e-3 * random.standard_normal((99, 2, 2))
+    some, first = random.integers(0, 99, 57), np.arange(57)
+    whole = check(laws, F, F_dot, (None, None), tangents=True)
+    part = check(laws, 1.001 * F[some], F_dot[some], [state.take(some) for state in whole])
+    F[first], F_dot[first] = 1.001 * F[some], F_dot[some]
+    both = zip(whole, part, strict=True)
+    mixed = check(laws, F, F_dot, [state.put(first, other) for state, other in both])
+    stored = [state.to_arrays() for state in mixed]
+    assert list(stored[0]) == list(stored[1])
+    again = [law.state_from_arrays(each) for law, each in zip(laws, stored[::-1], strict=True)]
+    check(laws, 1.001 * F, F_dot, again)
+
+
+def check_few_points(driver, there):
+    """They go to one rank, in turns."""
+    F = np.tile(np.eye(2), (8, 1, 1))
+    owners = [set(there.respond(F, 0.0 * F).state.places["owner"]) for _ in range(driver.ranks)]
+    assert all(len(each) == 1 for each in owners)
+    assert set.union(*owners) == set(range(driver.ranks))
+
+
+def fail(worker):
+    raise MemoryError("no room")
+
+
+def main():
+    distributed_law.LEAST = 1
+    law = RveLaw(CellParameters.preset("printed"))
+    with Driver(MPI.COMM_WORLD) as driver:
+        there = distributed(law, driver)
+        check_states(law, there)
+        check_few_points(driver, there)
+        assert len(driver._worker.states) < 3  # the others were dropped with the next task
+        try:
+            driver.do(fail, [None, *[()] * (driver.ranks - 1)])
+        except SimulationError as error:
+            sys.stdout.write(str(error))
+
+
+if __name__ == "__main__":
+    if MPI.COMM_WORLD.rank:
+        sys.exit(serve(MPI.COMM_WORLD))
+    main()
