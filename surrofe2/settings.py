@@ -31,6 +31,11 @@ REMOVED: dict[str, str] = {
     "training.energy_hidden": "leave it out; the network always gives the whole stress",
     "table.enabled": "leave it out; --law cached asks RVEs where the surrogate may not answer, and "
     "--law table learns from them",
+    "calibration.states": "leave it out; random states, corners and small states are parts of the "
+    "walks now",
+    "calibration.corners": "leave it out; a quarter of the walks end in corners",
+    "calibration.small": "leave it out; a quarter of the walks stay near rest",
+    "calibration.share": "call it calibration.alpha",
 }
 """Keys that recipes had in earlier versions, as "section.key", and what to do instead."""
 _SMALLEST, _LARGEST, _ENDS = 1e-60, 1e30, (0.0, math.inf, -math.inf)

@@ -28,10 +28,9 @@ checkpoint_interval = 20
 
 [calibration]
 walks = 9
-states = 20
 runs = 9
 length = 6
-share = 0.1
+alpha = 0.1
 
 [load]
 width = 100.0

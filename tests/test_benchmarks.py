@@ -43,7 +43,7 @@ class TinySetting(Setting):
             recipe,
             samples=replace(recipe.samples, count=512),
             training=replace(recipe.training, hidden=(4,), baseline_degree=1, iterations=2),
-            calibration=CalibrationSettings(walks=100, states=100, runs=0, length=4),
+            calibration=CalibrationSettings(walks=100, runs=0, length=6),
         )
 
 

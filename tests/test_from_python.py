@@ -61,7 +61,7 @@ def test_the_page_s_example_in_a_short_form(tmp_path, monkeypatch, caplog):
         "duration=50.0": "duration=6.0",
         "count=1024": "count=128",
         "iterations=300": "iterations=60",
-        "walks=200, states=400, runs=20": "walks=20, states=40, runs=0, share=0.1, length=6",
+        "walks=300, runs=100": "walks=30, runs=0, alpha=0.1, length=6",
         "duration=120.0": "duration=2.0",
         "duration=60.0, steps=120": "duration=6.0, steps=12",
     }.items():
@@ -181,7 +181,7 @@ def test_why_a_surrogate_is_not_trusted_is_one_line(caplog, tmp_path):
     assert "surrofe2.calibrate" in line
     write_surrogate(surrogate, str(tmp_path / "own.safetensors"))
     assert not read_surrogate(str(tmp_path / "own.safetensors")).is_calibrated
-    paths = CalibrationSettings(walks=0, states=40, runs=0, share=0.1)
+    paths = CalibrationSettings(walks=40, runs=0, alpha=0.1)
     known = calibrate(surrogate, samples, settings=paths)
     assert told(known) == []
 

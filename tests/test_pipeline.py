@@ -16,7 +16,7 @@ from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate
 
 RECIPES = Path(__file__).parent.parent / "data"
-FEWER_PATHS = CalibrationSettings(walks=150, states=600, runs=0)
+FEWER_PATHS = CalibrationSettings(walks=300, runs=0)
 
 
 @pytest.fixture(scope="module")

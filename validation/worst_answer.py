@@ -24,12 +24,10 @@ from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.deformation_paths import (
     DeformationPaths,
-    random_corners,
-    random_small_states,
-    random_states,
+    random_walks,
     true_stress,
 )
-from surrofe2.tensors import stress_error
+from surrofe2.tensors import stress_error, unrotated
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate
 from validation.setting import ROOT, Setting
@@ -37,7 +35,6 @@ from validation.setting import ROOT, Setting
 Array = NDArray[np.float64]
 
 STATES, STARTS, GENERATIONS = 100_000, 400, 60
-_KINDS = {random_states: 0.5, random_corners: 0.25, random_small_states: 0.25}
 _STEP = 0.3  # first step / distance from rest, in half widths
 _GROWTH = 1.5  # of a step that succeeds; one in five does where its length stays
 _GOALS = {"over_bound": "error / bound", "over_tolerance": "error / allowed"}
@@ -147,8 +144,9 @@ QUANTITIES: tuple[Quantity[Found], ...] = (
 
 def search(found: Search, states: int, starts: int, generations: int) -> list[Found]:
     """What both goals come to."""
-    kinds = [kind(found.range, int(n * states), 7).states for kind, n in _KINDS.items()]
-    random = found.judge(np.concatenate([from_state(*each, found.range) for each in kinds]))
+    walks = random_walks(found.range, states, 2, seed=7)
+    U, A, _ = unrotated(walks.F[-1], walks.F_dot[-1])
+    random = found.judge(from_state(U, A, found.range))
     accepted, rows = float((random.over_bound >= 0.0).mean()), []
     for goal in _GOALS:
         value = random._asdict()[goal]

@@ -13,8 +13,7 @@ from surrofe2.errors import InputError, SimulationError
 from surrofe2.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.refinement import refine_surrogate
-from surrofe2.workflow.rounds import QUANTITIES, SURROGATE, Round
+from surrofe2.workflow.refinement import QUANTITIES, SURROGATE, Round, refine_surrogate
 from surrofe2.workflow.run_outputs import of_cell
 from surrofe2.workflow.train import (
     STRESSES,
@@ -23,7 +22,6 @@ from surrofe2.workflow.train import (
     training_summary,
     unfinished_training,
 )
-from surrofe2.workflow.workers import executor_of
 
 
 def train(
@@ -41,9 +39,9 @@ def train(
 ) -> None:
     """Fit a surrogate of the plant-cell stress to the recipe's data set.
 
-    Shows the errors on samples that training never saw, for each stress component, relative to
-    that component's standard deviation over them. Then calibrates the bound of the error that
-    holds at a single point, by true RVEs along paths as the recipe's
+    Shows the errors on samples that training never saw and that decided nothing, for each stress
+    component, relative to that component's standard deviation over them. Then calibrates the bound
+    of the error at a single point, by RVEs along paths as the recipe's
     [bold]\\[calibration][/bold] has it.
 
     Where the recipe leaves the number of samples out, the data set grows until this bound is what
@@ -95,13 +93,11 @@ def refine(
     cell: console.OneCell = None,
     rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds at most.")] = 6,
     fresh: console.Fresh = False,
-    workers: console.Workers = 0,
-    scheduler: console.Scheduler = None,
     threads: console.Threads = None,
 ) -> None:
-    """Teach the surrogate what the recipe's own run meets.
+    """Active learning: retrain the surrogate on states that the recipe's own run could not trust.
 
-    Runs through the cache, collects the states that the surrogate did not know well enough, asks
+    Runs through the cache, collects the states that the surrogate did not know well enough, solves
     RVEs there and around, trains again, and so on until a run has no unknown state and its audit
     holds. DIR receives refine.json (the table of rounds) and surrogate.safetensors, of several
     cells surrogate-NAME.safetensors.
@@ -119,15 +115,13 @@ def refine(
         console.print_line(row.sentence)
 
     try:
-        kept = console.on_interrupt(f"{folder} keeps the finished rounds")
-        with kept, executor_of(workers, scheduler) as executor:
+        with console.on_interrupt(f"{folder} keeps the finished rounds"):
             refine_surrogate(
                 study,
                 folder,
                 cell=cell,
                 rounds=rounds,
                 fresh=fresh,
-                executor=executor,
                 stage=console.progress,
                 tell=tell,
             )

@@ -1,19 +1,23 @@
 """Calibrates the bound of a surrogate's error, by split conformal prediction over paths.
 
 The local scale s(F, Ḟ) > 0 is fitted to errors on some paths; on n others of each kind the score
-of a path is the largest error/s at its states within the domain, infinite where the true law has
+of a path is the largest error/s at its states within the domain, infinite where the RVE has
 no stress there; one that never enters the domain has none. With q the ⌈(n + 1)(1 − α)⌉-th smallest
-score, the largest over the kinds, and a margin of 1.5 for the worst states between paths,
+score or a larger one, the largest over the kinds,
 
     error_bound = 1.5 q s(F, Ḟ).
 
-What it promises: let a new path come from the distribution of one of the kinds (exchangeable with
-its calibration paths), drawn independently of surrogate, domain and s. Then the probability that
-the error exceeds the bound anywhere on it, within the domain, is at most α. Nothing is assumed of
-the surrogate. The probability is marginal: over the calibration paths and the new one together;
-given the calibration paths, it varies about α as a beta distribution, by √(α(1 − α)/n).
+**Guaranteed.** Let a new path come from the distribution of one of the kinds, drawn independently
+of surrogate, domain and s. With probability at most α, over calibration paths and the new one
+together, the error exceeds q s at any of the states at which such a path is looked at, within the
+domain. Given the calibration paths, that probability is at most α for 95 % of the sets of them
+where n ≥ 299 (at α = 1 %), and for 1 − (1 − α)ⁿ of them where n is less. Nothing is assumed of the
+surrogate.
 
-What it does not promise: anything conditional on a place, so the paths that break it may be alike
+**Margin.** A path is looked at in a few of its states. The factor 1.5 (`settings.MARGIN`) stands
+for the others. It was found by a search for the worst state and is no part of the guarantee.
+
+**Not promised:** anything conditional on a place, so the paths that break the bound may be alike
 and in one corner; anything for paths of another kind (a run of another shape or load than those
 drawn, which is what audits are for); anything once the weights are others than those calibrated.
 
@@ -39,15 +43,12 @@ from surrofe2.surrogate.domain import products, scaled_inputs
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, even_rows, local_scale, scale_table
 from surrofe2.surrogate.network_arrays import sizes_at_rest
+from surrofe2.surrogate.settings import CONFIDENCE, MARGIN
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.tensors import INPUTS, stress_error, stress_spread
 
 Array = NDArray[np.float64]
 
-MARGIN = 1.5
-"""Times the largest quantile is taken: a search for the worst state accepted at a tolerance finds
-errors of up to 1.3 times that without it (validation/worst_answer.py), and none above with it."""
-_DOUBT = 0.05  # that a set of paths gives a bound that breaks more often than it says
 _LEAST_SCALE = 1e-2  # of the largest error: s soon is above this, on the way out from rest
 _LEAST_AT_REST = 1e-5  # and everywhere above this
 _LEAST_SIZE = 1e-3  # of a state: it does not matter how small those below are
@@ -59,7 +60,7 @@ _SLACK = 1e-6  # of the largest error
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a true law answered along paths: stress (n, 2, 2) and status (n,) of their states."""
+    """Stress (n, 2, 2) and status (n,) by a full model at the states of paths."""
 
     paths: DeformationPaths
     stress: Array
@@ -71,16 +72,16 @@ def calibrate(
     samples: StressSamples,
     shaping: Sequence[Truth],
     testing: Sequence[Truth],
-    share: float,
+    alpha: float,
     settings: Mapping[str, Any] | None = None,
 ) -> SurrogateLaw:
     """The surrogate with the domain of its data and a calibrated bound.
 
     Args:
         samples: that it was trained on.
-        shaping: true answers that shape the domain (where they fail) and the local scale.
-        testing: true answers along other paths, drawn independently, each kind once.
-        share: nominal share α.
+        shaping: stresses that shape the domain (where they fail) and the local scale.
+        testing: stresses along other paths, drawn independently, each kind once.
+        alpha: probability that a new path breaks the bound, at most.
         settings: of the paths, to be kept for the record.
 
     Raises:
@@ -94,24 +95,25 @@ def calibrate(
     near = _shares(sizes_at_rest(law.network) * domain.scale)
     scale = _fit_scale(law, near, shaping, spread)
     kinds: dict[str, dict[str, float]] = {}
-    measured = {}
     for truth in testing:
         error, inside = errors_along(law, truth)
         local = local_scale(scale, near, scaled_inputs(*truth.paths.states, domain.scale))
-        ratio = np.where(inside, error / local, 0.0)
-        measured[truth.paths.kind] = local[inside], error[inside]
+        scores = truth.paths.largest(np.where(inside, error / local, 0.0))
+        entering = scores[truth.paths.largest(inside.astype(float)) > 0.0]
+        if not np.isfinite(conformal_quantile(entering, alpha)):
+            entering = scores  # too few of them enter the domain for a quantile
         kinds[truth.paths.kind] = {
             "paths": truth.paths.count,
             "states": int(inside.sum()),
-            "quantile": _quantile(truth.paths, ratio, inside, share),
+            "quantile": conformal_quantile(entering, alpha),
+            "confidence": confidence(len(entering), alpha),
         }
-    quantile = MARGIN * max(kind["quantile"] for kind in kinds.values() if kind["paths"])
-    for name, (local, error) in measured.items():
-        kinds[name] |= bound_against_error(quantile * local, error)
+    used = [kind for kind in kinds.values() if kind["paths"]]
     calibration = Calibration(
         scale=scale,
-        quantile=quantile,
-        share=share,
+        quantile=MARGIN * max(kind["quantile"] for kind in used),
+        alpha=alpha,
+        confidence=min(kind["confidence"] for kind in used),
         kinds=kinds,
         stress_spread=spread,
         data_fingerprint=law.data_fingerprint,
@@ -122,54 +124,37 @@ def calibrate(
     return replace(law, calibration=calibration)
 
 
-def conformal_quantile(scores: Array, share: float) -> float:
-    """Smallest of n scores that new ones exceed in at most `share`, nearly for certain.
+def conformal_quantile(scores: Array, alpha: float) -> float:
+    """Smallest of n scores that new ones exceed with a probability of at most alpha.
 
-    At least the ⌈(n + 1)(1 − share)⌉-th smallest, for which this holds on average over sets of
-    scores (infinite where n is less); and so far up that it holds for 95 % of such sets (Vovk,
-    Conditional validity of inductive conformal predictors, 2012, proposition 2a), or the largest
-    where n < log 0.05 / log(1 − share).
+    At least the ⌈(n + 1)(1 − alpha)⌉-th smallest, for which this holds on average over sets of
+    scores (infinite where n is less); and so far up that it holds for `CONFIDENCE` of such sets
+    (Vovk, Conditional validity of inductive conformal predictors, 2012, proposition 2a), or the
+    largest where n < log(1 − CONFIDENCE)/log(1 − alpha).
     """
-    count = len(scores)
-    rank = int(np.ceil((count + 1) * (1.0 - share) - 1e-9))
-    if rank > count:
+    rank = int(np.ceil((len(scores) + 1) * (1.0 - alpha) - 1e-9))
+    if rank > len(scores):
         return np.inf
-    likely = bdtr(np.arange(count + 1.0), count, share)  # that so many or fewer scores are above
-    above = max(int((likely <= _DOUBT).sum()) - 1, 0)
-    return float(np.sort(scores)[max(rank, count - above) - 1])
+    return float(np.sort(scores)[max(rank, len(scores) - _above(len(scores), alpha)) - 1])
 
 
-def _quantile(
-    paths: DeformationPaths, ratio: Array, inside: NDArray[np.bool_], share: float
-) -> float:
-    """That of the paths that enter the domain, or of all where those are too few for one."""
-    scores = paths.largest(ratio)
-    entering = conformal_quantile(scores[paths.largest(inside.astype(float)) > 0.0], share)
-    return entering if np.isfinite(entering) else conformal_quantile(scores, share)
-
-
-def bound_against_error(bound: Array, error: Array) -> dict[str, float]:
-    """How sharp a bound (n,) is, and how well it tells large errors (n,) from small ones.
-
-    `sharpness`, the median bound over the error that 99 % keep, and `rank_correlation` by
-    Spearman; nothing where one of them is no number.
+def confidence(count: int, alpha: float) -> float:
+    """Share of sets of so many scores whose `conformal_quantile` new ones exceed with a probability
+    of at most alpha: `CONFIDENCE`, or 1 − (1 − alpha)ⁿ where n scores are too few for it.
     """
-    known = np.isfinite(error)
-    bound, error = bound[known], error[known]
-    if len(error) < 2 or not (np.isfinite(bound).all() and np.ptp(bound) > 0.0):
-        return {}
-    largest = float(np.quantile(error, 0.99))
-    if not (np.ptp(error) > 0.0 and largest > 0.0):
-        return {}
-    by_bound, by_error = (each.argsort(kind="stable").argsort() for each in (bound, error))
-    correlation = float(np.corrcoef(by_bound, by_error)[0, 1])
-    return {"sharpness": float(np.median(bound)) / largest, "rank_correlation": correlation}
+    return min(CONFIDENCE, 1.0 - (1.0 - alpha) ** count)
+
+
+def _above(count: int, alpha: float) -> int:
+    """The most scores that may be above the quantile."""
+    likely = bdtr(np.arange(count + 1.0), count, alpha)  # that so many or fewer are
+    return max(int((likely <= 1.0 - CONFIDENCE).sum()) - 1, 0)
 
 
 def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:
     """(error (n,) in µN/µm, whether the surrogate answers (n,)) at the states of paths.
 
-    The error is infinite where the surrogate answers and the true law has no stress.
+    The error is infinite where the surrogate answers and the full model has no stress.
     """
     answer, status, _ = law.lookup(*truth.paths.states)
     inside = status == 0
@@ -180,7 +165,7 @@ def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.boo
 
 
 def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
-    """F and F_dot of the states that the true law could not answer."""
+    """F and F_dot of the states at which the full model has no stress."""
     lost = [
         tuple(tensors[truth.status != 0] for tensors in truth.paths.states) for truth in shaping
     ]

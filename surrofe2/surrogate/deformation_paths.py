@@ -1,38 +1,34 @@
-"""Paths of deformation in (F, Ḟ): what calibration exchanges, and the true stress along them.
+"""Paths of deformation in (F, Ḟ): what calibration exchanges, and the RVE's stress along them.
 
 A bound is believed on histories like those of a run, where neighbouring states share their error;
-so a whole path counts once. Five kinds: random walks within a sampling range, single states of
-it, of its corners and of small size, and runs of the macro scale, all of whose points together are
-one path.
+so a whole path counts once. There are two kinds: random walks through a sampling range, and short
+runs of a problem, of which a few points together are one path.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from surrofe2.load_case import LoadCase
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
-from surrofe2.tensors import stress_error
+from surrofe2.surrogate.settings import CORNERS, SMALL
+from surrofe2.tensors import INPUTS, stress_error
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]
 
-CHUNK = 512  # histories asked at once: true laws keep a warm start of each
-_KNOTS = 8  # states that a walk passes through
+CHUNK = 512  # histories asked at once: RVEs keep a warm start of each
+_KNOTS = 6  # states that a walk passes through between rest and its end
 _OUTER = 0.1  # of the half width: a corner
-_SMALLEST = 1e-3  # of a state, among those of small size
+_SMALLEST = 1e-3  # of a walk, among the small ones
 _LEAST = 0.1  # of a component of these
-_TURN = 0.5  # radians between two of them, at most
-_LOAD_TIMES = 4
-_LOAD_FACTOR = (0.25, 3.0)  # of the body force
-_LONGEST_RUN = 50.0  # µs, about a period of the paper's bar
+_TURN = 0.5  # radians between two knots, at most
 _SAME = 1e-6  # relative, and µN/µm: stresses of one equilibrium differ by less
 
 
@@ -70,107 +66,50 @@ class DeformationPaths:
         return worst
 
 
-def random_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
-    """Paths of a single state each, independent and uniform over the range."""
-    middle, half = _box(range)
-    rng = np.random.default_rng(seed)
-    U = _symmetric(middle + half * rng.uniform(-1.0, 1.0, (count, 3)))
-    A = range.rate * rng.uniform(-1.0, 1.0, (count, 2, 2))
-    return DeformationPaths("states", U[None], A[None], np.arange(count))
-
-
-def random_corners(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
-    """Paths of a single state each, where U₁₁, U₂₂ and U₁₂ are all near a bound of the range.
-
-    Each is within the outer tenth of its half width, on either side; RᵀḞ is uniform over the range
-    in one half of the states, and near its bounds likewise in the other.
-    """
-    middle, half = _box(range)
-    rng = np.random.default_rng(seed)
-
-    def outer(*shape: int) -> Array:
-        ends: Array = rng.choice([-1.0, 1.0], shape) * rng.uniform(1.0 - _OUTER, 1.0, shape)
-        return ends
-
-    U = _symmetric(middle + half * outer(count, 3))
-    is_fast = rng.random((count, 1, 1)) < 0.5
-    A = range.rate * np.where(is_fast, outer(count, 2, 2), rng.uniform(-1.0, 1.0, (count, 2, 2)))
-    return DeformationPaths("corners", U[None], A[None], np.arange(count))
-
-
-def random_small_states(range: SamplingRange, count: int, seed: int) -> DeformationPaths:
-    """Paths of a single state each: random ones, drawn towards rest by factors.
-
-    One is of the whole state, its logarithm uniform down to that of `_SMALLEST`, so that no size of
-    load is left out. Others are of each component of U − I and RᵀḞ, down to `_LEAST`: a shear wave
-    begins with its rate alone.
-    """
-    U, A = random_states(range, count, seed).states
-    rng = np.random.default_rng([seed, 1])
-    whole = _SMALLEST ** rng.uniform(0.0, 1.0, (count, 1, 1))
-    stretch, rate = (_LEAST ** rng.uniform(0.0, 1.0, (count, *each)) for each in ((3,), (2, 2)))
-    F = np.eye(2) + whole * _symmetric(stretch) * (U - np.eye(2))
-    return DeformationPaths("small", F[None], (whole * rate * A)[None], np.arange(count))
-
-
 def random_walks(range: SamplingRange, count: int, length: int, seed: int) -> DeformationPaths:
-    """Smooth walks of F = R U with their own rates Ḟ = dF/dt, within the range throughout.
+    """Smooth walks of F = R U and RᵀḞ through the range, each from rest to a random end.
 
-    U₁₁, U₂₂, U₁₂ and the angle of R run through random knots by monotone cubics, which stay
-    between their knots; with J the turn by 90° and θ the angle of R, RᵀḞ = θ̇ J U + U̇. Each walk
-    has its own centre, its own extent in each component and its own largest rate, uniform up to
-    the range's. `length` states are taken at even times.
+    U₁₁, U₂₂, U₁₂ and the entries of RᵀḞ, seven coordinates, begin at (I, 0) and run through random
+    knots to their end by monotone cubics, which stay between their knots; so does the angle of R.
+    `length` states are taken at even times, the first of them at rest.
+
+    All walks are draws of one distribution. Knots and end are uniform over the range, except that
+
+    - with probability `CORNERS` the walk ends where U₁₁, U₂₂ and U₁₂ are all within the outer
+      tenth of their half width, in half of these walks the entries of RᵀḞ too;
+    - with probability `SMALL` the whole walk is drawn towards rest by a factor whose logarithm is
+      uniform down to that of 0.001, and each coordinate by another, down to 0.1. So no size of
+      load is left out, nor a shear wave, which begins with its rate alone.
     """
-    middle, half = _box(range)
+    # The stress depends on (F, Ḟ) alone: with a rate of its own a walk reaches all of the range,
+    # where a rate of dF/dt would rarely be large in all entries at once.
+    low, high = range.stretch
+    upper = np.array([high, high, range.shear, *[range.rate] * 4])
+    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    at_rest = np.array([1.0, 1.0, *[0.0] * (INPUTS - 2)])
     rng = np.random.default_rng(seed)
-    extent = rng.uniform(0.0, 1.0, (count, 3))
-    centre = (1.0 - extent) * rng.uniform(-1.0, 1.0, (count, 3))
-    fastest = range.rate * rng.uniform(0.0, 1.0, count)
-    turn = _TURN * rng.uniform(0.0, 1.0, count)
-    stretch = middle + half * (centre + extent * rng.uniform(-1.0, 1.0, (_KNOTS, count, 3)))
-    angle = np.cumsum(turn * rng.uniform(-1.0, 1.0, (_KNOTS, count)), axis=0)
-    knots = np.concatenate([stretch, angle[:, :, None]], axis=2)
-    walk = PchipInterpolator(np.arange(float(_KNOTS)), knots, axis=0)
-    times = np.linspace(0.0, _KNOTS - 1.0, length)
-    x, slope = walk(times), walk.derivative()(times)
-    U, R = _symmetric(x[..., :3]), _turned(x[..., 3])
-    A = slope[..., 3, None, None] * (_turned(np.array(np.pi / 2.0)) @ U) + _symmetric(
-        slope[..., :3]
-    )
-    met = np.abs(A).max(axis=(0, 2, 3), initial=0.0)
-    speed = np.divide(fastest, met, out=np.zeros(count), where=met > 0.0)  # knots a µs
-    return DeformationPaths("walks", R @ U, R @ (speed[:, None, None] * A), np.arange(count))
-
-
-def random_loads(load: LoadCase, count: int, seed: int) -> list[LoadCase]:
-    """The bar under body forces of any direction that come, go and reverse, of up to 50 µs.
-
-    Their modulus is a quarter to three times that of `load`, uniform; its factor runs linearly
-    through values uniform in [−1, 1], the first of them at once.
-    """
-    rng = np.random.default_rng(seed)
-    modulus = float(np.hypot(*load.body_force))
-    duration = min(load.duration, _LONGEST_RUN)
-    times = np.linspace(0.0, duration, _LOAD_TIMES)
-    loads = []
-    for _ in np.arange(count):
-        angle, factor = rng.uniform(-np.pi, np.pi), rng.uniform(*_LOAD_FACTOR)
-        force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
-        amplitude = tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist())
-        loads.append(
-            replace(
-                load,
-                body_force=tuple(force.tolist()),
-                amplitude=amplitude,
-                duration=duration,
-                output_interval=duration,
-            )
-        )
-    return loads
+    x = rng.uniform(-1.0, 1.0, (_KNOTS + 1, count, INPUTS))
+    corner = rng.choice([-1.0, 1.0], (count, INPUTS)) * rng.uniform(1 - _OUTER, 1, (count, INPUTS))
+    part, is_fast = rng.random((count, 1)), rng.random((count, 1)) < 0.5
+    is_outer = (part < CORNERS) & (is_fast | (np.arange(INPUTS) < 3))
+    x[-1] = np.where(is_outer, corner, x[-1])
+    whole, each = _SMALLEST ** rng.random((count, 1)), _LEAST ** rng.random((count, INPUTS))
+    factor = np.where(part >= 1.0 - SMALL, whole * each, 1.0)
+    knots = np.zeros((_KNOTS + 2, count, INPUTS + 1))
+    knots[1:, :, :INPUTS] = factor * (0.5 * (lower + upper) + 0.5 * (upper - lower) * x - at_rest)
+    turn = _TURN * rng.random(count) * rng.uniform(-1.0, 1.0, (_KNOTS + 1, count))
+    knots[1:, :, INPUTS] = np.cumsum(turn, axis=0)
+    walk = PchipInterpolator(np.arange(len(knots)), knots, axis=0)
+    states = walk(np.linspace(0.0, len(knots) - 1.0, length))
+    U = np.eye(2) + states[..., [0, 2, 2, 1]].reshape(length, count, 2, 2)
+    A = states[..., 3:INPUTS].reshape(length, count, 2, 2)
+    c, s = np.cos(states[..., INPUTS]), np.sin(states[..., INPUTS])
+    R = np.stack([c, -s, s, c], axis=-1).reshape(length, count, 2, 2)
+    return DeformationPaths("walks", R @ U, R @ A, np.arange(count))
 
 
 class WatchedLaw:
-    """A stress law that tells the (F, Ḟ) of every time step that a run accepts.
+    """A stress law that reports the (F, Ḟ) of every time step that a run accepts.
 
     Attributes:
         note: called with F and F_dot, (n, 2, 2) each, at the end of a step.
@@ -193,7 +132,7 @@ class WatchedLaw:
 
 
 def run_paths(runs: Sequence[Sequence[State]], length: int) -> DeformationPaths:
-    """Each run's states, (F, F_dot) of all its points at rising times, as one path.
+    """Each run's states, (F, F_dot) of its points at rising times, as one path.
 
     `length` states of each run are taken, evenly among its steps; a shorter run repeats some,
     and one without any step is at rest.
@@ -205,9 +144,6 @@ def run_paths(runs: Sequence[Sequence[State]], length: int) -> DeformationPaths:
         chosen = np.linspace(0, len(steps) - 1, length).round().astype(int)
         histories.append([np.stack([steps[k][part] for k in chosen]) for part in (0, 1)])
     owner = np.repeat(np.arange(len(runs)), [history[0].shape[1] for history in histories])
-    if not histories:
-        empty = np.empty((length, 0, 2, 2))
-        return DeformationPaths("runs", empty, empty, owner)
     F, F_dot = (np.concatenate([h[part] for h in histories], axis=1) for part in (0, 1))
     return DeformationPaths("runs", F, F_dot, owner)
 
@@ -217,9 +153,9 @@ def true_stress(
 ) -> tuple[Array, NDArray[np.int8]]:
     """Stress (length n, 2, 2) and status (length n,) of a law along paths, as `states` has them.
 
-    Each history is followed in time from a warm start. Where that ends without a stress, or has
-    been beyond a bifurcation, the law is asked once more without one: the status is UNSTABLE
-    where both know a stress and the two differ, and where the second leaves a bifurcation too.
+    Each history is followed in time with a warm start. Where that ends without a stress, or has
+    been beyond a bifurcation, the stress is computed again without one: the status is UNSTABLE
+    where both have a stress and the two differ, and where the second leaves a bifurcation too.
 
     Args:
         progress: called with the number of states done, now and then.
@@ -270,23 +206,3 @@ def _settled(
         other = known & (stress_error(stress, again.stress) > _SAME * (1.0 + size))
     status[(status == 0) & (other | _left(again))] = Status.UNSTABLE
     return again.stress, status
-
-
-def _box(range: SamplingRange) -> tuple[Array, Array]:
-    """Middle and half width (3,) of U₁₁, U₂₂, U₁₂."""
-    low, high = range.stretch
-    return (
-        np.array([0.5 * (low + high), 0.5 * (low + high), 0.0]),
-        np.array([0.5 * (high - low), 0.5 * (high - low), range.shear]),
-    )
-
-
-def _symmetric(components: Array) -> Array:
-    """(…, 2, 2) tensors of 11, 22 and 12 components (…, 3)."""
-    return components[..., [0, 2, 2, 1]].reshape(*components.shape[:-1], 2, 2)
-
-
-def _turned(angle: Array) -> Array:
-    """(…, 2, 2) rotations by an angle (…)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c, -s, s, c], axis=-1).reshape(*np.shape(angle), 2, 2)

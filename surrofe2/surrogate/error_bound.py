@@ -47,9 +47,10 @@ class Calibration:
         scale: (k,) coefficients ≥ 0 of `scale_table`, µN/µm.
         near: (7,) share of each squared input in the size of a state, which `NEAR` goes by.
         quantile: q; infinite where no bound can be given.
-        share: nominal share α of paths that may break the bound.
-        kinds: by kind of path, `paths`, `states` within the domain, their own `quantile` and, as
-            of `calibration.bound_against_error`, `sharpness` and `rank_correlation`.
+        alpha: probability that a new path breaks the bound, at most.
+        confidence: share of sets of calibration paths for which that is so.
+        kinds: by kind of path, `paths`, `states` within the domain, their own `quantile` and
+            `confidence`.
         stress_spread: of the data's stress, µN/µm.
         data_fingerprint: of the samples that were trained on.
         subject: fingerprint of the weights and the range that were calibrated.
@@ -58,7 +59,8 @@ class Calibration:
 
     scale: Array
     quantile: float
-    share: float
+    alpha: float
+    confidence: float
     kinds: Mapping[str, Mapping[str, float]]
     stress_spread: float
     data_fingerprint: str

@@ -5,10 +5,8 @@ network on the slope along one random direction of the inputs a sample. For a ne
 and a stress this smooth, full-batch quasi-Newton steps in float64 reach errors that stochastic
 gradients do not in the same time.
 
-Where somebody says whether a surrogate is good enough, training goes by rounds: it begins with
-`FIRST` samples, asks after every `ROUND` iterations, and takes twice as many samples where the
-network is better on those it has seen than on others. So what an error needs is spent, no more.
-Who is asked hears too when all samples are used and more would help.
+`should_stop` may end training after any `ROUND` iterations, as soon as a surrogate is good enough.
+Samples held out decide nothing, so the errors on them are those on new samples.
 """
 
 from __future__ import annotations
@@ -35,9 +33,7 @@ from surrofe2.surrogate.training_task import Task, fit_baseline, make_task, read
 Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 20
-FIRST = 512
 ROUND = 100
-_SEEN = 0.8  # error on samples seen / error on others, below which more samples help
 _MANY_UNITS = 300_000
 _ITERATIONS_AT_ONCE = 20
 _LISTS = ("old_dirs", "old_stps", "ro")  # of the optimiser: one entry a kept step
@@ -52,8 +48,7 @@ class TrainingState:
     Attributes:
         identity: fingerprint of the samples and the settings, as text.
         iterations: done.
-        arrays: weights of the network, state of the optimiser and how many samples are used, by
-            name.
+        arrays: weights of the network and state of the optimiser, by name.
     """
 
     identity: Mapping[str, str]
@@ -62,7 +57,7 @@ class TrainingState:
 
 
 Progress = Callable[[int, int, dict[str, float]], None]
-Enough = Callable[[SurrogateLaw, bool], bool]
+ShouldStop = Callable[[SurrogateLaw], bool]
 Checkpoint = Callable[[TrainingState], None]
 
 
@@ -74,7 +69,7 @@ def train(
     checkpoint: Checkpoint | None = None,
     resume: TrainingState | None = None,
     symmetry: str | None = None,
-    enough: Enough | None = None,
+    should_stop: ShouldStop | None = None,
 ) -> SurrogateLaw:
     """Fit a surrogate to the valid samples; the same seed and threads give the same surrogate.
 
@@ -84,8 +79,8 @@ def train(
         checkpoint: called now and then, and when interrupted by the keyboard.
         resume: a state that `checkpoint` was given, to carry on from.
         symmetry: "D4" or "none"; None: that of the plant cell's arrangement.
-        enough: says whether training is to end, by the surrogate and whether more samples than
-            there are would help; None: all iterations on all samples.
+        should_stop: says after every `ROUND` iterations whether training is to end, by the
+            surrogate so far; None: after all iterations.
 
     Raises:
         InputError: fewer than `LEAST_SAMPLES` valid samples.
@@ -109,7 +104,6 @@ def train(
     set_scale(network, task)
     identity = {"data_fingerprint": samples.fingerprint, "settings": repr(settings)}
     minimisation = _Minimisation(network, settings, identity)
-    minimisation.used = len(fitted) if enough is None else min(FIRST, len(fitted))
     done = 0 if resume is None else minimisation.restore(resume)
     domain = fit_domain(samples)
 
@@ -128,25 +122,20 @@ def train(
         )
         return replace(found, errors=found.score(valid.at(held_out)))
 
-    gains = True
+    improves = True
     with _threads_for(len(fitted) * max(settings.hidden)):
-        while done < settings.iterations and (gains or minimisation.used < len(fitted)):
-            task = make_task(network, data.at(fitted[: minimisation.used]), settings)
-            if enough is not None and done and (done % ROUND == 0 or not gains):
-                is_hungry = not gains or minimisation.knows_by_heart(task, test)
-                if enough(law(), is_hungry and minimisation.used == len(fitted)):
-                    break
-                if is_hungry:
-                    minimisation.use(min(2 * minimisation.used, len(fitted)))
-                    task = make_task(network, data.at(fitted[: minimisation.used]), settings)
-            to = settings.iterations if enough is None else done - done % ROUND + ROUND
-            done, gains = minimisation.run(task, test, done, to, progress, checkpoint)
+        while improves and done < settings.iterations:
+            at_round = done > 0 and done % ROUND == 0
+            if should_stop is not None and at_round and should_stop(law()):
+                break
+            to = settings.iterations if should_stop is None else done - done % ROUND + ROUND
+            done, improves = minimisation.run(task, test, done, to, progress, checkpoint)
     return law()
 
 
 @contextmanager
 def _threads_for(units: int) -> Iterator[None]:
-    """One thread of torch for so few units of all samples: more wait for each other."""
+    """One thread of torch where units times samples are few: more would wait for each other."""
     before = torch.get_num_threads()
     torch.set_num_threads(1 if units < _MANY_UNITS else before)
     try:
@@ -156,17 +145,13 @@ def _threads_for(units: int) -> Iterator[None]:
 
 
 class _Minimisation:
-    """L-BFGS on the weights of a network.
-
-    Attributes:
-        used: how many samples the loss is taken on.
-    """
+    """L-BFGS on the weights of a network."""
 
     def __init__(
         self, network: StressNetwork, settings: TrainingSettings, identity: Mapping[str, str]
     ) -> None:
         self.network, self.settings, self.identity = network, settings, identity
-        self.parameters, self.used = list(network.parameters()), 0
+        self.parameters = list(network.parameters())
         self.optimiser = torch.optim.LBFGS(
             self.parameters,
             history_size=settings.history,
@@ -184,7 +169,7 @@ class _Minimisation:
         progress: Progress | None,
         checkpoint: Checkpoint | None,
     ) -> tuple[int, bool]:
-        """Iterate `to` a number or until nothing is gained; (iterations done, whether it gains)."""
+        """Iterate `to` a number or until the loss stalls; (iterations done, whether it falls)."""
         # the first steps of L-BFGS want a loss of order 1
         scale = 1.0 / float((task.weight * self.network.output_scale**2).max())
 
@@ -222,19 +207,6 @@ class _Minimisation:
             raise
         return done, True
 
-    def use(self, samples: int) -> None:
-        """Go on with so many samples; what is known of the curvature is kept.
-
-        A step of length 0 stands before the next: gradients of two losses have no difference.
-        """
-        self.used = samples
-        self.optimiser.state[self.parameters[0]]["t"] = 0.0
-
-    def knows_by_heart(self, task: Task, test: Task) -> bool:
-        """Whether the error on samples seen is well below that on others."""
-        figures, _ = self.figures(task, test)
-        return figures["loss"] < _SEEN * figures["held_out_rms"]
-
     def figures(self, task: Task, test: Task) -> tuple[dict[str, float], float]:
         """Errors of stress for the eye, and the loss that is minimised."""
         with torch.no_grad():
@@ -245,7 +217,6 @@ class _Minimisation:
     def snapshot(self, done: int) -> TrainingState:
         """All that is needed to carry on after so many iterations."""
         found = {f"network.{k}": v.numpy().copy() for k, v in self.network.state_dict().items()}
-        found["samples.used"] = np.array([self.used])
         state = self.optimiser.state[self.parameters[0]]
         for name in _LISTS if state else ():
             entries = state[name]
@@ -270,12 +241,11 @@ class _Minimisation:
         return state.iterations
 
     def _put_back(self, state: TrainingState) -> None:
-        parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}, "samples": {}}
+        parts: dict[str, dict[str, Any]] = {"network": {}, "optimiser": {}}
         for name, array in state.arrays.items():
             part, key = name.split(".", 1)
             parts[part][key] = torch.from_numpy(np.array(array))
         self.network.load_state_dict(parts["network"])
-        self.used = int(parts["samples"]["used"].item())
         found = parts["optimiser"]
         size = sum(each.numel() for each in self.parameters)
         steps = len(found["old_dirs"]) if found else 0

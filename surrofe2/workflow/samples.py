@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,72 +14,65 @@ from surrofe2.errors import MismatchError
 from surrofe2.io.data_sets import read_data_set, stored_count
 from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.recipe import Recipe
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import StressSamples
 from surrofe2.tensors import stress_error, stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
-from surrofe2.workflow.run_lifecycle import Stage
+from surrofe2.workflow.run_lifecycle import Stage, silent
 
 log = logging.getLogger(__name__)
 
 _CHUNK = 512
 _SAME = 1e-6
-"""Share of the spread of stress within which two answers are the same."""
+"""Fraction of the spread of stress within which two stresses are the same."""
 
 
-def samples_in_turn(
-    recipe: Recipe, harvests: Sequence[Path], stage: Stage, begin: str = "", executor: Any = None
-) -> Iterator[tuple[StressSamples, bool]]:
-    """What training takes one after the other, until it suffices, and whether there can be more:
-    the first samples of the recipe's data set, then twice as many, and these harvests.
+@dataclass(frozen=True, slots=True)
+class SampleSource:
+    """Samples of a recipe's data set and, after them, harvests.
 
-    A data set whose number of samples the recipe leaves out is gone on with where it has fewer.
-
-    Args:
-        begin: fingerprint of the samples to begin with, where training took such once.
-        executor: makes further samples, see `generate_data_set`.
-
-    Raises:
-        FileError: there is no data set.
-        InputError: it is not finished.
-        MismatchError: it is of another recipe.
+    Attributes:
+        range: of the samples, where it is not the recipe's.
     """
-    counts = counts_of(recipe)
-    there = stored_count(recipe.data_path()).rows
-    added: list[dict[str, Any]] | None = None
 
-    def first(count: int) -> StressSamples:
-        nonlocal added
-        samples = _first(recipe, count, stage, executor)
-        if added is None:
-            added = _added_to(samples, harvests, recipe)
-        return _joined(samples, added)
+    recipe: Recipe
+    harvests: Sequence[Path] = ()
+    range: SamplingRange | None = None
+    stage: Stage = silent
 
-    found, samples = 0, first(counts[0])
-    for k, count in enumerate(counts):
-        if begin and count <= there:
-            candidate = first(count) if k else samples
-            if candidate.fingerprint == begin:
-                found, samples = k, candidate
-                break
-    yield samples, counts[found] < counts[-1]
-    for count in counts[found + 1 :]:
-        yield first(count), count < counts[-1]
+    def take(self, count: int) -> StressSamples:
+        """The first `count` samples of the data set, and all of the harvests.
 
+        A data set whose number of samples the recipe leaves out is continued where it has fewer.
 
-def _first(recipe: Recipe, count: int, stage: Stage, executor: Any) -> StressSamples:
-    """So many samples of the recipe's data set, made where it may have more than it has."""
-    path = recipe.data_path()
-    there = stored_count(path)
-    may_grow = there.is_open and recipe.samples.count is None
-    if may_grow and not (there.is_finished and there.rows >= count):
-        wanted = max(count, wanted_count(recipe))
-        with stage("generate", wanted, "samples") as report:
-            generate_data_set(recipe, count=wanted, executor=executor, report=report)
-    samples = read_data_set(path)
-    check_data(recipe, samples, path)
-    return samples if len(samples.F) <= count else samples.at(np.arange(count))
+        Raises:
+            FileError: there is no data set.
+            InputError: it is not finished.
+            MismatchError: it is of another recipe.
+        """
+        recipe, path = self.recipe, self.recipe.data_path()
+        there = stored_count(path)
+        may_grow = there.is_open and recipe.samples.count is None
+        if may_grow and not (there.is_finished and there.rows >= count):
+            wanted = max(count, wanted_count(recipe))
+            with self.stage("generate", wanted, "samples") as report:
+                generate_data_set(recipe, count=wanted, report=report)
+        samples = read_data_set(path)
+        check_data(recipe, samples, path)
+        first = samples if len(samples.F) <= count else samples.at(np.arange(count))
+        found = with_harvests(first, self.harvests, recipe)
+        return found if self.range is None else replace(found, range=self.range)
+
+    def number_with(self, fingerprint: str) -> int:
+        """Which of `counts_of` gives the samples of this fingerprint; the first where none does."""
+        counts = counts_of(self.recipe)
+        if not fingerprint or len(counts) == 1:
+            return 0
+        there = stored_count(self.recipe.data_path()).rows
+        known = (k for k, count in enumerate(counts) if count <= there)
+        return next((k for k in known if self.take(counts[k]).fingerprint == fingerprint), 0)
 
 
 def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
@@ -109,8 +102,8 @@ def with_harvests(
     """The samples and, after them, the true answers in these harvests.
 
     The range stays that of the samples: states beyond it are trained on, and do not widen it.
-    Where the samples have tangents, those of harvested states are solved for, by RVEs from rest;
-    states whose stress they do not find again are left out.
+    Where the samples have tangents, those of harvested states are computed by RVEs from rest;
+    states where these come to another stress are left out.
 
     Args:
         law: whose tangents; default: the recipe's RVE.
@@ -118,34 +111,20 @@ def with_harvests(
     Raises:
         MismatchError: a harvest is of other cell parameters or initialisation.
     """
-    return _joined(samples, _added_to(samples, paths, recipe, law))
-
-
-def _added_to(
-    samples: StressSamples, paths: Sequence[Path], recipe: Recipe, law: StressLaw | None = None
-) -> list[dict[str, Any]]:
-    """Arrays of each harvest, with tangents where the samples have them."""
     harvests = [read_harvest(path) for path in paths]
     for path, harvest in zip(paths, harvests, strict=True):
         check_harvest(path, harvest, samples.cell, samples.initialisation)
-    if samples.P_by_F is None or not harvests:
-        return [_arrays_of(harvest) for harvest in harvests]
-    law = law or laws.true_law(recipe)
-    parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
-    taken = sum(len(part["status"]) for part in parts)
-    left_out = sum(len(harvest.status) for harvest in harvests) - taken
-    if left_out:
-        log.warning("%d harvested states left out: RVEs from rest answer otherwise there", left_out)
-    return parts
-
-
-def _joined(samples: StressSamples, parts: Sequence[Mapping[str, Any]]) -> StressSamples:
-    """The samples and, after them, these arrays."""
-    if not parts:
+    if not harvests:
         return samples
-    known = _arrays_of(samples)
+    parts, known = [_arrays_of(harvest) for harvest in harvests], _arrays_of(samples)
     if samples.P_by_F is not None:
+        law = law or laws.true_law(recipe)
+        parts = [_with_tangents(law, harvest, _spread(samples)) for harvest in harvests]
         known |= {"P_by_F": samples.P_by_F, "P_by_F_dot": samples.P_by_F_dot}
+        taken = sum(len(part["status"]) for part in parts)
+        left_out = sum(len(harvest.status) for harvest in harvests) - taken
+        if left_out:
+            log.warning("%d harvested states left out: RVEs from rest differ there", left_out)
     arrays: dict[str, Any] = {
         name: np.concatenate([values, *(part[name] for part in parts)])
         for name, values in known.items()

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from surrofe2.costs import NOTHING, Cost, Meter
-from surrofe2.errors import MismatchError
+from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import START_OVER, check_same, remove
 from surrofe2.io.kept import read_attached
-from surrofe2.io.lock import file_lock, locked_file
+from surrofe2.io.lock import locked_file
 from surrofe2.io.provenance import read_cost
 from surrofe2.io.surrogates import (
     read_surrogate,
@@ -25,25 +23,29 @@ from surrofe2.io.surrogates import (
     write_training,
 )
 from surrofe2.recipe import Recipe
+from surrofe2.sampling import SamplingRange
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.calibration import Truth
+from surrofe2.surrogate.settings import WISH
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 from surrofe2.surrogate.training import TrainingState, train
+from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import (
-    WantedBound,
     bound_summary,
     calibrate_surrogate,
+    shaped_bound,
     shaping_truths,
 )
-from surrofe2.workflow.run_lifecycle import Stage, silent
-from surrofe2.workflow.samples import samples_in_turn
+from surrofe2.workflow.generate import counts_of
+from surrofe2.workflow.run_lifecycle import Report, Stage, silent
+from surrofe2.workflow.samples import SampleSource
 
 STRESSES = ("xx", "xy", "yx", "yy")
-_SHARES = "bound.shares"
-_PATIENCE, _GAIN, _HELPS = 2, 0.9, 0.8
-"""Rounds of a training that are to bring the bound so far down; how far twice the samples are."""
+_BOUNDS = "bounds"
+_PATIENCE, _FALLS, _HELPS = 2, 0.9, 0.8
+"""Rounds of a training that must bring the bound so far down; how far twice the samples must."""
 LARGE_ERROR = 0.01
-"""Held-out RMS of a component, as a share of its spread, from which on training warns."""
+"""Held-out RMS of a component over its spread, from which on training warns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ def train_surrogate(
     *,
     fresh: bool = False,
     add: Sequence[Path] = (),
-    executor: Any = None,
+    range: SamplingRange | None = None,
     stage: Stage = silent,
 ) -> Trained:
     """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
@@ -78,39 +80,39 @@ def train_surrogate(
     Args:
         fresh: start over, whatever is there.
         add: harvests to train on too, besides those that the recipe names.
-        executor: makes further samples, see `generate_data_set`; None: this process.
+        range: of the surrogate, where it is not the recipe's.
         stage: begins the display of a stage.
 
     Raises:
         MismatchError: data set, surrogate or interrupted training are of other settings or data.
     """
-    path, source = recipe.training_path(), recipe.data_path()
-    unfinished = unfinished_training(recipe)
-    harvests = [*recipe.added_paths(), *add]
-    surrogate, before, begin = None, _Before(), ""
+    path, unfinished = recipe.training_path(), unfinished_training(recipe)
+    source = SampleSource(recipe, [*recipe.added_paths(), *add], range, stage)
+    surrogate, begun, fingerprint = None, _Begun(), ""
     if unfinished.exists() and not fresh:
-        before, begin = _read_unfinished(unfinished)
+        begun = _read_unfinished(unfinished)
+        fingerprint = begun.state.identity.get("data_fingerprint", "") if begun.state else ""
     elif path.exists() and not fresh:
         surrogate = read_surrogate(path)
-        begin = surrogate.data_fingerprint
-    rounds = samples_in_turn(recipe, harvests, stage, begin, executor)
-    first = next(rounds)
-    samples, _ = first
+        fingerprint = surrogate.data_fingerprint
+    first = source.number_with(fingerprint)
+    samples = source.take(counts_of(recipe)[first])
+
+    def trained(surrogate: SurrogateLaw, *, kept: bool) -> Trained:
+        bound = bound_summary(surrogate, samples, recipe.cache.tolerance)
+        return Trained(path, surrogate, kept, bound, samples)
+
     if surrogate is not None:
         _check_surrogate(recipe, surrogate, samples)
         if surrogate.is_calibrated:
-            if file_lock(path).exists():  # a process was killed after its last file
-                with locked_file(path):
-                    pass
-            bound = bound_summary(surrogate, samples)
-            return Trained(path, surrogate, True, bound, samples)
+            return trained(surrogate, kept=True)
     with locked_file(path):
-        truths: Sequence[Truth] = ()
+        shaping: list[Truth] = []
         if surrogate is None:
             if fresh:
                 remove(unfinished)
-            surrogate, samples, truths = _train(recipe, chain([first], rounds), before, stage)
-            data = [read_cost(each) for each in (source, *harvests)]
+            surrogate, samples, shaping = _train(source, samples, first, begun, stage)
+            data = [read_cost(each) for each in (recipe.data_path(), *source.harvests)]
             known = sum((each for each in data if each), start=NOTHING)
             spent = surrogate.cost if None in data else {"data": known, **surrogate.cost}
             surrogate = replace(surrogate, cost=spent)
@@ -118,18 +120,17 @@ def train_surrogate(
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            surrogate = calibrate_surrogate(recipe, surrogate, samples, report, truths)
-        spent = {**surrogate.cost, "calibration": meter.cost}
-        surrogate = replace(surrogate, cost=spent)
+            shaping = shaping or shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
+            surrogate = calibrate_surrogate(recipe, surrogate, samples, report, shaping)
+        surrogate = replace(surrogate, cost={**surrogate.cost, "calibration": meter.cost})
         write_surrogate(surrogate, path)
-    return Trained(path, surrogate, False, bound_summary(surrogate, samples), samples)
+    return trained(surrogate, kept=False)
 
 
 def is_trained(recipe: Recipe) -> bool:
     """Whether the recipe's surrogate is there, whole and with its bound."""
     path = recipe.training_path()
-    is_whole = path.exists() and not file_lock(path).exists()
-    is_whole = is_whole and not unfinished_training(recipe).exists()
+    is_whole = path.exists() and not unfinished_training(recipe).exists()
     return is_whole and read_surrogate(path).is_calibrated
 
 
@@ -139,108 +140,115 @@ def unfinished_training(recipe: Recipe) -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class _Before:
-    """What was done before: on the same samples by a training that was interrupted, on fewer of
-    them by one that did not meet its bound.
+class _Begun:
+    """What an interrupted training did.
 
     Attributes:
-        share: of the bound wanted, that the fewer came to.
-        shares: what the interrupted one came to.
+        before: the best bound that fewer samples gave, infinite where there were none.
+        bounds: that its rounds gave so far.
     """
 
     state: TrainingState | None = None
     cost: Cost = NOTHING
-    share: float = math.inf
-    shares: tuple[float, ...] = ()
+    before: float = math.inf
+    bounds: tuple[float, ...] = ()
 
 
-def _read_unfinished(path: Path) -> tuple[_Before, str]:
-    """What an interrupted training did, and the fingerprint of its samples."""
+def _read_unfinished(path: Path) -> _Begun:
     identity, iterations, arrays = read_training(path)
-    share, *shares = arrays.pop(_SHARES, np.array([math.inf])).tolist()
+    before, *bounds = arrays.pop(_BOUNDS, np.array([math.inf])).tolist()
     state = TrainingState(identity, iterations, arrays)
-    before = _Before(state, training_cost(path), share, tuple(shares))
-    return before, identity.get("data_fingerprint", "")
+    return _Begun(state, training_cost(path), before, tuple(bounds))
 
 
 def _train(
-    recipe: Recipe, rounds: Iterable[tuple[StressSamples, bool]], before: _Before, stage: Stage
-) -> tuple[SurrogateLaw, StressSamples, Sequence[Truth]]:
-    """A surrogate without a bound, its samples, and what is known already of the paths that will
-    shape the bound.
+    source: SampleSource, samples: StressSamples, number: int, begun: _Begun, stage: Stage
+) -> tuple[SurrogateLaw, StressSamples, list[Truth]]:
+    """A surrogate without a bound, its samples, and the stresses along the paths that shape the
+    bound where training looked at them.
 
-    More samples are taken until the bound wanted is met, or they do not help.
+    Trains, and takes twice the samples as long as the bound is above the one wanted, there may be
+    more samples, and more have helped so far.
 
     Args:
-        rounds: see `samples_in_turn`.
+        number: of the samples among `counts_of`.
     """
-    truths: Sequence[Truth] = ()
-    for samples, may_grow in rounds:
-        surrogate, truths, share, cost = _trained(recipe, samples, truths, may_grow, before, stage)
-        if share <= 1.0 or not helped(share, before.share):
-            break
-        before = _Before(cost=cost, share=share)
-    reference = read_attached(recipe.data_path(), recipe.cell)
-    found = replace(surrogate, reference=reference, cost={"training": cost})
-    return found, samples, truths
+    recipe, counts, shaping = source.recipe, counts_of(source.recipe), list[Truth]()
+    while True:
+        may_grow = number + 1 < len(counts)
+        with stage("train", recipe.training.iterations, "iterations") as report:
+            if recipe.training.bound and not shaping:
+                shaping = _shaping(recipe, samples)
+            surrogate, bound, cost = _train_once(recipe, samples, shaping, may_grow, begun, report)
+        is_met = bound <= WISH * recipe.training.bound
+        if is_met or not may_grow or not has_improved(bound, begun.before):
+            reference = read_attached(recipe.data_path(), recipe.cell)
+            return (
+                replace(surrogate, reference=reference, cost={"training": cost}),
+                samples,
+                shaping,
+            )
+        begun, number = _Begun(cost=cost, before=bound), number + 1
+        samples = source.take(counts[number])
 
 
-def _trained(
+def _train_once(
     recipe: Recipe,
     samples: StressSamples,
-    truths: Sequence[Truth],
+    shaping: Sequence[Truth],
     may_grow: bool,
-    before: _Before,
-    stage: Stage,
-) -> tuple[SurrogateLaw, Sequence[Truth], float, Cost]:
-    """A surrogate without a bound; the true answers by which the one wanted is asked for, and the
-    share of it that was come to; what it cost with all before.
+    begun: _Begun,
+    report: Report,
+) -> tuple[SurrogateLaw, float, Cost]:
+    """A surrogate of these samples; the best bound on the way, 0 where none is wanted; the cost.
 
-    Args:
-        truths: known before; empty: they are asked for.
-        may_grow: whether there can be more samples.
+    It ends when the bound is met, and, where there may be more samples, when these have brought it
+    down from what fewer gave and do so no further.
     """
-    path, meter = unfinished_training(recipe), Meter(before.cost)
-    shares = list(before.shares)
+    path, wanted = unfinished_training(recipe), WISH * recipe.training.bound
+    meter, bounds = Meter(begun.cost), list(begun.bounds)
 
     def keep(state: TrainingState) -> None:
-        arrays = {**state.arrays, _SHARES: np.array([before.share, *shares])}
+        arrays = {**state.arrays, _BOUNDS: np.array([begun.before, *bounds])}
         write_training(path, state.identity, state.iterations, arrays, meter.cost)
 
-    with stage("train", recipe.training.iterations, "iterations") as report:
-        truths = truths or shaping_truths(recipe, samples)
-        wanted = WantedBound(recipe, samples, truths)
+    def should_stop(surrogate: SurrogateLaw) -> bool:
+        bounds.append(shaped_bound(surrogate, samples, shaping))
+        wants_samples = has_stalled(bounds) and has_improved(min(bounds), begun.before)
+        return bounds[-1] <= wanted or (may_grow and wants_samples)
 
-        def enough(surrogate: SurrogateLaw, is_hungry: bool) -> bool:
-            shares.append(wanted.share_of(surrogate))
-            wants_more = may_grow and is_hungry and is_stuck(shares)
-            return shares[-1] <= 1.0 or (wants_more and helped(min(shares), before.share))
-
-        try:
-            surrogate = train(
-                samples,
-                recipe.training,
-                progress=lambda i, n, figures: report(i, training_note(figures)),
-                checkpoint=keep,
-                resume=before.state,
-                enough=enough if recipe.training.bound else None,
-            )
-        except MismatchError as error:
-            raise MismatchError(f"{path}: {error}; {START_OVER}") from None
-        share = min([*shares, wanted.share_of(surrogate)]) if may_grow else 0.0
-    return surrogate, truths, share, meter.cost
+    try:
+        surrogate = train(
+            samples,
+            recipe.training,
+            progress=lambda i, n, figures: report(i, training_note(figures)),
+            checkpoint=keep,
+            resume=begun.state,
+            should_stop=should_stop if wanted else None,
+        )
+    except MismatchError as error:
+        raise MismatchError(f"{path}: {error}; {START_OVER}") from None
+    if wanted and may_grow:
+        bounds.append(shaped_bound(surrogate, samples, shaping))
+    return surrogate, min(bounds, default=0.0), meter.cost
 
 
-def is_stuck(shares: Sequence[float]) -> bool:
-    """Whether the last rounds of a training have not brought the bound down, by its shares of the
-    one wanted.
-    """
-    return min(shares[-_PATIENCE:]) > _GAIN * min(shares[:-_PATIENCE], default=math.inf)
+def _shaping(recipe: Recipe, samples: StressSamples) -> list[Truth]:
+    if not recipe.calibration.walks:
+        raise InputError(
+            f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
+        )
+    return shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
 
 
-def helped(share: float, before: float) -> bool:
-    """Whether more samples have brought the bound down, from what fewer came to."""
-    return share < _HELPS * before
+def has_stalled(bounds: Sequence[float]) -> bool:
+    """Whether the last rounds of a training have not brought the bound down."""
+    return min(bounds[-_PATIENCE:]) > _FALLS * min(bounds[:-_PATIENCE], default=math.inf)
+
+
+def has_improved(bound: float, before: float) -> bool:
+    """Whether more samples have brought the bound down from what fewer gave."""
+    return bound < _HELPS * before
 
 
 def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:

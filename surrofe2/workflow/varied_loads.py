@@ -1,4 +1,4 @@
-"""A problem under other loads: every amplitude by a factor of its own, all at another pace."""
+"""A problem under other loads: what runs along which a bound is calibrated are loaded by."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from surrofe2.amplitude import Amplitude, Value
+from surrofe2.load_case import LoadCase
 from surrofe2.macro import Problem
 from surrofe2.macro.conditions import Condition, DrivenCondition, InitialVelocity
 from surrofe2.rigid_bodies import RigidBody
@@ -17,6 +18,33 @@ FACTOR = (0.25, 1.5)
 """Of an amplitude or a velocity, uniform between."""
 PACE = (0.5, 2.0)
 """Of all amplitudes, its logarithm uniform between."""
+
+
+LOAD_FACTOR, LOAD_TIMES, LONGEST_RUN = (0.25, 3.0), 4, 25.0
+"""Of a bar: factor of its body force, corners of its amplitude, µs (half a period of the paper's
+bar)."""
+
+
+def random_loads(load: LoadCase, count: int, seed: int) -> Iterator[LoadCase]:
+    """The bar under body forces of any direction that come, go and reverse, of up to 25 µs.
+
+    Their modulus is a quarter to three times that of `load`, uniform; its factor runs linearly
+    through values uniform in [−1, 1], the first of them at once.
+    """
+    rng = np.random.default_rng(seed)
+    modulus = float(np.hypot(*load.body_force))
+    duration = min(load.duration, LONGEST_RUN)
+    times = np.linspace(0.0, duration, LOAD_TIMES)
+    for _ in np.arange(count):
+        angle, factor = rng.uniform(-np.pi, np.pi), rng.uniform(*LOAD_FACTOR)
+        force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
+        yield replace(
+            load,
+            body_force=tuple(force.tolist()),
+            amplitude=tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist()),
+            duration=duration,
+            output_interval=duration,
+        )
 
 
 @dataclass(frozen=True, slots=True)

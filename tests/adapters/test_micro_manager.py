@@ -53,7 +53,7 @@ def recipe(tmp_path_factory):
     found = load_recipe(path)
     law = true_law(found)
     samples = sample_stress(law, found.range, 400)
-    paths = CalibrationSettings(walks=20, states=100, runs=0, share=0.1, length=6)
+    paths = CalibrationSettings(walks=50, runs=0, alpha=0.1, length=6)
     surrogate = calibrate(train(samples, found.training), samples, law, paths)
     write_surrogate(surrogate, found.training_path())
     return found

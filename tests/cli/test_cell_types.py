@@ -38,10 +38,9 @@ baseline_degree = 2
 iterations = 40
 [calibration]
 walks = 9
-states = 20
 runs = 0
 length = 6
-share = 0.1
+alpha = 0.1
 [mesh]
 width = 100.0
 height = 100.0

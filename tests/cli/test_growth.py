@@ -195,7 +195,7 @@ def test_refine_that_does_not_settle_says_so_and_goes_on(invoke, leaving_recipe,
     out = tmp_path / "refined"
     short = invoke("refine", leaving_recipe, "--out", out, "--rounds", 1, law=SoftLaw())
     assert short.exit_code == 1
-    assert "states still unknown after 1 rounds; go on with --rounds 2" in short.stderr
+    assert "states still unknown after 1 rounds; continue with --rounds 2" in short.stderr
     done = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
     assert done.exit_code == 0, done.output
     assert done.stdout.count("round 0:") == 1

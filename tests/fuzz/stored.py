@@ -90,8 +90,8 @@ def surrogate(folder):
     samples = lattice_samples(200)
     law = train(samples, settings)
     bound = Calibration(
-        scale=np.ones(len(scale_table())), quantile=0.7, share=0.01, stress_spread=10.0,
-        kinds={"walks": {"paths": 9, "quantile": 1.0}}, settings={"walks": 9},
+        scale=np.ones(len(scale_table())), quantile=0.7, alpha=0.01, confidence=0.95,
+        stress_spread=10.0, kinds={"walks": {"paths": 9, "quantile": 1.0}}, settings={"walks": 9},
         data_fingerprint=law.data_fingerprint, subject=law.network.fingerprint(law.range),
     )  # fmt: skip
     rest = ReferenceState(law.cell.fingerprint, np.eye(2), np.eye(2), 1.5)

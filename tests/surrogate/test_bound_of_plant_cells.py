@@ -11,23 +11,22 @@ import pytest
 
 from surrofe2 import RveLaw, simulate
 from surrofe2.recipe import load_recipe
-from surrofe2.sampling import SamplingRange, contains, training_points
+from surrofe2.sampling import SamplingRange, contains, sample, training_points
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
 from surrofe2.surrogate.deformation_paths import (
     WatchedLaw,
-    random_states,
     random_walks,
     true_stress,
 )
 from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.tensors import stress_error
-from surrofe2.workflow.calibrate import calibrate_surrogate
+from surrofe2.workflow.calibrate import calibrate_surrogate, shaping_truths
 
 DATA = Path(__file__).parents[2] / "data"
 TOLERANCE = 1e-3
-FEW = CalibrationSettings(walks=100, states=200, runs=0, length=8)
+FEW = CalibrationSettings(runs=0, length=8)
 # recipe, initialisation, range or None, samples, iterations, calibration, random states
 QUICK = ("bending-bar", "constrained-runs", None, 2048, 100, FEW, 2000)
 WIDE = SamplingRange(stretch=(0.93, 1.07), shear=0.06, rate=0.016)
@@ -62,8 +61,9 @@ class Study:
             left_bifurcation=answer.left_bifurcation,
         )  # fmt: skip
         surrogate = train(self.samples, recipe.training)
+        shaping = shaping_truths(self.samples, self.rve, calibration)
         self.surrogate = calibrate_surrogate(
-            recipe, surrogate, self.samples, lambda done, note: None
+            recipe, surrogate, self.samples, lambda done, note: None, shaping
         )
         self.tolerance = TOLERANCE * self.surrogate.stress_spread
 
@@ -92,11 +92,11 @@ def study(request):
 
 
 def test_the_bound_holds_on_random_states_in_range(study):
-    F, F_dot = random_states(study.recipe.range, study.states, seed=71).states
+    F, F_dot = sample(study.recipe.range, study.states, seed=71)
     error, bound, inside = study.errors(F, F_dot)
-    share = study.recipe.calibration.share
+    alpha = study.recipe.calibration.alpha
     assert np.isfinite(error[inside]).all()  # nowhere inside is the RVE without a stress
-    assert (error[inside] > bound[inside]).mean() <= share
+    assert (error[inside] > bound[inside]).mean() <= alpha
     assert inside.mean() > 0.75
 
 
@@ -106,15 +106,15 @@ def test_the_bound_holds_on_fresh_walks(study):
     error, inside = errors_along(study.surrogate, Truth(walks, *true_stress(walks, study.rve)))
     bound = study.surrogate.error_bound(*walks.states)
     broken = walks.largest(np.where(inside & (error > bound), 1.0, 0.0))
-    share, calibrated = study.recipe.calibration.share, study.recipe.calibration.walks
-    slack = 3.0 * np.sqrt(share * (1.0 - share) * (1.0 / count + 1.0 / calibrated))
-    assert broken.mean() <= share + slack
+    alpha, calibrated = study.recipe.calibration.alpha, study.recipe.calibration.walks
+    slack = 3.0 * np.sqrt(alpha * (1.0 - alpha) * (1.0 / count + 1.0 / calibrated))
+    assert broken.mean() <= alpha + slack
 
 
 def out_of_range(range, count, seed=73):
     """States too large, too fast or both; some inside out, some not numbers."""
     rng = np.random.default_rng(seed)
-    F, F_dot = random_states(range, 4 * count, seed).states
+    F, F_dot = sample(range, 4 * count, seed)
     large, fast = (rng.random((4 * count, 1, 1)) < 0.7 for _ in "ab")
     far = 1.0 + rng.exponential(1.0, (4 * count, 1, 1))
     F = np.eye(2) + np.where(large, far, 1.0) * (F - np.eye(2))
@@ -139,7 +139,7 @@ def test_nothing_is_accepted_out_of_range_with_a_large_error(study):
 
 def test_nothing_unstable_is_accepted_with_a_large_error(study):
     """States within the bounds of the range of which the RVE has no stress, or one of several."""
-    F, F_dot = random_states(study.recipe.range, study.states, seed=74).states
+    F, F_dot = sample(study.recipe.range, study.states, seed=74)
     answer = study.rve.respond(F, F_dot)
     unstable = answer.status != 0
     if answer.left_bifurcation is not None:

@@ -8,24 +8,23 @@ import pytest
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
-from surrofe2.sampling import SamplingRange
+from surrofe2.sampling import SamplingRange, sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import calibration
 from surrofe2.surrogate.calibration import (
-    MARGIN,
     Truth,
-    bound_against_error,
     calibrate,
+    confidence,
     conformal_quantile,
     errors_along,
 )
-from surrofe2.surrogate.deformation_paths import random_states, random_walks
-from surrofe2.surrogate.settings import CalibrationSettings
+from surrofe2.surrogate.deformation_paths import DeformationPaths, random_walks
+from surrofe2.surrogate.settings import MARGIN, CalibrationSettings
 from surrofe2.tensors import stress_error, stress_spread, unrotated
 from tests.laws import RANGE, lattice_stress
 from tests.surrogate.torch_twin import read_parts, write_parts
 
-SHARE = 0.01
+ALPHA = 0.01
 
 
 def truth(paths):
@@ -33,16 +32,22 @@ def truth(paths):
     return Truth(paths, lattice_stress(F, F_dot), np.zeros(len(F), dtype=np.int8))
 
 
+def single_states(count, seed):
+    """Paths of a single state each, another kind than walks."""
+    F, F_dot = sample(RANGE, count, seed)
+    return DeformationPaths("runs", F[None], F_dot[None], np.arange(count))
+
+
 def true_paths(count, seed):
     return [
         truth(random_walks(RANGE, count, 20, seed)),
-        truth(random_states(RANGE, 3 * count, seed + 1)),
+        truth(single_states(3 * count, seed + 1)),
     ]
 
 
 @pytest.fixture(scope="module")
 def calibrated(law, samples):
-    return calibrate(law, samples, true_paths(150, 10), true_paths(400, 20), SHARE)
+    return calibrate(law, samples, true_paths(150, 10), true_paths(400, 20), ALPHA)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +73,28 @@ def test_too_few_paths_give_no_bound():
     assert conformal_quantile(np.ones(0), 0.01) == np.inf
 
 
-def test_broken_share_is_nominal_for_nearly_all_sets_of_scores():
+@pytest.mark.parametrize(
+    ("count", "alpha", "expected"),
+    [
+        (299, 0.01, 0.95),
+        (2000, 0.01, 0.95),
+        (298, 0.01, 0.94996),
+        (100, 0.01, 0.63397),
+        (9, 0.1, 0.61258),
+    ],
+)
+def test_the_confidence_of_so_many_paths(count, alpha, expected):
+    """By simulation too: how often new scores exceed the quantile of these with at most alpha."""
+    assert confidence(count, alpha) == pytest.approx(expected, abs=1e-5)
+    rng = np.random.default_rng(4)
+    quantiles = [conformal_quantile(rng.exponential(size=count), alpha) for _ in range(2000)]
+    kept = (np.exp(-np.array(quantiles)) <= alpha).mean()
+    assert kept > expected - 3.0 * np.sqrt(expected * (1.0 - expected) / 2000)
+    if count < 299:
+        assert kept == pytest.approx(expected, abs=0.04)
+
+
+def test_broken_fraction_is_alpha_for_nearly_all_sets_of_scores():
     rng = np.random.default_rng(2)
     quantiles = [conformal_quantile(rng.exponential(size=60), 0.1) for _ in range(20_000)]
     broken = np.exp(-np.array(quantiles))
@@ -77,12 +103,12 @@ def test_broken_share_is_nominal_for_nearly_all_sets_of_scores():
 
 
 def test_the_bound_holds_on_random_states(calibrated):
-    F, F_dot = random_states(RANGE, 20_000, seed=31).states
+    F, F_dot = sample(RANGE, 20_000, seed=31)
     stress, status, bound = calibrated.lookup(F, F_dot)
     inside = status == 0
     assert inside.mean() > 0.98
     error = stress_error(stress, lattice_stress(F, F_dot))
-    assert (error[inside] > bound[inside]).mean() <= SHARE
+    assert (error[inside] > bound[inside]).mean() <= ALPHA
     typical = np.median(error[inside])
     assert np.quantile(bound[inside], 0.99) < 30.0 * MARGIN * typical  # and it says something
 
@@ -92,18 +118,19 @@ def test_the_bound_holds_on_fresh_paths(calibrated):
     fresh = truth(random_walks(RANGE, 2000, 20, seed=41))
     error, inside = errors_along(calibrated, fresh)
     bound = calibrated.error_bound(*fresh.paths.states)
-    broken = fresh.paths.largest(np.where(inside, error - bound, -1.0)) > 0.0
-    assert broken.mean() <= SHARE + 3.0 * np.sqrt(SHARE * (1 - SHARE) * (1 / 400 + 1 / 2000))
+    broken = fresh.paths.largest(np.where(inside & (error > bound), 1.0, 0.0)) > 0.0
+    assert broken.mean() <= ALPHA + 3.0 * np.sqrt(ALPHA * (1 - ALPHA) * (1 / 400 + 1 / 2000))
     assert broken.mean() < 0.03
 
 
 def test_what_is_recorded(calibrated, samples):
     record = calibrated.calibration
     assert calibrated.is_calibrated
-    assert record.share == SHARE
+    assert record.alpha == ALPHA
+    assert record.confidence == 0.95
     assert {kind: figures["paths"] for kind, figures in record.kinds.items()} == {
         "walks": 400,
-        "states": 1200,
+        "runs": 1200,
     }
     largest = max(figures["quantile"] for figures in record.kinds.values())
     assert record.quantile == MARGIN * largest
@@ -119,7 +146,7 @@ def test_spread_without_calibration_is_that_of_held_out_samples(law, calibrated)
 def test_through_its_file(calibrated, tmp_path):
     write_surrogate(calibrated, tmp_path / "a.safetensors")
     loaded = read_surrogate(tmp_path / "a.safetensors")
-    F, F_dot = random_states(RANGE, 1000, seed=3).states
+    F, F_dot = sample(RANGE, 1000, seed=3)
     assert np.array_equal(loaded.error_bound(F, F_dot), calibrated.error_bound(F, F_dot))
     assert loaded.is_calibrated
     assert plain(loaded.calibration) == plain(calibrated.calibration)
@@ -128,19 +155,9 @@ def test_through_its_file(calibrated, tmp_path):
 def test_a_file_without_domain_and_bound(calibrated, tmp_path):
     write_surrogate(replace(calibrated, domain=None, calibration=None), tmp_path / "a.safetensors")
     loaded = read_surrogate(tmp_path / "a.safetensors")
-    F, F_dot = random_states(RANGE, 100, seed=3).states
+    F, F_dot = sample(RANGE, 100, seed=3)
     assert np.isinf(loaded.error_bound(F, F_dot)).all()
     assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
-
-
-def test_a_bound_against_its_error():
-    error = np.random.default_rng(0).exponential(1.0, 2000)
-    told = bound_against_error(3.0 * error, error)
-    assert told["rank_correlation"] == pytest.approx(1.0)
-    assert told["sharpness"] == pytest.approx(3.0 * np.median(error) / np.quantile(error, 0.99))
-    assert bound_against_error(10.0 - error, error)["rank_correlation"] == pytest.approx(-1.0)
-    assert bound_against_error(np.full(5, np.inf), np.ones(5)) == {}
-    assert bound_against_error(np.arange(5.0), np.zeros(5)) == {}
 
 
 def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):
@@ -155,7 +172,7 @@ def test_a_damaged_bound_is_refused(calibrated, tmp_path):
     path = tmp_path / "a.safetensors"
     write_surrogate(calibrated, path)
     content, tensors = read_parts(path)
-    del content["calibration"]["share"]
+    del content["calibration"]["alpha"]
     write_parts(path, content, tensors)
     with pytest.raises(FileError, match="missing or damaged entries"):
         read_surrogate(path)
@@ -180,7 +197,7 @@ def corrupted(law, factor=1.001):
 
 
 def test_a_weight_corrupted_after_calibration_takes_the_bound_away(calibrated):
-    F, F_dot = random_states(RANGE, 100, seed=3).states
+    F, F_dot = sample(RANGE, 100, seed=3)
     for fault in (
         corrupted(calibrated),
         replace(calibrated, range=SamplingRange(stretch=(0.9, 1.1), shear=0.08, rate=0.02)),
@@ -191,8 +208,8 @@ def test_a_weight_corrupted_after_calibration_takes_the_bound_away(calibrated):
 
 
 def test_a_weight_corrupted_before_calibration_shows_in_the_bound(law, calibrated, samples):
-    fault = calibrate(corrupted(law, 10.0), samples, true_paths(60, 10), true_paths(120, 20), SHARE)
-    F, F_dot = random_states(RANGE, 1000, seed=3).states
+    fault = calibrate(corrupted(law, 10.0), samples, true_paths(60, 10), true_paths(120, 20), ALPHA)
+    F, F_dot = sample(RANGE, 1000, seed=3)
     for size in (0.1, 1.0):
         states = np.eye(2) + size * (F - np.eye(2)), size * F_dot
         usual, now = (np.median(one.error_bound(*states)) for one in (calibrated, fault))
@@ -208,8 +225,8 @@ def test_a_biased_surrogate_is_not_trusted(law, samples):
     def biased(part):
         return [replace(one, stress=one.stress + bias) for one in part]
 
-    found = calibrate(law, samples, biased(true_paths(60, 10)), biased(true_paths(120, 20)), SHARE)
-    F, F_dot = random_states(RANGE, 2000, seed=3).states
+    found = calibrate(law, samples, biased(true_paths(60, 10)), biased(true_paths(120, 20)), ALPHA)
+    F, F_dot = sample(RANGE, 2000, seed=3)
     assert found.error_bound(F, F_dot).min() > 0.019 * law.stress_spread
     assert found.lookup(F, F_dot, 1e-3 * law.stress_spread)[1].all()
 
@@ -230,9 +247,9 @@ def test_an_error_in_one_corner_hardly_widens_the_bound_elsewhere(law, samples, 
     def found_by(fits):
         monkeypatch.setattr(calibration, "_TIMES", fits)
         shaping, testing = faulty(true_paths(150, 10)), faulty(true_paths(400, 20))
-        return np.median(calibrate(law, samples, shaping, testing, SHARE).error_bound(*inner))
+        return np.median(calibrate(law, samples, shaping, testing, ALPHA).error_bound(*inner))
 
-    F, F_dot = random_states(RANGE, 2000, seed=3).states
+    F, F_dot = sample(RANGE, 2000, seed=3)
     inner = np.eye(2) + 0.5 * (F - np.eye(2)), 0.5 * F_dot
     assert found_by(calibration._TIMES) < 0.5 * found_by(1)
 
@@ -241,7 +258,7 @@ def test_a_bias_that_only_new_paths_have_shows_too(law, calibrated, samples):
     """Shape the scale on honest paths, test on biased ones: the quantile grows."""
     bias = 0.02 * law.stress_spread * np.diag([1.0, 0.0])
     tests = [replace(one, stress=one.stress + bias) for one in true_paths(120, 20)]
-    found = calibrate(law, samples, true_paths(60, 10), tests, SHARE)
+    found = calibrate(law, samples, true_paths(60, 10), tests, ALPHA)
     assert found.calibration.quantile > 5.0 * calibrated.calibration.quantile
 
 
@@ -251,9 +268,9 @@ def test_failures_within_the_domain_leave_no_bound(law, samples):
     walks = tests[0]
     status = np.where(np.tile(walks.paths.owner, 20) % 10 == 0, 1, 0).astype(np.int8)
     tests[0] = replace(walks, status=status)
-    found = calibrate(law, samples, true_paths(60, 10), tests, SHARE)
+    found = calibrate(law, samples, true_paths(60, 10), tests, ALPHA)
     assert found.calibration.quantile == np.inf
-    F, F_dot = random_states(RANGE, 100, seed=3).states
+    F, F_dot = sample(RANGE, 100, seed=3)
     assert found.lookup(F, F_dot, 1e300)[1].all()
 
 
@@ -264,22 +281,22 @@ def test_an_exact_surrogate_has_a_tiny_bound(law, samples):
         return Truth(paths, stress, np.zeros_like(status))
 
     parts = [[exact(random_walks(RANGE, 120, 5, seed))] for seed in (1, 2)]
-    found = calibrate(law, samples, *parts, SHARE)
+    found = calibrate(law, samples, *parts, ALPHA)
     assert found.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0] < 1e-9
 
 
 def test_no_path_at_all(law, samples):
-    nothing = [truth(random_states(RANGE, 0, 1))]
+    nothing = [truth(single_states(0, 1))]
     with pytest.raises(InputError, match="calibration: no path"):
-        calibrate(law, samples, nothing, nothing, SHARE)
+        calibrate(law, samples, nothing, nothing, ALPHA)
 
 
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"share": 0.0}, r"calibration.share: 0.0; it must be between 0 and 1"),
+        ({"alpha": 0.0}, r"calibration.alpha: 0.0; it must be between 0 and 1"),
         ({"walks": -1}, "calibration.walks: -1; it must be an integer of at least 0"),
-        ({"length": 0}, "calibration.length: 0; it must be an integer of at least 1"),
+        ({"length": 1}, "calibration.length: 1; it must be an integer of at least 2"),
         ({"runs": 98}, "calibration.runs: 98; it must be 0 or at least 99"),
         ({"seed": True}, "calibration.seed: True"),
     ],

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import contains
+from surrofe2.sampling import contains, sample
 from surrofe2.stress_law import Status
-from surrofe2.surrogate.deformation_paths import random_corners, random_states
+from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.tensors import to_inputs
 from tests.laws import RANGE, lattice_samples
@@ -34,7 +34,7 @@ def test_failures_it_has_not_seen_are_outside_too():
     samples = samples_that_fail(buckles)
     assert 200 < (samples.status != 0).sum() < 2000
     domain = fit_domain(samples)
-    F, F_dot = random_states(RANGE, 20_000, seed=8).states
+    F, F_dot = sample(RANGE, 20_000, seed=8)
     failed = buckles(to_inputs(F, F_dot)[0])
     inside = within(domain, F, F_dot)
     assert failed.sum() > 4000
@@ -96,7 +96,7 @@ def test_without_symmetry_only_rotation_is_used():
 
 def test_a_domain_without_boundary_is_the_range(law):
     """The corners of the box too, where no sample came as far in all directions at once."""
-    F, F_dot = random_corners(RANGE, 500, seed=3).states
+    F, F_dot = random_walks(RANGE, 2000, 2, seed=3).states
     assert not len(law.domain.boundary)
     assert contains(RANGE, F, F_dot).all()
     assert (law.respond(F, F_dot).status == Status.OK).all()

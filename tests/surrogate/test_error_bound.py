@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.sampling import contains
+from surrofe2.sampling import contains, sample
 from surrofe2.stress_law import Status
 from surrofe2.surrogate.compiled_lookup import MANY
-from surrofe2.surrogate.deformation_paths import random_states
 from surrofe2.surrogate.domain import scaled_inputs
 from surrofe2.surrogate.error_bound import local_scale
 from tests.laws import RANGE
@@ -25,7 +24,7 @@ def trusted(law):
 
 def turned(count, seed=1):
     """States of the range and beyond it, in any orientation."""
-    F, F_dot = random_states(replace(RANGE, stretch=(0.9, 1.1), rate=0.011), count, seed).states
+    F, F_dot = sample(replace(RANGE, stretch=(0.9, 1.1), rate=0.011), count, seed)
     angle = np.random.default_rng(seed).uniform(-np.pi, np.pi, count)
     c, s = np.cos(angle), np.sin(angle)
     R = np.stack([c, -s, s, c], axis=1).reshape(-1, 2, 2)
@@ -112,7 +111,7 @@ def test_what_is_not_a_number_has_no_bound(trusted):
 
 
 def test_without_calibration_no_finite_tolerance_accepts(law):
-    F, F_dot = random_states(RANGE, 100, seed=1).states
+    F, F_dot = sample(RANGE, 100, seed=1)
     for surrogate in (law, replace(law, domain=None)):
         stress, status, bound = surrogate.lookup(F, F_dot, 1e300)
         assert not surrogate.is_calibrated

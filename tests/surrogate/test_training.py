@@ -154,87 +154,52 @@ def test_interrupted_training_carries_on_as_if_it_had_not_been(few, tmp_path):
     assert np.array_equal(resumed, train(few, SMALL).respond(F, F_dot).stress)
 
 
-@pytest.fixture
-def _short_rounds(monkeypatch):
-    monkeypatch.setattr(training, "FIRST", 100)
-    monkeypatch.setattr(training, "ROUND", 40)
+@pytest.mark.parametrize("good", [1, 2, 5])
+def test_training_stops_when_a_surrogate_is_good_enough(few, monkeypatch, good):
+    """It is asked for after every round of iterations, but not after the last."""
+    monkeypatch.setattr(training, "ROUND", 20)
+    asked, done = [], []
 
-
-def by_rounds(few, good, **more):
-    """Surrogate, samples used at each checkpoint by its iterations, errors and hunger when asked.
-
-    It is good enough when asked `good` times.
-    """
-    asked, hungry, states = [], [], []
-
-    def enough(surrogate, is_hungry):
+    def should_stop(surrogate):
         asked.append(surrogate.errors["rms"])
-        hungry.append(is_hungry)
         return len(asked) == good
 
-    surrogate = train(few, SMALL, enough=enough, checkpoint=states.append, **more)
-    used = {state.iterations: int(state.arrays["samples.used"][0]) for state in states}
-    return surrogate, used, asked, hungry
+    surrogate = train(few, SMALL, should_stop=should_stop, progress=lambda i, *_: done.append(i))
+    assert len(asked) == min(good, 2)
+    assert done[-1] == min(20 * good, 60)
+    assert (asked[-1] == surrogate.errors["rms"]) == (good < 3)
 
 
-@pytest.mark.usefixtures("_short_rounds")
-def test_training_ends_when_a_surrogate_is_good_enough(few, monkeypatch):
-    monkeypatch.setattr(training, "_SEEN", 0.0)
-    surrogate, used, asked, _ = by_rounds(few, good=1)
-    assert used == {20: 100, 40: 100}
-    assert asked[0] == surrogate.errors["rms"]
-    _, used, asked, _ = by_rounds(few, good=2)
-    assert used == {20: 100, 40: 100, 60: 100}  # all iterations
-    assert len(asked) == 1
-
-
-@pytest.mark.usefixtures("_short_rounds")
-def test_what_is_known_by_heart_takes_more_samples(few, monkeypatch):
-    """A hundred samples less than twice as well known as others: all samples help."""
+def test_rounds_that_were_interrupted_continue_as_if_they_had_not_been(few, monkeypatch):
     monkeypatch.setattr(training, "ROUND", 20)
-    monkeypatch.setattr(training, "_SEEN", 2.0)
-    surrogate, used, _, hungry = by_rounds(few, good=-1)
-    assert used == {20: 100, 40: 200, 60: 400}
-    assert hungry == [False, False]  # for more samples than there are
-    whole = train(few, SMALL)
-    for name, error in whole.errors["rms"].items():
-        assert surrogate.errors["rms"][name] < 2.0 * error
-
-
-@pytest.mark.usefixtures("_short_rounds")
-@pytest.mark.parametrize(("seen", "told"), [(2.0, [False, True, True]), (0.0, [False] * 3)])
-def test_it_is_told_when_more_samples_than_there_are_would_help(few, monkeypatch, seen, told):
-    monkeypatch.setattr(training, "ROUND", 15)
-    monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 15)
-    monkeypatch.setattr(training, "FIRST", 300)
-    monkeypatch.setattr(training, "_SEEN", seen)
-    assert by_rounds(few, good=-1)[3] == told
-
-
-@pytest.mark.usefixtures("_short_rounds")
-def test_where_nothing_is_gained_more_samples_are_taken(few, monkeypatch):
-    monkeypatch.setattr(training, "_SEEN", 0.0)
-    run = training._Minimisation.run
-
-    def gains_nothing(*arguments):
-        return run(*arguments)[0], False
-
-    monkeypatch.setattr(training._Minimisation, "run", gains_nothing)
-    _, used, asked, _ = by_rounds(few, good=-1)
-    assert used == {20: 100, 40: 100, 60: 200}
-    assert len(asked) == 1
-
-
-@pytest.mark.usefixtures("_short_rounds")
-def test_rounds_that_were_interrupted_go_on_as_if_they_had_not_been(few, monkeypatch):
-    monkeypatch.setattr(training, "ROUND", 20)
-    monkeypatch.setattr(training, "_SEEN", 2.0)
-    states = []
-    whole = train(few, SMALL, enough=lambda *_: False, checkpoint=states.append)
+    monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 10)
+    settings = replace(SMALL, checkpoint_interval=10)
+    states, asked = [], []
+    whole = train(few, settings, should_stop=lambda _: False, checkpoint=states.append)
     F, F_dot = sample(WELL_INSIDE, 20, seed=0)
-    for state in states[:2]:
-        resumed = train(few, SMALL, enough=lambda *_: False, resume=state)
+    for state in states[:3]:
+
+        def should_stop(surrogate):
+            asked.append(surrogate)
+            return False
+
+        asked.clear()
+        resumed = train(few, settings, should_stop=should_stop, resume=state)
         assert np.array_equal(resumed.respond(F, F_dot).stress, whole.respond(F, F_dot).stress)
+        assert len(asked) == (2 if state.iterations <= 20 else 1)
+
+
+def test_held_out_samples_decide_nothing(few, monkeypatch):
+    """Other stresses of them change no weight; that they are not learnt is told by their errors."""
+    held_out = np.random.default_rng(SMALL.seed).permutation(600)[:60]
+    stress = few.stress.copy()
+    stress[held_out] *= 1.01
+    settings = replace(SMALL, iterations=20)
+    laws = [train(replace(few, stress=each), settings) for each in (few.stress, stress)]
+    F, F_dot = sample(WELL_INSIDE, 20, seed=0)
+    first, second = (law.extrapolate(F, F_dot) for law in laws)
+    assert np.array_equal(first, second)
+    assert laws[1].errors["rms"]["xx"] > laws[0].errors["rms"]["xx"]
 
 
 def test_a_state_of_another_training_is_refused(few):
