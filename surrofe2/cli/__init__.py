@@ -40,7 +40,7 @@ COMMANDS = {
         "Run the recipe's problem by true, learnt or cached stresses.",
         "RECIPE --law cached --out out/cached",
     ),
-    "refine": (STUDY, "Teach the surrogate what the recipe's own run meets.", "RECIPE"),
+    "refine": (STUDY, "Active learning: retrain on states that the run could not trust.", "RECIPE"),
     "tissue": (
         STUDY,
         "Run it with every particle of every plant cell, nothing homogenised.",

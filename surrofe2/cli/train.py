@@ -95,7 +95,7 @@ def refine(
     fresh: console.Fresh = False,
     threads: console.Threads = None,
 ) -> None:
-    """Active learning: retrain the surrogate on states that the recipe's own run could not trust.
+    """Active learning: retrain on states that the run could not trust.
 
     Runs through the cache, collects the states that the surrogate did not know well enough, solves
     RVEs there and around, trains again, and so on until a run has no unknown state and its audit

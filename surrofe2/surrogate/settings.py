@@ -47,7 +47,7 @@ class TrainingSettings:
 MARGIN = 1.5
 """Factor of the bound beyond what conformal prediction gives. An engineering margin, no part of the
 guarantee: paths are looked at in a few states, and a search for the worst state accepted at a
-tolerance finds errors of up to 1.3 times the bound without it (benchmarks/climb.py), none above the
+tolerance finds errors of up to 1.3 times the bound without it (validation/worst_answer.py), none above the
 bound with it."""
 CONFIDENCE = 0.95
 """Share of calibration sets whose bound is to hold on a share 1 − alpha of new paths."""
@@ -66,8 +66,9 @@ class CalibrationSettings:
     """Number and kind of the paths along which RVEs compute the stress.
 
     As many walks again, and a third as many runs, shape the local scale, which the others then
-    calibrate. Each kind that is used needs at least 1/alpha − 1 paths. From log(0.05)/log(1 − alpha)
-    on, 299 at 1 %, the bound holds with 95 % confidence; `train` says with how much if less.
+    calibrate. Each kind that is used needs at least 1/alpha − 1 paths. With 299 at 1 %, in
+    general log(0.05)/log(1 − alpha), the bound holds with 95 % confidence; with fewer, `train` says
+    with how much.
     """
 
     walks: int = setting(300, "random walks through the sampling range, from rest", least=0)

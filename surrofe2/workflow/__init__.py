@@ -12,9 +12,10 @@ In reading order:
     rest           the bar at rest under its load, and its small oscillations
     workers        pieces of work by several processes or a cluster
     generate       a data set of true stresses
-    train          a surrogate from it and from true answers of runs
-    calibrate      the bound of its error
-    refinement     rounds of cached run, sampling and training
+    samples        what training takes: the data set's samples and harvests
+    train          a surrogate from these
+    calibrate      the bound of its error; varied_loads: of the runs it is calibrated along
+    refinement     active learning: rounds of cached run, sampling and training
     comparison     runs against each other
     grid           parameter studies; grid_tasks: what their processes are given
     recipe_check   what is wrong with a recipe, before anything is computed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 
@@ -78,9 +78,13 @@ def calibrate(
     """
 
     def runs(count: int, seed: int) -> Iterator[list[State]]:
-        coarse, case = _coarse(macro), problem or LoadCase()
-        varied = varied_problems if isinstance(case, Problem) else random_loads
-        return (_states_met(each, surrogate, coarse, seed) for each in varied(case, count, seed))
+        coarse = _coarse(macro)
+        cases: Iterable[Problem | LoadCase]
+        if isinstance(problem, Problem):
+            cases = varied_problems(problem, count, seed)
+        else:
+            cases = random_loads(problem or LoadCase(), count, seed)
+        return (_states_met(each, surrogate, coarse, seed) for each in cases)
 
     law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
     settings = settings or CalibrationSettings()

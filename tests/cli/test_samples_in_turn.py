@@ -18,7 +18,7 @@ from surrofe2.surrogate import training
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.refinement import refine_surrogate
 from surrofe2.workflow.run_lifecycle import silent
-from surrofe2.workflow.train import is_stuck, train_surrogate
+from surrofe2.workflow.train import has_stalled, train_surrogate
 
 MET, NEVER = 1e3, 1e-12
 INTERRUPTIONS = [*product(["train"], [0, 1, 3, 5, 6]), *product(["generate"], range(4))]
@@ -33,7 +33,6 @@ def _few(monkeypatch):
     monkeypatch.setattr(cell_types, "MOST_COUNT", 160)
     monkeypatch.setattr(training, "ROUND", 10)
     monkeypatch.setattr(training, "_ITERATIONS_AT_ONCE", 10)
-    monkeypatch.setattr(training, "_SEEN", 1e3)  # more samples would always help
 
 
 @pytest.fixture
@@ -242,7 +241,7 @@ def rounds_of(recipe):
 
 
 def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
-    monkeypatch.setattr("surrofe2.workflow.calibrate.WantedBound.share_of", lambda *_: np.inf)
+    monkeypatch.setattr("surrofe2.workflow.train.shaped_bound", lambda *_: np.inf)
     recipe = wanting(NEVER)
     generate_data_set(recipe)
     train_surrogate(recipe)
@@ -252,9 +251,7 @@ def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
 def test_where_more_do_not_help_training_goes_on_to_its_end(wanting, monkeypatch):
     """The bound that the first come to is small already: twice as many are used to the last."""
     left = iter([3.0, 3.0, 3.0, 3.0])
-    monkeypatch.setattr(
-        "surrofe2.workflow.calibrate.WantedBound.share_of", lambda *_: next(left, 2.9)
-    )
+    monkeypatch.setattr("surrofe2.workflow.train.shaped_bound", lambda *_: next(left, 2.9))
     recipe = wanting(NEVER)
     generate_data_set(recipe)
     done = []
@@ -266,9 +263,7 @@ def test_where_more_do_not_help_training_goes_on_to_its_end(wanting, monkeypatch
 def test_the_best_that_some_samples_came_to_says_whether_they_helped(wanting, monkeypatch):
     """Not the last, at which training gave them up for more."""
     left = iter([3.0, 3.0, 3.0, 3.0, 1.5, 3.0, 3.0, 3.0])
-    monkeypatch.setattr(
-        "surrofe2.workflow.calibrate.WantedBound.share_of", lambda *_: next(left, 2.9)
-    )
+    monkeypatch.setattr("surrofe2.workflow.train.shaped_bound", lambda *_: next(left, 2.9))
     recipe = wanting(NEVER)
     generate_data_set(recipe)
     train_surrogate(recipe)
@@ -293,7 +288,7 @@ def counting(done):
 
 
 @pytest.mark.parametrize(
-    ("shares", "stuck"),
+    ("bounds", "stalled"),
     [
         ([3.0, 2.0], False),
         ([3.0, 2.9, 2.8], True),  # twice no tenth below
@@ -302,8 +297,8 @@ def counting(done):
         ([np.inf, 3.0, 2.9], False),
     ],
 )
-def test_training_is_stuck_where_the_bound_falls_no_further(shares, stuck):
-    assert is_stuck(shares) == stuck
+def test_training_has_stalled_where_the_bound_falls_no_further(bounds, stalled):
+    assert has_stalled(bounds) == stalled
 
 
 def test_without_a_bound_the_most_are_made(recipe, changed_recipe):
