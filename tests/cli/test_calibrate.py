@@ -152,7 +152,7 @@ def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monk
 def test_a_true_law_that_fails_everywhere_leaves_no_bound(
     invoke, recipe_path, surrogate_path, monkeypatch
 ):
-    def failing(paths, law, progress):
+    def failing(paths, law, progress=None):
         shape = (len(paths.states[0]), 2, 2)
         return np.full(shape, np.nan), np.ones(shape[0], dtype=np.int8)
 
@@ -250,7 +250,7 @@ def test_runs_of_a_stated_problem_are_its_own_with_other_loads(stated, monkeypat
         assert F.shape[1:] == (2 * 5, 2, 2)
         sideways = F - np.eye(2)
         sideways[..., 0, 0] = 0.0
-        assert abs(sideways).max() < 1e-12
+        assert abs(sideways).max() < 1e-6
         ends.append(F[-1, :, 0, 0].mean() - 1.0)
         assert abs(F_dot).max() > 0.5 * ends[-1] / (20.0 / pace)
     low, high = (0.02 * factor for factor in FACTOR)
