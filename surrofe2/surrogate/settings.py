@@ -47,8 +47,8 @@ class TrainingSettings:
 MARGIN = 1.5
 """Factor of the bound beyond what conformal prediction gives. An engineering margin, no part of the
 guarantee: paths are looked at in a few states, and a search for the worst state accepted at a
-tolerance finds errors of up to 1.3 times the bound without it (validation/worst_answer.py), none above the
-bound with it."""
+tolerance (validation/worst_answer.py) finds errors of up to 1.3 times the bound without it, none
+above the bound with it."""
 CONFIDENCE = 0.95
 """Share of calibration sets whose bound is to hold on a share 1 − alpha of new paths."""
 SHAPING_WALKS, SHAPING_RUNS = 1.0, 1.0 / 3.0
