@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from surrofe2 import CellParameters, RveLaw, simulate
 from surrofe2.amplitude import Sine
-from surrofe2.macro import Fixed, MacroSettings, Mesh, PrescribedMotion, Problem
+from surrofe2.macro import Fixed, MacroSettings, PrescribedMotion, Problem, rectangle
 
 WIDTH, HEIGHT, SHEAR = 40.0, 1.0, 0.005
 FREQUENCIES = (0.1, 0.2, 0.4)  # 1/µs
@@ -26,7 +26,7 @@ def loop_of(law, frequency, steps=100):
     )
     interval = 1.0 / (steps * frequency)
     problem = Problem(
-        mesh=Mesh.rectangle(WIDTH, HEIGHT, (1, 2)),
+        mesh=rectangle(WIDTH, HEIGHT, (1, 2)),
         conditions=(Fixed(on="bottom"), drive),
         duration=3.0 / frequency,
         output_interval=interval,

@@ -54,7 +54,14 @@ if TYPE_CHECKING:
         Traction as Traction,
     )
     from surrofe2.macro.discretisation import points_by_region as points_by_region
-    from surrofe2.macro.mesh import Box as Box, Disc as Disc, HalfPlane as HalfPlane, Mesh as Mesh
+    from surrofe2.macro.mesh import (
+        Box as Box,
+        Disc as Disc,
+        HalfPlane as HalfPlane,
+        rectangle as rectangle,
+        with_boundaries as with_boundaries,
+        with_regions as with_regions,
+    )
     from surrofe2.macro.problem import Problem as Problem
     from surrofe2.macro.quasi_static import find_rest as find_rest
     from surrofe2.macro.settings import MacroSettings as MacroSettings

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, quoted
 from surrofe2.macro.discretisation import points_by_region
-from surrofe2.macro.mesh import Mesh
+from surrofe2.macro.mesh import region
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_settings, check_value, from_table, setting
@@ -158,7 +159,7 @@ def _cell_type(name: str, table: Any, shared: Mapping[str, Mapping[str, Any]]) -
         raise InputError(f"{where}.{told.removeprefix(own)}") from None
 
 
-def points_of_cells(mesh: Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
+def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
     """Numbers of the points that each cell fills; together the whole mesh.
 
     Raises:
@@ -166,14 +167,15 @@ def points_of_cells(mesh: Mesh, types: Mapping[str, CellType]) -> dict[str, Inde
     """
     filled, rests = {}, []
     for name, each in types.items():
-        own = [region for region in each.regions if region != REST or REST in mesh.regions]
+        known = mesh.subdomains or {}
+        own = [part for part in each.regions if part != REST or REST in known]
         rests += [name] * (len(own) < len(each.regions))
-        found = [mesh.region(region, f"cells.{name}.regions") for region in own]
+        found = [region(mesh, part, f"cells.{name}.regions") for part in own]
         filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
-    left = np.setdiff1d(np.arange(len(mesh.elements)), np.concatenate([*filled.values()]))
+    left = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
     for name in rests:
         filled[name] = np.union1d(filled[name], left)
     for name, elements in filled.items():
         if not elements.size:
             raise InputError(f"cells.{name}.regions: {REST}; the other cells fill the whole mesh")
-    return points_by_region(replace(mesh, regions=filled), tuple(filled), "cells")
+    return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")

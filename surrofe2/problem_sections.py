@@ -14,13 +14,23 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import skfem
 
 from surrofe2.errors import FileError, InputError, quoted
 from surrofe2.io.files import reported
 from surrofe2.io.meshes import read_mesh
 from surrofe2.macro.conditions import BodyForce, Condition, Foundation, Pressure, Traction
 from surrofe2.macro.discretisation import make_discretisation
-from surrofe2.macro.mesh import Mesh, Part
+from surrofe2.macro.mesh import (
+    Part,
+    boundary,
+    check_mesh,
+    nodes_on,
+    rectangle,
+    region,
+    with_boundaries,
+    with_regions,
+)
 from surrofe2.macro.problem import Problem, label
 from surrofe2.problem_entries import (
     Point,
@@ -110,13 +120,13 @@ class StatedProblem:
         for condition in self.conditions:
             where = f"conditions.{label(condition)}.on"
             if isinstance(condition, BodyForce):
-                mesh.region(condition.on, where)
+                region(mesh, condition.on, where)
             elif isinstance(condition, _ON_BOUNDARIES):
-                mesh.boundary(condition.on, where)
+                boundary(mesh, condition.on, where)
             else:
-                mesh.nodes_of(condition.on, where)
+                nodes_on(mesh, condition.on, where)
         for body in self.bodies:
-            mesh.boundary(body.on, f"bodies.{body.name}.on")
+            boundary(mesh, body.on, f"bodies.{body.name}.on")
         space = make_discretisation(mesh)
         for name, at in self.watched.items():
             space.locate(np.array(at), f"watch.{name}")
@@ -129,7 +139,7 @@ class StatedProblem:
             watched=self.watched,
         )
 
-    def _mesh(self, folder: Path) -> Mesh:
+    def _mesh(self, folder: Path) -> skfem.Mesh:
         given = self.mesh
         if given.file is not None:
             try:
@@ -140,14 +150,14 @@ class StatedProblem:
             assert given.width is not None
             assert given.height is not None
             assert given.elements is not None
-            mesh = Mesh.rectangle(given.width, given.height, given.elements)
+            mesh = rectangle(given.width, given.height, given.elements)
         for kind, known, more in (
-            ("boundaries", mesh.boundaries, self.boundaries),
-            ("regions", mesh.regions, self.regions),
+            ("boundaries", mesh.boundaries or {}, self.boundaries),
+            ("regions", mesh.subdomains or {}, self.regions),
         ):
             for name in known.keys() & more.keys():
                 raise InputError(f"mesh.{kind}.{name}: the mesh has one of that name; take another")
-        return mesh.with_boundaries(**self.boundaries).with_regions(**self.regions)
+        return with_regions(with_boundaries(mesh, **self.boundaries), **self.regions)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """The sections, defaults filled in; conditions by the names that results have."""
@@ -171,7 +181,7 @@ def sections_of(
     }
 
 
-def load_mesh(path: str | Path, length_unit: str = "µm") -> Mesh:
+def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
     """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
 
     Raises:
@@ -180,7 +190,7 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> Mesh:
     """
     stored = read_mesh(Path(path), length_unit)
     try:
-        return Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
+        return check_mesh(stored)
     except InputError as error:
         raise InputError(f"{Path(path).name}: {error}") from None
 

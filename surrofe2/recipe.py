@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, get_args
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.cache.settings import CacheSettings, TableSettings
@@ -25,7 +26,7 @@ from surrofe2.errors import FileError, InputError, quoted, shortened
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.conditions import FREE
-from surrofe2.macro.mesh import Mesh
+from surrofe2.macro.mesh import boundary
 from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
@@ -135,7 +136,7 @@ class Recipe:
         """Where the cell stands in the file."""
         return "cell" if self.cell_name is None else f"cells.{self.cell_name}"
 
-    def points_of_cells(self, mesh: Mesh) -> dict[str, NDArray[np.int64]]:
+    def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, NDArray[np.int64]]:
         """Numbers of the points of the mesh that each of several cells fills.
 
         Raises:
@@ -181,7 +182,7 @@ class Recipe:
                 self.points_of_cells(problem.mesh)
             if self.surface is not None and self.surface.on != FREE:
                 for name in self.surface.on:
-                    problem.mesh.boundary(name, "surface.on")
+                    boundary(problem.mesh, name, "surface.on")
             return problem
 
     def bar_load(self) -> LoadCase:

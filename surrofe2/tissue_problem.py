@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.cell_types import REST
@@ -19,7 +20,7 @@ from surrofe2.macro.conditions import (
     Symmetry,
     Traction,
 )
-from surrofe2.macro.mesh import Mesh
+from surrofe2.macro.mesh import nodes_on
 from surrofe2.macro.problem import label
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import Recipe
@@ -90,7 +91,7 @@ def problem_of_tissue(recipe: Recipe) -> TissueProblem:
         raise InputError(f"{recipe.path.name}: {error}") from None
 
 
-def _support(condition: Condition, mesh: Mesh) -> Support:
+def _support(condition: Condition, mesh: skfem.Mesh) -> Support:
     name, on = label(condition), str(condition.on)
     match condition:
         case Fixed():
@@ -105,7 +106,7 @@ def _support(condition: Condition, mesh: Mesh) -> Support:
                 displacement=(x or 0.0, y or 0.0),
                 amplitude=condition.amplitude,
             )
-    extent = np.ptp(mesh.nodes[mesh.nodes_of(on)], axis=0)
+    extent = np.ptp(mesh.p.T[nodes_on(mesh, on)], axis=0)
     if extent.min() > 1e-9 * extent.max():
         raise InputError(f"symmetry.on: {on}; it must be straight along x or along y")
     across = bool(extent[0] < extent[1])

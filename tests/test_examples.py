@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import runpy
 from dataclasses import replace
@@ -9,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import skfem
 
-from surrofe2 import CellParameters, RveLaw, simulate
+from surrofe2 import CellParameters, Fixed, Problem, RveLaw, Traction, find_rest, simulate
 from surrofe2.amplitude import Constant, Sine
 from surrofe2.recipe import load_recipe
 from surrofe2.tissue import TissueSettings, simulate_tissue
@@ -22,6 +24,7 @@ from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate
+from tests.laws import KelvinVoigt
 
 FOLDER = Path(__file__).parents[1] / "examples"
 RECIPES = sorted(FOLDER.glob("*.toml"))
@@ -73,6 +76,22 @@ def test_moduli_from_loops_are_those_of_the_tangents():
     frequency = script["FREQUENCIES"][0]
     found = script["moduli_of"](*script["loop_of"](law, frequency))
     np.testing.assert_allclose(found, script["tangent_moduli"](law, frequency), rtol=0.005)
+
+
+def test_a_solver_of_ones_own_converges_quadratically_to_our_rest():
+    """The Python example on six-node triangles, as `find_rest` has them."""
+    script = runpy.run_path(str(FOLDER / "own_solver.py"))
+    law, pull = KelvinVoigt(), script["PULL"]
+    _, _, residuals = script["solve"](law)
+    assert len(residuals) <= 6
+    for before, after in itertools.pairwise(residuals):
+        assert after < 1e-9 or after < 10.0 * before**2
+    mesh = script["MESH"].to_meshtri().with_defaults()
+    problem = Problem(mesh=mesh, conditions=(Fixed(on="left"), Traction(on="right", traction=pull)))
+    rest = find_rest(problem, law)
+    basis, u, _ = script["solve"](law, problem.mesh, element=skfem.ElementTriP2(), intorder=2)
+    np.testing.assert_array_equal(basis.element_dofs, rest.basis.element_dofs)
+    np.testing.assert_allclose(u, rest.displacement, rtol=0, atol=1e-7 * abs(u).max())
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ from surrofe2 import (
     CellParameters,
     LoadCase,
     MacroSettings,
-    Mesh,
     RegionalLaw,
     RveLaw,
     SamplingRange,
@@ -31,6 +30,7 @@ from surrofe2 import (
     read_data_set,
     read_run,
     read_surrogate,
+    rectangle,
     sample_stress,
     save_run,
     simulate,
@@ -120,7 +120,7 @@ def test_a_law_of_one_s_own_runs_every_example(path, tmp_path):
     problem = recipe.problem()
     if recipe.stated.mesh.file is None:
         mesh = recipe.stated.mesh
-        problem = replace(problem, mesh=Mesh.rectangle(mesh.width, mesh.height, (2, 2)))
+        problem = replace(problem, mesh=rectangle(mesh.width, mesh.height, (2, 2)))
     short = 0.05 * problem.duration
     problem = replace(problem, duration=short, output_interval=0.25 * short)
     run = simulate(problem, KelvinVoigt(), recipe.macro)
@@ -131,12 +131,12 @@ def test_a_law_of_one_s_own_runs_every_example(path, tmp_path):
     np.testing.assert_array_equal(stored.curve.displacement, run.curve.displacement)
     assert stored.history.keys() == run.history.keys()
     with pytest.raises(InputError, match="law: KelvinVoigt; it has no plant cells to look into"):
-        zoom_into(tmp_path / "own", tuple(problem.mesh.nodes.mean(axis=0)))
+        zoom_into(tmp_path / "own", tuple(problem.mesh.p.T.mean(axis=0)))
 
 
 def test_a_law_for_each_region_is_saved_with_its_cells(tmp_path):
-    mesh = Mesh.rectangle(100.0, 100.0, (1, 2))
-    mesh = replace(mesh, regions={"under": np.array([0]), "over": np.array([1])})
+    mesh = rectangle(100.0, 100.0, (1, 2))
+    mesh = mesh.with_subdomains({"under": np.array([0]), "over": np.array([1])})
     cells = {"under": CellParameters(), "over": CellParameters.preset("water", viscosity=0.2)}
     law = RegionalLaw(
         {name: RveLaw(cell, initialisation="elastic") for name, cell in cells.items()},

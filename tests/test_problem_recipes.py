@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
+import skfem
 
 from surrofe2.amplitude import Constant, Pulse, Ramp, Sine, Table
 from surrofe2.errors import FileError, InputError
@@ -19,7 +19,6 @@ from surrofe2.macro import (
     Fixed,
     Foundation,
     InitialVelocity,
-    Mesh,
     Plane,
     PrescribedMotion,
     Pressure,
@@ -27,8 +26,10 @@ from surrofe2.macro import (
     RigidBody,
     Symmetry,
     Traction,
+    rectangle,
     simulate,
 )
+from surrofe2.macro.mesh import check_mesh, nodes_on
 from surrofe2.problem_sections import load_mesh
 from surrofe2.recipe import load_recipe, make_recipe
 from tests.io.gmsh_files import QUADS
@@ -174,10 +175,10 @@ def test_every_kind_of_condition_body_and_part(changed):
     assert (blade.shape.angle, blade.friction) == (30.0, 0.3)
     assert isinstance(blade.shape, Corner)
     mesh = problem.mesh
-    assert len(mesh.elements) == 8
+    assert mesh.nelements == 8
     sides = {name: len(each) for name, each in mesh.boundaries.items()}
     assert sides == {"left": 2, "right": 2, "bottom": 4, "top": 4, "patch": 2, "outside": 2}
-    np.testing.assert_array_equal(mesh.regions["core"], [2, 3, 4, 5])
+    np.testing.assert_array_equal(mesh.subdomains["core"], [2, 3, 4, 5])
     assert list(problem.watched) == ["tip", "middle"]
     assert (problem.duration, problem.output_interval) == (20.0, 0.04)
     assert (recipe.macro.elements, recipe.macro.frames) == ((4, 2), 5)
@@ -235,7 +236,7 @@ def test_a_mesh_file_is_relative_to_the_recipe_and_told_by_its_digest(tmp_path):
     )
     path.write_text(path.read_text().replace("rigth", "right"), encoding="utf-8")
     recipe = load_recipe(path)
-    assert recipe.problem().mesh.extent[1].tolist() == [2000.0, 1000.0]
+    assert recipe.problem().mesh.p.max(axis=1).tolist() == [2000.0, 1000.0]
     stored = recipe.to_dict()["mesh"]
     assert stored["sha256"] == hashlib.sha256(QUADS.encode()).hexdigest()
     assert stored["file"] == "meshes/leaf.msh"
@@ -410,7 +411,7 @@ def test_wrong_tables(table, sentence):
     ],
 )
 def test_a_body_that_begins_inside_the_tissue_is_refused(body, sentence):
-    mesh = Mesh.rectangle(200.0, 100.0, (2, 1))
+    mesh = rectangle(200.0, 100.0, (2, 1))
     problem = Problem(mesh=mesh, conditions=(Fixed(on="bottom"),), bodies=(body,))
     with pytest.raises(InputError) as caught:
         simulate(problem, KelvinVoigt())
@@ -418,17 +419,17 @@ def test_a_body_that_begins_inside_the_tissue_is_refused(body, sentence):
 
 
 def test_wrong_calls_get_a_sentence():
-    mesh = Mesh.rectangle(2.0, 1.0, (2, 1))
+    mesh = rectangle(2.0, 1.0, (2, 1))
     with pytest.raises(InputError, match="there must be a tuple of Condition"):
         Problem(mesh=mesh, conditions=Fixed(on="left"))
     with pytest.raises(InputError, match="problem: 'left'; there must be a tuple of Condition"):
         Problem(mesh=mesh, conditions=("left",))
     with pytest.raises(InputError, match=r"mesh.width, mesh.height: -2.0, 1.0; they must be pos"):
-        Mesh.rectangle(-2.0, 1.0, (2, 1))
+        rectangle(-2.0, 1.0, (2, 1))
     with pytest.raises(InputError, match=r"mesh: 2 elements of the same nodes at \(0.5, 0.5\) µm"):
-        Mesh(mesh.nodes, np.concatenate([mesh.elements, mesh.elements[:1]]))
+        check_mesh(skfem.MeshQuad1(mesh.p, np.concatenate([mesh.t, mesh.t[:, :1]], axis=1)))
     with pytest.raises(InputError, match="left; the mesh has no boundary or region with a name"):
-        replace(mesh, boundaries={}).nodes_of("left")
+        nodes_on(skfem.MeshQuad1(mesh.p, mesh.t), "left")
     with pytest.raises(InputError, match="length_unit: 'cm'; it must be one of µm, um, mm, m"):
         load_mesh("leaf.msh", "cm")
 

@@ -10,18 +10,21 @@ from surrofe2.macro import (
     Box,
     Fixed,
     MacroSettings,
-    Mesh,
     Problem,
     points_by_region,
+    rectangle,
     simulate,
+    with_regions,
 )
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
 from tests.laws import DryFriction, Failing, KelvinVoigt, Surrogate, TrueLaw, stretched
 
-MESH = Mesh.rectangle(60.0, 40.0, (3, 2)).with_regions(
-    skin=Box((0.0, 20.0), (60.0, 40.0)), flesh=Box((0.0, 0.0), (60.0, 20.0))
+MESH = with_regions(
+    rectangle(60.0, 40.0, (3, 2)),
+    skin=Box((0.0, 20.0), (60.0, 40.0)),
+    flesh=Box((0.0, 0.0), (60.0, 20.0)),
 )
 POINTS = points_by_region(MESH, ("skin", "flesh"))
 SOFT, STIFF = KelvinVoigt(), KelvinVoigt(shear_modulus=200.0, density=0.2)

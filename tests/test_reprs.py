@@ -7,7 +7,6 @@ from surrofe2 import (
     CachedLaw,
     LoadCase,
     MacroSettings,
-    Mesh,
     RveLaw,
     StressResponse,
     TrainingSettings,
@@ -37,7 +36,6 @@ def test_every_object_is_one_short_line(surrogate):
         (repr(samples), "<StressSamples: 100, 0 of them failed; cell "),
         (repr(run), "<MacroRun: 1 elements, "),
         (repr(run.curve), "<DisplacementCurve: 3 times, 0 to 1 µs, largest displacement "),
-        (repr(Mesh.rectangle(2.0, 1.0, (2, 1))), "<Mesh: 2 quadrilaterals, 6 nodes; boundaries "),
         (repr(law.respond(np.eye(2)[None], np.zeros((1, 2, 2)))), "<StressResponse: 1 point>"),
     ]
     for text, begin in shown:

@@ -55,7 +55,7 @@ def modes(
         found = find_all_modes(study, methods, count, stage=progress)
         if out is not None:
             write_json(out, asked | modes_record(study, found))
-    n = len(study.problem().mesh.elements)
+    n = study.problem().mesh.nelements
     for state, of_state in found.items():
         title = f"{state.capitalize()}, {n} elements, preset {study.preset}"
         show_table(title, _table(of_state))

@@ -1,8 +1,7 @@
-"""Meshes from files: any two-dimensional mesh that meshio reads, Gmsh's first.
+"""Meshes from files by scikit-fem's bridge to meshio, and a sentence for each that is wrong.
 
-Physical groups of Gmsh, and named sets of elements of other formats, become regions (surfaces) and
-boundaries (lines). Elements are turned counter-clockwise, sides so that the tissue is on their
-left, and triangles of three nodes get middles on their straight sides.
+Physical groups of Gmsh, and named sets of elements of other formats, become subdomains (surfaces)
+and boundaries (lines).
 """
 
 from __future__ import annotations
@@ -11,11 +10,11 @@ import io
 import os.path
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
@@ -30,27 +29,9 @@ UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
 
 _SURFACES = ("quad", "triangle", "triangle6")
 _LINES = ("line", "line3")
-_REVERSED = {4: [0, 3, 2, 1], 3: [0, 2, 1], 6: [0, 2, 1, 5, 4, 3]}
 
 
-@dataclass(frozen=True, slots=True)
-class StoredMesh:
-    """What a file says of a mesh.
-
-    Attributes:
-        nodes: (n, 2) µm.
-        elements: (n_el, 4) quadrilaterals or (n_el, 6) triangles, counter-clockwise; of a triangle
-            the corners, then the middles of the sides 0-1, 1-2, 2-0.
-        regions: elements by name. boundaries: (k, 2) or (k, 3) nodes of outer sides by name.
-    """
-
-    nodes: Array
-    elements: Index
-    regions: dict[str, Index]
-    boundaries: dict[str, Index]
-
-
-def read_mesh(path: Path, length_unit: str = "µm") -> StoredMesh:
+def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
     """Read a mesh whose coordinates are in `length_unit`, a key of `UNITS`.
 
     Raises:
@@ -89,41 +70,42 @@ def _read(path: Path) -> Any:
         ) from None
 
 
-def _converted(stored: Any, unit: float) -> StoredMesh:
+def _converted(stored: Any, unit: float) -> skfem.Mesh:
+    import meshio
+    from skfem.io.meshio import from_meshio
+
     blocks = [(block.type, np.asarray(block.data, np.int64)) for block in stored.cells]
     kind = _kind_of_elements([name for name, _ in blocks], [len(cells) for _, cells in blocks])
-    elements = np.concatenate([cells for name, cells in blocks if name == kind])
-    nodes = _in_plane(np.asarray(stored.points, np.float64), elements)
-    surfaces = [k for k, (name, _) in enumerate(blocks) if name == kind]
-    lines = [k for k, (name, _) in enumerate(blocks) if name in _LINES]
     groups = _groups(stored, blocks)
-    elements = _counter_clockwise(nodes, elements)
-    first = dict(
-        zip(surfaces, np.cumsum([0, *(len(blocks[k][1]) for k in surfaces)]), strict=False)
-    )
-    regions, borders = {}, {}
+    elements = np.concatenate([cells for name, cells in blocks if name == kind])
+    points = _in_plane(np.asarray(stored.points, np.float64), elements)
+    # Points of lines and vertices alone go; a point of no cell stays, for the mesh to refuse it.
+    # Corners come first: scikit-fem finds the sides of six-node triangles by these numbers.
+    alone = np.setdiff1d(np.arange(len(points)), np.concatenate([np.ravel(c) for _, c in blocks]))
+    corners = np.unique(elements[:, : 4 if kind == "quad" else 3])
+    order = np.concatenate([corners, alone, np.setdiff1d(elements, corners)])
+    number = np.full(len(points), -1)
+    number[order] = np.arange(len(order))
+    cells = [(kind, number[each]) if name == kind else ("line", number[each[:, :2]])
+             for name, each in blocks if name in (kind, *_LINES)]  # fmt: skip
+    used = [k for k, (name, _) in enumerate(blocks) if name in (kind, *_LINES)]
+    sets = {name: [parts[k] for k in used] for name, parts in groups.items()}
+    plain = meshio.Mesh(unit * points[order], cells, cell_sets=sets)
+    mesh = from_meshio(plain, force_meshio_type=kind, ignore_orientation=True)
+    outer = {*map(tuple, np.sort(mesh.facets[:, mesh.boundary_facets()].T, axis=1).tolist())}
     for name, parts in groups.items():
-        of_surfaces = [parts[k] + first[k] for k in surfaces]
-        of_lines = [blocks[k][1][parts[k]][:, :2] for k in lines]
-        if any(map(len, of_surfaces)):
-            regions[name] = np.unique(np.concatenate(of_surfaces))
-        if any(map(len, of_lines)):
-            borders[name] = np.unique(np.sort(np.concatenate(of_lines), axis=1), axis=0)
-    nodes, elements = _six_nodes(nodes, elements) if kind == "triangle" else (nodes, elements)
-    outer = _outer_sides(nodes, elements)
-    boundaries = {name: _sides_along(ends, outer, nodes, name) for name, ends in borders.items()}
-    kept = np.ones(len(nodes), dtype=bool)
-    for k, (_, cells) in enumerate(blocks):
-        if k not in surfaces:
-            kept[cells] = False
-    kept[elements] = True  # a point of no cell stays, for the mesh to refuse it
-    number = np.cumsum(kept) - 1
-    return StoredMesh(
-        nodes=unit * nodes[kept],
-        elements=number[elements],
-        regions=regions,
-        boundaries={name: number[sides] for name, sides in boundaries.items()},
+        for k in used:
+            for line in blocks[k][1][parts[k], :2] if blocks[k][0] in _LINES else ():
+                if tuple(sorted(number[line].tolist())) not in outer:
+                    raise InputError(
+                        f"boundary {name}: the line from {_at(points[line[0]])} to "
+                        f"{_at(points[line[1]])} is no outer side of an element"
+                    )
+    boundaries, subdomains = (
+        {name: facets for name, facets in (found or {}).items() if len(facets)}
+        for found in (mesh.boundaries, mesh.subdomains)
     )
+    return type(mesh)(mesh.p, mesh.t, boundaries or None, subdomains or None)
 
 
 def _kind_of_elements(names: list[str], counts: list[int]) -> str:
@@ -201,53 +183,6 @@ def _physical_groups(
     for (dimension, tag), name in named.items():
         both = zip(dimensions, tags, strict=True)
         yield name, tuple(np.flatnonzero((d == dimension) & (of == tag)) for d, of in both)
-
-
-def _counter_clockwise(nodes: Array, elements: Index) -> Index:
-    """The elements, clockwise ones turned round."""
-    corners = nodes[elements[:, : 4 if elements.shape[1] == 4 else 3]]
-    x, y = corners[..., 0], corners[..., 1]
-    doubled = (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
-    turned = elements[:, _REVERSED[elements.shape[1]]]
-    return np.where(doubled[:, None] < 0.0, turned, elements)
-
-
-def _six_nodes(nodes: Array, triangles: Index) -> tuple[Array, Index]:
-    """Nodes and elements with the middles of the sides, numbered after the nodes."""
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    ends, of_side = np.unique(sides, axis=0, return_inverse=True)
-    middles = nodes[ends].mean(axis=1)
-    numbers = len(nodes) + of_side.reshape(-1, 3)
-    return np.concatenate([nodes, middles]), np.concatenate([triangles, numbers], axis=1)
-
-
-def _outer_sides(nodes: Array, elements: Index) -> Index:
-    """(k, 2) or (k, 3) nodes of the sides of one element, the tissue on their left."""
-    quads = elements.shape[1] == 4
-    places = [[0, 1], [1, 2], [2, 3], [3, 0]] if quads else [[0, 1, 3], [1, 2, 4], [2, 0, 5]]
-    sides = elements[:, places].reshape(-1, len(places[0]))
-    ends = np.sort(sides[:, :2], axis=1)
-    _, first, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
-    if count.max() > 2:
-        side = sides[first[count.argmax()]]
-        raise InputError(
-            f"{count.max()} elements share the side at {_at(nodes[side[:2]].mean(axis=0))}; "
-            "elements must not lie on one another"
-        )
-    return sides[np.sort(first[count == 1])]
-
-
-def _sides_along(ends: Index, outer: Index, nodes: Array, name: str) -> Index:
-    """The outer sides with these ends (k, 2), sorted in each row."""
-    of_outer = {(min(a, b), max(a, b)): k for k, (a, b) in enumerate(outer[:, :2].tolist())}
-    found = [of_outer.get((a, b), -1) for a, b in ends.tolist()]
-    if -1 in found:
-        line = nodes[ends[found.index(-1)]]
-        raise InputError(
-            f"boundary {name}: the line from {_at(line[0])} to {_at(line[1])} is no outer side of "
-            "an element"
-        )
-    return outer[np.sort(found)]
 
 
 def _at(point: Array) -> str:

@@ -29,7 +29,14 @@ if TYPE_CHECKING:
     from surrofe2.macro.extremes import MetRange
     from surrofe2.macro.frames import Frames
     from surrofe2.macro.history import MacroState
-    from surrofe2.macro.mesh import Box, Disc, HalfPlane, Mesh
+    from surrofe2.macro.mesh import (
+        Box,
+        Disc,
+        HalfPlane,
+        rectangle,
+        with_boundaries,
+        with_regions,
+    )
     from surrofe2.macro.modes import Modes, find_modes
     from surrofe2.macro.problem import Problem
     from surrofe2.macro.quasi_static import Rest, find_rest

@@ -201,7 +201,7 @@ def make_contact(
     body: RigidBody, row: int, nodes: Array, sides: Index, modulus: float, density: float
 ) -> Contact:
     """The contact of `body` with sides (m, k) of a tissue of this modulus (µN/µm) and density."""
-    lengths, shape, _ = side_points(nodes, sides)
+    lengths, shape = side_points(nodes, sides)
     size = float(lengths.sum() / len(sides))
     stiffness = MODULI * modulus / size if body.stiffness is None else body.stiffness
     critical = 2.0 * np.sqrt(stiffness * density * size / np.sqrt(12.0))

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.macro.contact import Contact, Grip
+from surrofe2.macro.discretisation import displacement_basis
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES
@@ -72,6 +74,16 @@ class Rest:
         """Whole fields, the factor of the load in the place of time."""
         u, space = self.u, self.system.discretisation
         return Frames.of(space, self.factor, (u, 0.0 * u), self.F, self.stress)
+
+    @property
+    def basis(self) -> skfem.Basis:
+        """scikit-fem's basis of displacements, made at every call."""
+        return displacement_basis(self.system.problem.mesh)
+
+    @property
+    def displacement(self) -> Array:
+        """(2 n_nodes,) displacement as a nodal vector of `basis`, µm."""
+        return self.u[: len(self.system.discretisation.nodes)].ravel()
 
     def to_arrays(self) -> dict[str, Array]:
         """What `find_rest` goes on from, but for the law's state."""

@@ -1,5 +1,7 @@
 """Forces on the nodes besides the tissue's own: dead loads, follower pressure, foundations.
 
+They are forms of scikit-fem over facets, whose unknowns are numbered as ours.
+
 A force knows its slopes, which Newton's method needs. Unknown 2 a + i is component i of node a; the
 positions of rigid bodies are numbered on after the nodes of the mesh.
 """
@@ -11,8 +13,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import scipy  # scipy.sparse is loaded where a force has slopes
+import scipy.sparse
+import skfem
 from numpy.typing import NDArray
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefLine
 
 from surrofe2.amplitude import ONE, Amplitude, Proportional
 from surrofe2.macro.conditions import (
@@ -22,13 +27,15 @@ from surrofe2.macro.conditions import (
     Pressure,
     Traction,
 )
-from surrofe2.macro.discretisation import SIDE_RULE, side_shapes
+from surrofe2.macro.mesh import boundary, region
 from surrofe2.macro.problem import Problem, label
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Matrix = Any
-"""Sparse by columns, or dense where it is small; scipy.sparse is not loaded to name it."""
+"""Sparse by columns, or dense where it is small."""
+SIDES = {2: skfem.ElementLineP1(), 3: skfem.ElementLineP2()}
+"""By the number of nodes of a side."""
 Slopes = tuple[Matrix, Matrix]
 
 
@@ -106,101 +113,110 @@ class SpringsAndDashpots:
         return self.stiffness, self.damping
 
 
-def side_points(nodes: Array, sides: Index) -> tuple[Array, Array, Array]:
-    """Quadrature along sides: (m, 3) lengths, (3, k) shape functions and (3, k) their slopes.
+def facet_basis(mesh: skfem.Mesh, facets: Index) -> skfem.FacetBasis:
+    """Displacements along outer facets."""
+    return skfem.FacetBasis(mesh, skfem.ElementVector(mesh.elem()), facets=facets)
+
+
+def traction_load(mesh: skfem.Mesh, facets: Index, traction: tuple[float, float]) -> Array:
+    """(n_nodes, 2) ∫ N_a t dL over reference facets, µN."""
+    form = skfem.LinearForm(lambda v, w: traction[0] * v[0] + traction[1] * v[1])
+    load: Array = form.assemble(facet_basis(mesh, facets)).reshape(-1, 2)
+    return load
+
+
+def pressure_load(mesh: skfem.Mesh, facets: Index, pressure: float) -> tuple[Array, Matrix]:
+    """f₀ (n_nodes, 2) and B (2 n_nodes, 2 n_nodes) of a follower pressure.
+
+    f = −p ∫ v · cof(I + ∇u) n dL: the current normal times length is the cofactor of F times the
+    reference normal n times length, and in the plane the cofactor is linear in F.
+    """
+
+    def work(u: Any, v: Any, w: Any) -> Any:
+        (xx, xy), (yx, yy) = u.grad
+        return -pressure * (v[0] * (yy * w.n[0] - yx * w.n[1]) + v[1] * (xx * w.n[1] - xy * w.n[0]))
+
+    basis = facet_basis(mesh, facets)
+    dead = skfem.LinearForm(lambda v, w: -pressure * (v[0] * w.n[0] + v[1] * w.n[1]))
+    slope = skfem.BilinearForm(work).assemble(basis)
+    return dead.assemble(basis).reshape(-1, 2), slope
+
+
+def foundation_matrix(mesh: skfem.Mesh, facets: Index, components: str) -> Matrix:
+    """(2 n_nodes, 2 n_nodes) ∫ N_a N_b dL over reference facets for the components, µm."""
+    x, y = float("x" in components), float("y" in components)
+    form = skfem.BilinearForm(lambda u, v, w: x * u[0] * v[0] + y * u[1] * v[1])
+    return form.assemble(facet_basis(mesh, facets))
+
+
+def side_points(nodes: Array, sides: Index) -> tuple[Array, Array]:
+    """Quadrature along sides: (m, 3) lengths and (3, k) shape functions, as `facet_basis` has it.
 
     Args:
         nodes: (n, 2) reference positions, µm.
         sides: (m, k) nodes of each side.
     """
-    shape, slopes = side_shapes(sides.shape[1])
-    along = np.einsum("qa,mai->mqi", slopes, nodes[sides])
-    return np.linalg.norm(along, axis=2) * SIDE_RULE[1], shape, slopes
-
-
-def traction_load(nodes: Array, sides: Index, traction: tuple[float, float], n: int) -> Array:
-    """(n, 2) ∫ N_a t dL over reference sides, µN."""
-    lengths, shape, _ = side_points(nodes, sides)
-    load = np.zeros((n, 2))
-    np.add.at(load, sides, (lengths @ shape)[:, :, None] * np.array(traction))
-    return load
-
-
-def pressure_load(
-    nodes: Array, sides: Index, pressure: float, n: int
-) -> tuple[Array, scipy.sparse.csc_matrix]:
-    """f₀ (n, 2) and B (2 n, 2 n) of a follower pressure, f_a = −p ∫ N_a (dy, −dx)."""
-    shape, slopes = side_shapes(sides.shape[1])
-    coupling = np.einsum("q,qa,qb->ab", SIDE_RULE[1], shape, slopes)
-    # The tissue lies on the left of a side, so the outward normal times length is (dy, −dx).
-    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
-    block = -pressure * np.einsum("ab,ij->aibj", coupling, turn)
     k = sides.shape[1]
-    unknowns = (2 * sides[:, :, None] + np.arange(2)).reshape(-1, 2 * k)
-    row = np.repeat(unknowns, 2 * k, axis=1)
-    column = np.tile(unknowns, (1, 2 * k))
-    values = np.tile(block.reshape(-1), len(sides))
-    slope = scipy.sparse.csc_matrix((values, (row.ravel(), column.ravel())), shape=(2 * n, 2 * n))
-    positions = np.zeros((n, 2))
-    positions[: len(nodes)] = nodes
-    return (slope @ positions.ravel()).reshape(n, 2), slope
-
-
-def side_mass(nodes: Array, sides: Index, components: str, n: int) -> Matrix:
-    """(2 n, 2 n) ∫ N_a N_b dL over reference sides for the components, µm."""
-    lengths, shape, _ = side_points(nodes, sides)
-    blocks = np.einsum("mq,qa,qb->mab", lengths, shape, shape)
-    row, column = np.broadcast_arrays(sides[:, :, None], sides[:, None, :])
-    scalar = scipy.sparse.csc_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(n, n))
-    return scipy.sparse.csc_matrix(
-        scipy.sparse.kron(scalar, np.diag([float("x" in components), float("y" in components)]))
-    )
+    points, weights = get_quadrature(RefLine, 4)
+    found = [SIDES[k].lbasis(points, a) for a in range(k)]
+    shape, slopes = (np.stack([np.ravel(each[part]) for each in found], axis=1) for part in (0, 1))
+    along = np.einsum("qa,mai->mqi", np.broadcast_to(slopes, shape.shape), nodes[sides])
+    return np.linalg.norm(along, axis=2) * weights, shape
 
 
 def make_loads(
     problem: Problem,
-    mass_of: Callable[[Array], tuple[Array, Index, Index]],
+    mass_of: Callable[[Array], Matrix],
     n: int,
     proportional: bool,
 ) -> list[Force]:
     """The forces of the conditions and on free bodies, on n rows.
 
     Args:
-        mass_of: the mass matrix of a share (n_el,) of each element, entries, rows and columns.
+        mass_of: the mass (n_nodes, n_nodes) of a share (n_el,) of each element.
         proportional: as of `make_system`.
     """
     mesh, loads = problem.mesh, list[Force]()
+    n_nodes = mesh.p.shape[1]
+
+    def rows(load: Array) -> Array:
+        """(n, 2), zero for bodies."""
+        return np.pad(load, ((0, n - n_nodes), (0, 0)))
+
+    def square(matrix: Matrix) -> Matrix:
+        """(2 n, 2 n), zero for bodies."""
+        grown = scipy.sparse.csc_matrix(matrix)
+        grown.resize(2 * n, 2 * n)
+        return grown
+
     for condition in problem.conditions:
         name, where = label(condition), f"{condition.kind()}.on"
         amplitude = condition.amplitude if isinstance(condition, DrivenCondition) else ONE
         amplitude = Proportional() if proportional else amplitude
         match condition:
             case BodyForce():
-                inside = np.zeros(len(mesh.elements))
-                inside[mesh.region(condition.on, where)] = 1.0
-                entries, row, _ = mass_of(inside)
-                nodal = np.bincount(row, entries)
-                load = np.zeros((n, 2))
-                load[: nodal.size] = np.outer(nodal, condition.acceleration)
-                loads.append(DeadLoad(name, load, amplitude))
+                inside = np.zeros(mesh.nelements)
+                inside[region(mesh, condition.on, where)] = 1.0
+                nodal = np.asarray(mass_of(inside).sum(axis=1)).ravel()
+                load = np.outer(nodal, condition.acceleration)
+                loads.append(DeadLoad(name, rows(load), amplitude))
             case Traction():
-                sides = mesh.boundary(condition.on, where)
-                load = traction_load(mesh.nodes, sides, condition.traction, n)
-                loads.append(DeadLoad(name, load, amplitude))
+                load = traction_load(mesh, boundary(mesh, condition.on, where), condition.traction)
+                loads.append(DeadLoad(name, rows(load), amplitude))
             case Pressure():
-                sides = mesh.boundary(condition.on, where)
-                both = pressure_load(mesh.nodes, sides, condition.pressure, n)
-                loads.append(FollowerPressure(name, *both, amplitude))
+                facets = boundary(mesh, condition.on, where)
+                unloaded, slope = pressure_load(mesh, facets, condition.pressure)
+                loads.append(FollowerPressure(name, rows(unloaded), square(slope), amplitude))
             case Foundation():
-                sides = mesh.boundary(condition.on, where)
-                base = side_mass(mesh.nodes, sides, condition.components, n)
+                facets = boundary(mesh, condition.on, where)
+                base = square(foundation_matrix(mesh, facets, condition.components))
                 loads.append(
                     SpringsAndDashpots(name, condition.stiffness * base, condition.damping * base)
                 )
     for k, body in enumerate(problem.bodies):
         if body.mass is not None and any(body.acceleration):
             load = np.zeros((n, 2))
-            load[len(mesh.nodes) + k] = body.mass * np.array(body.acceleration)
+            load[n_nodes + k] = body.mass * np.array(body.acceleration)
             loads.append(
                 DeadLoad(f"{body.name} load", load, Proportional() if proportional else ONE)
             )

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.macro.conditions import FREE, Surface
-from surrofe2.macro.mesh import SIDES, Mesh, outer_sides
+from surrofe2.macro.mesh import boundary, element_nodes, facet_nodes, region
 from surrofe2.macro.problem import Problem
 from surrofe2.surface_law import SurfaceLaw
 
@@ -26,7 +27,7 @@ class FreeSides:
     """Sides with a surface law.
 
     Attributes:
-        nodes: (m, 2) or (m, 3) nodes of each, as of `Mesh.boundaries`.
+        nodes: (m, 2) or (m, 3) nodes of each, as of `facet_nodes`.
         elements: (m,) beside them.
         names: of the boundaries; boundary: (m,) which of them.
         laws: of the sides; law: (m,) which of them.
@@ -58,58 +59,43 @@ def free_sides(problem: Problem) -> FreeSides:
             raise InputError("surface.on: free; every outer side has a condition: leave it out")
     else:
         names = tuple(surface.on)
-        parts = [mesh.boundary(name, "surface.on") for name in names]
-    nodes, boundary = np.concatenate(parts), np.repeat(np.arange(len(parts)), [*map(len, parts)])
-    _, first = np.unique(_codes(nodes, mesh), return_index=True)
+        parts = [boundary(mesh, name, "surface.on") for name in names]
+    facets, of_boundary = (
+        np.concatenate(parts),
+        np.repeat(np.arange(len(parts)), [*map(len, parts)]),
+    )
+    _, first = np.unique(facets, return_index=True)
     first.sort()  # a side of two boundaries counts once
-    nodes, boundary = nodes[first], boundary[first]
-    elements = _beside(nodes, mesh)
+    facets, of_boundary = facets[first], of_boundary[first]
+    nodes, elements = facet_nodes(mesh, facets), mesh.f2t[0, facets].astype(np.int64)
     laws, law = _laws(surface, mesh, elements)
-    along = np.diff(mesh.nodes[nodes[:, :2]], axis=1)[:, 0]
+    along = np.diff(mesh.p.T[nodes[:, :2]], axis=1)[:, 0]
     angle = np.degrees(np.arctan2(*np.sort(abs(along), axis=1).T))
     oblique = np.where(angle > _ALONG, angle, 0.0)
-    return FreeSides(nodes, elements, names, boundary, laws, law, oblique)
+    return FreeSides(nodes, elements, names, of_boundary, laws, law, oblique)
 
 
 def _unnamed(problem: Problem) -> Index:
-    """Outer sides that no condition and no body names."""
-    mesh = problem.mesh
-    named = {*problem.places()}
-    taken = [sides for name, sides in mesh.boundaries.items() if name in named]
-    sides = outer_sides(mesh.elements)
-    codes = [np.zeros(0, np.int64), *(_codes(each, mesh) for each in taken)]
-    return sides[~np.isin(_codes(sides, mesh), np.concatenate(codes))]
+    """Outer facets that no condition and no body names."""
+    mesh, places = problem.mesh, {*problem.places()}
+    named = [facets for name, facets in (mesh.boundaries or {}).items() if name in places]
+    return np.setdiff1d(mesh.boundary_facets(), np.concatenate([[], *named])).astype(np.int64)
 
 
-def _codes(sides: Index, mesh: Mesh) -> Index:
-    """(m,) a number of each side by its ends."""
-    low, high = np.sort(sides[:, :2], axis=1).T
-    codes: Index = low * len(mesh.nodes) + high
-    return codes
-
-
-def _beside(sides: Index, mesh: Mesh) -> Index:
-    """(m,) elements of outer sides."""
-    of_elements = SIDES[mesh.elements.shape[1]]
-    known = _codes(np.concatenate([mesh.elements[:, list(side)] for side in of_elements]), mesh)
-    order = np.argsort(known)
-    place = order[np.searchsorted(known, _codes(sides, mesh), sorter=order)]
-    elements: Index = place % len(mesh.elements)
-    return elements
-
-
-def _laws(surface: Surface, mesh: Mesh, elements: Index) -> tuple[tuple[SurfaceLaw, ...], Index]:
+def _laws(
+    surface: Surface, mesh: skfem.Mesh, elements: Index
+) -> tuple[tuple[SurfaceLaw, ...], Index]:
     """The laws, and (m,) which of them each side takes."""
     if not isinstance(surface.law, Mapping):
         return (surface.law,), np.zeros(len(elements), np.int64)
-    law, claims = np.zeros((2, len(mesh.elements)), np.int64)
+    law, claims = np.zeros((2, mesh.nelements), np.int64)
     known = surface.regions
     for k, name in enumerate(surface.law):
-        own = mesh.region(name, "surface.law") if known is None else known[name]
+        own = region(mesh, name, "surface.law") if known is None else known[name]
         law[own], claims[own] = k, claims[own] + 1
     wrong = np.flatnonzero(claims[elements] != 1)
     if wrong.size:
-        x, y = mesh.nodes[mesh.elements[elements[wrong[0]]]].mean(axis=0)
+        x, y = mesh.p[:, element_nodes(mesh)[elements[wrong[0]]]].mean(axis=1)
         raise InputError(
             f"surface.law: the element at ({x:.6g}, {y:.6g}) µm is in "
             f"{claims[elements[wrong[0]]]} of {', '.join([*surface.law])}; it must be in one"

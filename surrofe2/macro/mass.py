@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 import numpy as np
-import scipy  # scipy.sparse is loaded where a mesh is large
+import scipy.sparse
+import scipy.sparse.linalg
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.macro.forces import Matrix
@@ -16,23 +16,25 @@ from surrofe2.macro.problem import Problem
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 DENSE_LIMIT = 300
-_ROUNDING = 1e-14  # of the largest entry
 
 
-def make_mass(problem: Problem, tissue: tuple[Array, Index, Index], n: int) -> Matrix:
-    """Mass (n, n) of nodes and bodies, dense where that is small.
+def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
+    """(n_nodes, n_nodes) consistent mass of one displacement component, ng, sparse.
 
-    Args:
-        tissue: entries, rows and columns of its mass; those of the same place add up.
+    Eq. 59 with the reference density (n_el,), ng/µm², over the reference area, which mass
+    conservation makes constant.
     """
-    entries, row, column = tissue
-    bodies = np.arange(n - len(problem.bodies), n)
+    basis = skfem.Basis(mesh, mesh.elem())
+    form = skfem.BilinearForm(lambda u, v, w: w.density * u * v)
+    return form.assemble(basis, density=np.broadcast_to(density[:, None], basis.dx.shape))
+
+
+def make_mass(problem: Problem, tissue: Matrix) -> Matrix:
+    """Mass (n, n) of nodes and bodies, dense where that is small."""
     masses = [1.0 if body.mass is None else body.mass for body in problem.bodies]
-    entries = np.concatenate([entries, masses])
-    row, column = np.concatenate([row, bodies]), np.concatenate([column, bodies])
-    if n > DENSE_LIMIT:
-        return scipy.sparse.csc_matrix((entries, (row, column)), shape=(n, n))
-    return np.bincount(n * row + column, entries, n * n).reshape(n, n)
+    of_bodies = [scipy.sparse.diags(masses)] if masses else []
+    mass = scipy.sparse.block_diag([tissue, *of_bodies], "csc")
+    return mass if mass.shape[0] > DENSE_LIMIT else mass.toarray()
 
 
 def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
@@ -63,17 +65,12 @@ def _factorised_mass(mass: Matrix, rows: Index) -> Callable[[Array], Array]:
     """Inverse of the mass between these rows.
 
     The matrix is symmetric and positive definite, so a sparse one needs no pivoting and an
-    ordering that keeps symmetry. That of a regular grid of equal density is a Kronecker product of
-    two small ones, five times quicker to solve.
+    ordering that keeps symmetry.
     """
     part = mass[rows][:, rows]
     if isinstance(part, np.ndarray):
         inverse = np.linalg.inv(part)
         return lambda r: inverse @ r
-    both = _factors_of_product(part)
-    if both is not None:
-        inverses: Any = [np.linalg.inv(each) for each in both]
-        return partial(_solve_product, *inverses)
     factor = scipy.sparse.linalg.splu(
         scipy.sparse.csc_matrix(part),
         permc_spec="MMD_AT_PLUS_A",
@@ -82,24 +79,3 @@ def _factorised_mass(mass: Matrix, rows: Index) -> Callable[[Array], Array]:
     )
     solve: Callable[[Array], Array] = factor.solve
     return solve
-
-
-def _factors_of_product(mass: Matrix) -> tuple[Array, Array] | None:
-    """A (p, p) and B (q, q) where the mass (p q, p q) is A ⊗ B; None where it is none."""
-    n, columns = mass.shape[0], mass[[0]].nonzero()[1]
-    q = int(columns[2:].min(initial=n))  # of row 0, after itself and its neighbour in B
-    if len(columns) != 4 or n % q:
-        return None
-    second = mass[:q, :q].toarray()
-    first = mass[::q, ::q].toarray() / second[0, 0]
-    off = mass - scipy.sparse.kron(first, second)
-    return (first, second) if abs(off).max() <= _ROUNDING * abs(mass).max() else None
-
-
-def _solve_product(first: Array, second: Array, r: Array) -> Array:
-    """(A⁻¹ ⊗ B⁻¹) r of r (p q,) or (p q, k), both inverses given."""
-    p, q = len(first), len(second)
-    half = (first @ r.reshape(p, -1)).reshape(p, q, -1)
-    whole = second @ half.transpose(1, 0, 2).reshape(q, -1)
-    result: Array = whole.reshape(q, p, -1).transpose(1, 0, 2).reshape(r.shape)
-    return result

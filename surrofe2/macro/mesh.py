@@ -1,25 +1,31 @@
-"""A mesh of quadrilaterals or six-node triangles with named regions and boundaries."""
+"""Meshes are those of scikit-fem: what a problem asks of one, and names for its parts.
+
+Quadrilaterals are `skfem.MeshQuad1`, triangles `skfem.MeshTri2` with six nodes; a `skfem.MeshTri1`
+gets the middles of its sides. Lengths are in µm. Boundaries are named sets of outer facets, regions
+are named subdomains of elements. Nodes, the columns of `mesh.p`, are numbered as scikit-fem numbers
+the unknowns of `mesh.elem`: unknown 2 a + i of its `ElementVector` is component i of node a.
+"""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from surrofe2.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SIDES = {4: ((0, 1), (1, 2), (2, 3), (3, 0)), 6: ((0, 1, 3), (1, 2, 4), (2, 0, 5))}
-"""Nodes of each side by the nodes of an element: both ends, then the middle of a triangle's."""
-
-
 MOST_ELEMENTS = 10_000_000
+_ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
 
 
 class Part(Protocol):
@@ -71,152 +77,130 @@ class Disc:
         return distance <= self.radius * (1.0 + 1e-9)
 
 
-@dataclass(frozen=True, slots=True)
-class Mesh:
-    """Nodes, elements of one kind, and what parts of it are called.
+def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.MeshQuad1:
+    """[0, width] × [0, height] µm in equal quadrilaterals, numbered along y, then x.
 
-    Attributes:
-        nodes: (n, 2) reference positions, µm.
-        elements: (n_el, 4) quadrilaterals or (n_el, 6) triangles, counter-clockwise; of a triangle
-            the corners, then the middles of the sides 0–1, 1–2, 2–0.
-        regions: (k,) elements by name.
-        boundaries: (k, 2) or (k, 3) nodes of outer sides by name, the tissue on their left.
+    Its sides are the boundaries left, right, bottom and top.
+    """
+    nx, ny = elements
+    if not (min(nx, ny) >= 1 and nx * ny <= MOST_ELEMENTS):
+        raise InputError(
+            f"mesh.elements: [{nx}, {ny}]; there must be at least 1 each way and "
+            f"{MOST_ELEMENTS} in all at most"
+        )
+    if not (0.0 < width < np.inf and 0.0 < height < np.inf):
+        raise InputError(
+            f"mesh.width, mesh.height: {width}, {height}; they must be positive and finite (µm)"
+        )
+    mesh = skfem.MeshQuad1.init_tensor(
+        np.linspace(0.0, width, nx + 1), np.linspace(0.0, height, ny + 1)
+    )
+    counter_clockwise = skfem.MeshQuad1(mesh.p, mesh.t[[0, 3, 2, 1]])
+    return with_boundaries(
+        counter_clockwise,
+        left=Box((0.0, 0.0), (0.0, height)),
+        right=Box((width, 0.0), (width, height)),
+        bottom=Box((0.0, 0.0), (width, 0.0)),
+        top=Box((0.0, height), (width, height)),
+    )
+
+
+def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
+    """The mesh with more boundaries: the outer sides whose nodes all lie in a part.
 
     Raises:
-        InputError: an element is inverted or degenerate, a node has no element, or there are
-            several pieces.
+        InputError: there is none.
     """
-
-    nodes: Array
-    elements: Index
-    regions: Mapping[str, Index] = field(default_factory=dict)
-    boundaries: Mapping[str, Index] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.elements.ndim != 2 or self.elements.shape[1] not in SIDES:
+    outer = mesh.boundary_facets()
+    sides, named = facet_nodes(mesh, outer), {}
+    for name, part in parts.items():
+        inside = part.holds(mesh.p.T)[sides].all(axis=1)
+        if not inside.any():
             raise InputError(
-                f"mesh.elements: shape {self.elements.shape}; it must be (n, 4) for quadrilaterals "
-                "or (n, 6) for triangles"
+                f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side"
             )
-        _check_orphans(self.nodes, self.elements)
-        _check_orientation(self.nodes, self.elements)
-        _check_pieces(self.nodes, self.elements)
-
-    def __repr__(self) -> str:
-        kind = "quadrilaterals" if self.elements.shape[1] == 4 else "triangles"
-        return (
-            f"<Mesh: {len(self.elements)} {kind}, {len(self.nodes)} nodes; boundaries "
-            f"{', '.join(self.boundaries) or 'none'}; regions {', '.join(self.regions) or 'none'}>"
-        )
-
-    @classmethod
-    def rectangle(cls, width: float, height: float, elements: tuple[int, int]) -> Mesh:
-        """[0, width] × [0, height] µm in equal quadrilaterals, numbered along y, then x.
-
-        Its sides are the boundaries left, right, bottom and top.
-        """
-        nx, ny = elements
-        if not (min(nx, ny) >= 1 and nx * ny <= MOST_ELEMENTS):
-            raise InputError(
-                f"mesh.elements: [{nx}, {ny}]; there must be at least 1 each way and "
-                f"{MOST_ELEMENTS} in all at most"
-            )
-        if not (0.0 < width < np.inf and 0.0 < height < np.inf):
-            raise InputError(
-                f"mesh.width, mesh.height: {width}, {height}; they must be positive and finite (µm)"
-            )
-        x, y = np.linspace(0.0, width, nx + 1), np.linspace(0.0, height, ny + 1)
-        nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        number = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
-        corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-        quads = np.stack([corner.ravel() for corner in corners], axis=1)
-        return cls(nodes, quads).with_boundaries(
-            left=Box((0.0, 0.0), (0.0, height)),
-            right=Box((width, 0.0), (width, height)),
-            bottom=Box((0.0, 0.0), (width, 0.0)),
-            top=Box((0.0, height), (width, height)),
-        )
-
-    def with_boundaries(self, **parts: Part) -> Mesh:
-        """The mesh with more boundaries: the outer sides whose nodes all lie in a part.
-
-        Raises:
-            InputError: there is none.
-        """
-        outer = outer_sides(self.elements)
-        named = dict(self.boundaries)
-        for name, part in parts.items():
-            inside = part.holds(self.nodes)[outer].all(axis=1)
-            if not inside.any():
-                raise InputError(
-                    f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side"
-                )
-            named[name] = outer[inside]
-        return replace(self, boundaries=named)
-
-    def with_regions(self, **parts: Part) -> Mesh:
-        """The mesh with more regions: the elements whose centre lies in a part.
-
-        Raises:
-            InputError: there is none.
-        """
-        centres = self.nodes[self.elements].mean(axis=1)
-        named = dict(self.regions)
-        for name, part in parts.items():
-            inside = np.flatnonzero(part.holds(centres))
-            if not inside.size:
-                raise InputError(
-                    f"mesh.regions.{name}: {part}; it must hold the centre of an element"
-                )
-            named[name] = inside
-        return replace(self, regions=named)
-
-    def boundary(self, name: str, where: str = "boundary") -> Index:
-        """(k, 2) or (k, 3) nodes of the sides of a boundary.
-
-        Raises:
-            InputError: there is no boundary of that name; `where` says who asked.
-        """
-        return _named(self.boundaries, name, where, "boundary")
-
-    def region(self, name: str | None, where: str = "region") -> Index:
-        """(k,) elements of a region; of None, all.
-
-        Raises:
-            InputError: there is no region of that name; `where` says who asked.
-        """
-        if name is None:
-            return np.arange(len(self.elements))
-        return _named(self.regions, name, where, "region")
-
-    def nodes_of(self, name: str | None, where: str = "on") -> Index:
-        """(k,) nodes of a boundary or a region; of None, all.
-
-        Raises:
-            InputError: there is neither of that name; `where` says who asked.
-        """
-        if name is None or name in self.regions:
-            return np.unique(self.elements[self.region(name)])
-        if name in self.boundaries:
-            return np.unique(self.boundaries[name])
-        known = {**self.boundaries, **self.regions}
-        return _named(known, name, where, "boundary or region")
-
-    @property
-    def extent(self) -> tuple[Array, Array]:
-        """Lowest and highest x and y, µm."""
-        return self.nodes.min(axis=0), self.nodes.max(axis=0)
+        named[name] = outer[inside]
+    return mesh.with_boundaries(named) if named else mesh
 
 
-def outer_sides(elements: Index) -> Index:
-    """(k, 2) or (k, 3) nodes of the sides that belong to one element, the tissue on their left."""
-    sides = np.concatenate([elements[:, side] for side in SIDES[elements.shape[1]]])
-    ends = np.sort(sides[:, :2], axis=1)
-    _, first, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
-    return sides[np.sort(first[count == 1])]
+def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
+    """The mesh with more regions: the elements whose centre lies in a part.
+
+    Raises:
+        InputError: there is none.
+    """
+    centres, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), {}
+    for name, part in parts.items():
+        inside = np.flatnonzero(part.holds(centres))
+        if not inside.size:
+            raise InputError(f"mesh.regions.{name}: {part}; it must hold the centre of an element")
+        named[name] = inside
+    return mesh.with_subdomains(named) if named else mesh
 
 
-def _named(known: Mapping[str, Index], name: str, where: str, what: str) -> Index:
+def element_nodes(mesh: skfem.Mesh) -> Index:
+    """(n_el, 4) or (n_el, 6) nodes of each element: corners, then the middles of a triangle's sides
+    0–1, 1–2 and 0–2."""
+    return np.ascontiguousarray(mesh.dofs.element_dofs.T, dtype=np.int64)
+
+
+def facet_nodes(mesh: skfem.Mesh, facets: NDArray[np.integer]) -> Index:
+    """(m, 2) or (m, 3) nodes of facets: both ends with the tissue on the left of the way from the
+    first to the second, then the middle."""
+    facets = np.asarray(facets, dtype=np.int64)
+    ends = mesh.facets[:, facets].T.astype(np.int64)
+    x, centre = mesh.p.T[ends], mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T
+    along, inward = x[:, 1] - x[:, 0], centre - x[:, 0]
+    is_right = along[:, 0] * inward[:, 1] < along[:, 1] * inward[:, 0]
+    ends[is_right] = ends[is_right, ::-1]
+    if mesh.elem is skfem.ElementTriP2:
+        ends = np.column_stack([ends, mesh.dofs.facet_dofs[0, facets]])
+    return ends
+
+
+def boundary(mesh: skfem.Mesh, name: str, where: str = "boundary") -> Index:
+    """(m,) facets of a boundary.
+
+    Raises:
+        InputError: there is no boundary of that name; `where` says who asked.
+    """
+    return np.asarray(_named(mesh.boundaries, name, where, "boundary"), dtype=np.int64)
+
+
+def region(mesh: skfem.Mesh, name: str | None, where: str = "region") -> Index:
+    """(k,) elements of a region; of None, all.
+
+    Raises:
+        InputError: there is no region of that name; `where` says who asked.
+    """
+    if name is None:
+        return np.arange(mesh.nelements)
+    return np.asarray(_named(mesh.subdomains, name, where, "region"), dtype=np.int64)
+
+
+def nodes_on(mesh: skfem.Mesh, name: str | None, where: str = "on") -> Index:
+    """(k,) nodes of a boundary or a region; of None, all.
+
+    Raises:
+        InputError: there is neither of that name; `where` says who asked.
+    """
+    if name is None or name in (mesh.subdomains or {}):
+        return np.unique(element_nodes(mesh)[region(mesh, name)])
+    if name in (mesh.boundaries or {}):
+        return np.unique(facet_nodes(mesh, boundary(mesh, name)))
+    known = {**(mesh.boundaries or {}), **(mesh.subdomains or {})}
+    return np.asarray(_named(known, name, where, "boundary or region"))
+
+
+def extent(mesh: skfem.Mesh) -> tuple[Array, Array]:
+    """Lowest and highest x and y, µm."""
+    return mesh.p.min(axis=1), mesh.p.max(axis=1)
+
+
+def _named(
+    known: Mapping[str, NDArray] | None, name: str, where: str, what: str
+) -> NDArray[np.integer]:
+    known = known or {}
     if name in known:
         return known[name]
     if not known:
@@ -226,17 +210,62 @@ def _named(known: Mapping[str, Index], name: str, where: str, what: str) -> Inde
     raise InputError(f"{where}: {name}; no such {what}; {hint}known are {', '.join(known)}")
 
 
-def _check_orphans(nodes: Array, elements: Index) -> None:
-    if elements.size == 0:
-        raise InputError("mesh: it has no element; it must have at least one")
-    if elements.min() < 0 or elements.max() >= len(nodes):
+def check_mesh(mesh: skfem.Mesh) -> skfem.Mesh:
+    """The mesh of a problem, a `MeshTri1` with the middles of its sides.
+
+    Raises:
+        InputError: it is of another kind, an element is inverted or degenerate, elements lie on one
+            another, a node has no element, there are several pieces, or a boundary has a facet
+            within the tissue.
+    """
+    if not isinstance(mesh, skfem.Mesh) or mesh.elem not in _ELEMENTS:
         raise InputError(
-            f"mesh.elements: node {elements.max()}; nodes are numbered from 0 to {len(nodes) - 1}"
+            f"mesh: {type(mesh).__name__}; it must be a skfem.MeshQuad1, MeshTri1 or MeshTri2"
         )
-    twice, count = np.unique(np.sort(elements, axis=1), axis=0, return_counts=True)
+    if mesh.t.size == 0:
+        raise InputError("mesh: it has no element; it must have at least one")
+    if mesh.t.min() < 0 or mesh.t.max() >= mesh.p.shape[1]:
+        raise InputError(
+            f"mesh.t: node {mesh.t.max()}; nodes are numbered from 0 to {mesh.p.shape[1] - 1}"
+        )
+    x = mesh.p.T
+    twice, count = np.unique(np.sort(mesh.t.T, axis=1), axis=0, return_counts=True)
     if count.max() > 1:
-        at = nodes[twice[count.argmax()]].mean(axis=0)
+        at = x[twice[count.argmax()]].mean(axis=0)
         raise InputError(f"mesh: {count.max()} elements of the same nodes at {_at(at)}; keep one")
+    shared = np.bincount(mesh.t2f.ravel())
+    if shared.max() > 2:
+        at = x[mesh.facets[:, shared.argmax()]].mean(axis=0)
+        raise InputError(
+            f"mesh: {shared.max()} elements share the side at {_at(at)}; elements must not lie on "
+            "one another"
+        )
+    if mesh.elem is skfem.ElementTriP1:
+        _check_orphans(x, mesh.t.T)
+        mesh = _with_middles(mesh)
+    elements = element_nodes(mesh)
+    _check_orphans(mesh.p.T, elements)
+    _check_shapes(mesh.p.T, elements)
+    _check_pieces(mesh)
+    for name, facets in (mesh.boundaries or {}).items():
+        within = np.flatnonzero(mesh.f2t[1, facets] != -1)
+        if within.size:
+            ends = mesh.p.T[mesh.facets[:, facets[within[0]]]]
+            raise InputError(
+                f"mesh: boundary {name}: the line from {_at(ends[0])} to {_at(ends[1])} is no "
+                "outer side of an element"
+            )
+    return mesh
+
+
+def _with_middles(mesh: skfem.MeshTri1) -> skfem.MeshTri2:
+    """Facets and elements have the same numbers, so boundaries and regions are the same too."""
+    lifted = skfem.MeshTri2.from_mesh(mesh)
+    lifted = lifted.with_boundaries(mesh.boundaries) if mesh.boundaries else lifted
+    return lifted.with_subdomains(mesh.subdomains) if mesh.subdomains else lifted
+
+
+def _check_orphans(nodes: Array, elements: NDArray[np.integer]) -> None:
     alone = np.setdiff1d(np.arange(len(nodes)), elements)
     if alone.size:
         raise InputError(
@@ -245,13 +274,14 @@ def _check_orphans(nodes: Array, elements: Index) -> None:
         )
 
 
-def _check_orientation(nodes: Array, elements: Index) -> None:
-    """The corners of every element must turn left, and the middles lie near their sides."""
-    corners = elements[:, :4] if elements.shape[1] == 4 else elements[:, :3]
-    x = nodes[corners]
+def _check_shapes(nodes: Array, elements: Index) -> None:
+    """The corners of every element must turn one way, and the middles lie near their sides."""
+    x = nodes[elements[:, :4] if elements.shape[1] == 4 else elements[:, :3]]
     ahead = np.roll(x, -1, axis=1) - x
     behind = np.roll(ahead, 1, axis=1)
     turn = behind[..., 0] * ahead[..., 1] - behind[..., 1] * ahead[..., 0]
+    # scikit-fem takes elements either way round.
+    turn *= np.where(turn.sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     size = np.linalg.norm(ahead, axis=2).max(axis=1)
     flat = turn.min(axis=1) / np.maximum(size, np.finfo(float).tiny) ** 2
     if elements.shape[1] == 6:
@@ -259,30 +289,26 @@ def _check_orientation(nodes: Array, elements: Index) -> None:
         away = np.linalg.norm(nodes[elements[:, 3:]] - middle, axis=2).max(axis=1)
         flat = np.where(away > 0.25 * size, -1.0, flat)
     worst = int(flat.argmin())
-    if flat[worst] <= 1e-6:
+    if not flat[worst] > 1e-6:
         what = "inverted" if flat[worst] < -1e-6 else "degenerate"
         raise InputError(
             f"mesh: element {worst} at {_at(x[worst].mean(axis=0))} is {what}; its corners must go "
-            "round counter-clockwise and bulge outward"
+            "round it and bulge outward"
         )
 
 
-def _check_pieces(nodes: Array, elements: Index) -> None:
-    """Every node takes the lowest label around it until none changes."""
-    label = np.arange(len(nodes))
-    while True:
-        lowest = label.copy()
-        np.minimum.at(lowest, elements, label[elements].min(axis=1, keepdims=True))
-        lowest = lowest[lowest]
-        if np.array_equal(lowest, label):
-            break
-        label = lowest
-    names, sizes = np.unique(label, return_counts=True)
-    if names.size > 1:
-        node = int(names[sizes.argmin()])
+def _check_pieces(mesh: skfem.Mesh) -> None:
+    first, second = mesh.t, np.roll(mesh.t, 1, axis=0)
+    corners = int(mesh.t.max()) + 1
+    graph = coo_matrix((np.ones(first.size), (first.ravel(), second.ravel())), (corners, corners))
+    pieces, label = connected_components(graph, directed=False)
+    if pieces > 1:
+        sizes = np.bincount(label[mesh.t[0]])
+        piece = int(sizes.argmin())
+        node = int(np.flatnonzero(label == piece)[0])
         raise InputError(
-            f"mesh: {names.size} pieces that do not touch, the smallest of {sizes.min()} nodes "
-            f"at {_at(nodes[node])}; it must be one"
+            f"mesh: {pieces} pieces that do not touch, the smallest of {sizes.min()} elements "
+            f"at {_at(mesh.p[:, node])}; it must be one"
         )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.amplitude import ONE, Amplitude, Constant, Table
@@ -22,7 +23,7 @@ from surrofe2.macro.conditions import (
     PrescribedMotion,
     Surface,
 )
-from surrofe2.macro.mesh import Mesh
+from surrofe2.macro.mesh import check_mesh, extent, rectangle
 from surrofe2.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
@@ -41,7 +42,8 @@ class Problem:
     """A tissue and what happens to it.
 
     Attributes:
-        mesh: with the names of its boundaries and regions.
+        mesh: a `skfem.MeshQuad1`, `MeshTri1` or `MeshTri2` in µm with named boundaries and
+            subdomains; three-node triangles get the middles of their sides.
         conditions: supports, loads, initial velocity.
         bodies: rigid bodies that touch it.
         duration: length of the run, µs.
@@ -52,10 +54,10 @@ class Problem:
             run; displacements count from there. None: there are none.
 
     Raises:
-        InputError: two things have one name, or a number is out of range.
+        InputError: as of `check_mesh`; two things have one name, or a number is out of range.
     """
 
-    mesh: Mesh
+    mesh: skfem.Mesh
     conditions: tuple[Condition, ...]
     bodies: tuple[RigidBody, ...] = ()
     duration: float = 250.0
@@ -64,6 +66,7 @@ class Problem:
     surface: Surface | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "mesh", check_mesh(self.mesh))
         for name, value in (("duration", self.duration), ("output_interval", self.output_interval)):
             if not 0.0 < value < np.inf:
                 raise InputError(f"problem.{name}: {value}; it must be positive and finite (µs)")
@@ -99,9 +102,8 @@ class Problem:
                     f"problem: amplitude: {quoted(amplitude)}; it must be an Amplitude, as Table"
                 )
         if not self.watched:
-            low, high = self.mesh.extent
-            nearest = abs(self.mesh.nodes - 0.5 * (low + high)).sum(axis=1).argmin()
-            x, y = self.mesh.nodes[nearest]
+            middle = 0.5 * np.add(*extent(self.mesh))
+            x, y = self.mesh.p[:, abs(self.mesh.p.T - middle).sum(axis=1).argmin()]
             object.__setattr__(self, "watched", {"middle": (float(x), float(y))})
 
     def amplitudes(self) -> Iterator[Amplitude]:
@@ -179,7 +181,7 @@ def bar(load_case: LoadCase, elements: tuple[int, int]) -> Problem:
     amplitude = Table(points=load_case.amplitude) if load_case.amplitude else ONE
     load = BodyForce(name="load", acceleration=load_case.body_force, amplitude=amplitude)
     return Problem(
-        mesh=Mesh.rectangle(load_case.width, load_case.height, elements),
+        mesh=rectangle(load_case.width, load_case.height, elements),
         conditions=(Fixed(on="left", name="clamp"), load),
         duration=load_case.duration,
         output_interval=load_case.output_interval,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.checkpoint_clock import CheckpointClock
@@ -19,6 +20,7 @@ from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.chunks import Chunks
+from surrofe2.macro.discretisation import displacement_basis
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import MetRange
@@ -125,6 +127,19 @@ class MacroRun(ViewedRun):
             "position": (("node", "axis"), self.nodes, {"units": LENGTH}),
         }
         return found, where
+
+    @property
+    def basis(self) -> skfem.Basis:
+        """scikit-fem's basis of displacements, made at every call."""
+        return displacement_basis(as_problem(self.problem, self.settings).mesh)
+
+    def displacement(self, frame: int = -1) -> Array:
+        """(2 n_nodes,) displacement of a frame as a nodal vector of `basis`, µm.
+
+        >>> basis = run.basis
+        >>> strain = skfem.helpers.sym_grad(basis.interpolate(run.displacement(-1)))
+        """
+        return self.frames.displacement[frame].ravel()
 
     def __repr__(self) -> str:
         end = "finished" if self.finished else "unfinished"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surrofe2.amplitude import ONE, Amplitude, Proportional
 from surrofe2.errors import InputError
 from surrofe2.macro.conditions import Fixed, PrescribedMotion, Symmetry
+from surrofe2.macro.mesh import nodes_on
 from surrofe2.macro.problem import Problem, label
 
 Array = NDArray[np.float64]
@@ -42,14 +43,14 @@ def make_supports(problem: Problem, proportional: bool) -> tuple[Support, ...]:
                 largest = {k: value for k, value in given if value is not None}
             case _:
                 continue
-        nodes = mesh.nodes_of(condition.on, where)
+        nodes = nodes_on(mesh, condition.on, where)
         unknowns = (2 * nodes[:, None] + np.array([*largest], dtype=np.int64)).ravel()
         amplitude = condition.amplitude if isinstance(condition, PrescribedMotion) else ONE
         values = np.tile([*largest.values()], nodes.size)
         found.append(Support(label(condition), unknowns, values, amplitude))
     for k, body in enumerate(problem.bodies):
         if body.mass is None:
-            unknowns = 2 * (len(mesh.nodes) + k) + np.arange(2)
+            unknowns = 2 * (mesh.p.shape[1] + k) + np.arange(2)
             values = np.array(body.displacement)
             found.append(Support(f"{body.name} position", unknowns, values, body.amplitude))
     if proportional:
@@ -71,7 +72,7 @@ def _without_overlap(supports: list[Support], problem: Problem) -> tuple[Support
             mine[j] = False
             both_rest = other[1] == value == 0.0
             if not both_rest and other[1:] != claim[1:]:
-                x, y = problem.mesh.nodes[unknown // 2]
+                x, y = problem.mesh.p[:, unknown // 2]
                 raise InputError(
                     f"{support.name}: component {'xy'[unknown % 2]} of the node at "
                     f"({x:.6g}, {y:.6g}) µm; {other[0]} prescribes it otherwise, "
@@ -84,7 +85,7 @@ def _without_overlap(supports: list[Support], problem: Problem) -> tuple[Support
 
 
 def _normal_component(problem: Problem, condition: Symmetry) -> int:
-    nodes = problem.mesh.nodes[problem.mesh.nodes_of(condition.on, "symmetry.on")]
+    nodes = problem.mesh.p.T[nodes_on(problem.mesh, condition.on, "symmetry.on")]
     extent = np.ptp(nodes, axis=0)
     component = int(extent.argmin())
     if extent[component] > 1e-9 * extent.max():

@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy  # scipy.sparse is loaded where a force has slopes
+import scipy.sparse
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
 from surrofe2.macro.discretisation import Discretisation
-from surrofe2.macro.forces import Slopes
+from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.free_sides import FreeSides, free_sides
 from surrofe2.macro.problem import SURFACE, Problem
 from surrofe2.macro.surface_patches import stretched_nodes
@@ -97,8 +97,8 @@ class SurfaceForce:
         moved = np.einsum("ma,mai->mi", self.slopes_of_shape, u[self.nodes])
         return replace(self, directions=self.directions + moved)
 
-    def mass(self, inside: Array) -> tuple[Array, Index, Index]:
-        """Entries, rows and columns of the mass excess, ng, as of `Discretisation.mass`.
+    def mass(self, inside: Array, n: int) -> Matrix:
+        """(n, n) mass excess of one displacement component, ng.
 
         Args:
             inside: (n_el,) factor of the sides beside each element.
@@ -110,7 +110,8 @@ class SurfaceForce:
         row, column = np.broadcast_arrays(
             self.sides.nodes[:, :, None], self.sides.nodes[:, None, :]
         )
-        return blocks.ravel(), row.ravel(), column.ravel()
+        entries = blocks.ravel(), (row.ravel(), column.ravel())
+        return scipy.sparse.csc_matrix(entries, shape=(n, n))
 
     def refusal(self, nodes: Array, u: Array, v: Array) -> str:
         """Where a law has no answer, and for which stretch."""

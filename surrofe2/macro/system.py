@@ -19,7 +19,8 @@ from surrofe2.macro.conditions import InitialVelocity
 from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
-from surrofe2.macro.mass import make_mass, mass_solver
+from surrofe2.macro.mass import make_mass, mass_solver, tissue_mass
+from surrofe2.macro.mesh import boundary, facet_nodes, nodes_on, region
 from surrofe2.macro.problem import SURFACE, Problem, label
 from surrofe2.macro.supports import Support, make_supports
 from surrofe2.macro.surface_elements import SurfaceForce, make_surface
@@ -197,7 +198,7 @@ class System:
     def regions(self) -> dict[str, Index]:
         """Elements of the regions, and of the whole tissue under the name ``""``."""
         mesh = self.problem.mesh
-        return {"": np.arange(len(mesh.elements)), **mesh.regions}
+        return {"": np.arange(mesh.nelements), **(mesh.subdomains or {})}
 
     @property
     def dissipating(self) -> tuple[str, ...]:
@@ -209,8 +210,11 @@ class System:
         """(k, 32) digests of `PARTS`, which decide the motion but for law and settings."""
         problem, space = self.problem, self.discretisation
         held = [each.unknowns for each in self.supports]
-        sides = self.surface
-        named = {**problem.mesh.boundaries, **problem.mesh.regions}
+        surface = self.surface
+        mesh = problem.mesh
+        sides = {name: facet_nodes(mesh, each) for name, each in (mesh.boundaries or {}).items()}
+        elements = {name: region(mesh, name) for name in mesh.subdomains or {}}
+        named = {**sides, **elements}
         parts: tuple[list[Array | Index | str], ...] = (
             [space.nodes, space.elements, repr([*named]), *named.values()],
             [self.mass @ np.ones(self.n_rows)],
@@ -219,8 +223,9 @@ class System:
             [repr(problem.output_interval)],
             [repr([*problem.watched.items()])],
         )
-        if sides is not None:
-            parts = *parts, [repr(sides.sides.names), sides.sides.nodes, sides.sides.law]
+        if surface is not None:
+            free = surface.sides
+            parts = *parts, [repr(free.names), free.nodes, free.law]
         return np.array([_digest(part) for part in parts], dtype=np.float64)
 
     def at_watched_points(self, u: Array) -> Array:
@@ -255,17 +260,15 @@ def make_system(
     """
     mesh, space = problem.mesh, make_discretisation(problem.mesh)
     per_element = np.broadcast_to(density, space.n_points)[:: space.points_per_element]
-    n_nodes, n = len(mesh.nodes), len(mesh.nodes) + len(problem.bodies)
+    n_nodes, n = len(space.nodes), len(space.nodes) + len(problem.bodies)
     surface = [] if problem.surface is None else [make_surface(problem, space)]
 
-    def mass_of(share: Array) -> tuple[Array, Index, Index]:
-        """Entries, rows and columns of the mass of a share of each element, its sides included."""
-        tissue = space.mass(share * per_element)
-        parts = [tissue, *(each.mass(share) for each in surface)]
-        entries, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
-        return entries, row, column
+    def mass_of(share: Array) -> Matrix:
+        """Mass of a share of each element, its sides included."""
+        tissue = tissue_mass(mesh, share * per_element)
+        return sum((each.mass(share, n_nodes) for each in surface), tissue)
 
-    mass = make_mass(problem, mass_of(np.ones(len(mesh.elements))), n)
+    mass = make_mass(problem, mass_of(np.ones(mesh.nelements)))
     supports = make_supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
@@ -276,8 +279,8 @@ def make_system(
         *make_loads(problem, mass_of, n, proportional),
         *(
             make_contact(
-                body, n_nodes + k, mesh.nodes,
-                mesh.boundary(body.on, f"{body.name}.on"), modulus, heaviest,
+                body, n_nodes + k, space.nodes,
+                facet_nodes(mesh, boundary(mesh, body.on, f"{body.name}.on")), modulus, heaviest,
             )
             for k, body in enumerate(problem.bodies)
         ),
@@ -302,12 +305,8 @@ def make_system(
 
 def _boundary_weights(problem: Problem) -> dict[str, Array]:
     mesh = problem.mesh
-    names = [name for name in mesh.boundaries if name in set(problem.places())]
-    unit = (1.0, 1.0)
-    loads = {
-        name: traction_load(mesh.nodes, mesh.boundaries[name], unit, len(mesh.nodes))[:, 0]
-        for name in names
-    }
+    names = [name for name in mesh.boundaries or {} if name in set(problem.places())]
+    loads = {name: traction_load(mesh, boundary(mesh, name), (1.0, 1.0))[:, 0] for name in names}
     return {name: load / load.sum() for name, load in loads.items()}
 
 
@@ -322,7 +321,7 @@ def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -
         held[support.unknowns] = True
     for condition in problem.conditions:
         if isinstance(condition, InitialVelocity):
-            nodes = problem.mesh.nodes_of(condition.on, "initial_velocity.on")
+            nodes = nodes_on(problem.mesh, condition.on, "initial_velocity.on")
             velocity[nodes] = condition.velocity
             given = np.array(condition.velocity) != 0.0
             if given.any() and held.reshape(n, 2)[nodes][:, given].all():
@@ -332,7 +331,7 @@ def _initial_velocity(problem: Problem, supports: tuple[Support, ...], n: int) -
                 )
     for k, body in enumerate(problem.bodies):
         if body.mass is not None:
-            velocity[len(problem.mesh.nodes) + k] = body.velocity
+            velocity[problem.mesh.p.shape[1] + k] = body.velocity
     for support in supports:
         velocity.ravel()[support.unknowns[support.largest == 0.0]] = 0.0
     return velocity

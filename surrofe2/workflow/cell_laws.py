@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
 
 from surrofe2.cache import CachedLaw
@@ -19,7 +20,6 @@ from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.io.tables import StoredTable, read_table
-from surrofe2.macro.mesh import Mesh
 from surrofe2.ranks.distributed_law import DistributedLaw
 from surrofe2.recipe import Recipe
 from surrofe2.regional_law import RegionalLaw
@@ -38,7 +38,7 @@ NO_FILES: Mapping[str, Path] = MappingProxyType({})
 def choose_laws(
     recipe: Recipe,
     kind: str,
-    mesh: Mesh,
+    mesh: skfem.Mesh,
     surrogates: Mapping[str, Path] = NO_FILES,
     tables: Sequence[Path] = (),
     taker: Taker = lambda recipe: None,
@@ -117,7 +117,9 @@ def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
     return found
 
 
-def law_by_region(recipe: Recipe, mesh: Mesh, law_of: Callable[[Recipe], StressLaw]) -> StressLaw:
+def law_by_region(
+    recipe: Recipe, mesh: skfem.Mesh, law_of: Callable[[Recipe], StressLaw]
+) -> StressLaw:
     """The law of a recipe's cell, or of its cells, each at the points of its regions."""
     if not recipe.types:
         return law_of(recipe)

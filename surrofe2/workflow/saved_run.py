@@ -39,6 +39,7 @@ from surrofe2.macro import MacroRun, Problem
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.internal_force import deformation_gradient
+from surrofe2.macro.mesh import element_nodes, extent
 from surrofe2.macro.problem import label
 from surrofe2.macro.simulation import as_problem
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
@@ -165,15 +166,15 @@ def penetrations(run: MacroRun) -> dict[str, float]:
 def problem_record(problem: Problem) -> dict[str, Any]:
     """What a problem consists of: counts of its mesh by name, and what acts on it."""
     mesh = problem.mesh
-    low, high = mesh.extent
+    low, high = extent(mesh)
     return {
-        "nodes": len(mesh.nodes),
-        "elements": len(mesh.elements),
-        "nodes_per_element": mesh.elements.shape[1],
+        "nodes": mesh.p.shape[1],
+        "elements": mesh.nelements,
+        "nodes_per_element": element_nodes(mesh).shape[1],
         "points": n_points_of(mesh),
         "extent": [low.tolist(), high.tolist()],
-        "boundaries": {name: len(sides) for name, sides in mesh.boundaries.items()},
-        "regions": {name: len(elements) for name, elements in mesh.regions.items()},
+        "boundaries": {name: len(sides) for name, sides in (mesh.boundaries or {}).items()},
+        "regions": {name: len(elements) for name, elements in (mesh.subdomains or {}).items()},
         "conditions": [label(condition) for condition in problem.conditions],
         "bodies": [body.name for body in problem.bodies],
         "watched": {name: list(at) for name, at in problem.watched.items()},
@@ -257,11 +258,11 @@ def _stated_problem(problem: Problem | LoadCase) -> dict[str, Any]:
     """A problem as a recipe has it, its mesh by extent, number of elements and digest."""
     if isinstance(problem, LoadCase):
         return {"load": asdict(problem)}
-    low, high = problem.mesh.extent
+    low, high = extent(problem.mesh)
     digest = hashlib.sha256()
-    for part in (problem.mesh.nodes, problem.mesh.elements):
+    for part in (problem.mesh.p.T, element_nodes(problem.mesh)):
         digest.update(np.ascontiguousarray(part).tobytes())
-    (width, height), elements = (high - low).tolist(), len(problem.mesh.elements)
+    (width, height), elements = (high - low).tolist(), problem.mesh.nelements
     mesh = {"file": None, "width": width, "height": height, "elements": elements}
     acts = sections_of(problem.conditions, problem.bodies, problem.watched)
     time = {"duration": problem.duration, "output_interval": problem.output_interval}

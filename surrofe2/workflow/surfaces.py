@@ -21,6 +21,7 @@ from surrofe2.io.run_folder import RunRecord
 from surrofe2.io.surfaces import check_surface, read_surface, write_surface
 from surrofe2.macro import Problem, Surface
 from surrofe2.macro.free_sides import free_sides
+from surrofe2.macro.mesh import extent
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe import Recipe
@@ -55,7 +56,7 @@ def with_surface(
     }
     if not recipe.types:
         return replace(problem, surface=Surface(law=laws[""], on=recipe.surface.on))
-    share = len(problem.mesh.elements)
+    share = problem.mesh.nelements
     points = recipe.points_of_cells(problem.mesh)
     n_q = sum(map(len, points.values())) // share
     elements = {name: np.unique(own // n_q) for name, own in points.items()}
@@ -64,7 +65,7 @@ def with_surface(
 
 def cells_across(problem: Problem, cell: CellParameters) -> float:
     """Plant cells across the tissue where its extent is smaller."""
-    low, high = problem.mesh.extent
+    low, high = extent(problem.mesh)
     return float((high - low).min() / cell.cell_side)
 
 

@@ -10,6 +10,7 @@ from surrofe2.adapters.felupe import FelupeMaterial
 from surrofe2.errors import SimulationError
 from surrofe2.macro.conditions import Fixed, Traction
 from surrofe2.macro.discretisation import reference_shapes
+from surrofe2.macro.mesh import element_nodes
 from surrofe2.macro.quasi_static import find_rest
 from surrofe2.stress_law import Status
 from tests.laws import KelvinVoigt
@@ -67,14 +68,14 @@ def test_a_block_at_rest_is_that_of_our_finite_elements():
     pull = Traction(name="pull", on="right", traction=(PULL, 0.1 * PULL))
     ours = find_rest(Problem(mesh=mesh, conditions=(Fixed(on="left"), pull), duration=1.0), law)
 
-    theirs = felupe.Mesh(mesh.nodes, mesh.elements, "triangle6")
+    theirs = felupe.Mesh(mesh.p.T, element_nodes(mesh), "triangle6")
     rule = felupe.TriangleQuadrature(order=2)
     region = felupe.Region(theirs, Triangle(), rule)
     field = felupe.FieldContainer([felupe.Field(region, dim=2)])
     clamped = {"left": felupe.Boundary(field[0], fx=0.0)}
     body = felupe.SolidBody(FelupeMaterial(law), field)
     force = nodal_forces(mesh)
-    load = felupe.PointLoad(field, np.arange(len(mesh.nodes)), values=force)
+    load = felupe.PointLoad(field, np.arange(len(mesh.p.T)), values=force)
     step = felupe.Step(items=[body, load], boundaries=clamped)
     felupe.Job(steps=[step]).evaluate(verbose=False, x0=field, tol=1e-12)
     assert np.abs(field[0].values - ours.u).max() < 1e-8 * np.abs(ours.u).max()
@@ -103,11 +104,11 @@ def test_which_slope_of_felupe_s_triangle_is_wrong():
 
 def nodal_forces(mesh):
     """The traction on the right side, by Simpson's rule of each three-node side."""
-    force = np.zeros_like(mesh.nodes)
-    right = np.flatnonzero(mesh.nodes[:, 0] == WIDTH)
-    right = right[np.argsort(mesh.nodes[right, 1])]
+    force = np.zeros_like(mesh.p.T)
+    right = np.flatnonzero(mesh.p.T[:, 0] == WIDTH)
+    right = right[np.argsort(mesh.p.T[right, 1])]
     for first in range(0, len(right) - 2, 2):
-        length = mesh.nodes[right[first + 2], 1] - mesh.nodes[right[first], 1]
+        length = mesh.p.T[right[first + 2], 1] - mesh.p.T[right[first], 1]
         for node, share in zip(right[first : first + 3], (1 / 6, 4 / 6, 1 / 6), strict=True):
             force[node] += share * length * np.array([PULL, 0.1 * PULL])
     return force

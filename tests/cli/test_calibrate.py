@@ -241,7 +241,7 @@ def test_runs_of_a_stated_problem_are_its_own_with_other_loads(stated, monkeypat
     recipe = stated()
     monkeypatch.setattr(calibrating, "simulate", recording := Recording())
     runs = list(calibrating._runs(recipe, SoftLaw(), 40, seed=3))
-    assert [len(each.mesh.elements) for each in recording.problems] == [2] * 40
+    assert [each.mesh.nelements for each in recording.problems] == [2] * 40
     ends = []
     for problem, met in zip(recording.problems, runs, strict=True):
         pace = 25.0 / problem.duration
@@ -327,7 +327,7 @@ def test_a_cell_sees_its_own_points_among_the_others(stated, recipe_path, monkey
         (states,) = calibrating._runs(part, SoftCell(part.cell), 1, seed=4)
         met[name] = states[-1][0]
     # Coarser elements would make the end thicker, so the mesh stays.
-    assert [len(problem.mesh.elements) for problem in recording.problems] == [6, 6]
+    assert [problem.mesh.nelements for problem in recording.problems] == [6, 6]
     assert [len(F) for F in met.values()] == [5, 20]  # of 25
     stretch = {name: F[:, 0, 0].mean() - 1.0 for name, F in met.items()}
     assert stretch["end"] > 1.5 * stretch["middle"] > 0.0

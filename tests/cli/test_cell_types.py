@@ -369,7 +369,7 @@ def test_two_cells_of_true_particles(written, tmp_path):
     recipe = load_recipe(path)
     record = run_study(recipe, "rve", tmp_path / "two")
     problem = recipe.problem()
-    upper = problem.mesh.nodes[problem.mesh.elements].mean(axis=1)[:, 1] > 50.0
+    upper = problem.mesh.p.T[problem.mesh.t.T].mean(axis=1)[:, 1] > 50.0
     of_skin = np.repeat(upper, 5)
     law = RegionalLaw(
         {"skin": RveLaw(CellParameters.preset("printed", wall_stiffness=8000.0), recipe.rve),

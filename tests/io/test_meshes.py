@@ -8,8 +8,10 @@ import pytest
 
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.meshes import read_mesh
-from surrofe2.macro.mesh import Mesh, outer_sides
+from surrofe2.macro.mesh import check_mesh, element_nodes
+from surrofe2.problem_sections import load_mesh
 from tests.io.gmsh_files import QUADS, TRIANGLES
+from tests.macro.meshes import sides_of
 
 
 @pytest.fixture
@@ -24,7 +26,7 @@ def written(tmp_path):
 
 def refusal(path, error=InputError):
     with pytest.raises(error) as caught:
-        read_mesh(path)
+        load_mesh(path)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -36,67 +38,71 @@ def changed(text, *pairs):
     return text
 
 
+def names(mesh):
+    """Elements of regions, and nodes of boundaries."""
+    regions = {name: each.tolist() for name, each in mesh.subdomains.items()}
+    return regions, {name: sides_of(mesh, name).tolist() for name in mesh.boundaries}
+
+
 def test_quadrilaterals_of_gmsh(written):
-    stored = read_mesh(written(QUADS), "mm")
+    mesh = check_mesh(read_mesh(written(QUADS), "mm"))
     np.testing.assert_array_equal(
-        stored.nodes, 1e3 * np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
+        mesh.p.T, 1e3 * np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
     )
-    np.testing.assert_array_equal(stored.elements, [[0, 1, 4, 3], [1, 2, 5, 4]])
-    assert {name: each.tolist() for name, each in stored.regions.items()} == {
-        "skin": [0],
-        "flesh": [1],
-    }
+    np.testing.assert_array_equal(mesh.t.T, [[0, 1, 4, 3], [1, 4, 5, 2]])
     # Both sides go round with the tissue on their left, whichever way the file has them.
-    assert {name: each.tolist() for name, each in stored.boundaries.items()} == {
-        "left": [[3, 0]],
-        "right": [[2, 5]],
-    }
-    mesh = Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
-    assert mesh.extent[1].tolist() == [2000.0, 1000.0]
+    assert names(mesh) == (
+        {"skin": [0], "flesh": [1]}, {"left": [[3, 0]], "right": [[2, 5]]}
+    )  # fmt: skip
 
 
 def test_triangles_of_three_nodes_get_middles(written):
-    stored = read_mesh(written(TRIANGLES))
-    mesh = Mesh(stored.nodes, stored.elements, stored.regions, stored.boundaries)
-    assert mesh.nodes.shape == (13, 2)  # 5 corners, 8 sides
-    corners, middles = mesh.elements[:, :3], mesh.elements[:, 3:]
-    expected = 0.5 * (mesh.nodes[corners] + mesh.nodes[np.roll(corners, -1, axis=1)])
-    np.testing.assert_array_equal(mesh.nodes[middles], expected)
-    (base,), (tip,) = mesh.boundaries["base"], mesh.boundaries["tip"]
-    assert mesh.nodes[base].tolist() == [[0.0, 0.0], [2.0, 0.0], [1.0, 0.0]]
-    assert mesh.nodes[tip].tolist() == [[2.0, 2.0], [0.0, 2.0], [1.0, 2.0]]
-    assert mesh.regions["leaf"].tolist() == [0, 1, 2, 3]
+    mesh = check_mesh(read_mesh(written(TRIANGLES)))
+    assert mesh.p.shape == (2, 13)  # 5 corners, 8 sides
+    nodes, elements = mesh.p.T, element_nodes(mesh)
+    for a, b, middle in ((0, 1, 3), (1, 2, 4), (0, 2, 5)):
+        expected = 0.5 * (nodes[elements[:, a]] + nodes[elements[:, b]])
+        np.testing.assert_array_equal(nodes[elements[:, middle]], expected)
+    (base,), (tip,) = sides_of(mesh, "base"), sides_of(mesh, "tip")
+    assert nodes[base].tolist() == [[0.0, 0.0], [2.0, 0.0], [1.0, 0.0]]
+    assert nodes[tip].tolist() == [[2.0, 2.0], [0.0, 2.0], [1.0, 2.0]]
+    assert mesh.subdomains["leaf"].tolist() == [0, 1, 2, 3]
 
 
 def test_curved_lines_of_three_nodes_are_sides_of_triangles_of_six(tmp_path, written):
-    straight = read_mesh(written(TRIANGLES))
-    (side,) = straight.boundaries["base"]
+    """Middles come first in the file, corners after them."""
+    straight = check_mesh(read_mesh(written(TRIANGLES)))
+    (side,) = sides_of(straight, "base")
+    number = np.arange(13)[::-1]
     made = meshio.Mesh(
-        np.pad(straight.nodes, ((0, 0), (0, 1))),
-        [("triangle6", straight.elements), ("line3", side[None, [1, 0, 2]])],
+        np.pad(straight.p.T[number], ((0, 0), (0, 1))),
+        [("triangle6", number[element_nodes(straight)]), ("line3", number[side[None, [1, 0, 2]]])],
         cell_data={"gmsh:physical": [np.full(4, 3), np.array([1])],
                    "gmsh:geometrical": [np.full(4, 1), np.array([1])]},
         field_data={"leaf": np.array([3, 2]), "base": np.array([1, 1])},
     )  # fmt: skip
     path = tmp_path / "curved.msh"
     made.write(path, file_format="gmsh22")
-    back = read_mesh(path)
-    np.testing.assert_array_equal(back.boundaries["base"], [side])
-    np.testing.assert_array_equal(back.regions["leaf"], [0, 1, 2, 3])
+    back = check_mesh(read_mesh(path))
+    np.testing.assert_array_equal(back.p.T[sides_of(back, "base")], [straight.p.T[side]])
+    np.testing.assert_array_equal(back.subdomains["leaf"], [0, 1, 2, 3])
+    for nodes in (back.p.T[element_nodes(back)], straight.p.T[element_nodes(straight)]):
+        np.testing.assert_array_equal(nodes[:, 3], 0.5 * (nodes[:, 0] + nodes[:, 1]))
 
 
 @pytest.mark.parametrize("kind", ["msh", "vtk", "vtu", "inp"])
 def test_triangles_of_six_nodes_from_any_format(tmp_path, written, kind):
-    stored = read_mesh(written(TRIANGLES))
-    clockwise = stored.elements[:, [0, 2, 1, 5, 4, 3]]
-    points = np.pad(stored.nodes, ((0, 0), (0, 1)), constant_values=3.0)
+    mesh = check_mesh(read_mesh(written(TRIANGLES)))
+    gmsh_order = element_nodes(mesh)
+    points = np.pad(mesh.p.T, ((0, 0), (0, 1)), constant_values=3.0)
     path = tmp_path / f"six.{kind}"
-    made = meshio.Mesh(points, [("triangle6", clockwise)])
+    made = meshio.Mesh(points, [("triangle6", gmsh_order)])
     made.write(path, file_format="gmsh" if kind == "msh" else None)
-    back = read_mesh(path, "m")
-    np.testing.assert_allclose(back.nodes, 1e6 * stored.nodes, rtol=1e-12)
-    np.testing.assert_array_equal(back.elements, stored.elements)
-    assert len(outer_sides(back.elements)) == 4
+    back = check_mesh(read_mesh(path, "m"))
+    np.testing.assert_allclose(
+        back.p.T[element_nodes(back)], 1e6 * mesh.p.T[gmsh_order], rtol=1e-12
+    )
+    assert len(back.boundary_facets()) == 4
 
 
 def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
@@ -105,10 +111,7 @@ def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
     stored.cell_sets = {}
     stored.write(path, file_format="gmsh22", binary=False)
     assert "2.2 0 8" in path.read_text()
-    back, here = read_mesh(path), read_mesh(written(QUADS))
-    assert {**back.regions, **back.boundaries}.keys() == {**here.regions, **here.boundaries}.keys()
-    for name, sides in here.boundaries.items():
-        np.testing.assert_array_equal(back.boundaries[name], sides)
+    assert names(read_mesh(path)) == names(read_mesh(written(QUADS)))
 
 
 @pytest.mark.parametrize(
@@ -140,8 +143,8 @@ def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
         ),
         (
             changed(TRIANGLES, ("6 1 5 4", "6 1 2 5")),
-            "leaf.msh: 3 elements share the side at (1.5, 0.5); elements must not lie on one "
-            "another",
+            "leaf.msh: boundary base: the line from (0, 0) to (2, 0) is no outer side of an "
+            "element",
         ),
         (
             changed(TRIANGLES, ("0 2 5\n1 1 5", "0 nan 5\n1 1 5")),
@@ -188,19 +191,19 @@ def test_what_meshio_cannot_read(tmp_path, written, capfd):
         (
             [[0, 0], [1, 0], [1, 1], [0, 1], [5, 5]],
             [[0, 1, 2, 3]],
-            "mesh: 1 nodes without an element, the first is 4 at (5, 5) µm; remove them",
+            "wrong.vtu: mesh: 1 nodes without an element, the first is 4 at (5, 5) µm; remove them",
         ),
         (
             [[0, 0], [1, 0], [0.1, 0.1], [0, 1]],
             [[0, 1, 2, 3]],
-            "mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go round "
-            "counter-clockwise and bulge outward",
+            "wrong.vtu: mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go "
+            "round it and bulge outward",
         ),
         (
             [[0, 0], [1, 0], [1, 1], [0, 1], [4, 0], [5, 0], [5, 1], [4, 1]],
             [[0, 1, 2, 3], [4, 5, 6, 7]],
-            "mesh: 2 pieces that do not touch, the smallest of 4 nodes at (0, 0) µm; it must be "
-            "one",
+            "wrong.vtu: mesh: 2 pieces that do not touch, the smallest of 1 elements at (0, 0) µm; "
+            "it must be one",
         ),
     ],
 )
@@ -208,7 +211,4 @@ def test_meshes_that_no_tissue_has(tmp_path, points, quads, sentence):
     path = tmp_path / "wrong.vtu"
     points = np.pad(np.array(points, float), ((0, 0), (0, 1)))
     meshio.Mesh(points, [("quad", quads)]).write(path)
-    stored = read_mesh(path)
-    with pytest.raises(InputError) as caught:
-        Mesh(stored.nodes, stored.elements)
-    assert str(caught.value) == sentence
+    assert refusal(path) == sentence

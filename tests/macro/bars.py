@@ -30,11 +30,11 @@ def equations_of_bar(load_case, elements, law):
 def distorted_bar(rng, elements=(5, 4), density=0.08, load_case=PLATE):
     """Inner nodes moved at random: elements that are no rectangles."""
     problem = bar(load_case, elements)
-    x = problem.mesh.nodes
+    x = problem.mesh.p.T
     size = [load_case.width, load_case.height]
     inner = ((x > 0.0) & (x < size)).all(axis=1)
     moved = x + inner[:, None] * rng.uniform(-0.8, 0.8, x.shape)
-    return make_system(replace(problem, mesh=replace(problem.mesh, nodes=moved)), density)
+    return make_system(replace(problem, mesh=replace(problem.mesh, doflocs=moved.T)), density)
 
 
 def random_state(system, rng, size=0.5):

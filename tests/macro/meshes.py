@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import skfem
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefQuad, RefTri
 
-from surrofe2.macro import Box, Mesh
+from surrofe2.macro import Box, rectangle, with_boundaries
 from surrofe2.macro.discretisation import reference_shapes
+from surrofe2.macro.mesh import boundary, element_nodes, facet_nodes
 
 WIDTH, HEIGHT = 30.0, 20.0
 KINDS = ("quads", "triangles", "curved triangles")
@@ -23,43 +25,47 @@ def plate(kind, rng, elements=(4, 3), size=(WIDTH, HEIGHT), *, distortion=0.15, 
         bulge: by which the middles of the right and the top outer sides move out, µm.
     """
     width, height = size
-    mesh = Mesh.rectangle(width, height, elements)
+    mesh = rectangle(width, height, elements)
     spacing = np.divide(size, elements)
-    moved = mesh.nodes + _inner(mesh.nodes, size) * spacing * rng.uniform(
-        -distortion, distortion, mesh.nodes.shape
+    nodes = mesh.p.T
+    moved = nodes + _inner(nodes, size) * spacing * rng.uniform(
+        -distortion, distortion, nodes.shape
     )
     if kind == "quads":
-        return replace(mesh, nodes=moved)
-    corners = np.concatenate([mesh.elements[:, [0, 1, 2]], mesh.elements[:, [0, 2, 3]]])
-    nodes, triangles = with_middles(moved, corners)
+        return replace(mesh, doflocs=moved.T)
+    mesh = triangles(moved, np.concatenate([mesh.t.T[:, [0, 1, 2]], mesh.t.T[:, [0, 2, 3]]]))
+    nodes = mesh.p.T
     middle = np.arange(len(nodes))[:, None] >= len(moved)
     if kind == "curved triangles":
         bend = 0.08 * spacing * rng.uniform(-1.0, 1.0, nodes.shape)
         nodes = nodes + middle * _inner(nodes, size) * bend
-    sides = Mesh(nodes, triangles).with_boundaries(
+    sides = with_boundaries(
+        replace(mesh, doflocs=nodes.T),
         left=Box((0.0, 0.0), (0.0, height)),
         right=Box((width, 0.0), (width, height)),
         bottom=Box((0.0, 0.0), (width, 0.0)),
         top=Box((0.0, height), (width, height)),
     )
     outward = (np.isclose(nodes, size) & middle) * bulge
-    return replace(sides, nodes=nodes + outward)
+    return replace(sides, doflocs=(nodes + outward).T)
 
 
-def with_middles(nodes, corners):
-    """Six-node triangles: nodes and elements with the middle of every side."""
-    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    sides, number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    middles = len(nodes) + number.reshape(3, -1).T
-    return np.concatenate([nodes, nodes[sides].mean(axis=1)]), np.hstack([corners, middles])
+def triangles(nodes, corners):
+    """Six-node triangles: nodes (n, 2), then the middles of all sides."""
+    return skfem.MeshTri2.from_mesh(skfem.MeshTri1(nodes.T, corners.T, sort_t=False))
+
+
+def sides_of(mesh, name):
+    """Nodes of the sides of a boundary, the tissue on their left."""
+    return facet_nodes(mesh, boundary(mesh, name))
 
 
 def quadrature(mesh, order=6):
     """Positions (e, q, 2), weights (e, q), shape functions (q, k), their slopes (e, q, k, 2)."""
-    k = mesh.elements.shape[1]
+    k = element_nodes(mesh).shape[1]
     points, rule = get_quadrature(RefQuad if k == 4 else RefTri, order)
     shape, slopes = reference_shapes(k, points)
-    corners = mesh.nodes[mesh.elements]
+    corners = mesh.p.T[element_nodes(mesh)]
     jacobian = np.einsum("eai,qaj->eqij", corners, slopes)
     gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
     return shape @ corners, np.linalg.det(jacobian) * rule, shape, gradients
@@ -69,15 +75,15 @@ def weak_load(mesh, P):
     """(n, 2) ∫ P(x) : ∇N dV of a first Piola stress P of positions (..., 2): body force and
     tractions of a stress field at once."""
     x, weights, _, gradients = quadrature(mesh)
-    load = np.zeros_like(mesh.nodes)
-    np.add.at(load, mesh.elements, np.einsum("eq,eqij,eqaj->eai", weights, P(x), gradients))
+    load = np.zeros_like(mesh.p.T)
+    np.add.at(load, element_nodes(mesh), np.einsum("eq,eqij,eqaj->eai", weights, P(x), gradients))
     return load
 
 
 def distance(mesh, u, exact):
     """L² norm of u (n, 2) − exact(x)."""
     x, weights, shape, _ = quadrature(mesh)
-    return np.sqrt(np.sum(weights[..., None] * (shape @ u[mesh.elements] - exact(x)) ** 2))
+    return np.sqrt(np.sum(weights[..., None] * (shape @ u[element_nodes(mesh)] - exact(x)) ** 2))
 
 
 def _inner(nodes, size):

@@ -12,7 +12,6 @@ from surrofe2.macro import (
     Fixed,
     Foundation,
     MacroSettings,
-    Mesh,
     Plane,
     PrescribedMotion,
     Pressure,
@@ -21,6 +20,7 @@ from surrofe2.macro import (
     Symmetry,
     Traction,
     find_rest,
+    rectangle,
 )
 from surrofe2.macro.contact import Grip
 from surrofe2.macro.system import make_system
@@ -101,7 +101,7 @@ def test_slopes_of_friction_at_rest(shape, rng):
     struck = body(shape, friction=0.2, mass=40.0, stiffness=50.0, smoothing=0.8)
     problem = Problem(mesh=plate("quads", rng, (6, 4)), conditions=(), bodies=(struck,))
     (contact,) = make_system(problem, 0.08).contacts
-    u, before = rng.uniform(-0.1, 0.1, (2, len(problem.mesh.nodes) + 1, 2))
+    u, before = rng.uniform(-0.1, 0.1, (2, len(problem.mesh.p.T) + 1, 2))
     contact = replace(contact, grip=Grip(before, rng.uniform(-9.0, 9.0, contact.lengths.size)))
     pressure, *_ = contact._pressure(-contact._gaps(u)[0], np.zeros(contact.lengths.size))
     share = abs(contact.drag(u))[pressure > 0.0] / pressure[pressure > 0.0]
@@ -114,7 +114,7 @@ def test_slopes_of_friction_at_rest(shape, rng):
 def test_contact_force_is_the_slope_of_its_energy_and_balances(shape, rng):
     problem = Problem(mesh=plate("quads", rng), conditions=(), bodies=(body(shape, mass=40.0),))
     (contact,) = make_system(problem, 0.08, modulus=100.0).contacts
-    u = rng.uniform(-0.1, 0.1, (len(problem.mesh.nodes) + 1, 2))
+    u = rng.uniform(-0.1, 0.1, (len(problem.mesh.p.T) + 1, 2))
     force = contact.at(0.0, 0.0, u, 0.0 * u)
     assert abs(force).max() > 1.0
     assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).max()
@@ -149,7 +149,7 @@ def test_pressure_never_pulls_and_its_dashpot_never_drives():
 
 def test_default_contact_is_as_stiff_as_a_slow_compression_needs():
     """Four elements between two plates, by 5 and 1 %: the force is that of plates that hold."""
-    mesh, law = Mesh.rectangle(20.0, 40.0, (2, 4)), LAW
+    mesh, law = rectangle(20.0, 40.0, (2, 4)), LAW
     lower = RigidBody(name="lower", shape=Plane(normal=(0.0, 1.0)), on="bottom", position=(0, 0))
     mirror = Symmetry(on="left")
     for share, allowed in ((0.05, 0.004), (0.01, 0.01)):
@@ -174,7 +174,7 @@ def test_friction_brakes_by_coulombs_law_where_sliding_is_fast(shape, rng):
     rough = body(shape, friction=0.3, slip_speed=1e-4)
     problem = Problem(mesh=plate("quads", rng), conditions=(), bodies=(rough,))
     (contact,) = make_system(problem, 0.08, modulus=100.0).contacts
-    u = np.zeros((len(problem.mesh.nodes) + 1, 2))
+    u = np.zeros((len(problem.mesh.p.T) + 1, 2))
     v = np.tile([1e-2, 0.0], (len(u), 1))
     v[-1] = 0.0
     pressure = contact.at(0.0, 0.0, u, 0.0 * v)

@@ -6,11 +6,11 @@ import pytest
 from surrofe2.macro import (
     InitialVelocity,
     MacroSettings,
-    Mesh,
     Plane,
     Problem,
     RigidBody,
     Symmetry,
+    rectangle,
     simulate,
 )
 from surrofe2.macro.system import make_system
@@ -25,7 +25,7 @@ LAW = LinearFirstPiola(shear_modulus=50.0, lame=0.0, density=0.1)
 @pytest.fixture(scope="module")
 def impact():
     """A bar between mirrors flies at a plate 1 µm away."""
-    mesh = Mesh.rectangle(LENGTH, DEPTH, (100, 1))
+    mesh = rectangle(LENGTH, DEPTH, (100, 1))
     wall = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
     problem = Problem(
         mesh=mesh,
@@ -103,7 +103,7 @@ def test_few_elements_and_the_default_tolerance_keep_energy_too(integrator):
     """The stiff contact is damped at the explicit steps' stability limit: the step sees that."""
     wall = RigidBody(name="plate", shape=Plane(normal=(1.0, 0.0)), on="left", position=(-1.0, 0.0))
     problem = Problem(
-        mesh=Mesh.rectangle(LENGTH, LENGTH, (8, 8)),
+        mesh=rectangle(LENGTH, LENGTH, (8, 8)),
         conditions=(InitialVelocity(velocity=(-SPEED, 0.0)),),
         bodies=(wall,),
         duration=12.0,

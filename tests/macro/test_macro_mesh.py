@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import skfem
 
 from surrofe2.errors import InputError
 from surrofe2.macro import (
@@ -13,7 +14,6 @@ from surrofe2.macro import (
     Fixed,
     HalfPlane,
     MacroSettings,
-    Mesh,
     Plane,
     PrescribedMotion,
     Problem,
@@ -21,65 +21,94 @@ from surrofe2.macro import (
     Symmetry,
     Traction,
     find_rest,
+    rectangle,
     simulate,
+    with_boundaries,
+    with_regions,
 )
 from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.mesh import check_mesh, element_nodes, facet_nodes
 from tests.laws import KelvinVoigt
-from tests.macro.meshes import plate, with_middles
+from tests.macro.meshes import plate, sides_of, triangles
 
-SQUARE = Mesh.rectangle(2.0, 2.0, (2, 2))
-
-
-def two_pieces():
-    other = SQUARE.nodes + np.array([10.0, 0.0])
-    elements = np.concatenate([SQUARE.elements, SQUARE.elements + 9])
-    return np.concatenate([SQUARE.nodes, other]), elements
+SQUARE = rectangle(2.0, 2.0, (2, 2))
+NODES, QUADS = SQUARE.p.T, SQUARE.t.T
 
 
 def moved(node, to):
-    nodes = SQUARE.nodes.copy()
+    nodes = NODES.copy()
     nodes[node] = to
     return nodes
 
 
+FAR = np.array([10.0, 0.0])
 CORNERS = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
 
 
-def bent(amount):
-    """One triangle, the middle of its first side moved into it."""
-    nodes, elements = with_middles(CORNERS, np.array([[0, 1, 2]]))
-    nodes[elements[0, 3]] += [0.0, amount]
-    return nodes, elements
+def bent(*amounts):
+    """One triangle, the middles of its sides moved."""
+    mesh = triangles(CORNERS, np.array([[0, 1, 2]]))
+    nodes = mesh.p.copy()
+    for node, amount in zip(element_nodes(mesh)[0, 3:], amounts, strict=False):
+        nodes[:, node] += amount
+    return replace(mesh, doflocs=nodes)
+
+
+def quads(nodes, elements):
+    return skfem.MeshQuad1(nodes.T, elements.T)
 
 
 @pytest.mark.parametrize(
-    ("nodes", "elements", "message"),
+    ("mesh", "message"),
     [
-        (SQUARE.nodes, SQUARE.elements[:, ::-1], r"element 0 at \(0\.5, 0\.5\) µm is inverted"),
-        (moved(4, (3.0, 1.0)), SQUARE.elements, r"element [23] at .* µm is inverted"),
-        (moved(4, (0.0, 1.0)), SQUARE.elements, r"element \d at .* µm is degenerate"),
-        (*bent(0.9), r"element 0 at .* µm is inverted"),
-        (np.vstack([SQUARE.nodes, [7.0, 8.0]]), SQUARE.elements,
+        (quads(moved(4, (3.0, 1.0)), QUADS), r"element [23] at .* µm is inverted"),
+        (quads(NODES, QUADS[:, [0, 2, 1, 3]]), r"element 0 at .* µm is inverted"),
+        (quads(moved(4, (0.0, 1.0)), QUADS), r"element \d at .* µm is degenerate"),
+        (bent((0.0, 0.9)), r"element 0 at .* µm is inverted"),
+        (quads(np.vstack([NODES, [7.0, 8.0]]), QUADS),
          r"1 nodes without an element, the first is 9 at \(7, 8\) µm"),
-        (*two_pieces(), r"2 pieces that do not touch, the smallest of 9 nodes at \("),
-        (SQUARE.nodes, SQUARE.elements + 1, r"mesh\.elements: node 9; nodes are numbered .* to 8"),
-        (SQUARE.nodes, SQUARE.elements[:0], r"mesh: it has no element"),
-        (SQUARE.nodes, SQUARE.elements[:, :3], r"mesh\.elements: shape \(4, 3\); it must be"),
+        (quads(np.concatenate([NODES, NODES + FAR]), np.concatenate([QUADS, QUADS + 9])),
+         r"2 pieces that do not touch, the smallest of 4 elements at \(0, 0\) µm"),
+        (quads(NODES, np.vstack([QUADS, [0, 3, 4, 2]])), r"mesh: 3 elements share the"),
+        (quads(NODES, QUADS[:0]), r"mesh: it has no element"),
+        (skfem.MeshQuad2(), r"mesh: MeshQuad2; it must be a skfem\.MeshQuad1, MeshTri1 or"),
+        (SQUARE.with_boundaries({"cut": np.arange(SQUARE.nfacets)}),
+         r"mesh: boundary cut: the line from .* is no outer side of an element"),
     ],
 )  # fmt: skip
-def test_a_bad_mesh_is_one_line(nodes, elements, message):
+def test_a_bad_mesh_is_one_line(mesh, message):
     with pytest.raises(InputError, match=message) as caught:
-        Mesh(nodes, elements)
+        Problem(mesh=mesh, conditions=())
     assert "\n" not in str(caught.value)
 
 
 def test_a_triangle_that_folds_within_is_found():
     """Its middles are near enough to their sides for the mesh; the map says otherwise."""
-    nodes, elements = with_middles(CORNERS, np.array([[0, 1, 2]]))
-    nodes[elements[0, 3:]] += [[0.55, 0.3], [-0.45, -0.45], [0.3, 0.55]]
-    mesh = Mesh(nodes, elements)
+    mesh = check_mesh(bent((0.55, 0.3), (-0.45, -0.45), (0.3, 0.55)))
     with pytest.raises(InputError, match=r"element 0 at .* is inverted within"):
         make_discretisation(mesh)
+
+
+def test_a_mesh_of_scikit_fem_is_taken_as_it_is():
+    """Elements either way round, names by functions; three-node triangles get middles."""
+    mesh = skfem.MeshQuad1.init_tensor(np.linspace(0.0, 3.0, 4), np.linspace(0.0, 2.0, 3))
+    mesh = mesh.with_boundaries({"left": lambda x: x[0] == 0.0})
+    mesh = mesh.with_subdomains({"upper": lambda x: x[1] > 1.0})
+    tri = mesh.to_meshtri().with_boundaries({"left": lambda x: x[0] == 0.0})
+    for kind, plain in ((skfem.MeshQuad1, mesh), (skfem.MeshTri2, tri)):
+        problem = Problem(mesh=plain, conditions=(Fixed(on="left"), BodyForce(acceleration=(0, 1))))
+        assert type(problem.mesh) is kind
+        space = make_discretisation(problem.mesh)
+        assert space.areas.sum() == pytest.approx(6.0, rel=1e-12)
+        u = space.nodes @ np.array([[0.01, 0.02], [0.0, -0.03]])
+        F, _, _ = deformation_gradient(space, u, 0.0 * u)
+        uniform = np.broadcast_to([[1.01, 0.0], [0.02, 0.97]], F.shape)
+        np.testing.assert_allclose(F, uniform, atol=1e-14)
+        force = internal_force(space, F, KelvinVoigt().respond(F, 0.0 * F).stress)
+        assert abs(force.sum(axis=0)).max() < 1e-12 * abs(force).max()
+        ends = space.nodes[sides_of(problem.mesh, "left")[:, :2]]
+        assert (ends[:, 1, 1] < ends[:, 0, 1]).all()  # down: the tissue is on the left of the way
 
 
 @pytest.mark.parametrize(
@@ -94,7 +123,7 @@ def test_a_triangle_that_folds_within_is_found():
     ],
 )  # fmt: skip
 def test_a_condition_without_its_place_is_one_line(conditions, message):
-    mesh = SQUARE.with_regions(half=Box((0.0, 0.0), (1.0, 2.0)))
+    mesh = with_regions(SQUARE, half=Box((0.0, 0.0), (1.0, 2.0)))
     with pytest.raises(InputError, match=message) as caught:
         find_rest(Problem(mesh=mesh, conditions=conditions), KelvinVoigt())
     assert "\n" not in str(caught.value)
@@ -109,9 +138,9 @@ def test_a_body_on_an_unknown_boundary_is_one_line():
 def test_parts_that_hold_nothing_are_named():
     away = Box((5.0, 5.0), (6.0, 6.0))
     with pytest.raises(InputError, match=r"mesh\.boundaries\.far: .*both ends of an outer side"):
-        SQUARE.with_boundaries(far=away)
+        with_boundaries(SQUARE, far=away)
     with pytest.raises(InputError, match=r"mesh\.regions\.far: .*the centre of an element"):
-        SQUARE.with_regions(far=away)
+        with_regions(SQUARE, far=away)
 
 
 def test_names_and_times_of_a_problem_are_checked():
@@ -131,16 +160,18 @@ def test_names_and_times_of_a_problem_are_checked():
 
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
 def test_parts_pick_sides_and_elements(kind, rng):
-    mesh = plate(kind, rng, (4, 4), (4.0, 4.0), distortion=0.0).with_boundaries(
-        upper=HalfPlane((0.0, 2.0), (0.0, 1.0)), corner=Disc((0.0, 0.0), 1.0)
+    mesh = with_boundaries(
+        plate(kind, rng, (4, 4), (4.0, 4.0), distortion=0.0),
+        upper=HalfPlane((0.0, 2.0), (0.0, 1.0)),
+        corner=Disc((0.0, 0.0), 1.0),
     )
-    mesh = mesh.with_regions(strip=Box((0.0, 0.0), (4.0, 1.0)), all=Disc((2.0, 2.0), 9.0))
+    mesh = with_regions(mesh, strip=Box((0.0, 0.0), (4.0, 1.0)), all=Disc((2.0, 2.0), 9.0))
     # Sides of the outline: 4 of the top, the upper 2 of left and of right; 2 at the corner.
     assert len(mesh.boundaries["upper"]) == 8
     assert len(mesh.boundaries["corner"]) == 2
-    assert len(mesh.regions["strip"]) == (4 if kind == "quads" else 8)
-    np.testing.assert_array_equal(mesh.regions["all"], np.arange(len(mesh.elements)))
+    assert len(mesh.subdomains["strip"]) == (4 if kind == "quads" else 8)
+    np.testing.assert_array_equal(mesh.subdomains["all"], np.arange(mesh.nelements))
     # The tissue is on the left of every side.
-    ends = mesh.nodes[mesh.boundaries["upper"][:, :2]]
+    ends = mesh.p.T[facet_nodes(mesh, mesh.boundaries["upper"])[:, :2]]
     along, inwards = ends[:, 1] - ends[:, 0], [2.0, 2.0] - ends.mean(axis=1)
     assert (along[:, 0] * inwards[:, 1] - along[:, 1] * inwards[:, 0] > 0.0).all()

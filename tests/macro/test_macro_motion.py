@@ -13,12 +13,12 @@ from surrofe2.macro import (
     InitialVelocity,
     MacroSettings,
     MacroState,
-    Mesh,
     PrescribedMotion,
     Pressure,
     Problem,
     RigidBody,
     Traction,
+    rectangle,
     simulate,
 )
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
@@ -26,7 +26,7 @@ from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import mass_matrix
 from tests.laws import KelvinVoigt
 from tests.macro.bars import random_state, state_vector
-from tests.macro.meshes import HEIGHT, WIDTH, plate
+from tests.macro.meshes import HEIGHT, WIDTH, plate, sides_of
 
 LAW = KelvinVoigt()
 JERK = Table(points=((0.0, 0.0), (0.5, 0.0), (1.5, 1.0), (2.2, 0.4)))
@@ -51,7 +51,7 @@ def test_a_jump_of_velocity_keeps_the_momentum_of_what_is_free(kind, rng):
     u_before, v_before = system.spread(y, 1.5, 1.4)
     u_after, v_after = system.spread(after, 1.5, 1.6)
     np.testing.assert_array_equal(u_after, u_before)
-    right = np.unique(system.problem.mesh.boundaries["right"])
+    right = np.unique(sides_of(system.problem.mesh, "right"))
     np.testing.assert_allclose(v_before[right, 0], 1.5, rtol=1e-14)
     np.testing.assert_allclose(v_after[right, 0], 1.5 * -0.6 / 0.7, rtol=1e-14)
     impulse = system.mass @ (v_after - v_before)
@@ -97,7 +97,7 @@ def test_equations_count_the_acceleration_of_what_is_prescribed(rng):
     a[system.free] = now.acceleration
     a = a.reshape(-1, 2)
     omega = 0.6 * np.pi
-    right = np.unique(problem.mesh.boundaries["right"])
+    right = np.unique(sides_of(problem.mesh, "right"))
     a[right, 0] = -1.5 * omega**2 * np.sin(omega * 0.7)
     unbalanced = system.mass @ a + now.internal
     assert abs(system.pick(unbalanced)).max() < 1e-12 * abs(unbalanced).max()
@@ -186,14 +186,14 @@ def test_balance_closes_with_everything_that_acts_at_the_default_tolerance(integ
 
 def test_an_initial_velocity_of_all_leaves_what_is_held_at_rest_without_a_blow():
     """Kinetic energy at t = 0 is that of the free nodes' velocity, and no work was done."""
-    mesh = Mesh.rectangle(30.0, 20.0, (3, 2))
+    mesh = rectangle(30.0, 20.0, (3, 2))
     thrown = Problem(
         mesh=mesh,
         conditions=(Fixed(on="left"), InitialVelocity(velocity=(0.0, 0.3))),
         duration=1.0,
     )
     run = simulate(thrown, KelvinVoigt())
-    held = mesh.nodes[:, 0] == 0.0
+    held = mesh.p.T[:, 0] == 0.0
     assert not run.frames.velocity[0, held].any()
     np.testing.assert_array_equal(run.frames.velocity[0, ~held], [[0.0, 0.3]] * (~held).sum())
     assert run.energies["balance"][0] == 0.0

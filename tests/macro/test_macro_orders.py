@@ -22,6 +22,7 @@ from surrofe2.macro import (
     simulation,
 )
 from surrofe2.macro.forces import DeadLoad
+from surrofe2.macro.mesh import element_nodes
 from surrofe2.macro.system import make_system
 from tests.laws import KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import distance, plate, quadrature, weak_load
@@ -109,14 +110,14 @@ def test_motion_is_of_second_order(kind, monkeypatch):
         problem = clamped_square(kind, n)
         mesh = problem.mesh
         x, weights, shape, _ = quadrature(mesh)
-        inertia = np.zeros_like(mesh.nodes)
+        inertia = np.zeros_like(mesh.p.T)
         nodal = np.einsum("eq,qa,eqi->eai", weights, shape, size * field(x))
-        np.add.at(inertia, mesh.elements, law.density * nodal)
+        np.add.at(inertia, element_nodes(mesh), law.density * nodal)
         elastic = weak_load(mesh, lambda x: first_piola(law, np.eye(2) + size * gradient(x)))
         system = replace(
             make_system(problem, law.density),
             forces=(Manufactured(inertia, elastic, omega),),
-            initial_velocity=omega * size * field(mesh.nodes),
+            initial_velocity=omega * size * field(mesh.p.T),
         )
         monkeypatch.setattr(simulation, "system_of", lambda *of, found=system, **how: found)
         settings = MacroSettings(

@@ -18,7 +18,9 @@ from surrofe2.macro import (
     Symmetry,
     Traction,
     find_rest,
+    with_regions,
 )
+from surrofe2.macro.mesh import element_nodes
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate
 
@@ -51,7 +53,7 @@ def assert_homogeneous(mesh, conditions, F, bodies=()):
         rest.stress, np.broadcast_to(stress, rest.F.shape), rtol=0, atol=1e-10 * size
     )
     np.testing.assert_allclose(
-        rest.u[: len(mesh.nodes)], mesh.nodes @ (F - np.eye(2)).T, rtol=0, atol=1e-10 * WIDTH
+        rest.u[: len(mesh.p.T)], mesh.p.T @ (F - np.eye(2)).T, rtol=0, atol=1e-10 * WIDTH
     )
     return rest
 
@@ -135,8 +137,8 @@ def test_contact_with_a_plane(kind, rng):
 @pytest.mark.parametrize("kind", KINDS)
 def test_support_bears_the_weight_and_all_other_loads(kind, rng):
     """Its force is minus the sum of the loads; that of a body force is ρ g times its area."""
-    mesh = plate(kind, rng).with_regions(half=Box((0.0, 0.0), (0.5 * WIDTH, HEIGHT)))
-    area = mesh_area(mesh, mesh.regions["half"])
+    mesh = with_regions(plate(kind, rng), half=Box((0.0, 0.0), (0.5 * WIDTH, HEIGHT)))
+    area = mesh_area(mesh, mesh.subdomains["half"])
     weight = LAW.density * np.array([0.1, -0.3])
     conditions = (
         Fixed(on="bottom", name="support"),
@@ -152,8 +154,8 @@ def test_support_bears_the_weight_and_all_other_loads(kind, rng):
     np.testing.assert_allclose(forces["half"], weight * area, rtol=1e-10)
     np.testing.assert_allclose(forces["traction right"], HEIGHT * np.array([0.4, 0.2]), rtol=1e-10)
     # Pressure times the chord between the moved ends of the top, turned.
-    ends = [np.flatnonzero((mesh.nodes == [x, HEIGHT]).all(axis=1))[0] for x in (0.0, WIDTH)]
-    chord = np.diff((mesh.nodes + rest.u)[ends], axis=0)[0]
+    ends = [np.flatnonzero(([x, HEIGHT] == mesh.p.T).all(axis=1))[0] for x in (0.0, WIDTH)]
+    chord = np.diff((mesh.p.T + rest.u)[ends], axis=0)[0]
     np.testing.assert_allclose(
         forces["pressure top"], 0.8 * np.array([chord[1], -chord[0]]), rtol=1e-10
     )
@@ -163,12 +165,12 @@ def test_support_bears_the_weight_and_all_other_loads(kind, rng):
 
 def mesh_area(mesh, elements):
     """Of triangles and quadrilaterals with straight or bent sides, by Green's theorem."""
-    from_element = mesh.elements[elements]
+    from_element = element_nodes(mesh)[elements]
     if from_element.shape[1] == 4:
-        x = mesh.nodes[from_element]
+        x = mesh.p.T[from_element]
         after = np.roll(x, -1, axis=1)
         return 0.5 * np.sum(x[..., 0] * after[..., 1] - x[..., 1] * after[..., 0])
-    x = mesh.nodes[from_element]
+    x = mesh.p.T[from_element]
     area = 0.0
     for a, b, m in ((0, 1, 3), (1, 2, 4), (2, 0, 5)):
         # A parabola through a, m, b beside its chord: two thirds of the sagitta's triangle pair.

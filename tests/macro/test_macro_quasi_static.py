@@ -11,7 +11,6 @@ from surrofe2.macro import (
     Fixed,
     Foundation,
     MacroSettings,
-    Mesh,
     Plane,
     PrescribedMotion,
     Pressure,
@@ -19,6 +18,7 @@ from surrofe2.macro import (
     Rest,
     RigidBody,
     find_rest,
+    rectangle,
     simulate,
 )
 from surrofe2.macro.path_work import works_along
@@ -26,7 +26,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
 from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
-from tests.macro.meshes import plate
+from tests.macro.meshes import plate, sides_of
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0))
 SETTINGS = MacroSettings(elements=(2, 2), newton_tolerance=1e-10)
@@ -70,7 +70,7 @@ def dragged(along, friction, load_steps=4, steps_on=()):
         displacement=(along, -0.4), friction=friction,
     )  # fmt: skip
     problem = Problem(
-        mesh=Mesh.rectangle(30.0, 20.0, (3, 2)), conditions=(Fixed(on="bottom"),), bodies=(plate,)
+        mesh=rectangle(30.0, 20.0, (3, 2)), conditions=(Fixed(on="bottom"),), bodies=(plate,)
     )
     rest = find_rest(problem, KelvinVoigt(), load_steps=load_steps, **dict(steps_on))
     return rest.forces[rest.system.force_names.index("plate")], rest
@@ -83,7 +83,7 @@ def test_a_plate_sticks_or_slips_by_coulombs_law():
     (_, smooth), _ = dragged(20.0, 0.0)
     assert push == pytest.approx(smooth, rel=0.05)
     (pull, push), stuck = dragged(0.01, 5.0)
-    top = stuck.system.problem.mesh.boundaries["top"]
+    top = sides_of(stuck.system.problem.mesh, "top")
     np.testing.assert_allclose(stuck.u[np.unique(top), 0], 0.01, atol=0.3 * 0.01)
     assert 0.0 < pull < 0.05 * abs(push)
 

@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from skfem.helpers import grad
 
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, MacroState, simulate
@@ -219,3 +220,14 @@ def test_dissipation_of_elements_is_that_of_the_tissue():
     assert found[-1].max() > 2.0 * found[-1].min()
     off = simulate(LOAD_CASE, KelvinVoigt(), replace(SETTINGS, record_dissipation=False))
     assert off.frames.dissipated.size == 0
+
+
+def test_scikit_fem_evaluates_what_a_run_gives_back():
+    """Its basis and a frame's nodal vector: mean F of the elements, and the watched point."""
+    run = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS)
+    basis, u = run.basis, run.displacement(-1)
+    F = np.eye(2)[:, :, None, None] + grad(basis.interpolate(u))
+    mean = np.einsum("ijeq,eq->eij", F, basis.dx) / basis.dx.sum(axis=1)[:, None, None]
+    np.testing.assert_allclose(mean, run.frames.F[-1], rtol=0, atol=1e-12)
+    at = basis.probes(np.array([LOAD_CASE.watched]).T) @ u
+    np.testing.assert_allclose(at, run.curve.displacement[-1], rtol=0, atol=1e-12)

@@ -13,7 +13,6 @@ from surrofe2.macro import (
     Fixed,
     InitialVelocity,
     MacroSettings,
-    Mesh,
     Plane,
     Problem,
     RigidBody,
@@ -21,14 +20,18 @@ from surrofe2.macro import (
     Symmetry,
     find_modes,
     find_rest,
+    rectangle,
     simulate,
+    with_boundaries,
+    with_regions,
 )
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.free_sides import free_sides
 from surrofe2.macro.history import MacroState
+from surrofe2.macro.mesh import element_nodes
 from surrofe2.macro.system import make_system
 from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
-from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, with_middles
+from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, sides_of, triangles
 from tests.macro.test_macro_force_tangents import assert_slopes
 
 LAW = KelvinVoigt()
@@ -41,7 +44,7 @@ TIGHT = MacroSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10, newton_
 def clamped(surface, mesh=None, **more):
     """A plate, clamped at the left, under its weight."""
     conditions = (Fixed(on="left"), BodyForce(acceleration=(0.3, -0.2)))
-    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3)) if mesh is None else mesh
+    mesh = rectangle(WIDTH, HEIGHT, (4, 3)) if mesh is None else mesh
     more = {"duration": 6.0, "output_interval": 0.25, **more}
     return Problem(mesh=mesh, conditions=conditions, surface=surface, **more)
 
@@ -49,10 +52,10 @@ def clamped(surface, mesh=None, **more):
 def patch_of(mesh, side, law):
     """(q,) elements of the points that count for a side, and (q, k, 2) their weights times ∇N."""
     space = make_discretisation(mesh)
-    first, last = mesh.nodes[side[:2]]
+    first, last = mesh.p.T[side[:2]]
     along = (last - first) / np.linalg.norm(last - first)
-    (beside,) = np.flatnonzero(np.isin(mesh.elements, side[:2]).sum(axis=1) == 2)
-    inside = mesh.nodes[mesh.elements[beside]].mean(axis=0) - first
+    (beside,) = np.flatnonzero(np.isin(element_nodes(mesh), side[:2]).sum(axis=1) == 2)
+    inside = mesh.p.T[element_nodes(mesh)[beside]].mean(axis=0) - first
     inward = inside - along * (along @ inside)
     inward /= np.linalg.norm(inward)
     found = []
@@ -74,10 +77,10 @@ def twin_force(mesh, sides, law, u, v):
     """Side by side: −∂/∂u of L P_s λ(F̄ T)."""
     force = np.zeros_like(u)
     for nodes in sides:
-        start, end = mesh.nodes[nodes[:2]]
+        start, end = mesh.p.T[nodes[:2]]
         length = np.linalg.norm(end - start)
         elements, gradients = patch_of(mesh, nodes, law)
-        slopes, own = gradients @ (end - start) / length, mesh.elements[elements]
+        slopes, own = gradients @ (end - start) / length, element_nodes(mesh)[elements]
         g = (end - start) / length + np.einsum("qa,qai->i", slopes, u[own])
         stretch = np.linalg.norm(g)
         rate = g @ np.einsum("qa,qai->i", slopes, v[own]) / stretch
@@ -94,7 +97,7 @@ def test_force_is_that_of_plain_numpy_and_slopes_are_its_derivatives(kind, depth
     surface = Surface(law=law, on=("right", "top"))
     system = make_system(clamped(surface, mesh), 0.08)
     u, v = rng.uniform(-0.5, 0.5, (2, system.n_rows, 2))
-    sides = np.concatenate([mesh.boundaries[name] for name in surface.on])
+    sides = np.concatenate([sides_of(mesh, name) for name in surface.on])
     force = system.surface.at(0.0, 0.0, u, v)
     np.testing.assert_allclose(force, twin_force(mesh, sides, law, u, v), rtol=1e-9, atol=1e-9)
     slopes = assert_slopes(system.surface, u, v)
@@ -106,9 +109,9 @@ def test_force_is_that_of_plain_numpy_and_slopes_are_its_derivatives(kind, depth
 @pytest.mark.parametrize(("elements", "depth"), [((8, 2), 1.0), ((8, 4), 2.5), ((32, 8), 1.5)])
 def test_a_side_acts_at_its_depth_in_bending(elements, depth):
     """u_x = −κ x y, u_y = κ x²/2: a side H/2 above the middle has the stretch at H/2 − d."""
-    mesh, kappa, half = Mesh.rectangle(40.0, 8.0, elements), 1e-8, 4.0
+    mesh, kappa, half = rectangle(40.0, 8.0, elements), 1e-8, 4.0
     problem = clamped(Surface(law=replace(SKIN, depth=depth, width=4.0), on=("top",)), mesh)
-    x, y = mesh.nodes[:, 0], mesh.nodes[:, 1] - half
+    x, y = mesh.p.T[:, 0], mesh.p.T[:, 1] - half
     u = kappa * np.stack([-x * y, 0.5 * x**2], axis=1)
     _, stretch, _ = make_system(problem, 0.08).surface._stretches(u, 0.0 * u)
     np.testing.assert_allclose(stretch - 1.0, -kappa * (half - depth), rtol=2e-3)
@@ -163,7 +166,7 @@ def test_displacements_count_from_the_rest_under_surface_tension():
     run = simulate(problem, LAW, TIGHT)
     assert run.rest[:, 0].min() < -0.1
     assert abs(run.curve.displacement).max() < 1e-9
-    far = problem.mesh.nodes[:, 0] == WIDTH
+    far = problem.mesh.p.T[:, 0] == WIDTH
     spread = np.ptp(run.rest[far, 1])
     assert spread > 0.1
     rest = find_rest(problem, LAW, TIGHT, factor=0.0)
@@ -206,14 +209,14 @@ def test_a_run_goes_on_to_the_bit():
 def test_a_rectangle_under_constant_tension_shrinks():
     """Across any cut the bulk bears the two tensions: mean σ_xx = −2 T/H, and mean ε = S σ."""
     law, tension = LinearFirstPiola(shear_modulus=60.0, lame=80.0), 1e-2
-    mesh = Mesh.rectangle(WIDTH, HEIGHT, (6, 5))
+    mesh = rectangle(WIDTH, HEIGHT, (6, 5))
     both = replace(clamped(Surface(law=Skin(a=tension), on=("top", "right"))), mesh=mesh)
     rest = find_rest(replace(both, conditions=MIRRORS), law, factor=0.0)
     s = np.array([-tension / HEIGHT, -tension / WIDTH])  # a quarter: one side across each cut
     mean = (s - 80.0 / (2 * 60.0 + 2 * 80.0) * s.sum()) / (2 * 60.0)
     u = rest.system.rest
     for axis, (name, length) in enumerate((("right", WIDTH), ("top", HEIGHT))):
-        ends = u[mesh.boundaries[name], axis].mean()
+        ends = u[sides_of(mesh, name), axis].mean()
         assert ends / length == pytest.approx(mean[axis], rel=1e-4)
 
 
@@ -224,8 +227,8 @@ def test_laplace_pressure_in_a_disc():
         mesh, surface = disc(n), Surface(law=Skin(a=tension), on=("rim",))
         problem = Problem(mesh=mesh, conditions=MIRRORS, surface=surface)
         rest = find_rest(problem, LAW, TIGHT, factor=0.0)
-        moved = mesh.nodes + rest.system.rest
-        radius = np.linalg.norm(moved[np.unique(mesh.boundaries["rim"])], axis=1)
+        moved = mesh.p.T + rest.system.rest
+        radius = np.linalg.norm(moved[np.unique(sides_of(mesh, "rim"))], axis=1)
         assert radius.mean() < 0.997 * RADIUS
         pressure = -0.5 * np.trace(rest.stress, axis1=1, axis2=2) * radius.mean() / tension
         inner = np.linalg.norm(rest.system.discretisation.point_positions(), axis=1) < 3.0
@@ -235,7 +238,7 @@ def test_laplace_pressure_in_a_disc():
 
 
 def test_newton_is_quadratic():
-    mesh = Mesh.rectangle(WIDTH, HEIGHT, (6, 4))
+    mesh = rectangle(WIDTH, HEIGHT, (6, 4))
     problem = clamped(Surface(law=replace(SKIN, a=200.0)), mesh)
     loaded = find_rest(problem, LAW, TIGHT)
     errors = [each for each in loaded.residuals if each < 0.1]
@@ -248,7 +251,7 @@ def test_newton_is_quadratic():
 def test_modes_of_a_thin_strip():
     """A bar of modulus E h + 2 b and mass ρ h + 2 m along its length, without Poisson's ratio."""
     law, height, b, m = LinearFirstPiola(shear_modulus=50.0, lame=0.0), 2.0, 40.0, 0.03
-    mesh = Mesh.rectangle(60.0, height, (12, 1))
+    mesh = rectangle(60.0, height, (12, 1))
     conditions = (Fixed(on="left", components="x"), Fixed(on="bottom", components="y"))
     problem = Problem(mesh=mesh, conditions=conditions)
     skin = Surface(law=Skin(b=b, mass=m, eta=3.0), on=("top", "bottom"))
@@ -268,7 +271,7 @@ def test_modes_of_a_thin_strip():
 
 def test_mass_excess_bears_the_body_force():
     """Of the whole tissue, and of a region its sides alone; an accelerated frame moves as one."""
-    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3)).with_regions(half=Box((0.0, 0.0), (15.0, HEIGHT)))
+    mesh = with_regions(rectangle(WIDTH, HEIGHT, (4, 3)), half=Box((0.0, 0.0), (15.0, HEIGHT)))
     surface = Surface(law=Skin(mass=0.05), on=("top",))
     weights = []
     for region in (None, "half"):
@@ -288,34 +291,36 @@ def test_mass_excess_bears_the_body_force():
 
 
 def test_free_sides_are_those_without_a_condition():
-    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3))
+    mesh = rectangle(WIDTH, HEIGHT, (4, 3))
     body = RigidBody(name="body", shape=Plane(normal=(0, -1)), on="top", position=(0, HEIGHT))
     found = free_sides(replace(clamped(Surface(law=SKIN), mesh), bodies=(body,)))
-    named = np.concatenate([mesh.boundaries["bottom"], mesh.boundaries["right"]])
+    named = np.concatenate([sides_of(mesh, "bottom"), sides_of(mesh, "right")])
     assert {*map(tuple, found.nodes)} == {*map(tuple, named)}
     assert found.names == ("free",)
     assert not found.oblique.any()
     for side, element in zip(found.nodes, found.elements, strict=True):
-        assert np.isin(side, mesh.elements[element]).all()
+        assert np.isin(side, element_nodes(mesh)[element]).all()
     twice = free_sides(clamped(Surface(law=SKIN, on=("top", "right", "top")), mesh))
     assert len(twice.nodes) == 7
 
 
 def test_each_side_takes_the_law_of_its_element():
-    mesh = Mesh.rectangle(WIDTH, HEIGHT, (4, 3)).with_regions(
-        near=Box((0.0, 0.0), (15.0, HEIGHT)), far=Box((15.0, 0.0), (WIDTH, HEIGHT))
+    mesh = with_regions(
+        rectangle(WIDTH, HEIGHT, (4, 3)),
+        near=Box((0.0, 0.0), (15.0, HEIGHT)),
+        far=Box((15.0, 0.0), (WIDTH, HEIGHT)),
     )
     laws = {"far": Skin(a=5.0), "near": SKIN}
     problem = clamped(Surface(law=laws, on=("top",)), mesh)
     system = make_system(problem, 0.08)
     u, v = np.random.default_rng(3).uniform(-0.3, 0.3, (2, system.n_rows, 2))
-    top = mesh.boundaries["top"]
-    near = (mesh.nodes[top, 0] <= 15.0).all(axis=1)
+    top = sides_of(mesh, "top")
+    near = (mesh.p.T[top, 0] <= 15.0).all(axis=1)
     parts = (top[near], SKIN), (top[~near], laws["far"])
     expected = sum(twin_force(mesh, sides, law, u, v) for sides, law in parts)
     np.testing.assert_allclose(system.surface.at(0, 0, u, v), expected, rtol=1e-9, atol=1e-9)
     assert_slopes(system.surface, u, v)
-    regions = {"a": mesh.regions["near"], "b": mesh.regions["far"]}
+    regions = {"a": mesh.subdomains["near"], "b": mesh.subdomains["far"]}
     named = Surface(law={"a": SKIN, "b": laws["far"]}, on=("top",), regions=regions)
     same = make_system(replace(problem, surface=named), 0.08)
     np.testing.assert_allclose(same.surface.at(0, 0, u, v), expected, rtol=1e-9, atol=1e-9)
@@ -374,9 +379,10 @@ def disc(n):
     k = np.arange(len(grid)).reshape(n + 1, n + 1)
     a, b, c, d = k[:-1, :-1].ravel(), k[1:, :-1].ravel(), k[1:, 1:].ravel(), k[:-1, 1:].ravel()
     corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    square, elements = with_middles(grid, corners)
-    straight, _ = with_middles(mapped(grid), corners)
-    nodes = np.where((square.max(axis=1) == 1.0)[:, None], mapped(square), straight)
-    return Mesh(nodes, elements).with_boundaries(
-        rim=Rim(), left=Box((0.0, 0.0), (0.0, RADIUS)), bottom=Box((0.0, 0.0), (RADIUS, 0.0))
-    )
+    square, straight = triangles(grid, corners), triangles(mapped(grid), corners)
+    points = square.p.T
+    nodes = np.where((points.max(axis=1) == 1.0)[:, None], mapped(points), straight.p.T)
+    return with_boundaries(
+        replace(straight, doflocs=nodes.T), rim=Rim(),
+        left=Box((0.0, 0.0), (0.0, RADIUS)), bottom=Box((0.0, 0.0), (RADIUS, 0.0)),
+    )  # fmt: skip

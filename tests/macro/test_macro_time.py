@@ -13,12 +13,12 @@ from surrofe2 import (
     train,
 )
 from surrofe2.amplitude import ONE, Pulse, Ramp, Sine, Table
-from surrofe2.macro import BodyForce, Fixed, MacroSettings, Mesh, Problem, simulate
+from surrofe2.macro import BodyForce, Fixed, MacroSettings, Problem, rectangle, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from tests.laws import KelvinVoigt
 
-MESH = Mesh.rectangle(60.0, 60.0, (1, 1))
+MESH = rectangle(60.0, 60.0, (1, 1))
 LOADS = {
     "at once": (ONE, 50.0, 0.2),
     "ramp over many periods, then held": (Ramp(end=400.0), 600.0, 0.2),
@@ -50,7 +50,7 @@ def under(load, mesh=MESH):
         conditions=(Fixed(on="left"), pull),
         duration=duration,
         output_interval=duration / 60.0,
-        watched={"tip": (float(mesh.nodes[:, 0].max()), float(mesh.nodes[:, 1].max()) / 2.0)},
+        watched={"tip": (float(mesh.p.T[:, 0].max()), float(mesh.p.T[:, 1].max()) / 2.0)},
     )
 
 
@@ -85,7 +85,7 @@ def test_displacement_under_loads_of_milliseconds_too(load):
 @pytest.mark.parametrize("preset", ["printed", "water"])
 @pytest.mark.parametrize("load", [*LOADS, "ramp of 10 ms, held to 15 ms"])
 def test_displacement_of_rves_is_within_three_tolerances(load, preset):
-    mesh = Mesh.rectangle(400.0, 400.0, (1, 1))
+    mesh = rectangle(400.0, 400.0, (1, 1))
     law = RveLaw(CellParameters.preset(preset), initialisation="slow-manifold")
     errors = [*errors_in_tolerances(under(load, mesh), law, ["explicit", "implicit"])]
     assert max(errors) < 3.0
@@ -111,7 +111,7 @@ def test_displacement_of_cached_runs_is_within_three_tolerances(load, cached):
     After the pulse in the middle of 10 ms plant cells ring on for a hundred periods, over which the
     phase of implicit steps goes astray by 11 tolerances; docs/theory.md has why.
     """
-    problem = under(load, Mesh.rectangle(400.0, 400.0, (1, 1)))
+    problem = under(load, rectangle(400.0, 400.0, (1, 1)))
     cached.reset_counts()
     rings = load == "pulse in the middle of 10 ms"
     integrators = ["explicit"] if rings else ["explicit", "implicit"]

@@ -7,7 +7,7 @@ from surrofe2.amplitude import Constant, Pulse, Ramp, Table
 from surrofe2.errors import InputError
 from surrofe2.macro import MacroSettings, Plane, RigidBody, simulate
 from surrofe2.macro.conditions import BodyForce, Fixed, InitialVelocity, PrescribedMotion
-from surrofe2.macro.mesh import Mesh
+from surrofe2.macro.mesh import rectangle
 from surrofe2.macro.problem import Problem
 from tests.laws import KelvinVoigt
 
@@ -20,7 +20,7 @@ def points():
 def test_generators_and_functions_are_no_amplitudes(wrong):
     with pytest.raises(InputError, match=r"problem: amplitude: .*; it must be an Amplitude"):
         Problem(
-            mesh=Mesh.rectangle(1.0, 1.0, (1, 1)),
+            mesh=rectangle(1.0, 1.0, (1, 1)),
             conditions=(BodyForce(acceleration=(0.0, -1.0), amplitude=wrong),),
         )
 
@@ -32,7 +32,7 @@ def test_nor_are_they_of_a_load_case(wrong):
 
 
 LATE = Ramp(begin=2.0, end=3.0)
-SQUARE = Mesh.rectangle(10.0, 10.0, (2, 2))
+SQUARE = rectangle(10.0, 10.0, (2, 2))
 
 
 def ran(*conditions, bodies=()):

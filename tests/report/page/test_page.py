@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from surrofe2 import Fixed, Mesh, Problem, Ramp, RigidBody, save_run, simulate
+from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simulate
 from surrofe2.errors import InputError
 from surrofe2.io.run_folder import read_record, write_record
 from surrofe2.report.figures import Curve, Panel
@@ -151,7 +151,7 @@ def test_bodies_are_where_they_touch_the_tissue(tmp_path):
         amplitude=Ramp(end=30.0, smooth=True),
     )
     problem = Problem(
-        mesh=Mesh.rectangle(100.0, 100.0, (2, 2)),
+        mesh=rectangle(100.0, 100.0, (2, 2)),
         conditions=(Fixed(on="bottom"),),
         bodies=(plate,),
         duration=30.0,
