@@ -13,20 +13,23 @@ from skfem.helpers import grad
 from surrofe2 import CellParameters, RveLaw
 
 MESH = skfem.MeshQuad1.init_tensor(np.linspace(0, 200, 9), np.linspace(0, 100, 5)).with_defaults()
+ELEMENT = skfem.ElementQuad2()
 PULL = (0.5, -0.05)  # µN/µm on the right side, in x and y
 
 
 @skfem.LinearForm
 def internal(v, w):
+    """∫ P : ∇v dV."""
     return np.einsum("ij...,ij...", w.P, grad(v))
 
 
 @skfem.BilinearForm
 def stiffness(u, v, w):
+    """∫ ∇v : ∂P/∂F : ∇u dV."""
     return np.einsum("ij...,ijkl...,kl...", grad(v), w.A, grad(u))
 
 
-def solve(law, mesh=MESH, pull=PULL, element=skfem.ElementQuad2(), intorder=4, tolerance=1e-9):
+def solve(law, mesh=MESH, pull=PULL, element=ELEMENT, intorder=4, tolerance=1e-9):
     """Rest u of a block clamped on its left: basis, nodal vector, residuals of the iterations."""
     basis = skfem.Basis(mesh, skfem.ElementVector(element), intorder=intorder)
     held, state, residuals = basis.get_dofs("left").all(), None, []

@@ -1,4 +1,4 @@
-"""What trains surrogates is imported by training alone: torch, scikit-learn and scipy.stats."""
+"""Heavy libraries are imported by what needs them: those of training, and scikit-fem by meshes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 HEAVY = ("torch", "sklearn", "scipy.stats")
 
 
-def heavy_imports(code, *arguments):
+def heavy_imports(code, *arguments, heavy=HEAVY):
     """Which of the heavy libraries a fresh process has imported after running code."""
-    code += f"\nimport sys; print(*[name for name in {HEAVY} if name in sys.modules], sep=',')"
+    code += f"\nimport sys; print(*[name for name in {heavy} if name in sys.modules], sep=',')"
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
@@ -32,3 +32,16 @@ def test_training_imports_them():
 )
 def test_what_help_runs_tables_and_comparisons_need_does_not(module):
     assert heavy_imports(f"import surrofe2.{module}") == ""
+
+
+@pytest.mark.parametrize("code", ["import surrofe2", "from surrofe2.cli import main"])
+def test_only_what_has_a_mesh_imports_scikit_fem(code):
+    assert heavy_imports(code, heavy=("skfem", "scipy.sparse", "meshio")) == ""
+    found = heavy_imports("import surrofe2.macro.mesh", heavy=("skfem", "meshio"))
+    assert found == "skfem"
+
+
+def test_help_imports_no_scikit_fem():
+    code = "import sys; sys.argv = ['surrofe2', '--help']\nfrom surrofe2.cli import main\n"
+    code += "try:\n    main()\nexcept SystemExit:\n    pass"
+    assert heavy_imports(code, heavy=("skfem", "torch")) == ""
