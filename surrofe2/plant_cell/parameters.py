@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, fields, replace
+from importlib.resources import files
 from math import isqrt, sqrt
 from typing import Any
 
@@ -265,55 +266,13 @@ _REPULSION, _CUTOFF, _SMOOTHING = 1.2, 0.37, 0.22
 _CARRIED = 1.1484
 """Turgor that the walls carry, over c_s² times the fluid's mass per area, at these three."""
 
-_WALLS = (
-    "chosen between walls that were measured: 20 to 90 MPa (pollen tube; Vogler et al. 2013, "
-    "doi:10.1111/tpj.12061) and 2300 MPa (tomato; Wang, Wang, Thomas 2004, Annals of Botany 93, "
-    "443-453)"
-)
-_TURGOR = "within 0.3 to 1 MPa: Cosgrove 1997, Annu. Rev. Cell Dev. Biol. 13, 171-201, p. 185"
+_STORED = json.loads(files(__package__).joinpath("living_tissues.json").read_text("utf-8"))
 LIVING: dict[str, tuple[LivingTissue, dict[str, str]]] = {
-    "apple": (
-        LivingTissue(
-            cell_size=150.0,
-            turgor=0.4,
-            wall_modulus=300.0,
-            wall_thickness=0.8,
-            sap_viscosity=1.4,
-            density=860.0,
-        ),
-        {
-            "cell_size": "70 µm under the skin to 250 µm inside: McAtee et al. 2009, Plant Methods "
-            "5:5, doi:10.1186/1746-4811-5-5",
-            "turgor": _TURGOR,
-            "wall_modulus": _WALLS,
-            "wall_thickness": "15 mg of dry wall in 1 g of ripe fruit (Plants in Action, figure "
-            "11.4, after Harker and Ferguson 1988), a third of the wet wall, spread over cubes",
-            "sap_viscosity": "apple juice at 25 °C: Brookfield viscometer, can-am.net/"
-            "viscosity-apple-juice",
-            "density": "1.13 to 1.18 mL/g: Korean J. Food Preserv. 21(5), 618 (2014), table 1",
-        },
-    ),
-    "potato": (
-        LivingTissue(
-            cell_size=150.0,
-            turgor=0.5,
-            wall_modulus=500.0,
-            wall_thickness=0.9,
-            sap_viscosity=1.0,
-            density=1080.0,
-        ),
-        {
-            "cell_size": "100 to 200 µm, textbook value; measured by Konstankiewicz et al. 2002, "
-            "Int. Agrophysics 16, 119-127",
-            "turgor": _TURGOR,
-            "wall_modulus": f"{_WALLS}; tissue of 5 to 19 MPa: Niklas 1988, Am. J. Bot. 75(9), "
-            "1286-1292, doi:10.1002/j.1537-2197.1988.tb14188.x",
-            "wall_thickness": "Kennebec and Norchip at harvest: Cell wall thickness during growth "
-            "of domestic and foreign potato cultivars, Am. Potato J., doi:10.1007/BF02851771",
-            "sap_viscosity": "water at 20 °C, textbook value: a lower bound",
-            "density": "specific gravity 1.06 to 1.10, textbook value",
-        },
-    ),
+    name: (
+        LivingTissue(**{key: entry["value"] for key, entry in entries.items()}),
+        {key: entry["source"] for key, entry in entries.items()},
+    )
+    for name, entries in _STORED.items()
 }
 """Parenchymas by the name of their preset, and the source of each measured value."""
 
