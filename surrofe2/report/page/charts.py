@@ -9,7 +9,7 @@ from html import escape
 
 from surrofe2.report.figures import PALETTE, Panel, make_figure, svg_of
 
-_BAR_ROW, _LEGEND = 0.45, 0.6
+_BAR_ROW, _AXIS, _LEGEND_ROW = 0.6, 0.8, 0.25
 """Inches."""
 
 
@@ -23,17 +23,18 @@ def chart(panel: Panel) -> str:
 def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
     """A bar for each row, its parts by name one after the other, with their sum."""
     names = list(dict.fromkeys(name for _, parts in rows for name in parts))
-    figure = make_figure([], (4.6, _BAR_ROW * len(rows) + _LEGEND))
+    legend = _LEGEND_ROW * -(-len(names) // 3)
+    figure = make_figure([], (4.6, _BAR_ROW * len(rows) + _AXIS + legend))
     axes = figure.subplots()
-    for k, (_, parts) in enumerate(rows):
+    for k, (label, parts) in enumerate(rows):
         left = 0.0
+        axes.text(0.0, k - 0.36, f"{label}: {sum(parts.values()):.3g} {unit}", fontsize=9)
         for name, value in parts.items():
             colour = PALETTE[names.index(name) % len(PALETTE)]
-            axes.barh(k, value, left=left, height=0.6, color=colour, label=name)
+            axes.barh(k, value, left=left, height=0.5, color=colour, label=name)
             left += value
-    labels = [f"{label}: {sum(parts.values()):.3g} {unit}" for label, parts in rows]
-    axes.set_yticks(range(len(rows)), labels)
-    axes.invert_yaxis()
+    axes.set_yticks([])
+    axes.set_ylim(len(rows) - 0.5, -0.85)
     axes.set_xlabel(unit)
     handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     figure.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
