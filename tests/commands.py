@@ -21,9 +21,8 @@ import numba
 from surrofe2 import cell_types
 from surrofe2.interruption import begin_work, exit_code, watch
 from surrofe2.io import data_sets
-from surrofe2.io.files import write_bytes
+from surrofe2.io.files import SEAL, write_bytes
 from surrofe2.io.run_folder import caches_of
-from surrofe2.io.seal import SEAL
 from surrofe2.io.surrogates import content_fingerprint
 from surrofe2.recipe import load_recipe
 from surrofe2.report import figures

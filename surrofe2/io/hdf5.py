@@ -18,8 +18,7 @@ import numpy as np
 
 from surrofe2.errors import FileError, Surrofe2Error, shortened
 from surrofe2.interruption import held
-from surrofe2.io.files import read_bytes, write_bytes
-from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
+from surrofe2.io.files import NO_DIGEST, SEAL, check_seal, read_bytes, sealed, write_bytes
 from surrofe2.units import NONE
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from operator import attrgetter
 from pathlib import Path
@@ -13,16 +14,19 @@ import numpy as np
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, quoted, shortened
-from surrofe2.io.columns import read_columns, write_columns
 from surrofe2.io.files import (
     check_same,
     make_folder,
     partial_of,
+    plain,
     read_bytes,
+    read_columns,
     read_json,
     remove,
     reported,
+    write_columns,
     write_json,
+    write_text,
 )
 from surrofe2.io.lock import folder_lock
 from surrofe2.settings import check_value, hints_of
@@ -31,10 +35,10 @@ from surrofe2.views import Facts, ViewedRun, course
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 2
-CHECKPOINT = "checkpoint.h5"
+CHECKPOINT, EVENTS = "checkpoint.h5", "events.jsonl"
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
-    "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5", "events.jsonl",
+    "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5", EVENTS,
 )  # fmt: skip
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
@@ -379,3 +383,9 @@ def digest(path: Path) -> str:
 def file_fingerprint(path: Path) -> str:
     """16 hexadecimal digits of a file's content."""
     return digest(path)[:16]
+
+
+def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:
+    """Write events.jsonl whole, a decision of a cached law a line; run.json has its SHA-256."""
+    lines = [json.dumps(plain(each), ensure_ascii=False) for each in decisions]
+    write_text(folder / EVENTS, "".join(f"{line}\n" for line in lines))

@@ -22,8 +22,15 @@ from surrofe2 import units
 from surrofe2.cache.branches import part_of, within
 from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import FileError, shortened
-from surrofe2.io.files import plain, read_bytes, write_bytes
-from surrofe2.io.seal import NO_DIGEST, SEAL, check_seal, sealed
+from surrofe2.io.files import (
+    NO_DIGEST,
+    SEAL,
+    check_seal,
+    plain,
+    read_bytes,
+    sealed,
+    write_bytes,
+)
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.io.columns import read_columns
-from surrofe2.io.events import EVENTS
-from surrofe2.io.files import read_bytes, write_text
+from surrofe2.io.files import read_bytes, read_columns, write_text
 from surrofe2.io.point_fields import read_point_fields
-from surrofe2.io.run_folder import StoredRun, read_run
+from surrofe2.io.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.io.stored_fields import read_fields
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page.document import page_of

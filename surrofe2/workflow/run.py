@@ -11,10 +11,9 @@ from surrofe2.cache.branches import part_of, within
 from surrofe2.compilation import seconds_compiling
 from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import InputError
-from surrofe2.io.events import write_events
 from surrofe2.io.provenance import read_cost
 from surrofe2.io.run_costs import cost_of
-from surrofe2.io.run_folder import RunRecord, caches_of
+from surrofe2.io.run_folder import RunRecord, caches_of, write_events
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import out_of_range

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from surrofe2.cache import CachedLaw
-from surrofe2.io.events import write_events
 from surrofe2.io.fields import (
     BOUND_NAME,
     DISPLACEMENT_NAME,
@@ -31,6 +30,7 @@ from surrofe2.io.run_folder import (
     open_run_folder,
     write_curve,
     write_energies,
+    write_events,
     write_history,
     write_record,
 )

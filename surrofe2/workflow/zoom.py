@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.columns import write_columns
 from surrofe2.io.fields import ElementMotion, read_element_motion
+from surrofe2.io.files import write_columns
 from surrofe2.io.lock import locked_folder
 from surrofe2.io.particles import write_rve_fields
 from surrofe2.io.run_folder import RunRecord, read_record

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import load, save
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.io import seal
+from surrofe2.io import files
 from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.io.fields import read_element_motion, write_fields
 from surrofe2.io.files import read_json, write_json
@@ -176,9 +176,9 @@ UNSEALED = (".csv", ".msh")
 
 def sealed_anew(content):
     """The bytes with a digest that belongs to them, where they have a place for it."""
-    content = seal._DIGEST.sub(lambda found: found[0][:-64] + seal.NO_DIGEST.encode(), content)
+    content = files._DIGEST.sub(lambda found: found[0][:-64] + files.NO_DIGEST.encode(), content)
     try:
-        return seal.sealed(content)
+        return files.sealed(content)
     except ValueError:
         return content
 
@@ -226,7 +226,7 @@ def other_hdf5(draw, whole):
                     file.attrs[attribute] = draw(st.sampled_from(values))
         if draw(st.booleans()):
             file.attrs.pop(draw(st.sampled_from(attributes)), None)
-        file.attrs["sha256"] = f"{seal.SEAL}: {seal.NO_DIGEST}"
+        file.attrs["sha256"] = f"{files.SEAL}: {files.NO_DIGEST}"
     return sealed_anew(buffer.getvalue())
 
 
@@ -242,9 +242,9 @@ def other_json(draw, tree):
 @st.composite
 def other_tree(draw, whole):
     """The bytes of a JSON file with other values in it."""
-    tree = other_json(draw, {k: v for k, v in json.loads(whole).items() if k != seal.SEAL})
+    tree = other_json(draw, {k: v for k, v in json.loads(whole).items() if k != files.SEAL})
     tree = tree if isinstance(tree, dict) else {"a": tree}
-    return sealed_anew(json.dumps({seal.SEAL: seal.NO_DIGEST, **tree}).encode())
+    return sealed_anew(json.dumps({files.SEAL: files.NO_DIGEST, **tree}).encode())
 
 
 @st.composite
@@ -271,7 +271,7 @@ def other_tensors(draw, whole):
                 number = draw(st.sampled_from([np.nan, np.inf, 1e308, -1.0, 0.0]))
                 arrays[name] = np.where(np.ones(arrays[name].shape), number, 0.0)
     header = header if isinstance(header, dict) else {"a": header}
-    header[seal.SEAL] = seal.NO_DIGEST
+    header[files.SEAL] = files.NO_DIGEST
     return sealed_anew(save(arrays, metadata={"surrofe2": json.dumps(header)}))
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surrofe2.io import seal
+from surrofe2.io.files import NO_DIGEST, SEAL
 from surrofe2.io.run_folder import read_run
 from surrofe2.report.comparison import compare
 from tests.fuzz.fuzzing import Content, answered, damaged_bytes, examples, few_and_all
@@ -35,7 +35,7 @@ def told(contents):
     record = json.loads(contents["run.json"])
     for name in PARTS[1:]:
         record["files"][name] = hashlib.sha256(contents[name]).hexdigest()
-    record[seal.SEAL] = seal.NO_DIGEST
+    record[SEAL] = NO_DIGEST
     return sealed_anew(json.dumps(record).encode())
 
 

@@ -9,8 +9,16 @@ import pytest
 
 from surrofe2.errors import FileError
 from surrofe2.io import disk
-from surrofe2.io.files import plain, read_json, write_bytes, write_json, write_text
-from surrofe2.io.seal import NO_DIGEST, SEAL, sealed
+from surrofe2.io.files import (
+    NO_DIGEST,
+    SEAL,
+    plain,
+    read_json,
+    sealed,
+    write_bytes,
+    write_json,
+    write_text,
+)
 
 
 @pytest.mark.parametrize("operation", ["write", "sync", "move"])
