@@ -1,91 +1,25 @@
-"""What work costs in seconds, added up over all calls that did it, and from when it pays."""
+"""What work takes in seconds, added up over all calls that did it, and from when a cache pays."""
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numba
-
-from surrofe2.compilation import clock, cpu_clock
-from surrofe2.settings import check_value
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cost:
-    """Seconds of wall and of CPU, of all threads and processes; most threads; the machines."""
-
-    wall: float = 0.0
-    cpu: float = 0.0
-    threads: int = 0
-    machine: str = ""
-
-    def __add__(self, other: Cost) -> Cost:
-        machines = dict.fromkeys(each for each in (self.machine, other.machine) if each)
-        return Cost(
-            wall=self.wall + other.wall,
-            cpu=self.cpu + other.cpu,
-            threads=max(self.threads, other.threads),
-            machine=" + ".join(machines),
-        )
-
-    @classmethod
-    def of(cls, entries: Mapping[str, Any]) -> Cost:
-        """From the entries of `to_dict`.
-
-        Raises:
-            InputError: one of them is not what it must be.
-        """
-        kinds = {"wall": float, "cpu": float, "threads": int, "machine": str}
-        return cls(
-            **{name: check_value(f"cost.{name}", entries[name], kinds[name], {}) for name in kinds}
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
-
-    def to_json(self) -> str:
-        """As files have it."""
-        return json.dumps(self.to_dict(), ensure_ascii=False)
-
-
-NOTHING = Cost()
+from surrofe2.compilation import clock
 
 
 class Meter:
-    """Measures from now on, after what an earlier call has spent; compilation is not counted."""
+    """Seconds from now on, after those of an earlier call; compilation is not counted."""
 
-    def __init__(self, before: Cost = NOTHING) -> None:
-        self._before = before
-        self._wall, self._cpu = clock(), cpu_clock()
-
-    def add_cpu(self, seconds: float) -> None:
-        """Take in what another process has spent."""
-        self._cpu -= seconds
+    def __init__(self, before: float = 0.0) -> None:
+        self._begun = clock() - before
 
     @property
-    def cost(self) -> Cost:
+    def seconds(self) -> float:
         """All until now."""
-        return self._before + Cost(
-            wall=clock() - self._wall,
-            cpu=cpu_clock() - self._cpu,
-            threads=numba.get_num_threads(),
-            machine=machine(),
-        )
-
-
-@cache
-def machine() -> str:
-    """Processor and number of cores; nothing that identifies the machine."""
-    return f"{processor()}, {os.cpu_count()} cores"
+        return clock() - self._begun
 
 
 def processor() -> str:
@@ -100,7 +34,7 @@ def processor() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Balance:
-    """A run through a cache against the true one, with what the cache cost to make; wall, s.
+    """A run through a cache against one by RVEs, with what the cache took to make; s.
 
     Attributes:
         made: of data set, training and calibration; None where that is not known.

@@ -32,7 +32,7 @@ STRONG = RECIPE.replace("-0.1]", "-0.9]").replace(
 CACHED = STRONG + "[cache]\ntolerance = 0.2\naudit = 0.1\n"
 TABLE = CACHED + "[table]\ntolerance = 1e-3\n"
 CELLS = BAR.replace("-0.1]", "-0.9]") + "[table]\ntolerance = 1e-2\n[cache]\naudit = 0.3\n"
-OF_TIME = ("created", "wall_time", "cost", "sha256", SEAL)
+OF_TIME = ("created", "wall_time", "seconds", "sha256", SEAL)
 OF_SOLVES = ("force_evaluations", "newton_solves", "files")
 """What depends on the factors that a solve starts with, and digests of what differs by rounding."""
 IMPLICIT = 'integrator = "implicit"\n'

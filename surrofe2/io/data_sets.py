@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.checkpoint_clock import CheckpointClock
-from surrofe2.costs import NOTHING, Cost, Meter
+from surrofe2.costs import Meter
 from surrofe2.errors import InputError
 from surrofe2.io.files import check_same, flat
 from surrofe2.io.hdf5 import (
@@ -34,7 +34,6 @@ from surrofe2.io.provenance import (
     Origin,
     reading,
     stored_cell,
-    stored_cost,
     stored_range,
     stored_text,
 )
@@ -106,7 +105,7 @@ class DataSetWriter:
         header: DataSetHeader,
         rows: Mapping[str, np.ndarray],
         is_finished: bool,
-        before: Cost,
+        before: float,
     ) -> None:
         self.path, self.header, self.is_finished = path, header, is_finished
         self.meter = Meter(before)
@@ -183,7 +182,7 @@ class DataSetWriter:
                 for name, values in attached(self.header.reference).items():
                     file[name] = values
             file.attrs.update(_attributes(self.header), status=status, completed=self.completed)
-            file.attrs["cost"] = self.meter.cost.to_json()
+            file.attrs["seconds"] = self.meter.seconds
             if failed:
                 text = h5py.string_dtype()
                 file["failed/index"] = failed["index"]
@@ -218,14 +217,14 @@ def writing_data_set(
 
 def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
     rows: dict[str, np.ndarray] = {}
-    is_finished, before = False, NOTHING
+    is_finished, before = False, 0.0
     if path.exists() and not fresh:
         with reading(path, SCHEMA, SCHEMA_VERSION) as file:
             check_same(path, header.compared(), json.loads(stored_text(file, "compared")))
             completed = stored_number(file, "completed")
             is_finished = stored_text(file, "status") == "finished" and completed == header.count
             if completed:
-                before = stored_cost(file)
+                before = stored_number(file, "seconds")
                 rows = stored_rows(file, _columns_in(file))
                 if not len(rows["F"]) == completed <= header.count:
                     raise ValueError(f"completed: {completed:g} of {len(rows['F'])}")

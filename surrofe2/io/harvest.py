@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.costs import Cost
 from surrofe2.errors import FileError
 from surrofe2.io.hdf5 import Column, store_columns, stored_rows, writing_hdf5
 from surrofe2.io.provenance import Origin, check_same_rve, reading, stored_cell
@@ -79,15 +78,13 @@ class HarvestWriter:
         self._parts = [{name: arrays[name] for name in _COLUMNS}]
         self._is_stored = not len(arrays["why"])
 
-    def flush(self, cost: Cost | None = None) -> None:
-        """Write all answers so far, and what they cost."""
+    def flush(self, seconds: float = 0.0) -> None:
+        """Write all answers so far, and the seconds that they took."""
         if self._is_stored:
             return
         with writing_hdf5(self.path) as file:
             store_columns(file, _COLUMNS, self.to_arrays())
-            file.attrs.update(self.origin.attributes(SCHEMA, SCHEMA_VERSION))
-            if cost is not None:
-                file.attrs["cost"] = cost.to_json()
+            file.attrs.update(self.origin.attributes(SCHEMA, SCHEMA_VERSION), seconds=seconds)
         self._is_stored = True
 
 

@@ -13,10 +13,9 @@ from typing import Any
 
 import h5py
 
-from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import FileError, MismatchError, Surrofe2Error, shortened
 from surrofe2.io.files import plain
-from surrofe2.io.hdf5 import DAMAGED, reading_hdf5
+from surrofe2.io.hdf5 import DAMAGED, reading_hdf5, stored_number
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SamplingRange
 
@@ -81,19 +80,14 @@ def stored_text(file: h5py.File, name: str) -> str:
     return value
 
 
-def stored_cost(file: h5py.File) -> Cost:
-    """What the answers in a file cost; nothing where it does not say."""
-    return Cost.of(json.loads(stored_text(file, "cost"))) if "cost" in file.attrs else NOTHING
-
-
-def read_cost(path: Path) -> Cost | None:
-    """What the answers in a file cost; None where it does not say.
+def read_seconds(path: Path) -> float | None:
+    """Seconds that the answers in a file took to make; None where it does not say.
 
     Raises:
         FileError: it cannot be read.
     """
     with reading_hdf5(path) as file:
-        return stored_cost(file) if "cost" in file.attrs else None
+        return stored_number(file, "seconds") if "seconds" in file.attrs else None
 
 
 @contextmanager

@@ -20,7 +20,6 @@ from safetensors.numpy import load, save
 
 from surrofe2 import units
 from surrofe2.cache.branches import part_of, within
-from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import FileError, shortened
 from surrofe2.io.files import (
     NO_DIGEST,
@@ -73,7 +72,7 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
         "errors": law.errors,
         "domain": {"square": square} if domain else None,
         "calibration": law.calibration,
-        "cost": law.cost,
+        "seconds": law.seconds,
     }
     _write(path, SCHEMA, content, tensors)
 
@@ -106,7 +105,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
             domain=domain and Domain(square=domain["square"], **part_of(tensors, "domain")),
             calibration=calibration and _calibration(calibration),
             reference=ReferenceState.from_arrays(reference) if reference else None,
-            cost={name: Cost.of(each) for name, each in content.get("cost", {}).items()},
+            seconds={name: float(each) for name, each in content["seconds"].items()},
         )
         fingerprint = content["cell_fingerprint"]
         for name, kind in _TEXTS.items():
@@ -161,24 +160,24 @@ def write_training(
     identity: Mapping[str, str],
     iterations: int,
     arrays: Mapping[str, NDArray[Any]],
-    cost: Cost = NOTHING,
+    seconds: float = 0.0,
 ) -> None:
-    """Write an interrupted training, see `surrogate.training.TrainingState`, and its cost."""
-    content = {"identity": dict(identity), "iterations": iterations, "cost": cost}
+    """Write an interrupted training, see `surrogate.training.TrainingState`, and its time."""
+    content = {"identity": dict(identity), "iterations": iterations, "seconds": seconds}
     _write(path, TRAINING_SCHEMA, content, dict(arrays))
 
 
-def training_cost(path: Path) -> Cost:
-    """What an interrupted training cost; a FileError where it cannot be read."""
+def training_seconds(path: Path) -> float:
+    """Seconds of an interrupted training; a FileError where it cannot be read."""
     content, _ = _read(path, TRAINING_SCHEMA, "unfinished training")
     try:
-        return Cost.of(content["cost"])
-    except (KeyError, ValueError, TypeError, AttributeError):
-        raise FileError(f"{path}: cost: missing or damaged; {_ANEW}") from None
+        return float(content["seconds"])
+    except (KeyError, ValueError, TypeError):
+        raise FileError(f"{path}: seconds: missing or damaged; {_ANEW}") from None
 
 
 def content_fingerprint(path: Path) -> str:
-    """16 hexadecimal digits of all in a file but what it cost.
+    """16 hexadecimal digits of all in a file but the seconds that it took.
 
     Raises:
         FileError: it cannot be read.
@@ -189,7 +188,7 @@ def content_fingerprint(path: Path) -> str:
         head = json.loads(stored[8 : 8 + length])
         content = json.loads(head["__metadata__"]["surrofe2"])
         del head["__metadata__"], content[SEAL]
-        content.pop("cost", None)
+        content.pop("seconds", None)
     except (ValueError, KeyError, TypeError, RecursionError):
         raise FileError(f"{path}: not of surrofe2; {_ANEW}") from None
     told = json.dumps([head, content], sort_keys=True).encode()

@@ -12,14 +12,12 @@ import numpy as np
 
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
-from surrofe2.costs import NOTHING, Cost
 from surrofe2.io.hdf5 import stored_array, stored_number, writing_hdf5
 from surrofe2.io.provenance import (
     check_same_rve,
     reading,
     stamp,
     stored_cell,
-    stored_cost,
     stored_range,
     stored_text,
 )
@@ -55,7 +53,7 @@ class StoredTable:
         tolerance, spread: largest error for which it was grown, and spread of stress, µN/µm.
         range: by which neighbours of records were placed.
         recipe: of the run that wrote it, or what it was merged from.
-        cost: of all runs that it learnt from, if it is known.
+        seconds: of all runs that it learnt from.
     """
 
     records: Records
@@ -65,10 +63,10 @@ class StoredTable:
     tolerance: float
     spread: float
     recipe: Mapping[str, Any]
-    cost: Cost = NOTHING
+    seconds: float = 0.0
 
 
-def stored(table: StressTable, recipe: Mapping[str, Any], cost: Cost = NOTHING) -> StoredTable:
+def stored(table: StressTable, recipe: Mapping[str, Any], seconds: float = 0.0) -> StoredTable:
     """What is written of a table."""
     return StoredTable(
         records=table.records,
@@ -78,7 +76,7 @@ def stored(table: StressTable, recipe: Mapping[str, Any], cost: Cost = NOTHING) 
         tolerance=table.tolerance,
         spread=table.stress_spread,
         recipe=recipe,
-        cost=cost,
+        seconds=seconds,
     )
 
 
@@ -93,7 +91,7 @@ def write_table(path: Path, table: StoredTable) -> None:
             range=json.dumps(asdict(table.range)),
             tolerance=table.tolerance,
             stress_spread=table.spread,
-            cost=table.cost.to_json(),
+            seconds=table.seconds,
             inputs="sum, difference, shear of U - I; sum, difference, shear, spin of R^T F_dot",
         )
 
@@ -116,7 +114,7 @@ def read_table(path: str | Path) -> StoredTable:
             tolerance=stored_number(file, "tolerance"),
             spread=stored_number(file, "stress_spread"),
             recipe=json.loads(stored_text(file, "recipe")),
-            cost=stored_cost(file),
+            seconds=stored_number(file, "seconds"),
         )
         _check_whole(table)
     return table

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.costs import Cost
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
@@ -69,7 +68,7 @@ class SurrogateLaw(Viewed):
         domain: where in the range samples did not fail; None: all of it.
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
-        cost: of its `data`, its `training` and its `calibration`, as far as known.
+        seconds: of its `data`, its `training` and its `calibration`, as far as known.
         tolerance: coefficients of the local tolerance, see `with_tolerance`; None: of none.
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
@@ -88,7 +87,7 @@ class SurrogateLaw(Viewed):
     domain: Domain | None = None
     calibration: Calibration | None = None
     reference: ReferenceState | None = None
-    cost: Mapping[str, Cost] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
     tolerance: Array | None = field(default=None, repr=False)
     arrays: NetworkArrays = field(init=False, repr=False)
     bound_arrays: BoundArrays = field(init=False, repr=False)

@@ -137,10 +137,10 @@ def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, A
         "file": ", ".join(each["file"] for each in surrogates.values()),
         "fingerprint": " ".join(each["fingerprint"] for each in surrogates.values()),
         "errors": {name: each["errors"] for name, each in surrogates.items()},
-        "cost": {
-            f"{part} of {name}": cost
+        "seconds": {
+            f"{part} of {name}": seconds
             for name, each in surrogates.items()
-            for part, cost in each.get("cost", {}).items()
+            for part, seconds in each.get("seconds", {}).items()
         },
     }
 

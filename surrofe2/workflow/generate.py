@@ -109,7 +109,7 @@ def generate_data_set(
         report(data.completed, f"{failures} failed")
         work = partial(_sampled, law, wanted, settings.seed, settings.tangents)
         items = range(data.completed, count)
-        for _, _, (F, F_dot, answer) in in_pieces(work, items, chunk, executor, data.meter):
+        for _, _, (F, F_dot, answer) in in_pieces(work, items, chunk, executor):
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")

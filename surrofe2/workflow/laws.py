@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
-from surrofe2.costs import NOTHING, Cost, Meter
+from surrofe2.costs import Meter
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.io.kept import (
     read_attached,
@@ -24,7 +24,7 @@ from surrofe2.io.kept import (
     reference_path,
     write_reference,
 )
-from surrofe2.io.provenance import read_cost
+from surrofe2.io.provenance import read_seconds
 from surrofe2.io.run_folder import file_fingerprint
 from surrofe2.io.surrogates import content_fingerprint, read_surrogate
 from surrofe2.io.tables import check_table, read_table
@@ -95,9 +95,9 @@ class ChosenLaw:
     tables: Mapping[str, StressTable] = field(default_factory=dict)
 
     @property
-    def cost(self) -> Cost:
+    def seconds(self) -> float:
         """Of what its tables began with."""
-        return sum((table.cost for table in self.tables.values()), start=NOTHING)
+        return sum(table.seconds for table in self.tables.values())
 
 
 def choose_law(
@@ -135,7 +135,7 @@ def choose_law(
         "file": path.name,
         "fingerprint": content_fingerprint(path),
         "errors": surrogate.errors,
-        "cost": {name: each.to_dict() for name, each in surrogate.cost.items()},
+        "seconds": dict(surrogate.seconds),
     }
     check_surrogate(recipe, surrogate, path)
     if kind == "surrogate":
@@ -148,8 +148,8 @@ def choose_law(
 def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> StressTable:
     """A table for a recipe, with the records of these files, or of the undeformed state.
 
-    What it begins with is its `cost`. The spread of the stress is that of the first file, or of
-    samples.
+    What it begins with took its `seconds`. The spread of the stress is that of the first file, or
+    of samples.
 
     Raises:
         MismatchError: a file is of other cell parameters or initialisation.
@@ -166,7 +166,7 @@ def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> Str
         table.restore(merged(table.records, stored.records, tolerance, table.images))
     if not table.size:
         table.learn_rest()
-    table.cost = meter.cost
+    table.seconds = meter.seconds
     return table
 
 
@@ -174,8 +174,8 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     if not tables:
         return None
     names, prints = [path.name for path in tables], [file_fingerprint(path) for path in tables]
-    learnt = {str(path): cost.to_dict() for path in tables if (cost := read_cost(path))}
-    made = {"cost": learnt if len(learnt) == len(tables) else {}}
+    seconds = {str(path): read_seconds(path) for path in tables}
+    made = {"seconds": {} if None in seconds.values() else seconds}
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.cache.protocols import Surrogate
-from surrofe2.costs import NOTHING, Meter
+from surrofe2.costs import Meter
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.io.data_sets import stored_count
 from surrofe2.io.files import (
@@ -29,7 +29,7 @@ from surrofe2.io.files import (
 )
 from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
 from surrofe2.io.lock import locked_folder
-from surrofe2.io.provenance import read_cost
+from surrofe2.io.provenance import read_seconds
 from surrofe2.io.run_folder import caches_of
 from surrofe2.recipe import Recipe
 from surrofe2.report.tables import NONE, Quantity, percent
@@ -256,7 +256,7 @@ def _row(
         seed = recipe.samples.seed + k + 1
         requested = _new_states(recipe, states, wider, wider != surrogate.range, seed)
         with stage(f"round {k}: sample {name}".rstrip(), 1.0, "of the samples") as report:
-            meter = Meter(read_cost(source) or NOTHING)
+            meter = Meter(read_seconds(source) or 0.0)
             path = folder / of_cell(_NEW, name)
             added = _write_samples(path, recipe, harvest, requested, meter, report)
         write_json(folder / of_cell(_STARTED, name), {"range": wider})
@@ -330,7 +330,7 @@ def _write_samples(
     """Write the harvest and the stresses of RVEs at further states, whole or not at all; how many.
 
     Args:
-        meter: of what it costs, with what the harvest cost.
+        meter: of the time that it takes, with that of the harvest.
         report: called with the fraction that is done and a remark.
     """
     law = laws.true_law(recipe)
@@ -345,5 +345,5 @@ def _write_samples(
             writer(F, F_dot, answer.stress, answer.status, reasons)
             done += len(F)
             report(done / total, f"{done} of {total} new samples")
-    writer.flush(meter.cost)
+    writer.flush(meter.seconds)
     return len(harvest.F) + done

@@ -9,10 +9,8 @@ from typing import Any
 
 from surrofe2.cache.branches import part_of, within
 from surrofe2.compilation import seconds_compiling
-from surrofe2.costs import NOTHING, Cost
 from surrofe2.errors import InputError
-from surrofe2.io.provenance import read_cost
-from surrofe2.io.run_costs import cost_of
+from surrofe2.io.provenance import read_seconds
 from surrofe2.io.run_folder import RunRecord, caches_of, write_events
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.recipe import Recipe
@@ -75,17 +73,17 @@ def run_study(
     outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
     chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
     problem = with_surface(recipe, problem, kept_reference)
-    earlier = sum((read_cost(each) or NOTHING for each in tables), start=NOTHING)
+    earlier = sum(read_seconds(each) or 0.0 for each in tables)
 
     def store(record: RunRecord, run: MacroRun) -> RunRecord:
         record = with_results(record, run)
-        seconds = _with_beginning(record.wall_time, chosen.cost)
+        seconds = _with_beginning(record.wall_time, chosen.seconds)
         record = replace(
             record,
             wall_time={**seconds, "compilation": seconds_compiling() - before},
             counts=counts_with(chosen.tables, record.counts),
         )
-        outputs.store(chosen.tables, earlier + cost_of(record))
+        outputs.store(chosen.tables, earlier + record.wall_time.get("total", 0.0))
         write_results(folder, run)
         return record
 
@@ -129,10 +127,9 @@ def run_study(
     return record_run(folder, record, compute, store, fresh=fresh)
 
 
-def _with_beginning(seconds: Mapping[str, float], before: Cost) -> dict[str, float]:
+def _with_beginning(seconds: Mapping[str, float], before: float) -> dict[str, float]:
     """Seconds of a run, with what its law took before the clock."""
-    more = {"total": before.wall, "law": before.wall, "cpu": before.cpu}
-    return {name: value + more.get(name, 0.0) for name, value in seconds.items()}
+    return {k: v + before if k in ("total", "law") else v for k, v in seconds.items()}
 
 
 def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.costs import NOTHING, Cost
 from surrofe2.io.harvest import HarvestWriter
 from surrofe2.io.provenance import Origin
 from surrofe2.io.tables import stored, write_table
@@ -60,12 +59,12 @@ class RunOutputs:
         for cell, writer in self._writers.items():
             writer.restore(part_of(arrays, f"of {cell}"))
 
-    def store(self, tables: Mapping[str, StressTable], cost: Cost = NOTHING) -> None:
-        """Write what there is now, each file whole, and what it cost so far."""
+    def store(self, tables: Mapping[str, StressTable], seconds: float = 0.0) -> None:
+        """Write what there is now, each file whole, and what it took so far."""
         for writer in self._writers.values():
-            writer.flush(cost)
+            writer.flush(seconds)
         for name, table in tables.items():
-            found = stored(table, self.recipe.to_dict(), cost)
+            found = stored(table, self.recipe.to_dict(), seconds)
             write_table(self.folder / of_cell(TABLE, name), found)
 
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from surrofe2.costs import NOTHING, Cost, Meter
+from surrofe2.costs import Meter
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.io.files import START_OVER, check_same, remove
 from surrofe2.io.kept import read_attached
 from surrofe2.io.lock import locked_file
-from surrofe2.io.provenance import read_cost
+from surrofe2.io.provenance import read_seconds
 from surrofe2.io.surrogates import (
     read_surrogate,
     read_training,
-    training_cost,
+    training_seconds,
     write_surrogate,
     write_training,
 )
@@ -112,17 +112,18 @@ def train_surrogate(
             if fresh:
                 remove(unfinished)
             surrogate, samples, shaping = _train(source, samples, first, begun, stage)
-            data = [read_cost(each) for each in (recipe.data_path(), *source.harvests)]
-            known = sum((each for each in data if each), start=NOTHING)
-            spent = surrogate.cost if None in data else {"data": known, **surrogate.cost}
-            surrogate = replace(surrogate, cost=spent)
+            files = recipe.data_path(), *source.harvests
+            data = [read_seconds(each) for each in files]
+            known = [each for each in data if each is not None]
+            if len(known) == len(data):  # else nobody can say when the surrogate pays
+                surrogate = replace(surrogate, seconds={"data": sum(known), **surrogate.seconds})
             write_surrogate(surrogate, path)
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
             shaping = shaping or shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
             surrogate = calibrate_surrogate(recipe, surrogate, samples, report, shaping)
-        surrogate = replace(surrogate, cost={**surrogate.cost, "calibration": meter.cost})
+        surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
     return trained(surrogate, kept=False)
 
@@ -149,7 +150,7 @@ class _Begun:
     """
 
     state: TrainingState | None = None
-    cost: Cost = NOTHING
+    seconds: float = 0.0
     before: float = math.inf
     bounds: tuple[float, ...] = ()
 
@@ -158,7 +159,7 @@ def _read_unfinished(path: Path) -> _Begun:
     identity, iterations, arrays = read_training(path)
     before, *bounds = arrays.pop(_BOUNDS, np.array([math.inf])).tolist()
     state = TrainingState(identity, iterations, arrays)
-    return _Begun(state, training_cost(path), before, tuple(bounds))
+    return _Begun(state, training_seconds(path), before, tuple(bounds))
 
 
 def _train(
@@ -179,16 +180,18 @@ def _train(
         with stage("train", recipe.training.iterations, "iterations") as report:
             if recipe.training.bound and not shaping:
                 shaping = _shaping(recipe, samples)
-            surrogate, bound, cost = _train_once(recipe, samples, shaping, may_grow, begun, report)
+            surrogate, bound, seconds = _train_once(
+                recipe, samples, shaping, may_grow, begun, report
+            )
         is_met = bound <= WISH * recipe.training.bound
         if is_met or not may_grow or not has_improved(bound, begun.before):
             reference = read_attached(recipe.data_path(), recipe.cell)
             return (
-                replace(surrogate, reference=reference, cost={"training": cost}),
+                replace(surrogate, reference=reference, seconds={"training": seconds}),
                 samples,
                 shaping,
             )
-        begun, number = _Begun(cost=cost, before=bound), number + 1
+        begun, number = _Begun(seconds=seconds, before=bound), number + 1
         samples = source.take(counts[number])
 
 
@@ -199,18 +202,18 @@ def _train_once(
     may_grow: bool,
     begun: _Begun,
     report: Report,
-) -> tuple[SurrogateLaw, float, Cost]:
-    """A surrogate of these samples; the best bound on the way, 0 where none is wanted; the cost.
+) -> tuple[SurrogateLaw, float, float]:
+    """A surrogate of these samples; the best bound on the way, 0 where none is wanted; the seconds.
 
     It ends when the bound is met, and, where there may be more samples, when these have brought it
     down from what fewer gave and do so no further.
     """
     path, wanted = unfinished_training(recipe), WISH * recipe.training.bound
-    meter, bounds = Meter(begun.cost), list(begun.bounds)
+    meter, bounds = Meter(begun.seconds), list(begun.bounds)
 
     def keep(state: TrainingState) -> None:
         arrays = {**state.arrays, _BOUNDS: np.array([begun.before, *bounds])}
-        write_training(path, state.identity, state.iterations, arrays, meter.cost)
+        write_training(path, state.identity, state.iterations, arrays, meter.seconds)
 
     def should_stop(surrogate: SurrogateLaw) -> bool:
         bounds.append(shaped_bound(surrogate, samples, shaping))
@@ -230,7 +233,7 @@ def _train_once(
         raise MismatchError(f"{path}: {error}; {START_OVER}") from None
     if wanted and may_grow:
         bounds.append(shaped_bound(surrogate, samples, shaping))
-    return surrogate, min(bounds, default=0.0), meter.cost
+    return surrogate, min(bounds, default=0.0), meter.seconds
 
 
 def _shaping(recipe: Recipe, samples: StressSamples) -> list[Truth]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import os
-import platform
 import signal
 import time
 from collections import deque
@@ -23,8 +22,6 @@ from typing import Any
 
 import numba
 
-from surrofe2.compilation import cpu_clock
-from surrofe2.costs import Meter
 from surrofe2.errors import InputError, SimulationError
 
 log = logging.getLogger(__name__)
@@ -166,7 +163,7 @@ class _Sent:
 
 
 def in_pieces(
-    work: Work, items: range, unit: int, executor: Any = None, meter: Meter | None = None
+    work: Work, items: range, unit: int, executor: Any = None
 ) -> Iterator[tuple[int, int, Any]]:
     """(first, count, result) of pieces of `items`, in their order.
 
@@ -176,7 +173,6 @@ def in_pieces(
 
     Args:
         executor: has `submit(work, *arguments)` that gives a future.
-        meter: takes in the CPU seconds of other processes.
 
     Raises:
         SimulationError: a piece lost its worker several times.
@@ -190,24 +186,10 @@ def in_pieces(
         at += count
     size = unit * max(1, round(PIECE / max(seconds, 1e-6)))
     pieces = [(first, min(size, items.stop - first)) for first in range(at, items.stop, size)]
-    calls = ((f"items {k} to {k + count}", _measured, (work, k, count)) for k, count in pieces)
+    calls = ((f"items {k} to {k + count}", work, (k, count)) for k, count in pieces)
     most = AHEAD * executor.workers if isinstance(executor, Processes) else MANY
     for (first, count), done in zip(pieces, results_of(calls, executor, most), strict=True):
-        process, spent, result = done
-        if meter is not None and process != _this_process():
-            meter.add_cpu(spent)
-        yield first, count, result
-
-
-def _measured(work: Work, first: int, count: int) -> tuple[tuple[str, int], float, Any]:
-    """(process, its CPU seconds, result) of a piece."""
-    begin = cpu_clock()
-    result = work(first, count)
-    return _this_process(), cpu_clock() - begin, result
-
-
-def _this_process() -> tuple[str, int]:
-    return platform.node(), os.getpid()
+        yield first, count, done
 
 
 def results_of(calls: Iterable[Call], executor: Any, most: int = MANY) -> Iterator[Any]:

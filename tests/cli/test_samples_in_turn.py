@@ -6,12 +6,12 @@ import json
 from contextlib import contextmanager
 from itertools import product
 
-import h5py
 import numpy as np
 import pytest
 
 from surrofe2 import cell_types
 from surrofe2.io.data_sets import read_data_set, stored_count
+from surrofe2.io.provenance import read_seconds
 from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import load_recipe
 from surrofe2.surrogate import training
@@ -109,16 +109,11 @@ def test_costs_of_all_that_was_done_are_kept(wanting):
     recipe = wanting(NEVER)
     generate_data_set(recipe)
     first = read_data_set(recipe.data_path())
-    before = h5_cost(recipe.data_path())
-    cost = train_surrogate(recipe).surrogate.cost
+    before = read_seconds(recipe.data_path())
+    seconds = train_surrogate(recipe).surrogate.seconds
     assert len(read_data_set(recipe.data_path()).F) > len(first.F)
-    assert cost["data"].wall > before
-    assert cost["data"].wall == pytest.approx(h5_cost(recipe.data_path()))
-
-
-def h5_cost(path):
-    with h5py.File(path) as file:
-        return json.loads(file.attrs["cost"])["wall"]
+    assert seconds["data"] > before
+    assert seconds["data"] == pytest.approx(read_seconds(recipe.data_path()))
 
 
 def test_what_is_there_is_kept(wanting, invoke):

@@ -20,7 +20,6 @@ from surrofe2.cache.table.ellipsoids import update_ellipsoids
 from surrofe2.cache.table.lookup import look_up
 from surrofe2.cache.table.records import Records, no_records, records_from_neighbours
 from surrofe2.cache.table.screen import make_screen
-from surrofe2.costs import NOTHING
 from surrofe2.errors import InputError
 from surrofe2.sampling import SamplingRange, half_widths, sample
 from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
@@ -57,7 +56,7 @@ class StressTable:
         size: how many records it has.
         images: how many images the symmetry of the cell makes of a state.
         counts: `added`, `grown`, `shrunk` ellipsoids and `table_rve_solves` since the start.
-        cost: of what it began with, set by who made it.
+        seconds: of what it began with, set by who made it.
 
     Raises:
         InputError: the law gives no tangents, or the tolerance is not positive.
@@ -87,7 +86,7 @@ class StressTable:
         self.tolerance = float(tolerance)
         self.range = range
         self.stress_spread = float(spread)
-        self.most_records, self.cost = most_records, NOTHING
+        self.most_records, self.seconds = most_records, 0.0
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = half_widths(range)
         self._screen: Array | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.costs import Balance, Cost
+from surrofe2.costs import Balance
 from surrofe2.io.fields import F_NAME, STRESS_NAME
 from surrofe2.io.run_costs import made_for
 from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
@@ -142,8 +142,8 @@ def _seconds(run: SeenRun) -> dict[str, float]:
     found = {"law": law, "macro scale": macro} if law or macro else {"run": wall.get("total", 0.0)}
     if wall.get("compilation"):
         found["kernels"] = wall["compilation"]
-    costs = (run.record.surrogate or {}).get("cost", {}) if made_for(run.record) else {}
-    return found | {name: Cost.of(cost).wall for name, cost in costs.items()}
+    made = (run.record.surrogate or {}).get("seconds", {}) if made_for(run.record) else {}
+    return found | made
 
 
 def _break_even(name: str, balance: Balance) -> str:

@@ -44,8 +44,7 @@ def made_runs(recipe, folder):
     curve = replace(run.curve, displacement=1.001 * run.curve.displacement)
     write_results(cached, replace(run, frames=frames, curve=curve, curves={}))
     record = finished_record(recipe, "cached", {"total": 0.5, "law": 0.3, "macro": 0.2}, counts)
-    cost = {"wall": 20.0, "cpu": 20.0, "threads": 2, "machine": "one"}
-    surrogate = {"file": "s", "fingerprint": "f", "errors": {}, "cost": {"data": cost}}
+    surrogate = {"file": "s", "fingerprint": "f", "errors": {}, "seconds": {"data": 20.0}}
     write_record(cached, replace(record, surrogate=surrogate, cache=cache_report()))
     events = [{"t": 0.5, "event": "fell back", "why": EVIL}, {"t": 1.0, "event": "came back"}]
     lines = "\n".join(map(json.dumps, events))
