@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import in_space, writing_series
+from surrofe2.io.fields import write_series
 from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
@@ -40,8 +40,10 @@ class _WithImages:
         return cls(points[:, 0], points[:, 1:], springs)
 
     def moved(self, vectors: Array, step: Array) -> Array:
-        """(p, 2) vectors of the particles (particles, 2), of images by `step` a shift more."""
-        moved: Array = vectors[self.owner] + self.shift @ step.T
+        """(n, p, 2) vectors of the particles (n, particles, 2), of images by `step` (n, 2, 2) a
+        shift more.
+        """
+        moved: Array = vectors[:, self.owner] + self.shift @ step.swapaxes(1, 2)
         return moved
 
 
@@ -54,24 +56,19 @@ def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
     points, particles = _WithImages.of(seen), seen.position.shape[1]
     walls = int(seen.is_wall.sum())
 
-    def lattice(k: int) -> Array:
-        return seen.F[k] @ seen.lattice
-
-    first = points.moved(seen.position[0], lattice(0))
-    with writing_series(folder, first, "Polyline", points.springs) as write:
-        for k, time in enumerate(t):
-            now = points.moved(seen.position[k], lattice(k))
-            velocity = points.moved(seen.velocity[k], seen.F_dot[k] @ seen.lattice)
-            turgor, contact = np.zeros(particles), np.zeros(particles)
-            turgor[walls:], contact[:walls] = seen.pressure[k], seen.contact_pressure[k]
-            at_points = {
-                "displacement_um": in_space(now - first),
-                "velocity_um_per_us": in_space(velocity),
-                "force_uN": in_space(seen.force[k][points.owner]),
-                "turgor_uN_per_um": turgor[points.owner],
-                "contact_pressure_uN_per_um": contact[points.owner],
-                "wall": seen.is_wall[points.owner].astype(np.float64),
-                "image": (points.shift != 0).any(axis=1).astype(np.float64),
-            }
-            of_springs = {"wall_stretch": seen.stretch[k], "wall_tension_uN": seen.tension[k]}
-            write(float(time), at_points, of_springs)
+    now = points.moved(seen.position, seen.F @ seen.lattice)
+    turgor, contact = np.zeros((2, len(t), particles))
+    turgor[:, walls:], contact[:, :walls] = seen.pressure, seen.contact_pressure
+    of_particles = np.stack([seen.is_wall[points.owner], (points.shift != 0).any(axis=1)])
+    wall, image = np.broadcast_to(of_particles[:, None], (2, len(t), len(points.owner)))
+    at_points = {
+        "displacement_um": now - now[0],
+        "velocity_um_per_us": points.moved(seen.velocity, seen.F_dot @ seen.lattice),
+        "force_uN": seen.force[:, points.owner],
+        "turgor_uN_per_um": turgor[:, points.owner],
+        "contact_pressure_uN_per_um": contact[:, points.owner],
+        "wall": wall.astype(np.float64),
+        "image": image.astype(np.float64),
+    }
+    of_springs = {"wall_stretch": seen.stretch, "wall_tension_uN": seen.tension}
+    write_series(folder, now[0], points.springs, t, at_points, of_springs)

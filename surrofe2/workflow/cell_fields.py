@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import ElementMotion, add_to_elements, read_element_motion
+from surrofe2.io.fields import (
+    CELL,
+    F_DOT_NAME,
+    F_NAME,
+    StoredFields,
+    add_to_elements,
+    read_fields,
+)
 from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import RunRecord, read_record
 from surrofe2.plant_cell.parameters import CellParameters
@@ -49,17 +56,26 @@ def recipes_of(record: RunRecord) -> dict[str, Recipe]:
     }
 
 
-def cell_numbers(motion: ElementMotion, recipes: Mapping[str, Recipe]) -> NDArray[np.int64]:
+def read_motion(folder: Path) -> StoredFields:
+    """The mesh of a run, F and Ḟ of its elements, and their plant cells where there are several.
+
+    Raises:
+        FileError: fields.h5 is missing, damaged, or without Ḟ.
+    """
+    return read_fields(folder, (F_DOT_NAME, F_NAME), (CELL,))
+
+
+def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> NDArray[np.int64]:
     """(e,) number of the recipe of each element's cell.
 
     Raises:
         FileError: there are several cells and the fields do not say which is where.
     """
     if len(recipes) == 1:
-        return np.zeros(motion.F.shape[1], np.int64)
-    if motion.cell is None:
-        raise FileError("fields.h5: no plant_cell of elements in it; run anew with --fresh")
-    return motion.cell
+        return np.zeros(len(motion.cells), np.int64)
+    if CELL not in motion.values:
+        raise FileError(f"fields.h5: no {CELL} of elements in it; run it again with --fresh")
+    return motion.values[CELL][0].astype(np.int64)
 
 
 def add_cell_fields(folder: Path) -> int:
@@ -75,16 +91,17 @@ def add_cell_fields(folder: Path) -> int:
     """
     recipes = recipes_of(read_record(folder))
     with locked_folder(folder):
-        motion = read_element_motion(folder)
+        motion = read_motion(folder)
+        F, F_dot = motion.values[F_NAME], motion.values[F_DOT_NAME]
         numbers = cell_numbers(motion, recipes)
         values: dict[str, Array] = {}
         for k, recipe in enumerate(recipes.values()):
             own = numbers == k
-            found = extremes_of(true_law(recipe), motion.F[:, own], motion.F_dot[:, own])
+            found = extremes_of(true_law(recipe), F[:, own], F_dot[:, own])
             for name, of_cell in found.items():
-                values.setdefault(name, np.full(motion.F.shape[:2], np.nan))[:, own] = of_cell
+                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, own] = of_cell
         add_to_elements(folder, values)
-    return int(motion.F.size) // 4
+    return F.size // 4
 
 
 def extremes_of(law: RveLaw, F_of: Array, F_dot_of: Array) -> dict[str, Array]:

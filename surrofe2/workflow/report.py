@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.errors import InputError, MismatchError
+from surrofe2.io.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
 from surrofe2.io.files import read_bytes, read_columns, write_text
-from surrofe2.io.point_fields import read_point_fields
 from surrofe2.io.run_folder import EVENTS, StoredRun, read_run
-from surrofe2.io.stored_fields import read_fields
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page.document import page_of
-from surrofe2.report.page.seen import FIELDS, Seen, SeenRun
+from surrofe2.report.page.seen import OF_ELEMENTS, OF_POINTS, Seen, SeenRun
 
 _MOST_PICTURES = 4
 
@@ -53,12 +52,13 @@ def _see(run: StoredRun) -> SeenRun:
     energies = folder / "energies.csv"
     names, table = read_columns(energies) if energies.exists() else ([], None)
     columns = {} if table is None else dict(zip(names, table.T, strict=True))
+    has_fields, has_points = ((folder / f"{name}.h5").exists() for name in (FIELDS, POINTS))
     zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
     return SeenRun(
         run=run,
         energies=columns,
-        fields=read_fields(folder, FIELDS) if (folder / "fields.h5").exists() else None,
-        points=read_point_fields(folder) if (folder / "points.h5").exists() else {},
+        fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
+        points=read_fields(folder, (), OF_POINTS, POINTS).values if has_points else {},
         events=_events(folder / EVENTS),
         particles={path.parent.name: read_bytes(path) for path in zooms},
     )

@@ -20,10 +20,10 @@ from surrofe2.io.fields import (
     STRESS_NAME,
     VELOCITY_NAME,
     write_fields,
+    write_point_fields,
 )
 from surrofe2.io.files import plain
 from surrofe2.io.lock import locked_folder
-from surrofe2.io.point_fields import write_point_fields
 from surrofe2.io.run_folder import (
     RunRecord,
     caches_of,

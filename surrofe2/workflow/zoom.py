@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import ElementMotion, read_element_motion
+from surrofe2.io.fields import F_DOT_NAME, F_NAME, StoredFields
 from surrofe2.io.files import write_columns
 from surrofe2.io.lock import locked_folder
 from surrofe2.io.particles import write_rve_fields
@@ -19,7 +19,7 @@ from surrofe2.report.particle_plot import write_particle_picture
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.stress_law import describe
-from surrofe2.workflow.cell_fields import cell_numbers, recipes_of
+from surrofe2.workflow.cell_fields import cell_numbers, read_motion, recipes_of
 from surrofe2.workflow.laws import true_law
 from surrofe2.workflow.run_lifecycle import Report, untold
 
@@ -65,20 +65,20 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         raise InputError(f"{folder}: of the full tissue, whose fields are its particles already")
     if not (folder / "fields.h5").exists():
         raise FileError(f"{folder}: the run is {record.status} and has no fields")
-    motion = read_element_motion(folder)
-    element, _ = find_element(motion.nodes, motion.elements, np.array(point))
+    motion = read_motion(folder)
+    element, _ = find_element(motion.points, motion.cells, np.array(point))
     name, law = _law_at(record, motion, element)
-    F, F_dot = motion.F[:, element], motion.F_dot[:, element]
+    F, F_dot = (motion.values[what][:, element] for what in (F_NAME, F_DOT_NAME))
     answer = law.respond(F, F_dot)
     for k in np.flatnonzero(answer.status)[:1]:
         why = describe(answer.status[k])
         raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
-    centre = motion.nodes[motion.elements[element]].mean(axis=0)
+    centre = motion.points[motion.cells[element]].mean(axis=0)
     seen = law.particles(F, F_dot, answer.state)
     return Zoom(element, centre, motion.t, seen, "rest" in record.recipe, name)
 
 
-def _law_at(record: RunRecord, motion: ElementMotion, element: int) -> tuple[str, RveLaw]:
+def _law_at(record: RunRecord, motion: StoredFields, element: int) -> tuple[str, RveLaw]:
     """Name and true RVE of the plant cell of an element."""
     recipes = recipes_of(record)
     numbers = cell_numbers(motion, recipes)

@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app, progress
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import read_element_motion
+from surrofe2.io.fields import CELL, F_DOT_NAME, F_NAME
 from surrofe2.io.lock import locked_folder
 from surrofe2.io.run_folder import read_record
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow.cell_fields import cell_numbers, extremes_of, recipes_of
+from surrofe2.workflow.cell_fields import cell_numbers, extremes_of, read_motion, recipes_of
 from surrofe2.workflow.zoom import zoom_into
 from tests.cli.test_cell_types import BAR as SEVERAL_CELLS
 from tests.conftest import RECIPE
@@ -52,10 +52,10 @@ def looked(study):
 @pytest.fixture(scope="module")
 def seen(study):
     recipe, run = study
-    motion = read_element_motion(run)
+    motion = read_motion(run)
     settings = load_recipe(recipe)
     law = RveLaw(settings.cell, settings.rve)
-    return motion, law.particles(motion.F[:, 3], motion.F_dot[:, 3])
+    return motion, law.particles(*(motion.values[name][:, 3] for name in (F_NAME, F_DOT_NAME)))
 
 
 def test_the_command_writes_what_it_saw(looked):
@@ -156,17 +156,19 @@ def test_several_cells_are_looked_into_by_the_cell_of_the_point(tmp_path):
     for y, name in ((75.0, "skin"), (25.0, "flesh")):
         found = zoom_into(run, (25.0, y))
         assert found.cell == name
-        motion = read_element_motion(run)
+        motion = read_motion(run)
         law = RveLaw(cells[name], load_recipe(path).rve)
-        own = law.particles(*(T[:, found.element] for T in (motion.F, motion.F_dot)))
+        own = law.particles(*(motion.values[T][:, found.element] for T in (F_NAME, F_DOT_NAME)))
         # its reference is settled anew: the same but for rounding
         np.testing.assert_allclose(found.seen.position, own.position, atol=1e-10)
         of_last = own.extremes()["largest_wall_stretch"][-1]
         assert stretch[found.element] == pytest.approx(of_last, rel=1e-9)
         assert zoom_into(rest, (25.0, y)).cell == name
     assert stretch[1] != pytest.approx(stretch[0], rel=1e-5)
-    motion = replace(motion, cell=None)
-    with pytest.raises(FileError, match="no plant_cell of elements in it; run anew with --fresh"):
+    del motion.values[CELL]
+    with pytest.raises(
+        FileError, match="no plant_cell of elements in it; run it again with --fresh"
+    ):
         cell_numbers(motion, recipes_of(read_record(run)))
 
 

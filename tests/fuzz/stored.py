@@ -15,7 +15,7 @@ from safetensors.numpy import load, save
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.io import files
 from surrofe2.io.data_sets import read_data_set, writing_data_set
-from surrofe2.io.fields import read_element_motion, write_fields
+from surrofe2.io.fields import write_fields
 from surrofe2.io.files import read_json, write_json
 from surrofe2.io.harvest import HarvestWriter, read_harvest
 from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
@@ -41,6 +41,7 @@ from surrofe2.recipe import load_recipe
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
+from surrofe2.workflow.cell_fields import read_motion
 from tests.cache.tables import make, states, taught
 from tests.fuzz.test_recipes import ROOT, places, replaced
 from tests.io.gmsh_files import QUADS
@@ -155,7 +156,7 @@ KINDS = {
     "law.safetensors": (surrogate, asked_surrogate),
     "begun.safetensors": (training, read_training),
     "checkpoint.h5": (checkpoint, lambda path: read_checkpoint(path, "a rve run")),
-    "fields.h5": (fields, lambda path: read_element_motion(path.parent)),
+    "fields.h5": (fields, lambda path: read_motion(path.parent)),
     "run.json": (record, asked_record),
     "some.json": (
         lambda folder: write_json(folder / "some.json", {"a": [1.0, {"b": None}]}),

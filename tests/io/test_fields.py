@@ -15,14 +15,15 @@ from surrofe2.io.fields import (
     DISPLACEMENT_NAME,
     F_DOT_NAME,
     F_NAME,
+    POINTS,
     SOURCE_NAME,
     STRESS_NAME,
     add_to_elements,
-    read_element_motion,
+    read_fields,
     write_fields,
     write_particle_fields,
+    write_point_fields,
 )
-from surrofe2.io.point_fields import read_point_fields, write_point_fields
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 QUADS = np.array([[0, 1, 2, 3]])
@@ -72,11 +73,15 @@ def test_fields_read_back(tmp_path, frames):
             assert in_quads["stress_source"][0] == frames.source[k]
             assert in_quads["stress_bound_uN_per_um"][0] == frames.bound[k]
             np.testing.assert_array_equal(in_quads["swelling"][0], 1.0 + k)
-    read = read_element_motion(tmp_path)
-    np.testing.assert_array_equal(read.nodes, NODES)
-    np.testing.assert_array_equal(read.elements, QUADS)
-    for name in ("t", "F", "F_dot"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(frames, name))
+    read = read_fields(tmp_path, [F_DOT_NAME, F_NAME, DISPLACEMENT_NAME], [STRESS_NAME, "absent"])
+    np.testing.assert_array_equal(read.points, NODES)
+    np.testing.assert_array_equal(read.cells, QUADS)
+    np.testing.assert_array_equal(read.t, frames.t)
+    written = {F_DOT_NAME: frames.F_dot, F_NAME: frames.F, STRESS_NAME: frames.stress}
+    written |= {DISPLACEMENT_NAME: frames.displacement}
+    assert read.values.keys() == written.keys()
+    for name, values in written.items():
+        np.testing.assert_array_equal(read.values[name], values)
 
 
 def test_fields_of_particles_have_no_motion_of_elements(tmp_path):
@@ -85,11 +90,11 @@ def test_fields_of_particles_have_no_motion_of_elements(tmp_path):
     )
     write_particle_fields(tmp_path, NODES, QUADS[:, :2], np.ones(4, bool), motion)
     with pytest.raises(FileError) as caught:
-        read_element_motion(tmp_path)
+        read_fields(tmp_path, [F_DOT_NAME])
     path = tmp_path / "fields.h5"
     assert (
-        str(caught.value) == f"{path}: no deformation_rate_1_per_us of elements in it; run "
-        "anew with --fresh"
+        str(caught.value) == f"{path}: no deformation_rate_1_per_us in it; run it again "
+        "with --fresh"
     )
 
 
@@ -137,6 +142,7 @@ def test_triangles_with_six_nodes(tmp_path):
         F=tensors,
         F_dot=tensors,
         source=np.empty((1, 0)),
+        bound=np.empty((1, 0)),
         dissipated=np.empty((1, 0)),
     )
     write_fields(tmp_path, nodes, np.arange(6)[None], frames)
@@ -167,10 +173,12 @@ def test_points_of_the_law_read_back(tmp_path):
     values = {DISPLACEMENT_NAME: numbers.normal(size=(2, 6, 2)), **tensors}
     values |= {SOURCE_NAME: np.arange(12.0).reshape(2, 6), BOUND_NAME: np.empty((2, 0))}
     write_point_fields(tmp_path, at, t, values, per_element=3)
-    read = read_point_fields(tmp_path)
-    assert {*read} == {"t", "points", SOURCE_NAME, *tensors}
-    for name, expected in {"t": t, "points": at, **tensors}.items():
-        np.testing.assert_array_equal(read[name], expected)
+    read = read_fields(tmp_path, (), values, POINTS)
+    assert {*read.values} == {DISPLACEMENT_NAME, SOURCE_NAME, *tensors}
+    np.testing.assert_array_equal(read.t, t)
+    np.testing.assert_array_equal(read.points, at)
+    for name, expected in read.values.items():
+        np.testing.assert_array_equal(values[name], expected)
     with meshio.xdmf.TimeSeriesReader(tmp_path / "points.xdmf") as reader:
         points, cells = reader.read_points_cells()
         assert [(block.type, block.data.tolist()) for block in cells] == [

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import SOURCE_NAME
-from surrofe2.io.stored_fields import StoredFields
+from surrofe2.io.fields import SOURCE_NAME, StoredFields
 from surrofe2.report.page.bodies import MARGIN, DrawnBody, bodies_of
 from surrofe2.report.page.colours import (
     LEVELS,

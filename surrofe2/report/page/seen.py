@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME, STRESS_NAME
+from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME, STRESS_NAME, StoredFields
 from surrofe2.io.run_folder import RunRecord, StoredRun
-from surrofe2.io.stored_fields import StoredFields
 from surrofe2.report.comparison import Comparison
 
 Array = NDArray[np.float64]
 
 VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
-FIELDS = (
+OF_ELEMENTS = (
     STRESS_NAME, "deformation_gradient", VON_MISES, SOURCE_NAME, BOUND_NAME, WALL_STRETCH,
 )  # fmt: skip
 """What a page shows of elements."""
+OF_POINTS = (SOURCE_NAME, BOUND_NAME)
+"""What a page shows of points of the law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +30,7 @@ class SeenRun:
 
     Attributes:
         energies: columns of energies.csv by heading.
-        points: of `io.point_fields.read_point_fields`.
+        points: values at the points of the law by name, (m, n).
         events: lines of events.jsonl.
         particles: PNG of each look into the plant cells, by the name of its folder.
     """
