@@ -1,11 +1,13 @@
 """The command line: parse, call a workflow, print what came of it.
 
-`COMMANDS` names each command with its line of help. The module of a command has its name, or stands
-in `MODULES`; it is imported when the command is called, so `surrofe2 --help` imports nothing heavy.
+`GROUPS` names the commands. The module of a command has its name, or stands in `MODULES`; it is
+imported when the command is called. `surrofe2 --help` takes the first line and the example of each
+command from the source of its module, so it imports nothing heavy.
 """
 
 from __future__ import annotations
 
+import ast
 import atexit
 import errno
 import gc
@@ -13,6 +15,7 @@ import logging
 import shlex
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -24,50 +27,15 @@ from surrofe2.cli.streams import leave, note_errors
 from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
-STUDY, LOOK, PHYSICS = "Study", "Look", "Physics"
-COMMANDS = {
-    "new": (STUDY, "Write a recipe to start from.", "bar.toml --example bar"),
-    "check": (
-        STUDY,
-        "What is wrong with a recipe, which range it needs, how long it takes.",
-        "RECIPE",
+GROUPS = {
+    "Study": (
+        "new", "check", "study", "generate", "train", "run", "refine", "tissue", "grid",
     ),
-    "study": (STUDY, "What is missing of data set, training, runs and comparison.", "RECIPE"),
-    "generate": (STUDY, "Compute stresses of plant cells over that range: a data set.", "RECIPE"),
-    "train": (STUDY, "Fit a surrogate of the stress to the data set.", "RECIPE"),
-    "run": (
-        STUDY,
-        "Run the recipe's problem by true, learnt or cached stresses.",
-        "RECIPE --law cached --out out/cached",
-    ),
-    "refine": (STUDY, "Active learning: retrain on states that the run could not trust.", "RECIPE"),
-    "tissue": (
-        STUDY,
-        "Run it with every particle of every plant cell, nothing homogenised.",
-        "RECIPE --out out/tissue",
-    ),
-    "grid": (
-        STUDY,
-        "Run the recipe with all combinations of values: a parameter study.",
-        "RECIPE --set cell.wall_stiffness=3000:5000:8",
-    ),
-    "compare": (
-        LOOK,
-        "Differences of runs of one problem, and what each cost.",
-        "out/rve out/cached --out out/comparison",
-    ),
-    "report": (LOOK, "Runs on one page: an HTML file that works offline.", "out/rve out/cached"),
-    "zoom": (
-        LOOK,
-        "Look into the plant cells of a run: the RVE at a point over time.",
-        "out/cached --point 200,12.5",
-    ),
-    "export": (LOOK, "A surrogate as C source, for other programs.", "surrogate.safetensors"),
-    "rest": (PHYSICS, "The tissue at rest under the recipe's loads.", "RECIPE --out out/rest"),
-    "modes": (PHYSICS, "Period and damping of small oscillations.", "RECIPE"),
-    "moduli": (PHYSICS, "Elastic and viscous moduli of a plant cell at rest.", "--cell water"),
-}
-"""By name: the group in help, a line, and what follows the name in an example."""
+    "Look": ("compare", "report", "zoom", "export"),
+    "Physics": ("rest", "modes", "moduli"),
+}  # fmt: skip
+"""Commands by their group in help, in its order."""
+COMMANDS = {name: group for group, names in GROUPS.items() for name in names}
 
 MODULES = {"refine": "train"}
 
@@ -92,10 +60,12 @@ class Commands(TyperGroup):
         """A command as help shows it, without its module."""
         if cmd_name not in COMMANDS:
             return None
-        group, line, words = COMMANDS[cmd_name]
-        example = f"surrofe2 {cmd_name} {words}".strip()
-        told = f"{line}\n[dim]{example}[/dim]"
-        return TyperCommand(cmd_name, help=told, short_help=told, rich_help_panel=group)
+        docstring = _docstring(cmd_name)
+        example = docstring.partition("Example: [bold]")[2].partition("[/bold]")[0]
+        told = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
+        return TyperCommand(
+            cmd_name, help=told, short_help=told, rich_help_panel=COMMANDS[cmd_name]
+        )
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that is called, from its module."""
@@ -140,6 +110,14 @@ class Commands(TyperGroup):
         except KeyboardInterrupt:
             told = "interrupted: nothing was changed"
             raise _ended(told, exit_code()) from None
+
+
+def _docstring(command: str) -> str:
+    """The docstring of a command, without importing its module."""
+    source = Path(__file__).with_name(f"{MODULES.get(command, command)}.py")
+    functions = ast.parse(source.read_text(encoding="utf-8")).body
+    (found,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == command)
+    return ast.get_docstring(found) or ""
 
 
 def _ended(told: str, code: int) -> typer.Exit:

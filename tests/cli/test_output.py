@@ -95,7 +95,7 @@ def test_no_colours_where_none_are_wanted(monkeypatch):
 
 def test_help_is_in_groups_of_at_most_twenty_commands():
     told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output
-    places = [told.index(f"─ {group} ─") for group in ("Study", "Look", "Physics", "Paper")]
+    places = [told.index(f"─ {group} ─") for group in ("Study", "Look", "Physics")]
     assert places == sorted(places)
     assert len(COMMANDS) <= 20
     for name in COMMANDS:

@@ -1,19 +1,13 @@
-"""One small file of each kind, how it is read, and damage behind its digest."""
+"""One small file of each kind, and how it is read."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from io import BytesIO
 from types import SimpleNamespace
 
-import h5py
 import numpy as np
-from hypothesis import strategies as st
-from safetensors.numpy import load, save
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.io import files
 from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.io.fields import write_fields
 from surrofe2.io.files import read_json, write_json
@@ -43,7 +37,7 @@ from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
 from surrofe2.workflow.cell_fields import read_motion
 from tests.cache.tables import make, states, taught
-from tests.fuzz.test_recipes import ROOT, places, replaced
+from tests.fuzz.test_recipes import ROOT
 from tests.io.gmsh_files import QUADS
 from tests.io.small_data_set import HEADER, append_chunk, write_all
 from tests.laws import CELL, SoftLaw, lattice_samples
@@ -173,113 +167,3 @@ KINDS = {
 """How a file of each kind is written into a folder, and what reads it, by its name."""
 UNSEALED = (".csv", ".msh")
 """Ends of names of files without a digest of their own."""
-
-
-def sealed_anew(content):
-    """The bytes with a digest that belongs to them, where they have a place for it."""
-    content = files._DIGEST.sub(lambda found: found[0][:-64] + files.NO_DIGEST.encode(), content)
-    try:
-        return files.sealed(content)
-    except ValueError:
-        return content
-
-
-ARRAYS = (
-    np.zeros(0), np.zeros((3, 3)), np.full(4, np.nan), np.array(1.0), np.full((2, 2, 2), 1e308),
-    np.array([-1, 2**62]), np.array([b"text"]), np.array([True]), np.ones(3, np.complex128),
-    np.ones((1, 2, 2), np.float32), np.zeros((0, 2, 2)),
-)  # fmt: skip
-TEXTS = ("", "{", "[]", "null", "[" * 5000, "{}", "9" * 5000, '{"a": NaN}', "x" * 5000, "finished")
-LEAVES = (
-    None, True, -1, 2**70, 0.0, 1e308, "", "inf", "nan", "x" * 5000, [], {}, [[]], [None], {"a": 1},
-)  # fmt: skip
-
-
-@st.composite
-def other_hdf5(draw, whole):
-    """The bytes of an HDF5 file with entries or attributes missing, renamed or others."""
-    buffer = BytesIO()
-    with h5py.File(BytesIO(whole)) as there, h5py.File(buffer, "w") as file:
-        names: list[str] = []
-        there.visititems(lambda name, item: names.append(name))
-        for name in there:
-            there.copy(name, file)
-        file.attrs.update({k: v for k, v in there.attrs.items() if k != "sha256"})
-        arrays = [name for name in names if isinstance(there[name], h5py.Dataset)]
-        attributes = [name for name in there.attrs if name != "sha256"] or ["none"]
-        for _ in range(draw(st.integers(1, 2))):
-            name, other = (draw(st.sampled_from(arrays)) for _ in range(2))
-            attribute = draw(st.sampled_from(attributes))
-            match draw(st.sampled_from(["array", "array", "cut", "drop", "swap", "attribute"])):
-                case "array" if name in file:
-                    del file[name]
-                    file[name] = draw(st.sampled_from(ARRAYS))
-                case "cut" if name in file and there[name].shape:
-                    del file[name]
-                    file[name] = there[name][:-1]
-                case "drop" if name in file:
-                    del file[name]
-                case "swap" if name in file:
-                    del file[name]
-                    file[name] = there[other][()]
-                case "attribute":
-                    values = (*TEXTS, *ARRAYS, 0, -1, 2**40, np.nan, np.inf)
-                    file.attrs[attribute] = draw(st.sampled_from(values))
-        if draw(st.booleans()):
-            file.attrs.pop(draw(st.sampled_from(attributes)), None)
-        file.attrs["sha256"] = f"{files.SEAL}: {files.NO_DIGEST}"
-    return sealed_anew(buffer.getvalue())
-
-
-def other_json(draw, tree):
-    """A tree with another value in one or two places."""
-    for _ in range(draw(st.integers(1, 2))):
-        known = list(places(tree)) or [()]
-        at, value = draw(st.sampled_from(known)), draw(st.sampled_from(LEAVES))
-        tree = replaced(tree, at, value)
-    return tree
-
-
-@st.composite
-def other_tree(draw, whole):
-    """The bytes of a JSON file with other values in it."""
-    tree = other_json(draw, {k: v for k, v in json.loads(whole).items() if k != files.SEAL})
-    tree = tree if isinstance(tree, dict) else {"a": tree}
-    return sealed_anew(json.dumps({files.SEAL: files.NO_DIGEST, **tree}).encode())
-
-
-@st.composite
-def other_tensors(draw, whole):
-    """The bytes of a safetensors file with other arrays, or another header."""
-    length = int.from_bytes(whole[:8], "little")
-    header = json.loads(json.loads(whole[8 : 8 + length])["__metadata__"]["surrofe2"])
-    arrays = load(whole)
-    if draw(st.booleans()):
-        header = other_json(draw, header)
-    else:
-        name, other = (draw(st.sampled_from(sorted(arrays))) for _ in range(2))
-        kept = [each for each in ARRAYS if each.dtype.kind in "fib"]
-        match draw(st.sampled_from(["array", "drop", "swap", "cut", "value"])):
-            case "array":
-                arrays[name] = draw(st.sampled_from(kept))
-            case "drop":
-                del arrays[name]
-            case "swap":
-                arrays[name] = arrays[other]
-            case "cut":
-                arrays[name] = arrays[name][:-1].copy()
-            case "value" if arrays[name].size:
-                number = draw(st.sampled_from([np.nan, np.inf, 1e308, -1.0, 0.0]))
-                arrays[name] = np.where(np.ones(arrays[name].shape), number, 0.0)
-    header = header if isinstance(header, dict) else {"a": header}
-    header[files.SEAL] = files.NO_DIGEST
-    return sealed_anew(save(arrays, metadata={"surrofe2": json.dumps(header)}))
-
-
-def damaged_inside(name, whole):
-    """Files whose digest is right and whose content is not."""
-    if name.endswith(".h5"):
-        return other_hdf5(whole)
-    if name.endswith(".safetensors"):
-        return other_tensors(whole)
-    return other_tree(whole)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 
@@ -11,11 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surrofe2.io.files import NO_DIGEST, SEAL
 from surrofe2.io.run_folder import read_run
 from surrofe2.report.comparison import compare
 from tests.fuzz.fuzzing import Content, answered, damaged_bytes, examples, few_and_all
-from tests.fuzz.stored import KINDS, other_tree, sealed_anew
+from tests.fuzz.stored import KINDS
 
 PARTS = ("run.json", "curve.csv", "history.csv")
 
@@ -30,28 +28,12 @@ def run(tmp_path_factory):
     return folder, {name: Content((folder / name).read_bytes()) for name in PARTS}
 
 
-def told(contents):
-    """run.json with the digests of the tables as they are."""
-    record = json.loads(contents["run.json"])
-    for name in PARTS[1:]:
-        record["files"][name] = hashlib.sha256(contents[name]).hexdigest()
-    record[SEAL] = NO_DIGEST
-    return sealed_anew(json.dumps(record).encode())
-
-
 @st.composite
 def damaged_run(draw, contents):
-    """Files of a run of which one is damaged, with digests that belong to it or not."""
+    """Files of a run of which one is damaged or missing."""
     found = dict(contents)
     name = draw(st.sampled_from(PARTS))
-    if name != "run.json":
-        found[name] = draw(damaged_bytes(contents[name]))
-        if draw(st.booleans()):
-            found["run.json"] = told(found)
-    elif draw(st.booleans()):
-        found[name] = draw(damaged_bytes(contents[name]))
-    else:
-        found[name] = draw(other_tree(contents[name]))
+    found[name] = draw(damaged_bytes(contents[name]))
     if draw(st.integers(0, 9)) == 0:
         del found[draw(st.sampled_from(PARTS))]
     return found
