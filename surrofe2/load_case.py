@@ -44,13 +44,6 @@ class LoadCase:
         if (np.diff([t for t, _ in self.amplitude]) <= 0.0).any():
             raise InputError(f"load.amplitude: {self.amplitude}; times must increase")
 
-    def amplitude_at(self, t: float) -> float:
-        """Factor of the body force at time t (µs)."""
-        if not self.amplitude:
-            return 1.0
-        times, factors = zip(*self.amplitude, strict=True)
-        return float(np.interp(t, times, factors))
-
     def output_times(self) -> NDArray[np.float64]:
         """(m,) times in µs at which results are kept, as of the function of this name."""
         return output_times(self.duration, self.output_interval)

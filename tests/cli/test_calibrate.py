@@ -344,7 +344,6 @@ def test_loads_push_everywhere_and_reverse():
     factors = np.array([[factor for _, factor in one.amplitude] for one in loads])
     assert (factors.min(axis=1) < 0.0).mean() > 0.8
     assert {one.duration for one in loads} == {25.0}
-    assert all(one.amplitude_at(25.0) == one.amplitude[-1][1] for one in loads)
 
 
 def test_train_of_a_stated_problem_and_of_its_cells(stated, recipe_path, invoke):
