@@ -1,6 +1,7 @@
 """Your own solver on a `StressLaw`, by scikit-fem: a block of tissue at rest under a load.
 
-`python examples/own_solver.py` prints Newton's residuals and draws examples/own-solver.png.
+`python examples/own_solver.py` prints Newton's residuals and draws examples/own-solver.png,
+displacements fifty times as large.
 """
 
 from pathlib import Path
@@ -58,6 +59,6 @@ def solve(law, mesh=MESH, pull=PULL, element=ELEMENT, intorder=4, tolerance=1e-9
 if __name__ == "__main__":
     basis, u, residuals = solve(RveLaw(CellParameters.preset("printed")))
     print("residuals:", *(f"{each:.1e}" for each in residuals))
-    moved = skfem.MeshQuad1(basis.mesh.p + u[basis.nodal_dofs], basis.mesh.t)
-    axes = basis.mesh.draw(color="lightgrey")
+    moved = skfem.MeshQuad1(basis.mesh.p + 50.0 * u[basis.nodal_dofs], basis.mesh.t)
+    axes = basis.mesh.draw(linewidth=0.3)
     moved.draw(ax=axes).figure.savefig(Path(__file__).with_name("own-solver.png"), dpi=120)
