@@ -19,7 +19,6 @@ from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_lifecycle import new_record
 from surrofe2.workflow.surfaces import (
-    missing_cells,
     missing_sentence,
     surface_notes,
     with_surface,
@@ -71,7 +70,7 @@ def test_a_run_with_a_surface_law(tmp_path, made):
         "table", 1.0, "constrained-runs",
     )  # fmt: skip
     assert 0.01 < told["rest"] < 1.0
-    (note,) = surface_notes(record, recipe)
+    (note,) = surface_notes(record)
     assert note == (f"surface: 4 sides (top, right); at rest moved by {told['rest']:.2g} µm", False)
     energies = (tmp_path / "sided" / "energies.csv").read_text().splitlines()[0]
     assert "surface" in energies
@@ -86,7 +85,8 @@ def test_a_run_with_a_surface_law(tmp_path, made):
         "surface: none; strip of 4 plant cells: about 6.7 % too stiff; section [surface] with "
         'on = "free" gives its sides a law'
     )
-    assert [*surface_notes(other, bare)] == [(sentence, False)]
+    assert [*surface_notes(other)] == []
+    assert missing_sentence(other, bare, kept_reference) == sentence
     assert missing_notes([tmp_path / "sided", tmp_path / "bare"]) == []
     again = run_study(recipe, "rve", tmp_path / "again")
     assert len(made) == 1  # the table was kept
@@ -126,17 +126,17 @@ def test_rest_with_a_surface_law(tmp_path, made):
     assert 0.001 < abs(soft / stiff - 1.0) < 0.5
 
 
-def test_what_a_run_without_misses(tmp_path, made):
+def test_a_run_whose_slab_finds_no_rest_has_no_sentence(tmp_path, made, monkeypatch):
     recipe = recipe_in(tmp_path, RECIPE)
-    record = run_study(recipe, "rve", tmp_path / "bare")
-    assert missing_sentence(record, recipe) is None  # not known yet, and a run does not ask
-    assert [*surface_notes(record, recipe)] == []
-    found = missing_cells(recipe.cell, "constrained-runs", 4, lambda: kept_reference(recipe))
-    assert found == 0.25
-    assert "strip of 4 plant cells: about 6.7 %" in missing_sentence(record, recipe)
-    assert missing_cells(recipe.cell, "elastic", 4) is None
-    skin = replace(recipe.cell, outer_wall=2.0)
-    assert missing_cells(skin, "constrained-runs", 4) is None
+    record = replace(new_record(recipe, "rve"), problem={"extent": [[0.0, 0.0], [200.0, 100.0]]})
+    assert "about 6.7 %" in missing_sentence(record, recipe, kept_reference)
+    assert missing_sentence(replace(record, law="tissue"), recipe, kept_reference) is None
+
+    def restless(self, across):
+        raise InputError("surface: a strip finds no rest")
+
+    monkeypatch.setattr(SlabLaw, "missing_cells", restless)
+    assert missing_sentence(record, recipe, kept_reference) is None
 
 
 def test_several_cells_and_oblique_sides(tmp_path, made):
@@ -158,7 +158,7 @@ def test_several_cells_and_oblique_sides(tmp_path, made):
     assert len({law["cell_fingerprint"] for law in told["laws"].values()}) == 2
     oblique = {**told, "oblique": 3, "largest_angle": 30.0, "rest": 0.5}
     record = replace(new_record(several, "rve"), problem={"surface": oblique})
-    _, (sentence, is_warning) = surface_notes(record, several)
+    _, (sentence, is_warning) = surface_notes(record)
     assert is_warning
     assert "3 sides are oblique to the rows of plant cells, by up to 30°; they take" in sentence
 

@@ -46,5 +46,5 @@ def rest(
             study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )
     console.done(out, rest_summary(record), timed=False)
-    for sentence, is_warning in surface_notes(record, study):
+    for sentence, is_warning in surface_notes(record):
         (console.print_warning if is_warning else console.print_line)(sentence)

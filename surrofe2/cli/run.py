@@ -127,7 +127,7 @@ def run(
     notes = (
         *step_notes(record, study),
         *contact_notes(record),
-        *surface_notes(record, study),
+        *surface_notes(record),
         *cache_notes(record),
         *rank_notes(record),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 from surrofe2.errors import InputError
@@ -47,6 +46,6 @@ def missing_notes(folders: Sequence[str | Path]) -> list[str]:
     for folder, record in zip(folders, records, strict=True):
         with suppress(InputError):  # a law without plant cells
             for recipe in recipes_of(record).values():
-                sentence = missing_sentence(record, recipe, partial(kept_reference, recipe))
+                sentence = missing_sentence(record, recipe, kept_reference)
                 found += [] if sentence is None else [f"{Path(folder).name}: {sentence}"]
     return found

@@ -16,7 +16,6 @@ import numpy as np
 
 from surrofe2.compilation import cache_folder
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.kept import read_kept, write_kept
 from surrofe2.io.run_folder import RunRecord
 from surrofe2.io.surfaces import check_surface, read_surface, write_surface
 from surrofe2.macro import Problem, Surface
@@ -80,7 +79,8 @@ def cell_surface(
     cell, method, (stretch, rate) = recipe.cell, recipe.rve.initialisation, _bounds(recipe)
     rows = rows_across(across)
     low, high = stretch
-    path = _folder() / f"{_stem(cell, method)}-{rows}-{low:.6g}-{high:.6g}-{rate:.6g}.h5"
+    of = f"{cell.fingerprint}-{cell.outer_wall:g}-{method}-{rows}"
+    path = _folder() / f"{of}-{low:.6g}-{high:.6g}-{rate:.6g}.h5"
     table = None
     if path.exists():
         with suppress(FileError, MismatchError):
@@ -91,49 +91,32 @@ def cell_surface(
         table = table_within(slab, stretch, rate)
         with suppress(FileError):  # a folder that cannot be written keeps nothing
             write_surface(path, table, recipe.to_dict())
-        _tell(cell, method, rows, slab.missing_cells(_across_of(rows)))
     return CellSurface(table, rows, lambda: _slab(cell, method, reference(recipe), rows))
 
 
-def missing_cells(
-    cell: CellParameters,
-    method: str,
-    across: float,
-    reference: Callable[[], ReferenceState] | None = None,
-) -> float | None:
-    """c: by how many plant cells a strip is softer than as much bulk; None where it is not known.
+def missing_sentence(
+    record: RunRecord, recipe: Recipe, reference: Callable[[Recipe], ReferenceState]
+) -> str | None:
+    """By how much FE² without a surface law is too stiff; None where it has one or no slab.
 
     Args:
-        across: plant cells across the strip.
-        reference: gives the settled reference state, to find c where it is not kept.
+        reference: gives the settled reference state of a recipe of one cell.
     """
-    if not cell.is_one_square:
-        return None
-    rows = rows_across(across)
-    with suppress(FileError):
-        known = read_kept(_told(cell, method, rows), _of(cell, method))
-        if known is not None:
-            return float(known["cells"])
-    if reference is None:
-        return None
-    try:
-        found = _slab(cell, method, reference(), rows).missing_cells(_across_of(rows))
-    except InputError:
-        return None
-    _tell(cell, method, rows, found)
-    return found
-
-
-def missing_sentence(
-    record: RunRecord, recipe: Recipe, reference: Callable[[], ReferenceState] | None = None
-) -> str | None:
-    """What FE² without a surface law is expected to miss; None where that is not known."""
     if recipe.types or record.law == "tissue" or record.problem.get("surface"):
         return None
+    cell, method = recipe.cell, recipe.rve.initialisation
+    if not cell.is_one_square:
+        return None
     (x0, y0), (x1, y1) = record.problem["extent"]
-    across = min(x1 - x0, y1 - y0) / recipe.cell.cell_side
-    c = missing_cells(recipe.cell, recipe.rve.initialisation, across, reference)
-    if c is None or not 0.0 < c < across:
+    across = min(x1 - x0, y1 - y0) / cell.cell_side
+    rows = rows_across(across)
+    try:
+        c = _slab(cell, method, reference(recipe), rows).missing_cells(
+            rows if rows < ROWS else _THICK
+        )
+    except InputError:
+        return None
+    if not 0.0 < c < across:
         return None
     return (
         f"surface: none; strip of {across:.3g} plant cells: about {100.0 * c / (across - c):.2g} % "
@@ -174,16 +157,10 @@ def _law_record(law: SurfaceLaw) -> dict[str, Any]:
     return told
 
 
-def surface_notes(record: RunRecord, recipe: Recipe) -> Iterator[tuple[str, bool]]:
-    """Sentences on the free sides of a run, each with whether it is a warning.
-
-    Of one without a surface law what it misses, where that was computed before.
-    """
+def surface_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
+    """Sentences on the free sides of a run, each with whether it is a warning."""
     found = record.problem.get("surface")
     if not found:
-        missing = missing_sentence(record, recipe)
-        if missing is not None:
-            yield missing, False
         return
     on = found["on"] if isinstance(found["on"], str) else ", ".join(found["on"])
     yield f"surface: {found['sides']} sides ({on}); at rest moved by {found['rest']:.2g} µm", False
@@ -208,27 +185,5 @@ def _slab(cell: CellParameters, method: str, reference: ReferenceState, rows: in
     return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
 
 
-def _across_of(rows: int) -> int:
-    """Plant cells across the strip by which c is told: as thin as the slab, or thick."""
-    return rows if rows < ROWS else _THICK
-
-
-def _of(cell: CellParameters, method: str) -> dict[str, Any]:
-    return {"cell": cell.to_dict(), "initialisation": method}
-
-
 def _folder() -> Path:
     return cache_folder() / "surfaces"
-
-
-def _stem(cell: CellParameters, method: str) -> str:
-    return f"{cell.fingerprint}-{cell.outer_wall:g}-{method}"
-
-
-def _told(cell: CellParameters, method: str, rows: int) -> Path:
-    return _folder() / f"{_stem(cell, method)}-{rows}-missing.json"
-
-
-def _tell(cell: CellParameters, method: str, rows: int, cells: float) -> None:
-    with suppress(FileError):
-        write_kept(_told(cell, method, rows), _of(cell, method), {"cells": cells})
