@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
+from surrofe2.io.files import read_columns
 from surrofe2.io.run_folder import read_record, read_run
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe, make_recipe
@@ -93,7 +94,7 @@ def test_a_run_with_a_surface_law(tmp_path, made):
     assert again.problem["surface"] == record.problem["surface"]
 
 
-def test_an_interrupted_run_with_a_surface_law_goes_on_to_the_bit(tmp_path, made, monkeypatch):
+def test_an_interrupted_run_with_a_surface_law_goes_on(tmp_path, made, monkeypatch):
     recipe = recipe_in(tmp_path, RECIPE + SIDES)
     run_study(recipe, "rve", tmp_path / "whole")
     monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
@@ -110,8 +111,9 @@ def test_an_interrupted_run_with_a_surface_law_goes_on_to_the_bit(tmp_path, made
     assert read_record(tmp_path / "parts").status == "interrupted"
     record = run_study(recipe, "rve", tmp_path / "parts")
     for name in ("curve.csv", "energies.csv", "history.csv"):
-        parts, whole = ((tmp_path / each / name).read_bytes() for each in ("parts", "whole"))
-        assert parts == whole, name
+        parts, whole = (read_columns(tmp_path / each / name)[1] for each in ("parts", "whole"))
+        far = abs(whole).max(axis=0)  # a resumed run makes the factors of its RVEs again
+        assert (abs(parts - whole) <= 1e-9 * far).all(), name
     told = [read_record(tmp_path / each).problem["surface"] for each in ("parts", "whole")]
     assert told[0] == told[1]
     assert record.problem["surface"]["rest"] == told[0]["rest"]

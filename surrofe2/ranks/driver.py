@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import numba
 
+from surrofe2.compilation import clock
 from surrofe2.errors import SimulationError, Surrofe2Error
 from surrofe2.interruption import exit_code, held
 from surrofe2.rve.rve_law import RveLaw
@@ -102,10 +102,10 @@ class Driver:
         """
         with held():
             dropped, self._dropped = self._dropped, []
-            began = perf_counter()
+            began = clock()
             own = self._comm.scatter([Task(work, each, dropped) for each in arguments])
             results: list[Result] = self._comm.gather(_done(self._worker, own))
-            elapsed = perf_counter() - began
+            elapsed = clock() - began
         slowest = max(each.seconds for each in results)
         self.tasks += 1
         self.seconds["computing"] += slowest
@@ -142,13 +142,13 @@ def driver_at_work() -> Driver | None:
 def _done(worker: Worker, task: Task) -> Result:
     for number in task.dropped:
         worker.states.pop(number, None)
-    began, value, error = perf_counter(), None, None
+    began, value, error = clock(), None, None
     try:
         if task.arguments is not None:
             value = task.work(worker, *task.arguments)
     except Exception as problem:
         error = f"{type(problem).__name__}: {problem}"
-    return Result(value, perf_counter() - began, error)
+    return Result(value, clock() - began, error)
 
 
 _drivers: list[Driver] = []
