@@ -120,7 +120,6 @@ class RegionalLaw(Viewed):
         return tell
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """As of `StressLaw`."""
         parts = self._parts_of(response)
         prepared = [
             law.prepare(F[own], F_dot[own], part) if isinstance(law, LearningLaw) else None
@@ -156,7 +155,6 @@ class RegionalLaw(Viewed):
         return len(self._audited) == len(self.laws)
 
     def mark(self, t: float, state: Any) -> None:
-        """As of `AuditedLaw`."""
         for law, part in zip(self._audited, state, strict=True):
             law.mark(t, part)
 

@@ -41,7 +41,6 @@ class Plane:
             raise InputError(f"plane.normal: {list(self.normal)}; it must not be zero")
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        """As of `Shape`."""
         normal = np.array(self.normal) / np.linalg.norm(self.normal)
         return p @ normal, np.broadcast_to(normal, p.shape), np.zeros(len(p))
 
@@ -56,7 +55,6 @@ class Circle:
         check_settings(self, "circle")
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        """As of `Shape`."""
         gap, x, y, curvature = circle(p[:, 0], p[:, 1], self.radius)
         return gap, np.stack([x, y], axis=1), curvature
 
@@ -75,7 +73,6 @@ class Corner:
             raise InputError(f"corner.axis: {list(self.axis)}; it must not be zero")
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
-        """As of `Shape`."""
         gap, x, y, curvature = corner(p[:, 0], p[:, 1], self.wedge)
         return gap, np.stack([x, y], axis=1), curvature
 

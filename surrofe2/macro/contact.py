@@ -69,7 +69,6 @@ class Contact:
     grip: Grip | None = None
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        """As of `Force`."""
         force = np.zeros(u.shape)
         gap, normal, _ = self._gaps(u)
         if not (gap < 0.0).any():
@@ -85,7 +84,6 @@ class Contact:
         return force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
-        """As of `Force`."""
         gap, normal, curvature = self._gaps(u)
         touching = np.flatnonzero(gap < 0.0)
         if not touching.size:

@@ -186,7 +186,6 @@ class Newton:
         return replace(self, assembly=replace(self.assembly, system=self.equations.system))
 
     def counts(self) -> dict[str, int]:
-        """As of `Rest`."""
         return {name: self.equations.tally.counts[name] for name in _COUNTS}
 
     def balanced(

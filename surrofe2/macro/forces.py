@@ -65,7 +65,6 @@ class DeadLoad:
     amplitude: Amplitude
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        """As of `Force`."""
         return self.amplitude.at(t, within)[0] * self.largest
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> None:
@@ -86,12 +85,10 @@ class FollowerPressure:
     amplitude: Amplitude
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        """As of `Force`."""
         force: Array = self.unloaded + (self.slope @ u.ravel()).reshape(u.shape)
         return self.amplitude.at(t, within)[0] * force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
-        """As of `Force`."""
         return -self.amplitude.at(t, within)[0] * self.slope, 0.0 * self.slope
 
 
@@ -104,12 +101,10 @@ class SpringsAndDashpots:
     damping: Matrix
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        """As of `Force`."""
         force: Array = -(self.stiffness @ u.ravel()) - self.damping @ v.ravel()
         return force.reshape(u.shape)
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
-        """As of `Force`."""
         return self.stiffness, self.damping
 
 

@@ -58,7 +58,6 @@ class HalfPlane:
     normal: tuple[float, float]
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """As of `Part`."""
         slack = 1e-9 * abs(points).max(initial=1.0)
         normal = np.array(self.normal) / np.linalg.norm(self.normal)
         return (points - np.array(self.through)) @ normal >= -slack
@@ -72,7 +71,6 @@ class Disc:
     radius: float
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """As of `Part`."""
         distance = np.linalg.norm(points - np.array(self.centre), axis=1)
         return distance <= self.radius * (1.0 + 1e-9)
 

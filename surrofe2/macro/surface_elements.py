@@ -56,7 +56,6 @@ class SurfaceForce:
 
     @property
     def name(self) -> str:
-        """As of `Force`."""
         return SURFACE
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
@@ -69,7 +68,6 @@ class SurfaceForce:
         return force
 
     def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
-        """As of `Force`."""
         g, stretch, rate = self._stretches(u, v)
         answer = self._ask(stretch, rate, tangents=True)
         assert answer.tangent is not None

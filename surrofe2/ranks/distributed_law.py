@@ -165,7 +165,6 @@ class DistributedLaw:
     def respond(
         self, F: Array, F_dot: Array, state: RankState | None = None, *, tangents: bool = False
     ) -> StressResponse:
-        """As of `StressLaw`."""
         F, F_dot = check_deformation(F, F_dot)
         if tangents:
             require_tangents(self)
@@ -199,7 +198,6 @@ class DistributedLaw:
         )
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
-        """As of `StressLaw`."""
         if not len(F):
             return Acceptance(response.status, response.state)
         F, F_dot = check_deformation(F, F_dot)

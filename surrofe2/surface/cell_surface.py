@@ -30,23 +30,19 @@ class CellSurface:
 
     @property
     def mass(self) -> float:
-        """As of `SurfaceLaw`."""
         return self.table.mass
 
     @property
     def depth(self) -> float:
-        """As of `SurfaceLaw`."""
         return self.table.depth
 
     @property
     def width(self) -> float:
-        """As of `SurfaceLaw`."""
         return self.table.width
 
     def respond(
         self, stretch: Any, stretch_rate: Any, *, tangents: bool = False
     ) -> SurfaceResponse:
-        """As of `SurfaceLaw`."""
         answer = self.table.respond(stretch, stretch_rate, tangents=tangents)
         if answer.valid.all():
             return answer

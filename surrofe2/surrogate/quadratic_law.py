@@ -63,7 +63,6 @@ class QuadraticLaw:
     def respond(
         self, F: Any, F_dot: Any, state: Any = None, *, tangents: bool = False
     ) -> StressResponse:
-        """As of `StressLaw`."""
         F, F_dot = check_deformation(F, F_dot)
         x, _ = to_inputs(F, F_dot)
         P = x @ self.slopes.T

@@ -32,7 +32,6 @@ class Line:
     value: float
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
-        """As of `Part`."""
         near: NDArray[np.bool_] = abs(points[:, self.axis] - self.value) < 1e-6
         return near
 

@@ -56,18 +56,15 @@ class Varied(Amplitude):
     pace: float
 
     def at(self, t: float, within: float) -> Value:
-        """As of `Amplitude`."""
         factor, pace = self.factor, self.pace
         value, rate, bend = self.amplitude.at(pace * t, pace * within)
         return factor * value, factor * pace * rate, factor * pace**2 * bend
 
     def corners(self) -> tuple[float, ...]:
-        """As of `Amplitude`."""
         return tuple(t / self.pace for t in self.amplitude.corners())
 
     @property
     def resolved_by(self) -> float:
-        """As of `Amplitude`."""
         return self.amplitude.resolved_by / self.pace
 
 
