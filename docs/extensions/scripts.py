@@ -17,6 +17,7 @@ SCRIPTS = {
         "Constants of a plant cell from a test",
         "examples/identification.png",
     ),
+    "examples/own_solver.py": ("Your own solver on a stress law", "examples/own-solver.png"),
     "examples/network_size.py": ("The size of a network", "docs/ablation.png"),
 }
 HEADER = """Scripts
