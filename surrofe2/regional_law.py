@@ -114,7 +114,7 @@ class RegionalLaw(Viewed):
             parts = [each() for each in telling]
             return Sources(
                 self._gathered([part.source for part in parts]),
-                self._gathered([part.bound for part in parts]),
+                self._gathered([part.risk for part in parts]),
             )
 
         return tell

@@ -92,11 +92,11 @@ class Sources:
 
     Attributes:
         source: (n,) int8 `SURROGATE`, `TABLE`, or the `Status` for which the true law was asked.
-        bound: (n,) of the error of the stress, µN/µm; 0 where the true law answered.
+        risk: (n,) bound of the error over the error allowed there; 0 where the true law answered.
     """
 
     source: NDArray[np.int8]
-    bound: Array
+    risk: Array
 
 
 @dataclass(frozen=True, slots=True)

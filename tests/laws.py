@@ -448,16 +448,17 @@ class Untaught:
     """What a surrogate has that neither learns nor gives tangents."""
 
     has_bound, has_tangents, learns, stress_spread, range = True, False, False, 1.0, None
-    is_calibrated = True
+    is_calibrated, allowed = True, 1.0
 
     def with_tolerance(self, tolerance, relative):
+        self.allowed = tolerance * self.stress_spread
         return self
 
     def local_tolerance(self, F, F_dot):
         return np.ones(len(F))
 
-    def status_and_bound(self, F, F_dot, tolerance=np.inf):
-        return self.lookup(F, F_dot, tolerance)[1:]
+    def status_and_risk(self, F, F_dot, limit=np.inf):
+        return self.lookup(F, F_dot, limit)[1:]
 
     def tangents(self, F, F_dot):
         raise InputError("tangents: none")
@@ -480,7 +481,7 @@ class Surrogate(Untaught):
     def __init__(self, cell=CELL, initialisation="elastic"):
         self.cell, self.initialisation, self.density = cell, initialisation, cell.density
 
-    def lookup(self, F, F_dot, tolerance=np.inf):
+    def lookup(self, F, F_dot, limit=np.inf):
         with np.errstate(invalid="ignore"):
             stress = exact(F, F_dot) + 1.0
         status = np.zeros(len(F), dtype=np.int8)
@@ -488,7 +489,7 @@ class Surrogate(Untaught):
         status[F[:, 0, 0] < 0.5] = Status.NOT_FINITE
         status[~(det(F) > 0.0)] = Status.OUT_OF_RANGE
         stress[status != 0] = np.nan
-        return stress, status, np.full(len(F), 1.0)
+        return stress, status, np.zeros(len(F))
 
 
 def stretched(*stretches):
@@ -506,7 +507,7 @@ class Truth(KelvinVoigt):
 class Learnt(Untaught):
     """`Truth` with an error of 1 in direction and size `error(F, F_dot)` (n,), and a bound.
 
-    Trusted where `bound(F, F_dot)` (n,) is at most the tolerance; out of range where `outside`.
+    Its risk is `bound(F, F_dot)` (n,) over the tolerance; out of range where `outside`.
     """
 
     cell, initialisation, density = CELL, "elastic", Truth().density
@@ -516,15 +517,15 @@ class Learnt(Untaught):
         self.truth, self.error, self.bound, self.outside = Truth(), error, bound, outside
         self.looked_up = 0
 
-    def lookup(self, F, F_dot, tolerance=np.inf):
+    def lookup(self, F, F_dot, limit=np.inf):
         self.looked_up += len(F)
         direction = np.array([[0.8, 0.0], [0.0, -0.6]])
         stress = self.truth.stress(F, F_dot) + self.error(F, F_dot)[:, None, None] * direction
-        bound = self.bound(F, F_dot)
-        status = np.where(bound <= tolerance, 0, Status.NOT_TRUSTED).astype(np.int8)
+        risk = self.bound(F, F_dot) / self.allowed
+        status = np.where(risk <= limit, 0, Status.NOT_TRUSTED).astype(np.int8)
         status[self.outside(F)] = Status.OUT_OF_RANGE
         stress[status != 0] = np.nan
-        return stress, status, bound
+        return stress, status, risk
 
     def tangents(self, F, F_dot):
         """Of its own stress, error and all."""

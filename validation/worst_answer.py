@@ -67,7 +67,7 @@ class Search:
     def judge(self, at: Array) -> Judged:
         """Errors at states (n, 7)."""
         F, F_dot = to_state(at, self.range)
-        stress, status, bound = self.surrogate.lookup(F, F_dot, self.allowed)
+        stress, status, risk = self.surrogate.lookup(F, F_dot, 1.0)
         kept = np.flatnonzero(status == 0)
         over_bound, over_tolerance = np.full((2, len(at)), -1.0)
         if len(kept):
@@ -76,7 +76,8 @@ class Search:
             error = stress_error(stress[kept], true)
             error /= self.surrogate.local_tolerance(F[kept], F_dot[kept])
             error[unknown != 0] = np.inf
-            over_bound[kept], over_tolerance[kept] = error / bound[kept], error / self.allowed
+            over_tolerance[kept] = error / self.allowed
+            over_bound[kept] = over_tolerance[kept] / risk[kept]
         return Judged(at, over_bound, over_tolerance)
 
     def climb(self, starts: Judged, goal: str, generations: int, seed: int) -> Judged:

@@ -137,14 +137,13 @@ class MicroSimulation(PointSimulation):
 def switching_function(
     resolution: int, location: Any, t: float, input: Mapping[str, Any], prev_output: Any
 ) -> int:
-    """+1 from the surrogate to the RVE where the bound of its error exceeds the recipe's tolerance.
+    """+1 from the surrogate to the RVE where its risk, by the recipe's tolerance, exceeds 1.
 
     Back, −1, where it does not, but in a later time window: within one a point changes once, so
     that its iterations converge.
     """
     surrogate = the_bound()
-    tolerance = the_recipe().cache.tolerance * surrogate.stress_spread
-    status, _ = surrogate.status_and_bound(*deformation_of(input), tolerance)
+    status, _ = surrogate.status_and_risk(*deformation_of(input), 1.0)
     here = np.asarray(location, dtype=np.float64).tobytes()
     if resolution == 0 and status[0]:
         _left_at[here] = t

@@ -116,7 +116,7 @@ class Question(NamedTuple):
 
     Attributes:
         step: (k,) accepted steps before them. points: (k,) where.
-        F, F_dot, stress: (k, 2, 2) what was asked and answered. bound: (k,) of the error, µN/µm.
+        F, F_dot, stress: (k, 2, 2) what was asked and answered. risk: (k,) of the answer.
         draw: (k,) u by which they were chosen.
     """
 
@@ -125,7 +125,7 @@ class Question(NamedTuple):
     F: Array
     F_dot: Array
     stress: Array
-    bound: Array
+    risk: Array
     draw: Array
 
     def only(self, chosen: NDArray[Any]) -> Question:
@@ -182,7 +182,7 @@ class Audit:
         F: Array,
         F_dot: Array,
         stress: Array,
-        bound: Array,
+        risk: Array,
         more: float = 1.0,
     ) -> bool:
         """Choose among the answers at `points` of all (n, …) of a step; whether an audit is due.
@@ -200,7 +200,7 @@ class Audit:
             return False
         at, draw = points[chosen], draw[chosen]
         steps = np.full(len(at), step)
-        asked = Question(steps, at, F[at], F_dot[at], stress[at], bound[at], draw)
+        asked = Question(steps, at, F[at], F_dot[at], stress[at], risk[at], draw)
         now = draw < fraction
         if now.any():
             self._waiting.append(asked.only(now))
@@ -313,7 +313,7 @@ class Audit:
         self.record.largest = float(known[k])
         self.record.worst = {
             "error": float(known[k]),
-            "bound": float(asked.bound[k]),
+            "risk": float(asked.risk[k]),
             "step": int(asked.step[k]),
             "point": int(asked.points[k]),
             "F": asked.F[k].tolist(),

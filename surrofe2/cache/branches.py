@@ -74,24 +74,24 @@ class CachedState:
     Attributes:
         count: n, the points there are.
         on_fallback: those the fallback answers until the step is accepted, with its warm start.
-        tolerance: that bounds are compared with during this step, µN/µm; negative: none holds.
-        bound: (n,) of the answer this came with, inf where the fallback gave it; or None.
+        limit: that risks are compared with during this step; negative: nothing is trusted.
+        risk: (n,) of the answer this came with, inf where the fallback gave it; or None.
         before: (F, Ḟ) at the last accepted step, or None.
     """
 
     count: int
     on_fallback: PointSet = NO_POINTS
-    tolerance: float = np.inf
-    bound: Array | None = None
+    limit: float = np.inf
+    risk: Array | None = None
     before: tuple[Array, Array] | None = None
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Of a state that was accepted, which carries no bound; for `from_arrays`."""
+        """Of a state that was accepted, which carries no risk; for `from_arrays`."""
         before = np.empty((0, self.count, 2, 2)) if self.before is None else np.stack(self.before)
         fallback = self.on_fallback.state
         return {
             "count": np.array(self.count),
-            "tolerance": np.array(self.tolerance),
+            "limit": np.array(self.limit),
             "points": self.on_fallback.points,
             "why": self.on_fallback.why,
             "before": before,
@@ -107,7 +107,7 @@ class CachedState:
         return cls(
             count=int(arrays["count"]),
             on_fallback=on_fallback,
-            tolerance=float(arrays["tolerance"]),
+            limit=float(arrays["limit"]),
             before=(before[0], before[1]) if len(before) else None,
         )
 
@@ -121,22 +121,22 @@ class CachedState:
 def look_up(
     surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """As `Surrogate.lookup`, with stress 0, status 0 and an infinite bound at points held."""
-    if not len(state.on_fallback) and state.tolerance >= 0.0:
-        return surrogate.lookup(F, F_dot, state.tolerance)
-    stress, bound = np.zeros_like(F), np.full(len(F), np.inf)
+    """As `Surrogate.lookup`, with stress 0, status 0 and an infinite risk at points held."""
+    if not len(state.on_fallback) and state.limit >= 0.0:
+        return surrogate.lookup(F, F_dot, state.limit)
+    stress, risk = np.zeros_like(F), np.full(len(F), np.inf)
     status = np.zeros(len(F), dtype=np.int8)
     free = state.free()
-    if state.tolerance < 0.0:
+    if state.limit < 0.0:
         status[free] = Status.NOT_TRUSTED
     elif free.any():
-        answer = surrogate.lookup(F[free], F_dot[free], state.tolerance)
-        stress[free], status[free], bound[free] = answer
-    return stress, status, bound
+        answer = surrogate.lookup(F[free], F_dot[free], state.limit)
+        stress[free], status[free], risk[free] = answer
+    return stress, status, risk
 
 
 def choose_branches(
-    surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState, tolerance: float
+    surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState, limit: float
 ) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], NDArray[np.bool_]]:
     """Which points must leave the surrogate for the next step, and which may return to it.
 
@@ -147,22 +147,21 @@ def choose_branches(
     """
     points = state.on_fallback.points
     there = extrapolate(F, F_dot, state.before)
-    ahead, bound_ahead = surrogate.status_and_bound(*there, tolerance)
-    if state.bound is not None and np.isfinite(tolerance):
-        rising = (bound_ahead > STAY * tolerance) & (bound_ahead > state.bound)
+    ahead, risk_ahead = surrogate.status_and_risk(*there, limit)
+    if state.risk is not None:
+        rising = (risk_ahead > STAY * limit) & (risk_ahead > state.risk)
         ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
-    narrower = tolerance < state.tolerance
+    narrower = limit < state.limit
     if not len(points) and not narrower:
         return ahead, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
     leaving = np.where(state.free(), ahead, np.int8(0))
-    if state.bound is not None and narrower:
-        leaving[state.free() & (leaving == 0) & ~(state.bound <= tolerance)] = Status.NOT_TRUSTED
+    if state.risk is not None and narrower:
+        leaving[state.free() & (leaving == 0) & ~(state.risk <= limit)] = Status.NOT_TRUSTED
     if not len(points):
         return leaving, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
-    stress, status, bound = surrogate.lookup(F[points], F_dot[points], tolerance)
-    limit = RETURN * tolerance
-    returning = (status == 0) & (bound <= limit)
-    returning &= (ahead[points] == 0) & (bound_ahead[points] <= limit)
+    stress, status, risk = surrogate.lookup(F[points], F_dot[points], limit)
+    returning = (status == 0) & (risk <= RETURN * limit)
+    returning &= (ahead[points] == 0) & (risk_ahead[points] <= RETURN * limit)
     return leaving, stress, status, returning
 
 

@@ -67,7 +67,7 @@ NO_EFFORT = effort_of(0, np.empty(0, dtype=np.int8))
 
 
 class CachedLaw(Viewed):
-    """σ(F, Ḟ) from `surrogate` where its bound is within the tolerance, else from `fallback`.
+    """σ(F, Ḟ) from `surrogate` where its risk is within the limit, else from `fallback`.
 
     Within a step a point may move from the surrogate to the fallback, not back; the answer that
     finds one says so (`StressResponse.switched`) and the step is begun anew, see
@@ -135,8 +135,8 @@ class CachedLaw(Viewed):
         self._counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
         self._left_range: dict[str, dict[str, float]] = {}
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
-        self._trust = Trust(allowed)
-        self._window = Window(0.0, 0, self._trust.tolerance)
+        self._trust = Trust()
+        self._window = Window(0.0, 0, self._trust.limit)
         self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None
         if self._spread is None and np.isfinite(own.tolerance):
@@ -160,7 +160,7 @@ class CachedLaw(Viewed):
                 "share": self.settings.tolerance,
                 "relative": self.settings.relative,
                 "spread": self._spread,
-                "absolute": self._trust.allowed,
+                "absolute": self._audit.record.tolerance,
             },
             "accepted": dict(self._counts),
             "left_range": {name: dict(left) for name, left in self._left_range.items()},
@@ -206,7 +206,7 @@ class CachedLaw(Viewed):
             "left_range": {name: dict(left) for name, left in self._left_range.items()},
             "record": self._audit.record.to_values(),
         }
-        self._window = Window(t, self._counts["steps"], self._trust.tolerance, before, **carried)
+        self._window = Window(t, self._counts["steps"], self._trust.limit, before, **carried)
         self._audit.begin()
         self._marked = state
 
@@ -233,13 +233,13 @@ class CachedLaw(Viewed):
         self._audit.go_back(window.step, before["record"])
         if window.failed:
             before["carried"] = {}  # under another factor it says nothing
-        at = window.begin, window.step, self._trust.tolerance
+        at = window.begin, window.step, self._trust.limit
         self._window = Window(*at, before, **before["carried"])
-        return replace(self._marked, tolerance=self._trust.tolerance)
+        return replace(self._marked, limit=self._trust.limit)
 
     def _decide(self, t: float, decision: str) -> None:
-        step, tolerance = self._counts["steps"], self._trust.tolerance
-        self._decisions.append(self._window.decision(t, step, tolerance, decision))
+        step, limit = self._counts["steps"], self._trust.limit
+        self._decisions.append(self._window.decision(t, step, limit, decision))
 
     def to_arrays(self, state: CachedState) -> dict[str, NDArray]:
         """All that decides what comes next, `state` being what `accept` gave last.
@@ -292,14 +292,14 @@ class CachedLaw(Viewed):
             require_tangents(self)
         given, count = state, len(F)
         if given is None:
-            state = CachedState(count, tolerance=self._trust.tolerance)
+            state = CachedState(count, limit=self._trust.limit)
         else:
             state = check_state(given, count)
-        stress, status, bound = look_up(self.surrogate, F, F_dot, state)
+        stress, status, risk = look_up(self.surrogate, F, F_dot, state)
         missed = status.nonzero()[0]
         if not len(missed) and not len(state.on_fallback):
             slopes = self.surrogate.tangents(F, F_dot) if tangents else None
-            after = CachedState(count, state.on_fallback, state.tolerance, bound, state.before)
+            after = CachedState(count, state.on_fallback, state.limit, risk, state.before)
             return StressResponse(
                 stress,
                 status,
@@ -321,8 +321,8 @@ class CachedLaw(Viewed):
             switched = np.zeros(count, dtype=np.int8)
             switched[missed] = why
         stress[known.points], status[known.points] = answer.stress, answer.status
-        bound[missed] = np.inf
-        after = replace(state, on_fallback=known, bound=bound)
+        risk[missed] = np.inf
+        after = replace(state, on_fallback=known, risk=risk)
         return StressResponse(
             stress,
             status,
@@ -338,10 +338,10 @@ class CachedLaw(Viewed):
     def _sources(self, state: CachedState) -> Sources:
         """Where an answer came from, `state` being the one that it carries."""
         source = np.full(state.count, TABLE if self.surrogate.learns else SURROGATE, dtype=np.int8)
-        bound = np.zeros(state.count) if state.bound is None else state.bound.copy()
+        risk = np.zeros(state.count) if state.risk is None else state.risk.copy()
         known = state.on_fallback
-        source[known.points], bound[known.points] = known.why, 0.0
-        return Sources(source, bound)
+        source[known.points], risk[known.points] = known.why, 0.0
+        return Sources(source, risk)
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         """Let the fallback check what it answered; then count, audit, learn, and choose who is
@@ -389,10 +389,10 @@ class CachedLaw(Viewed):
             out = known.points[known.why == Status.OUT_OF_RANGE]
             self._note_what_left(F[out], F_dot[out])
             self._distribute(F, F_dot, stress, known)
-        if self._trust.is_off or state.bound is None:
+        if self._trust.is_off or state.risk is None:
             return
         more = self._trust.more_audits
-        if self._audit.choose(counts["steps"], hits, F, F_dot, stress, state.bound, more):
+        if self._audit.choose(counts["steps"], hits, F, F_dot, stress, state.risk, more):
             self._run_audit(whole=False)
 
     def _note_what_left(self, F: Array, F_dot: Array) -> None:
@@ -437,7 +437,7 @@ class CachedLaw(Viewed):
         if len(wrong):
             state = None if result.state is None else result.state.take(wrong)
             self.surrogate.learn(asked.F[wrong], asked.F_dot[wrong], result.stress[wrong], state)
-        self._window.add(asked.points, result.broken, result.error, asked.bound)
+        self._window.add(asked.points, result.broken, result.error, asked.risk)
         if self._window.before is None:
             self._judge_alone()
 
@@ -450,7 +450,7 @@ class CachedLaw(Viewed):
             trust.stand()
         else:
             trust.fail(self._counts["steps"], window)
-        self._window = Window(0.0, self._counts["steps"], trust.tolerance)
+        self._window = Window(0.0, self._counts["steps"], trust.limit)
 
     def restart_step(
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
@@ -468,14 +468,14 @@ class CachedLaw(Viewed):
         self, F: Array, F_dot: Array, response: StressResponse, state: CachedState
     ) -> Acceptance:
         """Choose the branches of the next step, looking ahead to where it will end."""
-        tolerance, known = self._trust.tolerance, state.on_fallback
+        limit, known = self._trust.limit, state.on_fallback
         stress = response.stress
         if self._trust.is_off:
             leaving = np.where(state.free(), np.int8(Status.NOT_TRUSTED), np.int8(0))
             stay = np.ones(len(known), dtype=bool)
         else:
             leaving, of_surrogate, status, returning = choose_branches(
-                self.surrogate, F, F_dot, state, tolerance
+                self.surrogate, F, F_dot, state, limit
             )
             self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
             stay = ~returning
@@ -495,7 +495,7 @@ class CachedLaw(Viewed):
                 after = after.and_also(fresh.points, fresh.why, fresh.state)
         return Acceptance(
             response.status,
-            CachedState(state.count, after, tolerance, None, (F, F_dot)),
+            CachedState(state.count, after, limit, None, (F, F_dot)),
             None if stress is response.stress else stress,
         )
 

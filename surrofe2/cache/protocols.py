@@ -41,11 +41,11 @@ class Surrogate(Protocol):
 
     @property
     def has_bound(self) -> bool:
-        """Whether `lookup` bounds its error; else its range alone decides, with a warning."""
+        """Whether `lookup` knows a risk; else it is 0: the range alone decides, with a warning."""
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether that bound is known by now; else it is infinite."""
+        """Whether that risk is known by now; else it is infinite."""
 
     @property
     def has_tangents(self) -> bool:
@@ -56,23 +56,25 @@ class Surrogate(Protocol):
         """Whether true answers change it; one that learns may begin empty."""
 
     def with_tolerance(self, tolerance: float, relative: float) -> Surrogate:
-        """The same, whose bounds of `lookup` are divided by `local_tolerance`; shares of the
-        spread, and of the local stress."""
+        """The same, whose risks are by this tolerance; shares of the spread, and of the local
+        stress. An infinite tolerance leaves no risk."""
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         """(n,) what an error may be, as a share of the tolerance, at most 1."""
 
     def lookup(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
+        self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
-        """(stress (n, 2, 2), status (n,), bound (n,) of its error) in one pass, µN/µm.
+        """(stress (n, 2, 2) in µN/µm, status (n,), risk (n,)) in one pass.
+
+        The risk is the bound of the error over the error allowed at the point.
 
         Input is contiguous float64 (n, 2, 2), else unchecked: status 0 only where it is finite,
-        det F > 0, the point is in range and the bound is at most `tolerance`. Pure.
+        det F > 0, the point is in range and the risk is at most `limit`. Pure.
         """
 
-    def status_and_bound(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    def status_and_risk(
+        self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
         """Those of `lookup`, for less where no stress is needed: asked for a step ahead."""
 

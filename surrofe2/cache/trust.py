@@ -7,7 +7,7 @@ Clopper and Pearson (1934) on the share w of wrong answers, at the confidence C,
     P(Bin(n, W) ≤ k) ≤ 1 − C,
 
 and while it has no more than the k that `AUDITS` audits may have. A window that fails is rolled
-back where a time loop can, and the bounds count more often from there on.
+back where a time loop can, and the risks count more often from there on.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ AUDITS, VIOLATIONS = 320, 2
 answers stands with a probability of at least 99.5 %, the producer's risk; 320 are ten batches of
 RVEs more than nothing: n may be larger, k then follows from the bound. No run has fewer audits."""
 MARGIN = 1.1
-"""By so much the bounds of the violations exceed the tolerance after the factor was raised."""
+"""By so much the risks of the violations exceed the limit after the factor was raised."""
 LEAST_RAISE = 2.0
 """A factor is raised at least so many times, so that few windows fail in a row."""
 LARGEST_FACTOR = 100.0
@@ -39,7 +39,7 @@ MORE_AUDITS = 4.0
 """Times as many answers are audited in the window after one that failed, which finds a fault that
 is left after a quarter of the steps."""
 STAY, RETURN = 0.9, 0.8
-"""Shares of the tolerance up to which the bound foreseen may rise for a point to stay with the
+"""Shares of the limit up to which the risk foreseen may rise for a point to stay with the
 surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
 _MOST_NAMED = 32  # points that a decision names
 
@@ -69,39 +69,39 @@ class Window:
 
     Attributes:
         begin: µs; step: kept steps before it.
-        threshold: that bounds are compared with, µN/µm; negative: nothing is trusted.
+        limit: that risks are compared with; negative: nothing is trusted.
         before: what a law has to know that goes back to its begin; None where none can.
         audits, violations: so far; points: of the violations, the first of them.
-        least_bound: smallest of the bounds that the violations had, µN/µm.
-        error, bound: of the worst audit, µN/µm; None where the RVE has no stress.
+        least_risk: smallest of the risks that the violations had.
+        error, risk: of the worst audit, the error in µN/µm; None where the RVE has no stress.
         failed: whether it was found wrong.
     """
 
     begin: float
     step: int
-    threshold: float
+    limit: float
     before: dict[str, Any] | None = None
     audits: int = 0
     violations: int = 0
     points: list[int] = field(default_factory=list)
-    least_bound: float = np.inf
+    least_risk: float = np.inf
     error: float | None = None
-    bound: float | None = None
+    risk: float | None = None
     failed: bool = False
 
     def add(
-        self, points: NDArray[np.intp], is_wrong: NDArray[np.bool_], error: Array, bound: Array
+        self, points: NDArray[np.intp], is_wrong: NDArray[np.bool_], error: Array, risk: Array
     ) -> None:
-        """Take note of audits (k,): where, violations, error (NaN without RVE stress), bound."""
+        """Take note of audits (k,): where, violations, error (NaN without RVE stress), risk."""
         wrong = is_wrong.nonzero()[0]
         self.audits += len(error)
         self.violations += len(wrong)
         self.points += points[wrong[: _MOST_NAMED - len(self.points)]].tolist()
-        self.least_bound = min(self.least_bound, float(bound[wrong].min(initial=np.inf)))
+        self.least_risk = min(self.least_risk, float(risk[wrong].min(initial=np.inf)))
         known = np.nan_to_num(error, nan=-1.0)
         worst = int(known.argmax())
         if known[worst] > (-1.0 if self.error is None else self.error):
-            self.error, self.bound = float(known[worst]), float(bound[worst])
+            self.error, self.risk = float(known[worst]), float(risk[worst])
 
     @property
     def is_full(self) -> bool:
@@ -114,9 +114,9 @@ class Window:
             "audits": self.audits,
             "violations": self.violations,
             "points": list(self.points),
-            "least_bound": self.least_bound,
+            "least_risk": self.least_risk,
             "error": self.error,
-            "bound": self.bound,
+            "risk": self.risk,
         }
 
     @property
@@ -124,7 +124,7 @@ class Window:
         """Whether it does by its audits so far, of which it will have at least `AUDITS`."""
         return stands(self.violations, self.audits)
 
-    def decision(self, t: float, step: int, threshold: float, decision: str) -> dict[str, Any]:
+    def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
         """A line of the event log, of a window that ends at t after so many kept steps."""
         return {
             "decision": decision,
@@ -135,26 +135,24 @@ class Window:
             "violations": self.violations,
             "points": self.points,
             "true_error": self.error,
-            "bound": self.bound,
-            "threshold_before": None if self.threshold < 0.0 else self.threshold,
-            "threshold_after": None if threshold < 0.0 else threshold,
+            "risk": self.risk,
+            "limit_before": None if self.limit < 0.0 else self.limit,
+            "limit_after": None if limit < 0.0 else limit,
         }
 
 
 @dataclass
 class Trust:
-    """The tolerance that lookups get, and what happened to it; plain values, for checkpoints.
+    """The largest risk that is answered, and what happened to it; plain values, for checkpoints.
 
     Attributes:
-        allowed: the user's tolerance, µN/µm.
-        factor: by which bounds are multiplied before they are compared with it.
+        factor: by which risks are multiplied before they are compared with 1.
         is_off: the cache answers nothing any more.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
         events: what was found and done, in order, each with its step.
     """
 
-    allowed: float
     factor: float = 1.0
     is_off: bool = False
     more_audits: float = 1.0
@@ -163,9 +161,9 @@ class Trust:
     events: list[dict[str, Any]] = field(default_factory=list)
 
     @property
-    def tolerance(self) -> float:
-        """What a bound may be at most, µN/µm; negative: nothing is trusted."""
-        return -1.0 if self.is_off else self.allowed / self.factor
+    def limit(self) -> float:
+        """What a risk may be at most; negative: nothing is trusted."""
+        return -1.0 if self.is_off else 1.0 / self.factor
 
     def fail(self, step: int, window: Window) -> None:
         """Raise the factor so that none of the window's violations would have been answered, or
@@ -173,16 +171,14 @@ class Trust:
         window.failed = True
         self.failures += 1
         self.standing, self.more_audits = 0, MORE_AUDITS
-        finding = (
-            f"{window.violations} of {window.audits} audited answers are off by more than the "
-            f"tolerance of {self.allowed:.3g} µN/µm"
-        )
-        has_bound = 0.0 < window.least_bound < np.inf
-        just_enough = MARGIN * self.allowed / window.least_bound if has_bound else np.inf
+        wrong, audits = window.violations, window.audits
+        finding = f"{wrong} of {audits} audited answers are off by more than the tolerance"
+        has_risk = 0.0 < window.least_risk < np.inf
+        just_enough = MARGIN / window.least_risk if has_risk else np.inf
         factor = max(LEAST_RAISE * self.factor, just_enough)
         if factor <= LARGEST_FACTOR:
             self.factor = factor
-            does = f"the bounds count {factor:.3g} times from here on"
+            does = f"the risks count {factor:.3g} times from here on"
         else:
             self.is_off = True
             does = "the cache is off from here on, RVEs answer"

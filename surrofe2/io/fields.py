@@ -24,7 +24,7 @@ Series = Mapping[str, NDArray[Any]]
 """Values over time by name: numbers (m, n), vectors (m, n, 2) or tensors (m, n, 2, 2)."""
 F_NAME, F_DOT_NAME = "deformation_gradient", "deformation_rate_1_per_us"
 STRESS_NAME, SOURCE_NAME = "cauchy_stress_uN_per_um", "stress_source"
-BOUND_NAME = "stress_bound_uN_per_um"
+RISK_NAME = "risk"
 DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
 CELL = "plant_cell"
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
@@ -57,7 +57,7 @@ def write_fields(
         F_DOT_NAME: frames.F_dot,
         **invariants(frames.stress),
         SOURCE_NAME: frames.source,
-        BOUND_NAME: frames.bound,
+        RISK_NAME: frames.risk,
         "dissipated_energy_pJ_per_um2": frames.dissipated,
     }
     if cell is not None:

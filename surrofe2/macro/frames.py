@@ -32,13 +32,13 @@ class Frames:
         displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
         stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
         F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
-        source, bound: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
+        source, risk: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
             that does not tell.
         dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
             The rate is linear between the samples of `MacroState`, and constant after the last.
         point_t: (p,) µs, those of t at which the law's points are kept too: a tenth of them.
         point_stress: (p, n_points, 2, 2) Cauchy stress as the law answered, µN/µm.
-        point_source, point_bound: (p, n_points) of `Sources`; (p, 0) of a law that does not tell.
+        point_source, point_risk: (p, n_points) of `Sources`; (p, 0) of a law that does not tell.
     """
 
     t: Array
@@ -48,12 +48,12 @@ class Frames:
     F: Array
     F_dot: Array
     source: Array
-    bound: Array
+    risk: Array
     dissipated: Array
     point_t: Array
     point_stress: Array
     point_source: Array
-    point_bound: Array
+    point_risk: Array
 
     @classmethod
     def of(
@@ -82,12 +82,12 @@ class Frames:
             F=element_mean_F(space, F)[None],
             F_dot=element_mean_F(space, F_dot)[None],
             source=_largest(space, None if sources is None else sources.source),
-            bound=_largest(space, None if sources is None else sources.bound),
+            risk=_largest(space, None if sources is None else sources.risk),
             dissipated=dissipated[None],
             point_t=np.full(int(points), t),
             point_stress=np.repeat(stress[None], int(points), axis=0),
             point_source=_of_points(None if sources is None else sources.source, points),
-            point_bound=_of_points(None if sources is None else sources.bound, points),
+            point_risk=_of_points(None if sources is None else sources.risk, points),
         )
 
     def followed_by(self, other: Frames) -> Frames:
@@ -103,8 +103,8 @@ class Frames:
 
     def _arrays(self) -> tuple[Array, ...]:
         motion = self.t, self.displacement, self.velocity, self.stress, self.F, self.F_dot
-        points = self.point_t, self.point_stress, self.point_source, self.point_bound
-        return *motion, self.source, self.bound, self.dissipated, *points
+        points = self.point_t, self.point_stress, self.point_source, self.point_risk
+        return *motion, self.source, self.risk, self.dissipated, *points
 
 
 def _appended(first: Array, last: Array) -> Array:

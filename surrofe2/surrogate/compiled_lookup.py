@@ -1,4 +1,4 @@
-"""Stress, status and error bound of a surrogate in one compiled pass, block by block; its domain.
+"""Stress, status and risk of a surrogate in one compiled pass, block by block; its domain.
 
 Layout and names as in `compiled_frame`.
 """
@@ -48,17 +48,17 @@ _PART = 16 * BLOCK  # points that a core takes at a time
 _OK, _OUT_OF_RANGE = int(Status.OK), int(Status.OUT_OF_RANGE)
 _NOT_FINITE, _NOT_TRUSTED = int(Status.NOT_FINITE), int(Status.NOT_TRUSTED)
 _ROWS = NEAR + 1
-_HEIGHT, _BOUND = _ROWS, _ROWS + 1
-_BOUND_ROWS = _BOUND + 1  # that `_apply_bound` works in
+_HEIGHT, _RISK = _ROWS, _ROWS + 1
+_RISK_ROWS = _RISK + 1  # that `_apply_risk` works in
 _FACTORS = 4  # of each product
 
 
 class Answer(NamedTuple):
-    """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and bound (n,), µN/µm."""
+    """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and risk (n,)."""
 
     stress: Array
     status: NDArray[np.int8]
-    bound: Array
+    risk: Array
 
     @classmethod
     def empty(cls, count: int) -> Answer:
@@ -72,9 +72,10 @@ class BoundArrays(NamedTuple):
     Attributes:
         factor: (7,) 1/scale of the inputs.
         boundary_table: (k, 4) int64; boundary: (k,) float64; no rows: no sample failed.
-        bound_table: (l, 4) int64; bound: (l,) float64, µN/µm; no rows: no bound is known.
+        bound_table: (l, 4) int64; bound: (l,) float64, of the bound over the tolerance; no
+            rows: no bound is known.
         near: (7,) share of each squared input in the size of a state.
-        tolerance: (8,) `error_bound.tolerance_coefficients`; empty: bounds count once everywhere.
+        local: (8,) `error_bound.tolerance_coefficients`; empty: the tolerance counts everywhere.
     """
 
     factor: NDArray[np.float64]
@@ -83,7 +84,7 @@ class BoundArrays(NamedTuple):
     bound_table: NDArray[np.int64]
     bound: NDArray[np.float64]
     near: NDArray[np.float64]
-    tolerance: NDArray[np.float64]
+    local: NDArray[np.float64]
 
     @classmethod
     def of(
@@ -92,7 +93,12 @@ class BoundArrays(NamedTuple):
         calibration: Calibration | None,
         tolerance: NDArray[np.float64] | None = None,
     ) -> BoundArrays:
-        """The arrays of a domain (None: everywhere) and a bound (None: infinite)."""
+        """The arrays of a domain (None: everywhere) and a bound (None: infinite).
+
+        tolerance: (9,) `error_bound.tolerance_coefficients`, then the tolerance in µN/µm, where
+        this is infinite, the risk is 0, whatever the bound.
+        """
+        local, most = (np.empty(0), 1.0) if tolerance is None else (tolerance[:-1], tolerance[-1])
         table, boundary = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
         bound_table, bound = np.empty((0, _FACTORS), dtype=np.int64), np.empty(0)
         factor, near = np.ones(INPUTS), np.ones(INPUTS)
@@ -103,33 +109,34 @@ class BoundArrays(NamedTuple):
             if calibration is not None and np.isfinite(calibration.quantile):
                 used = calibration.scale > 0.0
                 bound_table = scale_table()[used]
-                bound = calibration.quantile * calibration.scale[used]
+                bound = calibration.quantile * calibration.scale[used] / most
                 near = calibration.near
-        coefficients = np.empty(0) if tolerance is None else tolerance
-        return cls(factor, table, boundary, bound_table, bound, near, coefficients)
+        if np.isinf(most):
+            bound_table, bound = scale_table()[:1], np.zeros(1)
+        return cls(factor, table, boundary, bound_table, bound, near, local)
 
 
 def lookup(
-    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, tolerance: float
+    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
 ) -> tuple[Array, NDArray[np.int8], Array]:
-    """Stress (n, 2, 2), status (n,) and bound (n,); points with NaN or det F ≤ 0 are out of range.
+    """Stress (n, 2, 2), status (n,) and risk (n,); points with NaN or det F ≤ 0 are out of range.
 
-    F, F_dot: (n, 2, 2) contiguous float64. tolerance: of the bound, µN/µm.
+    F, F_dot: (n, 2, 2) contiguous float64. limit: of the risk.
     """
     answer = Answer.empty(len(F))
     compute = _lookup_parallel if len(F) >= MANY else _lookup_serial
-    compute(F, F_dot, network, bounds, float(tolerance), answer)
-    return answer.stress, answer.status, answer.bound
+    compute(F, F_dot, network, bounds, float(limit), answer)
+    return answer.stress, answer.status, answer.risk
 
 
-def status_and_bound(
-    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, tolerance: float
+def status_and_risk(
+    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
 ) -> tuple[NDArray[np.int8], Array]:
-    """Status and bound of `lookup` without the stress, whose finiteness is not tested."""
-    status, bound = np.empty(len(F), dtype=np.int8), np.empty(len(F))
+    """Status and risk of `lookup` without the stress, whose finiteness is not tested."""
+    status, risk = np.empty(len(F), dtype=np.int8), np.empty(len(F))
     test = _test_parallel if len(F) >= MANY else _test_some
-    test(F, F_dot, network.bounds, bounds, float(tolerance), status, bound)
-    return status, bound
+    test(F, F_dot, network.bounds, bounds, float(limit), status, risk)
+    return status, risk
 
 
 def evaluate_slopes(
@@ -145,23 +152,23 @@ def evaluate_slopes(
 
 
 @kernel
-def _lookup_serial(F, F_dot, network, bounds, tolerance, answer):  # type: ignore[no-untyped-def]
-    lookup_part(0, F.shape[0], F, F_dot, network, bounds, tolerance, answer)
+def _lookup_serial(F, F_dot, network, bounds, limit, answer):  # type: ignore[no-untyped-def]
+    lookup_part(0, F.shape[0], F, F_dot, network, bounds, limit, answer)
 
 
 @parallel_kernel
-def _lookup_parallel(F, F_dot, network, bounds, tolerance, answer):  # type: ignore[no-untyped-def]
+def _lookup_parallel(F, F_dot, network, bounds, limit, answer):  # type: ignore[no-untyped-def]
     for part in prange((F.shape[0] + _PART - 1) // _PART):
         end = min((part + 1) * _PART, F.shape[0])
-        lookup_part(part * _PART, end, F, F_dot, network, bounds, tolerance, answer)
+        lookup_part(part * _PART, end, F, F_dot, network, bounds, limit, answer)
 
 
 @kernel
 def lookup_part(  # type: ignore[no-untyped-def]
-    begin, end, F, F_dot, network, bounds, tolerance, answer
+    begin, end, F, F_dot, network, bounds, limit, answer
 ):
     """Set the answer at points `begin` to `end`."""
-    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((_BOUND_ROWS, TILES, TILE))
+    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((_RISK_ROWS, TILES, TILE))
     room = make_room(network, network, np.int64(0))  # one signature for all numbers of inputs
     for start in range(begin, end, BLOCK):
         read_points(start, F, F_dot, frame)
@@ -171,7 +178,7 @@ def lookup_part(  # type: ignore[no-untyped-def]
         evaluate_network(network, room)
         set_stress(room.y, frame)
         _write_stress(start, frame, answer)
-        _apply_bound(start, frame, bounds, tolerance, rows, answer.status, answer.bound)
+        _apply_risk(start, frame, bounds, limit, rows, answer.status, answer.risk)
         for point in range(start, min(start + BLOCK, F.shape[0])):
             if answer.status[point] != _OK:
                 answer.stress[point] = np.nan
@@ -191,30 +198,30 @@ def _write_stress(start, frame, answer):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _apply_bound(start, frame, arrays, tolerance, room, status, bound):  # type: ignore[no-untyped-def]
-    """Write the bound, and the status outside the domain or where the bound is too large.
+def _apply_risk(start, frame, arrays, limit, room, status, risk):  # type: ignore[no-untyped-def]
+    """Write the risk, and the status outside the domain or where the risk is too large.
 
-    room: (`_BOUND_ROWS`, TILES, TILE). status: what the range test gave.
+    room: (`_RISK_ROWS`, TILES, TILE). status: what the range test gave.
     """
     x = room[:_ROWS]
     scale_inputs(frame, arrays.factor, x)
     room[_HEIGHT] = 0.0
     _add_products(arrays.boundary_table, arrays.boundary, x, room, _HEIGHT)
     _square_rows(arrays.near, x)
-    room[_BOUND] = 0.0
-    _add_products(arrays.bound_table, arrays.bound, x, room, _BOUND)
-    if arrays.tolerance.shape[0]:
-        _divide_by_local_tolerance(arrays.tolerance, x, room)
+    room[_RISK] = 0.0
+    _add_products(arrays.bound_table, arrays.bound, x, room, _RISK)
+    if arrays.local.shape[0]:
+        _divide_by_local_tolerance(arrays.local, x, room)
     known = arrays.bound.shape[0] > 0
     for p in range(min(TILES * TILE, status.shape[0] - start)):
         point, t, lane = start + p, p // TILE, p % TILE
-        value = room[_BOUND, t, lane] if known else np.inf
+        value = room[_RISK, t, lane] if known else np.inf
         code = status[point]
         if code == 0 and not room[_HEIGHT, t, lane] <= 0.0:
             code = _OUT_OF_RANGE
-        if code == 0 and not value <= tolerance:
+        if code == 0 and not value <= limit:
             code = _NOT_TRUSTED
-        bound[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
+        risk[point] = value if code == 0 or code == _NOT_TRUSTED else np.inf
         status[point] = code
 
 
@@ -237,14 +244,14 @@ def _square_rows(near, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def _divide_by_local_tolerance(coefficients, x, room):  # type: ignore[no-untyped-def]
-    """Divide the bound by `error_bound.local_tolerance`, by squared inputs."""
+    """Divide the risk by `error_bound.local_tolerance`, by squared inputs."""
     for t in range(TILES):
         square = spread(0.0)
         for k in range(INPUTS):
             square += coefficients[k] * load(x, k, t)
         share = root(square) + coefficients[INPUTS]
         share = where_less(share, 1.0, share, 1.0)
-        store(load(room, _BOUND, t) / share, room, _BOUND, t)
+        store(load(room, _RISK, t) / share, room, _RISK, t)
 
 
 @kernel
@@ -259,15 +266,15 @@ def _add_products(table, coefficients, x, room, row):  # type: ignore[no-untyped
 
 
 @parallel_kernel
-def _test_parallel(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ignore[no-untyped-def]
+def _test_parallel(F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
     for part in prange((F.shape[0] + _PART - 1) // _PART):
         some = slice(part * _PART, min((part + 1) * _PART, F.shape[0]))
-        _test_some(F[some], F_dot[some], limits, bounds, tolerance, status[some], bound[some])
+        _test_some(F[some], F_dot[some], limits, bounds, limit, status[some], risk[some])
 
 
 @kernel
-def _test_some(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ignore[no-untyped-def]
-    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((_BOUND_ROWS, TILES, TILE))
+def _test_some(F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
+    frame, rows = np.empty((FRAME_ROWS, TILES, TILE)), np.empty((_RISK_ROWS, TILES, TILE))
     for start in range(0, F.shape[0], BLOCK):
         read_points(start, F, F_dot, frame)
         take_rotation_out(frame)
@@ -275,7 +282,7 @@ def _test_some(F, F_dot, limits, bounds, tolerance, status, bound):  # type: ign
         for p in range(min(BLOCK, F.shape[0] - start)):
             inside = frame[INSIDE, p // TILE, p % TILE] > 0.0
             status[start + p] = _OK if inside else _OUT_OF_RANGE
-        _apply_bound(start, frame, bounds, tolerance, rows, status, bound)
+        _apply_risk(start, frame, bounds, limit, rows, status, risk)
 
 
 @kernel

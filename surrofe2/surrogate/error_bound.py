@@ -4,7 +4,7 @@ The local scale s(F, Ḟ) > 0 is a sum of products of squared inputs with coeffi
 not change under rotations nor under the square cell's group D4. `calibration` finds it, and says
 what the bound promises.
 
-A bound is compared with the local tolerance, in µN/µm,
+The risk at a point is the bound over the local tolerance, in µN/µm,
 
     allowed(F, Ḟ) = min(tolerance, 2 b + relative L),    L² = Σ_k (|∂P/∂x_k| x_k)²,
 

@@ -27,7 +27,7 @@ from surrofe2.surrogate.compiled_lookup import (
     BoundArrays,
     evaluate_slopes,
     lookup,
-    status_and_bound,
+    status_and_risk,
 )
 from surrofe2.surrogate.domain import Domain, scaled_inputs
 from surrofe2.surrogate.error_bound import Calibration, local_tolerance, tolerance_coefficients
@@ -40,7 +40,7 @@ from surrofe2.surrogate.network_arrays import (
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import rotation, to_components, transpose
+from surrofe2.tensors import INPUTS, rotation, to_components, transpose
 from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class SurrogateLaw(Viewed):
         calibration: of the bound of the error, valid for these very weights and this range.
         reference: of the RVE, carried along so that a cached run need not settle it.
         seconds: of its `data`, its `training` and its `calibration`, as far as known.
-        tolerance: coefficients of the local tolerance, see `with_tolerance`; None: of none.
+        tolerance: (9,) of the local tolerance, see `BoundArrays`; None: 1 µN/µm everywhere.
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
 
@@ -177,7 +177,7 @@ class SurrogateLaw(Viewed):
     def in_range(self, F: Array, F_dot: Array) -> NDArray[np.bool_]:
         """(n,) whether U and RᵀḞ are where the data are; False where not a number."""
         F, F_dot = (np.ascontiguousarray(tensors, dtype=np.float64) for tensors in (F, F_dot))
-        return self.status_and_bound(F, F_dot)[0] == Status.OK
+        return self.status_and_risk(F, F_dot)[0] == Status.OK
 
     @property
     def is_calibrated(self) -> bool:
@@ -198,28 +198,23 @@ class SurrogateLaw(Viewed):
         return float(np.hypot.reduce([self.errors["spread"][k] for k in ("xx", "xy", "yx", "yy")]))
 
     def with_tolerance(self, tolerance: float, relative: float) -> SurrogateLaw:
-        """This law, whose bounds are divided by `local_tolerance`.
-
-        Where tolerance or bound are infinite, the local tolerance is 1.
+        """This law, whose risks are by this tolerance; an infinite one leaves no risk.
 
         Args:
             tolerance: share of the spread of stress; relative: share of the local stress.
         """
-        plain = self if self.tolerance is None else replace(self, tolerance=None)
-        at_rest = float(plain.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
-        if self.domain is None or not np.isfinite([tolerance, relative, at_rest]).all():
-            return plain
-        sizes = sizes_at_rest(self.network) * self.domain.scale
-        coefficients = tolerance_coefficients(
-            sizes, at_rest, self.stress_spread, tolerance, relative
-        )
-        return replace(self, tolerance=coefficients)
+        at_rest = float(self.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
+        local = np.append(np.zeros(INPUTS), 1.0)
+        if self.domain is not None and np.isfinite([tolerance, relative, at_rest]).all():
+            sizes = sizes_at_rest(self.network) * self.domain.scale
+            local = tolerance_coefficients(sizes, at_rest, self.stress_spread, tolerance, relative)
+        return replace(self, tolerance=np.append(local, tolerance * self.stress_spread))
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
         """(n,) what an error may be, as a share of the tolerance, at most 1; see `error_bound`."""
         if self.tolerance is None or self.domain is None:
             return np.ones(len(F))
-        return local_tolerance(scaled_inputs(F, F_dot, self.domain.scale), self.tolerance)
+        return local_tolerance(scaled_inputs(F, F_dot, self.domain.scale), self.tolerance[:-1])
 
     def error_bound(self, F: Array, F_dot: Array) -> Array:
         """(n,) bound of the error of the stress in µN/µm; see `calibration` for what it promises.
@@ -227,28 +222,30 @@ class SurrogateLaw(Viewed):
         Infinite outside the domain, and where nothing was calibrated.
         """
         F, F_dot = (np.ascontiguousarray(tensors, dtype=np.float64) for tensors in (F, F_dot))
-        return self.lookup(F, F_dot)[2]
+        law = self if self.tolerance is None else replace(self, tolerance=None)
+        return law.lookup(F, F_dot)[2]
 
     def lookup(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
+        self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
-        """(stress (n, 2, 2), status (n,), bound (n,)) in one compiled pass; input is not checked.
+        """(stress (n, 2, 2), status (n,), risk (n,)) in one compiled pass; input is not checked.
 
-        The status is NOT_TRUSTED, the stress NaN where the bound of the error exceeds the
-        tolerance, both in µN/µm. The bound is infinite where none is known.
+        The risk is the bound of the error over the error allowed there: by `with_tolerance`, else
+        1 µN/µm. The status is NOT_TRUSTED, the stress NaN where it exceeds the limit. It is
+        infinite where no bound is known.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
-        return lookup(F, F_dot, self.arrays, self.bound_arrays, tolerance)
+        return lookup(F, F_dot, self.arrays, self.bound_arrays, limit)
 
-    def status_and_bound(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    def status_and_risk(
+        self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
-        """(status (n,), bound (n,)) of `lookup`, which is several times dearer.
+        """(status (n,), risk (n,)) of `lookup`, which is several times dearer.
 
         That the network's answer is finite is not tested.
         """
-        return status_and_bound(F, F_dot, self.arrays, self.bound_arrays, tolerance)
+        return status_and_risk(F, F_dot, self.arrays, self.bound_arrays, limit)
 
     def extrapolate(self, F: Array, F_dot: Array) -> Array:
         """Stress (n, 2, 2) in µN/µm by the network alone, in range or not."""

@@ -291,7 +291,7 @@ def unknown_states(
     audited = np.flatnonzero((harvest.why == AUDIT) & (harvest.status == 0))
     fell_back = np.flatnonzero((harvest.why == FALLBACK) & (harvest.status == 0))
     unknown = np.zeros(len(harvest.why), dtype=bool)
-    _, status, _ = surrogate.lookup(harvest.F[fell_back], harvest.F_dot[fell_back], allowed)
+    _, status, _ = surrogate.lookup(harvest.F[fell_back], harvest.F_dot[fell_back], 1.0)
     unknown[fell_back] = status != 0
     quantile = None
     if len(audited):

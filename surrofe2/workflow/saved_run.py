@@ -12,10 +12,10 @@ import numpy as np
 
 from surrofe2.cache import CachedLaw
 from surrofe2.io.fields import (
-    BOUND_NAME,
     DISPLACEMENT_NAME,
     F_DOT_NAME,
     F_NAME,
+    RISK_NAME,
     SOURCE_NAME,
     STRESS_NAME,
     VELOCITY_NAME,
@@ -114,7 +114,7 @@ def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
             F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
             STRESS_NAME: frames.point_stress,
             SOURCE_NAME: frames.point_source,
-            BOUND_NAME: frames.point_bound,
+            RISK_NAME: frames.point_risk,
         },
         space.points_per_element,
     )

@@ -57,7 +57,7 @@ def test_all_are_audited_and_every_error_is_found():
         0
     ] == pytest.approx(worst["error"])
     assert abs(worst["F"][0][1]) == pytest.approx(abs(asked[-1][0][:, 0, 1]).max())
-    assert (worst["step"], worst["bound"]) == (10, pytest.approx(0.07 + 0.01 * worst["F"][0][1]))
+    assert (worst["step"], worst["risk"]) == (10, pytest.approx(0.7 + 0.1 * worst["F"][0][1]))
     json.dumps(cached.report(), allow_nan=False)
 
 

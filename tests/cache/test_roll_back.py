@@ -90,9 +90,9 @@ def test_a_fault_that_is_entered_late_leaves_the_steps_before_alone():
     back = law.decisions[told.index("rolled back")]
     assert back["violations"] > 0
     assert back["points"]
-    assert back["true_error"] > ALLOWED >= back["bound"]
-    assert back["threshold_before"] == ALLOWED
-    assert back["threshold_after"] is None or back["threshold_after"] < ALLOWED
+    assert back["true_error"] > ALLOWED
+    assert back["risk"] <= 1.0 == back["limit_before"]
+    assert back["limit_after"] is None or back["limit_after"] < 1.0
     # Windows follow each other without a gap, whatever went back.
     stands = [line for line in law.decisions if line["decision"] == "stands"]
     assert [line["from_t"] for line in stands[1:]] == [line["t"] for line in stands[:-1]]
@@ -121,10 +121,10 @@ def test_answers_that_lead_a_run_astray_are_taken_back():
     """An answer so wrong that no step succeeds any more."""
 
     class Astray(Learnt):
-        def lookup(self, F, F_dot, tolerance=np.inf):
-            stress, status, bound = super().lookup(F, F_dot, tolerance)
+        def lookup(self, F, F_dot, limit=np.inf):
+            stress, status, risk = super().lookup(F, F_dot, limit)
             stress[abs(F[:, 1, 0]) > 0.03] *= -40.0
-            return stress, status, bound
+            return stress, status, risk
 
     law = CachedLaw(
         Astray(shear_error(0.01), bound), Truth(), CacheSettings(tolerance=0.01, audit=0.05)
@@ -172,7 +172,7 @@ def test_a_window_that_ends_early_carries_on_its_audits():
         state = law.accept(F, 0.0 * F, law.respond(F, 0.0 * F, state)).state
         found.append(law.verdict(final=True))
     assert found == [True, True, False]
-    assert law.roll_back(4.0).tolerance < ALLOWED
+    assert law.roll_back(4.0).limit < 1.0
     line = law.decisions[-1]
     assert (line["from_t"], line["violations"], line["audits"]) == (3.0, VIOLATIONS + 1, 9)
     assert law.verdict() is None

@@ -23,29 +23,29 @@ def make_law(tolerance=0.01):
     return CachedLaw(surrogate, Truth(), CacheSettings(tolerance=tolerance / 10.0, audit=0.0))
 
 
-def test_sources_and_bounds_of_an_answer():
+def test_sources_and_risks_of_an_answer():
     F = np.tile(np.eye(2), (3, 1, 1))
     F[:, 0, 1] = 0.005, 0.015, 0.025
     told = make_law().respond(F, 0.0 * F).sources()
     assert told.source.tolist() == [SURROGATE, Status.NOT_TRUSTED, Status.OUT_OF_RANGE]
-    np.testing.assert_allclose(told.bound, [0.005, 0.0, 0.0])
+    np.testing.assert_allclose(told.risk, [0.5, 0.0, 0.0])
 
 
 def test_frames_keep_the_largest_of_each_element():
     load = LoadCase(duration=20.0, body_force=(0.0, -0.2))
     frames = simulate(load, make_law(), MacroSettings(elements=(4, 2), frames=6)).frames
-    assert frames.source.shape == frames.bound.shape == (len(frames.t), 8)
+    assert frames.source.shape == frames.risk.shape == (len(frames.t), 8)
     assert (frames.source[0] == SURROGATE).all()
     hit = frames.source == SURROGATE
     assert 0 < hit.sum() < hit.size
     known = {SURROGATE, Status.NOT_TRUSTED, Status.OUT_OF_RANGE}
     assert known.issuperset(frames.source.ravel())
-    assert (frames.bound <= 0.01).all()
-    # Of the points of an element the middle one is among those whose largest bound is told.
+    assert (frames.risk <= 1.0).all()
+    # Of the points of an element the middle one is among those whose largest risk is told.
     middle = strain(frames.F.reshape(-1, 2, 2)).reshape(hit.shape)
-    assert (frames.bound[hit] >= middle[hit] * (1.0 - 1e-12)).all()
+    assert (frames.risk[hit] >= middle[hit] / 0.01 * (1.0 - 1e-12)).all()
 
 
 def test_a_law_that_does_not_tell():
     frames = simulate(LoadCase(duration=1.0), Truth(), MacroSettings(elements=(2, 1))).frames
-    assert frames.source.shape == frames.bound.shape == (len(frames.t), 0)
+    assert frames.source.shape == frames.risk.shape == (len(frames.t), 0)

@@ -142,12 +142,12 @@ def test_a_repeated_step_has_the_length_of_the_first_trial():
     class Sudden(Learnt):
         calls = 0
 
-        def lookup(self, F, F_dot, tolerance=np.inf):
+        def lookup(self, F, F_dot, limit=np.inf):
             self.calls += 1
-            stress, status, bound = super().lookup(F, F_dot, tolerance)
+            stress, status, risk = super().lookup(F, F_dot, limit)
             if self.calls == 5:  # 1 at the start, 1 ahead, then stages 2 to 4
                 status[4], stress[4] = 6, np.nan
-            return stress, status, bound
+            return stress, status, risk
 
     surrogate = Sudden(shear_error(0.0), lambda F, F_dot: np.full(len(F), 1e-9))
     cached = CachedLaw(surrogate, Truth(), CacheSettings(audit=0.0))

@@ -63,7 +63,7 @@ def test_a_biased_surrogate_is_tightened_until_it_keeps_its_word(caplog):
     assert not trust["off"]
     assert trust["factor"] == pytest.approx(3.3, rel=0.01)
     assert [event["action"] for event in trust["events"]] == ["tightened"]
-    assert "off by more than the tolerance of 0.1 µN/µm" in caplog.text
+    assert "off by more than the tolerance;" in caplog.text
     assert cached.counts["fallbacks_not_trusted"] > 0
     assert cached.counts["hits"] > 0
     # From the window that failed on nothing is accepted that is off by more than the tolerance.
@@ -134,21 +134,21 @@ def test_upper_bound_on_the_wrong_share(violations, audits):
     assert wrong_at_most(audits, audits) == 1.0
 
 
-def window(bound=0.05, violations=3, audits=100):
+def window(risk=0.5, violations=3, audits=100):
     """One with errors twice the tolerance of 0.1 µN/µm."""
-    made = Window(0.0, 0, 0.1)
+    made = Window(0.0, 0, 1.0)
     error = np.where(np.arange(audits) < violations, 0.2, 0.01)
-    made.add(np.arange(audits), error > 0.1, error, np.full(audits, bound))
+    made.add(np.arange(audits), error > 0.1, error, np.full(audits, risk))
     return made
 
 
 def test_the_factor_is_raised_just_enough_and_comes_back():
-    trust = Trust(0.1)
-    failed = window(bound=0.04)
+    trust = Trust()
+    failed = window(risk=0.4)
     assert not failed.stands
     trust.fail(1, failed)
-    assert trust.factor == pytest.approx(2.75)  # 1.1 · 0.1/0.04
-    assert trust.tolerance < 0.04
+    assert trust.factor == pytest.approx(2.75)  # 1.1/0.4
+    assert trust.limit < 0.4
     assert trust.more_audits > 1.0
     trust.stand()
     assert trust.more_audits == 1.0
@@ -161,7 +161,7 @@ def test_the_factor_is_raised_just_enough_and_comes_back():
 
 
 def test_a_fault_that_comes_again_makes_trust_return_more_slowly():
-    trust, waited = Trust(0.1), []
+    trust, waited = Trust(), []
     for _ in range(3):
         trust.fail(1, window())
         waited.append(0)
@@ -172,18 +172,18 @@ def test_a_fault_that_comes_again_makes_trust_return_more_slowly():
     assert waited == [2, 3, 4]
 
 
-@pytest.mark.parametrize("bound", [0.0, 0.001])
-def test_a_bound_that_knows_nothing_of_the_error_switches_off(bound):
-    trust = Trust(0.1)
-    trust.fail(1, window(bound))
+@pytest.mark.parametrize("risk", [0.0, 0.01, np.inf])
+def test_a_risk_that_knows_nothing_of_the_error_switches_off(risk):
+    trust = Trust()
+    trust.fail(1, window(risk))
     assert trust.is_off
-    assert trust.tolerance < 0.0
+    assert trust.limit < 0.0
 
 
 def test_windows_that_fail_again_and_again_switch_off():
-    trust, steps = Trust(0.1), 0
+    trust, steps = Trust(), 0
     while not trust.is_off:
-        trust.fail(steps, window(bound=0.09 / trust.factor))
+        trust.fail(steps, window(risk=0.9 / trust.factor))
         steps += 1
     assert steps <= 7
     assert [event["action"] for event in trust.events] == ["tightened"] * (steps - 1) + ["off"]
@@ -211,7 +211,7 @@ def test_a_law_that_nobody_marks_is_more_cautious_after_a_window_that_failed():
 
 
 def test_a_surrogate_of_nan_leaves_all_to_the_fallback():
-    def lookup(F, F_dot, tolerance):
+    def lookup(F, F_dot, limit):
         return np.full_like(F, np.nan), np.full(len(F), 4, dtype=np.int8), np.full(len(F), np.inf)
 
     cached = CachedLaw(Learnt(None, None), Truth(), CacheSettings(tolerance=0.01))
@@ -226,9 +226,9 @@ def test_a_surrogate_of_other_parameters_with_a_forged_label_is_caught():
     """Learnt of a solid that is 5 % stiffer; labels agree, the audit does not."""
 
     class Stiffer(Learnt):
-        def lookup(self, F, F_dot, tolerance=np.inf):
-            _, status, bound = super().lookup(F, F_dot, tolerance)
-            return Truth(shear_modulus=63.0, lame=84.0).stress(F, F_dot), status, bound
+        def lookup(self, F, F_dot, limit=np.inf):
+            _, status, risk = super().lookup(F, F_dot, limit)
+            return Truth(shear_modulus=63.0, lame=84.0).stress(F, F_dot), status, risk
 
     cached = CachedLaw(
         Stiffer(shear_error(0.0), sound_bound), Truth(), CacheSettings(tolerance=0.001, audit=0.2)

@@ -108,15 +108,16 @@ def bias(_trained, monkeypatch):
     """The trained surrogate as if it knew its error; bias[0] µN/µm is added to its stress."""
     size, plain = [0.0], SurrogateLaw.lookup
 
-    def lookup(self, F, F_dot, tolerance=np.inf):
+    def lookup(self, F, F_dot, limit=np.inf):
         stress, status, _ = plain(self, F, F_dot)
-        bound = 0.004 + 0.1 * abs(F[:, 1, 0])
-        status[(status == 0) & ~(bound <= tolerance)] = Status.NOT_TRUSTED
+        risk = 0.004 + 0.1 * abs(F[:, 1, 0])
+        risk /= 1.0 if self.tolerance is None else self.tolerance[-1]
+        status[(status == 0) & ~(risk <= limit)] = Status.NOT_TRUSTED
         stress[status != 0] = np.nan
-        return stress + size[0], status, bound
+        return stress + size[0], status, risk
 
     monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
+    monkeypatch.setattr(SurrogateLaw, "status_and_risk", lambda *asked: lookup(*asked)[1:])
     monkeypatch.setattr(SurrogateLaw, "stress_spread", 10.0, raising=False)
     return size
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -161,17 +162,21 @@ def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch)
     assert invoke("train", recipe_path).exit_code == 0
     plain = SurrogateLaw.lookup
 
-    def lookup(self, F, F_dot, tolerance=np.inf):
+    def lookup(self, F, F_dot, limit=np.inf):
         stress, status, _ = plain(self, F, F_dot)
         bound = 0.004 + 4.0 * abs(F[:, 1, 0])
         stress += 0.5 * (bound - 0.004)[:, None, None] * np.array([[0.8, 0.0], [0.0, -0.6]])
-        status[(status == 0) & ~(bound <= tolerance)] = Status.NOT_TRUSTED
+        risk = bound / self.tolerance[-1]
+        status[(status == 0) & ~(risk <= limit)] = Status.NOT_TRUSTED
         stress[status != 0] = np.nan
-        return stress, status, bound
+        return stress, status, risk
+
+    def held(law, tolerance, relative):
+        return replace(law, tolerance=np.array([*np.zeros(7), 1.0, 2.0 * tolerance]))
 
     monkeypatch.setattr(SurrogateLaw, "lookup", lookup)
-    monkeypatch.setattr(SurrogateLaw, "with_tolerance", lambda law, *_: law)
-    monkeypatch.setattr(SurrogateLaw, "status_and_bound", lambda *asked: lookup(*asked)[1:])
+    monkeypatch.setattr(SurrogateLaw, "with_tolerance", held)
+    monkeypatch.setattr(SurrogateLaw, "status_and_risk", lambda *asked: lookup(*asked)[1:])
     monkeypatch.setattr(SurrogateLaw, "stress_spread", 2.0, raising=False)
     options = ("--law", "rve,cached", "--set", "cache.audit=1.0")
     done = grid("--set", "cache.tolerance=1e-1,1e-2,3e-3", *options)

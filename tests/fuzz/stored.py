@@ -114,7 +114,7 @@ def fields(folder):
     numbers = np.random.default_rng(0)
     shapes = dict.fromkeys(("stress", "F", "F_dot"), (2, 1, 2, 2))
     shapes |= dict.fromkeys(("displacement", "velocity"), (2, 4, 2))
-    shapes |= dict.fromkeys(("source", "bound", "dissipated"), (2, 1))
+    shapes |= dict.fromkeys(("source", "risk", "dissipated"), (2, 1))
     frames = {name: numbers.normal(size=shape) for name, shape in shapes.items()}
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     of_time = SimpleNamespace(t=np.arange(2.0), **frames)

@@ -11,11 +11,11 @@ import pytest
 
 from surrofe2.errors import FileError
 from surrofe2.io.fields import (
-    BOUND_NAME,
     DISPLACEMENT_NAME,
     F_DOT_NAME,
     F_NAME,
     POINTS,
+    RISK_NAME,
     SOURCE_NAME,
     STRESS_NAME,
     add_to_elements,
@@ -40,7 +40,7 @@ def frames():
         F=numbers.normal(size=(3, 1, 2, 2)),
         F_dot=numbers.normal(size=(3, 1, 2, 2)),
         source=np.array([[0.0], [3.0], [6.0]]),
-        bound=np.array([[0.1], [0.0], [0.0]]),
+        risk=np.array([[0.1], [0.0], [0.0]]),
         dissipated=np.array([[0.0], [0.2], [0.3]]),
     )
 
@@ -71,7 +71,7 @@ def test_fields_read_back(tmp_path, frames):
             np.testing.assert_array_equal(F[:, :2, :2], frames.F[k])
             assert (F[:, 2, 2] == 1.0).all()
             assert in_quads["stress_source"][0] == frames.source[k]
-            assert in_quads["stress_bound_uN_per_um"][0] == frames.bound[k]
+            assert in_quads["risk"][0] == frames.risk[k]
             np.testing.assert_array_equal(in_quads["swelling"][0], 1.0 + k)
     read = read_fields(tmp_path, [F_DOT_NAME, F_NAME, DISPLACEMENT_NAME], [STRESS_NAME, "absent"])
     np.testing.assert_array_equal(read.points, NODES)
@@ -142,7 +142,7 @@ def test_triangles_with_six_nodes(tmp_path):
         F=tensors,
         F_dot=tensors,
         source=np.empty((1, 0)),
-        bound=np.empty((1, 0)),
+        risk=np.empty((1, 0)),
         dissipated=np.empty((1, 0)),
     )
     write_fields(tmp_path, nodes, np.arange(6)[None], frames)
@@ -171,7 +171,7 @@ def test_points_of_the_law_read_back(tmp_path):
         name: numbers.normal(size=(2, 6, 2, 2)) for name in (STRESS_NAME, F_NAME, F_DOT_NAME)
     }
     values = {DISPLACEMENT_NAME: numbers.normal(size=(2, 6, 2)), **tensors}
-    values |= {SOURCE_NAME: np.arange(12.0).reshape(2, 6), BOUND_NAME: np.empty((2, 0))}
+    values |= {SOURCE_NAME: np.arange(12.0).reshape(2, 6), RISK_NAME: np.empty((2, 0))}
     write_point_fields(tmp_path, at, t, values, per_element=3)
     read = read_fields(tmp_path, (), values, POINTS)
     assert {*read.values} == {DISPLACEMENT_NAME, SOURCE_NAME, *tensors}

@@ -65,13 +65,13 @@ def test_the_tolerance_decides_point_by_point(trusted):
 
 
 @pytest.mark.parametrize("count", [0, 7, MANY + 3])
-def test_status_and_bound_need_no_stress(trusted, count):
+def test_status_and_risk_need_no_stress(trusted, count):
     F, F_dot = turned(count)
     F[3::50] *= 2.0
     some = trusted.error_bound(*turned(200))
     some = np.median(some[np.isfinite(some)])
     _, status, bound = trusted.lookup(F, F_dot, some)
-    found = trusted.status_and_bound(F, F_dot, some)
+    found = trusted.status_and_risk(F, F_dot, some)
     assert count < MANY or len(set(status.tolist())) == 3
     assert np.array_equal(found[0], status)
     assert np.array_equal(found[1], bound)

@@ -53,10 +53,12 @@ def test_the_kernel_is_its_numpy_twin(trusted, held, states):
     allowed = held.local_tolerance(*states)
     assert (allowed <= 1.0).all()
     assert allowed.min() < 0.8
-    found = held.error_bound(*states)
-    np.testing.assert_allclose(found, trusted.error_bound(*states) / allowed, rtol=1e-10)
-    _, status, bound = held.lookup(*states, float(np.median(found)))
-    assert np.array_equal(bound, found)
+    _, found = held.status_and_risk(*states)
+    most = TOLERANCE * trusted.stress_spread
+    np.testing.assert_allclose(found, trusted.error_bound(*states) / allowed / most, rtol=1e-10)
+    assert np.array_equal(held.error_bound(*states), trusted.error_bound(*states))
+    _, status, risk = held.lookup(*states, float(np.median(found)))
+    assert np.array_equal(risk, found)
     assert np.array_equal(status == Status.NOT_TRUSTED, found > np.median(found))
 
 
@@ -73,27 +75,30 @@ def test_what_is_allowed_is_as_stated(trusted, held, states):
 
 def test_rotation_and_D4_make_no_difference(held):
     F, F_dot = small_states(300, seed=2)
-    bound = held.error_bound(F, F_dot)
+    risk = held.lookup(F, F_dot)[2]
     for g in G:
         left = np.eye(2) if np.linalg.det(g) > 0 else g.T
-        image = held.error_bound(left @ F @ g, left @ F_dot @ g)
-        np.testing.assert_allclose(image, bound, rtol=1e-9)
+        image = held.lookup(left @ F @ g, left @ F_dot @ g)[2]
+        np.testing.assert_allclose(image, risk, rtol=1e-9)
 
 
-def test_rest_itself_is_far_from_the_threshold(trusted, held):
-    most = TOLERANCE * trusted.stress_spread
-    assert held.error_bound(*REST)[0] == pytest.approx(0.5 * most)
+def test_rest_itself_is_far_from_the_limit(held):
+    assert held.lookup(*REST)[2][0] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("given", [(np.inf, RELATIVE), (TOLERANCE, np.inf)])
-def test_without_one_of_them_bounds_count_once(trusted, held, states, given):
+def test_without_one_of_them_the_other_counts_everywhere(trusted, held, states, given):
     free = held.with_tolerance(*given)
-    assert np.array_equal(free.error_bound(*states), trusted.error_bound(*states))
+    risk = trusted.error_bound(*states) / (given[0] * trusted.stress_spread)
+    np.testing.assert_allclose(free.lookup(*states)[2], risk, rtol=1e-12)
     assert (free.local_tolerance(*states) == 1.0).all()
 
 
-def test_a_surrogate_without_a_bound_has_no_local_tolerance(law):
-    assert law.with_tolerance(TOLERANCE, RELATIVE).tolerance is None
+@pytest.mark.parametrize(("tolerance", "risk"), [(TOLERANCE, np.inf), (np.inf, 0.0)])
+def test_the_risk_of_a_surrogate_without_a_bound(law, tolerance, risk):
+    free = law.with_tolerance(tolerance, RELATIVE)
+    assert (free.lookup(*REST)[2] == risk).all()
+    assert (free.local_tolerance(*REST) == 1.0).all()
 
 
 class Strict(Learnt):

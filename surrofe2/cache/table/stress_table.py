@@ -85,7 +85,7 @@ class StressTable:
         self.images = 4 if law.cell.symmetry == "D4" else 1
         self.tolerance = float(tolerance)
         self.range = range
-        self.stress_spread = float(spread)
+        self.stress_spread, self._allowed = float(spread), 1.0
         self.most_records, self.seconds = most_records, 0.0
         self.counts = {"added": 0, "grown": 0, "shrunk": 0, "table_rve_solves": 0}
         self._reach = half_widths(range)
@@ -98,7 +98,8 @@ class StressTable:
         return Records(*(part[: self.size].copy() for part in self._records))
 
     def with_tolerance(self, tolerance: float, relative: float) -> StressTable:
-        """Itself: it is grown for one tolerance."""
+        """Itself, with risks by this share of the spread; it is grown for its own tolerance."""
+        self._allowed = tolerance * self.stress_spread
         return self
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
@@ -106,28 +107,33 @@ class StressTable:
         return np.ones(len(F))
 
     def lookup(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
+        self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[Array, NDArray[np.int8], Array]:
-        """(stress (n, 2, 2), status (n,), bound (n,)) in one compiled pass; input is not checked.
+        """(stress (n, 2, 2), status (n,), risk (n,)) in one compiled pass; input is not checked.
 
-        The bound of the error in µN/µm is the table's tolerance times the radius within the
+        The risk is a bound of the error over the tolerance of `with_tolerance`, of 1 µN/µm before
+        it is called. The bound in µN/µm is the table's own tolerance times the radius within the
         ellipsoid, 0 at the record and 1 at the surface. By the law through the errors seen it
         would be the squared radius, as of every linear model; what lies between is the margin. It
         is an estimate that true answers correct, no guarantee. Status 3 where no ellipsoid holds
-        the point (bound infinite), 6 where the bound is above `tolerance`.
+        the point (risk infinite), 6 where the risk is above `limit`.
 
         F, F_dot: contiguous float64 (n, 2, 2).
         """
         if self._screen is None:
             self._screen = make_screen(self._records, self.size)
-        tolerances = float(tolerance), self.tolerance
-        return look_up(F, F_dot, tolerances, self.images, self._records, self._screen)
+        tolerances = float(limit) * self._allowed, self.tolerance
+        stress, status, risk = look_up(
+            F, F_dot, tolerances, self.images, self._records, self._screen
+        )
+        np.divide(risk, self._allowed, out=risk, where=np.isfinite(risk))
+        return stress, status, risk
 
-    def status_and_bound(
-        self, F: Array, F_dot: Array, tolerance: float = np.inf
+    def status_and_risk(
+        self, F: Array, F_dot: Array, limit: float = np.inf
     ) -> tuple[NDArray[np.int8], Array]:
         """Those of `lookup`."""
-        return self.lookup(F, F_dot, tolerance)[1:]
+        return self.lookup(F, F_dot, limit)[1:]
 
     def tangents(self, F: Array, F_dot: Array) -> Tangents:
         """An InputError: each record has its own slope, which jumps from one to the next."""

@@ -20,7 +20,7 @@ SOURCES: dict[int, tuple[str, str]] = {
     TABLE: ("table", "#3aa37f"),
     Status.OUT_OF_RANGE: ("RVE: out of the domain", "#d9822b"),
     Status.NOT_FINITE: ("RVE: not finite", "#8c5bb0"),
-    Status.NOT_TRUSTED: ("RVE: bound above the tolerance", "#c2413b"),
+    Status.NOT_TRUSTED: ("RVE: risk above the limit", "#c2413b"),
 }
 """By the codes of `stress_law.Sources`: what people read, and the colour."""
 

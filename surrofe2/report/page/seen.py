@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME, STRESS_NAME, StoredFields
+from surrofe2.io.fields import RISK_NAME, SOURCE_NAME, STRESS_NAME, StoredFields
 from surrofe2.io.run_folder import RunRecord, StoredRun
 from surrofe2.report.comparison import Comparison
 
@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 VON_MISES, WALL_STRETCH = "von_mises_in_plane_uN_per_um", "largest_wall_stretch"
 OF_ELEMENTS = (
-    STRESS_NAME, "deformation_gradient", VON_MISES, SOURCE_NAME, BOUND_NAME, WALL_STRETCH,
+    STRESS_NAME, "deformation_gradient", VON_MISES, SOURCE_NAME, RISK_NAME, WALL_STRETCH,
 )  # fmt: skip
 """What a page shows of elements."""
-OF_POINTS = (SOURCE_NAME, BOUND_NAME)
+OF_POINTS = (SOURCE_NAME, RISK_NAME)
 """What a page shows of points of the law."""
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import BOUND_NAME, SOURCE_NAME
+from surrofe2.io.fields import RISK_NAME, SOURCE_NAME
 from surrofe2.io.run_folder import caches_of
 from surrofe2.report.comparison_plot import audit_curves, clock_of
 from surrofe2.report.figures import Curve, Panel
@@ -112,7 +112,7 @@ def range_section(seen: Seen) -> str:
 
 
 def audit_section(seen: Seen) -> str:
-    """Audited errors with the tolerance, and the bounds of the answers."""
+    """Audited errors with the tolerance, and the risks of the answers."""
     figures, parts = [], []
     for each in seen.runs:
         for cell, cache in caches_of(each.record.cache).items():
@@ -120,17 +120,12 @@ def audit_section(seen: Seen) -> str:
             if not audit["quantiles"]:
                 parts.append(missing(f"{of}: none of the cache's answers was audited."))
                 continue
-            drawn = _named(audit_curves(0, audit))
-            bounds = [] if cell else _bound_curves(each, float(drawn[0].y.max()))
+            drawn = tuple(_named(audit_curves(0, audit)))
             panel = Panel(
-                "error or bound of the stress (µN/µm)",
-                "answers (%)",
-                (*drawn, *bounds),
-                log_x=True,
-                zero=True,
+                "error of the stress (µN/µm)", "answers (%)", drawn, log_x=True, zero=True
             )
-            figures.append(figure(chart(panel), f"{of}: audited errors and bounds of the answers"))
-            parts.append(_worst(of, audit))
+            figures.append(figure(chart(panel), f"{of}: audited errors"))
+            parts.append(_worst(of, audit, "" if cell else _risks(each)))
     if not figures and not parts:
         parts = [missing("No run through a cache, so nothing was audited.")]
     return section("audit", "Audits", [*parts, grid(figures)])
@@ -145,29 +140,26 @@ def _named(curves: list[Curve]) -> list[Curve]:
     ]
 
 
-def _bound_curves(run: SeenRun, high: float) -> list[Curve]:
-    """Least and largest bound of the error of the cache's answers at stored times."""
+def _risks(run: SeenRun) -> str:
+    """Least and largest risk of the cache's answers at stored times, in words."""
     known = run.points or (run.fields.values if run.fields is not None else {})
-    if not {BOUND_NAME, SOURCE_NAME} <= known.keys():
-        return []
-    bound = known[BOUND_NAME][(known[SOURCE_NAME] <= TABLE) & (known[BOUND_NAME] > 0.0)]
-    bound = bound[np.isfinite(bound)]
-    if not bound.size:
-        return []
-    least, most = float(bound.min()), float(bound.max())
-    x, gap = np.array([least, least, most, most]), np.array([0.0, high, high, 0.0])
-    return [Curve("", x, gap, "least and largest bound", markers=False, colour=1, dash="-.")]
+    if not {RISK_NAME, SOURCE_NAME} <= known.keys():
+        return ""
+    risk = known[RISK_NAME][(known[SOURCE_NAME] <= TABLE) & (known[RISK_NAME] > 0.0)]
+    if not risk.size:
+        return ""
+    return f" The risks of its answers are {risk.min():.2g} to {risk.max():.2g}."
 
 
-def _worst(of: str, audit: Mapping[str, Any]) -> str:
+def _worst(of: str, audit: Mapping[str, Any], risks: str) -> str:
     worst = audit["worst"]
     text = f"{of}: {audit['audited']:,} answers audited, {audit['violations']} above the tolerance"
     if audit.get("wrong_at_most") is not None:  # runs of earlier versions do not have it
         share = 100.0 * audit["wrong_at_most"]
         text += f", so with 95 % confidence at most {share:.2g} % of all answers are"
     if not isinstance(worst, Mapping):
-        return paragraph(f"{text}.")
+        return paragraph(f"{text}.{risks}")
     return paragraph(
-        f"{text}; the worst error is {worst['error']:.3g} µN/µm, where the bound was "
-        f"{worst['bound']:.3g} µN/µm (step {worst['step']}, point {worst['point']})."
+        f"{text}; the worst error is {worst['error']:.3g} µN/µm, where the risk was "
+        f"{worst['risk']:.3g} (step {worst['step']}, point {worst['point']}).{risks}"
     )

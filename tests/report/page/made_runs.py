@@ -16,7 +16,7 @@ from surrofe2.workflow.saved_run import write_results
 from tests.laws import KelvinVoigt
 from tests.run_records import finished_record
 
-BOUND, WORST = 0.004, 0.003
+RISK, WORST = 0.004, 0.003
 EVIL = '</script><script>alert("x")</script>'
 """An event that must stay words."""
 
@@ -37,9 +37,9 @@ def made_runs(recipe, folder):
     frames = replace(
         frames,
         source=source,
-        bound=np.where(source == 0.0, BOUND, 0.0),
+        risk=np.where(source == 0.0, RISK, 0.0),
         point_source=at_points,
-        point_bound=np.where(at_points == 0.0, BOUND, 0.0),
+        point_risk=np.where(at_points == 0.0, RISK, 0.0),
     )
     curve = replace(run.curve, displacement=1.001 * run.curve.displacement)
     write_results(cached, replace(run, frames=frames, curve=curve, curves={}))
@@ -57,7 +57,7 @@ def cache_report():
     audit = ErrorRecord(0.05)
     audit.add(np.geomspace(1e-6, WORST, 40))
     audit.largest = WORST
-    audit.worst = {"error": WORST, "bound": BOUND, "step": 7, "point": 3}
+    audit.worst = {"error": WORST, "risk": RISK, "step": 7, "point": 3}
     why = np.full(6, Status.OUT_OF_RANGE, dtype=np.int8)
     return {
         "tolerance": {"share": 1e-3, "spread": 50.0, "absolute": 0.05},

@@ -23,7 +23,7 @@ from surrofe2.report.page.seen import Seen
 from surrofe2.rigid_bodies import Circle, Corner, Plane
 from surrofe2.workflow.report import see_runs, write_report
 from tests.laws import KelvinVoigt
-from tests.report.page.made_runs import BOUND, EVIL, made_runs
+from tests.report.page.made_runs import EVIL, RISK, made_runs
 
 VOID = {"meta", "input", "img", "br"}
 
@@ -78,7 +78,8 @@ def test_what_ran_stands_in_the_page(page):
         "cached, step 3: a finding",
         "40 answers audited, 0 above the tolerance, so with 95 % confidence at most 7.2 % of all "
         "answers are; the worst error is 0.003 µN/µm",
-        f"where the bound was {BOUND} µN/µm (step 7, point 3)",
+        f"where the risk was {RISK} (step 7, point 3). The risks of its answers are {RISK} to "
+        f"{RISK}.",
         "cached: 2 events",
         "Range that was met",
         "No look into the plant cells",
