@@ -50,7 +50,7 @@ def test_implicit_run_through_the_surrogate(invoke, recipe_path, tmp_path):
         "run", recipe_path, "--law", "cached", "--integrator", "implicit", "--out", tmp_path / "no"
     )
     assert refused.exit_code == 1
-    assert "SoftLaw has no tangents" in refused.stderr
+    assert "CachedLaw has no tangents" in refused.stderr
 
 
 @pytest.mark.usefixtures("_trained")
@@ -159,7 +159,7 @@ def test_a_corrupted_surrogate_loses_trust_loudly(invoke, recipe_path, tmp_path,
     assert record.counts["fallbacks_not_trusted"] == record.counts["fallbacks"] > 0
     assert record.cache["accepted"]["hits"] <= 20  # at the very start, which cannot go back
     assert "audited answers are off by more than the tolerance" in done.stderr
-    assert "the bounds count 2.75 times from here on" in done.stderr
+    assert "the risks count 2.75 times from here on" in done.stderr
 
 
 @pytest.mark.usefixtures("bias")
@@ -167,7 +167,7 @@ def test_an_interrupted_run_keeps_its_audit(invoke, recipe_path, tmp_path, monke
     out = tmp_path / "cached"
     monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
     command = ("run", recipe_path, "--law", "cached", "--out", out, "--audit", "1.0")
-    invoke(*command, law=StoppingLaw(24))
+    invoke(*command, law=StoppingLaw(14))
     before = read_record(out)
     assert before.status == "interrupted"
     assert before.cache["audit"]["audited"] > 50
