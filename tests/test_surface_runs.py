@@ -112,7 +112,7 @@ def test_an_interrupted_run_with_a_surface_law_goes_on(tmp_path, made, monkeypat
     record = run_study(recipe, "rve", tmp_path / "parts")
     for name in ("curve.csv", "energies.csv", "history.csv"):
         parts, whole = (read_columns(tmp_path / each / name)[1] for each in ("parts", "whole"))
-        far = abs(whole).max(axis=0)  # a resumed run makes the factors of its RVEs again
+        far = abs(whole[:, 1:]).max()  # a resumed run makes the factors of its RVEs again
         assert (abs(parts - whole) <= 1e-9 * far).all(), name
     told = [read_record(tmp_path / each).problem["surface"] for each in ("parts", "whole")]
     assert told[0] == told[1]
