@@ -132,7 +132,8 @@ def test_the_command_line_says_it_in_one_line(folder, number):
         try:
             load_recipe(path).problem()
         except (FileError, InputError):
-            done = CliRunner().invoke(app, ["check", str(path)])
+            run = ["run", str(path), "--law", "rve", "--out", str(folder / "out")]
+            done = CliRunner().invoke(app, run)
             assert done.exit_code == 1
             assert isinstance(done.exception, SystemExit)
             (line,) = done.stderr.splitlines()
