@@ -242,9 +242,6 @@ def to_page(report: Mapping[str, Any], outcome: Outcome, reports: list[dict[str,
     )
 
 
-FORMERLY = {"printed": (1.0, 0.094), "water": (0.0, 0.277)}
-"""On 2026-11-22: hits of the default bar at `FINE`, and share of the accepted states of the corners
-that were over their bound, before corners were calibrated and the bound at rest fell."""
 FINE = 1e-4
 SEARCH = "## What a search finds"
 """Heading of the section that `climb` writes."""
@@ -253,8 +250,8 @@ _CORNERS = 20_000
 
 def bound_section(setting: Setting) -> str:
     """The part of docs/trust.md on the bound itself: what it lets through."""
-    fine = [f"| preset | hits of the default bar at {FINE:g} | before | corners over | before |"]
-    fine += ["|" + " --- |" * 5]
+    fine = [f"| preset | hits of the default bar at {FINE:g} | corners over |"]
+    fine += ["|" + " --- |" * 3]
     for preset in PRESETS:
         surrogate, law = setting.surrogate(preset), rve(preset)
         cached = CachedLaw(surrogate, law, CacheSettings(tolerance=FINE))
@@ -265,13 +262,9 @@ def bound_section(setting: Setting) -> str:
         kept = status == 0
         error = stress_error(stress[kept], law.respond(F[kept], F_dot[kept]).stress)
         hits = counts["hits"] / (counts["hits"] + counts["fallbacks"])
-        formerly, over = FORMERLY[preset]
         shares = 100.0 * (error > bound[kept])
         now = f"{shares.mean():.2f} %" if len(shares) else "none accepted"
-        fine += [
-            f"| {preset} | {100.0 * hits:.1f} % | {100.0 * formerly:.1f} % "
-            f"| {now} | {100.0 * over:.1f} % |"
-        ]
+        fine += [f"| {preset} | {100.0 * hits:.1f} % | {now} |"]
     return (
         "\n## The bound against the true error\n\nA tolerance of "
         f"{FINE:g} is a tenth of the default one. Corners are states within a tenth of the bounds "
