@@ -32,7 +32,7 @@ def measured(steps, noise, seed=1):
 
 
 def identified(data):
-    """What least squares finds within a factor e of `GUESS`, by logarithms, exact gradients."""
+    """What least squares finds within a factor e of `GUESS`, by logarithms and their gradients."""
     steps, scale = len(data) - 1, data.max()
 
     def residual(logarithms):

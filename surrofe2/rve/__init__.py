@@ -4,8 +4,7 @@ In reading order: `settings`, `rve_law` (the law), `solve` (one call of it), `un
 RVE is at rest), `rve_state` (the warm start), `particle_state` (forces and stress of given
 positions), `newton` and `block_lu` (equilibria), `constrained_runs` (the paper's iteration),
 `equilibrium_modes`, `slow_manifold` and `slow_solution`, `continuation` (far loads), `tangents`,
-`constant_slopes` and `parameter_gradients` (identification), `micro_integration` (the reference of
-all initialisations).
+`parameter_gradients` (identification), `micro_integration` (the reference of all initialisations).
 """
 
 from __future__ import annotations

@@ -140,6 +140,17 @@ def settle_reference(cell: CellParameters) -> ReferenceState:
     return _free_of_stress(cell, found.z[best], guess, irregular)
 
 
+def resettled(cell: CellParameters, near: ReferenceState) -> ReferenceState:
+    """The reference state of a cell of squares or hexagons, from that of almost the same cell.
+
+    Raises:
+        InputError: as `settle_reference`.
+    """
+    own = make_arrangement(cell).tessellation.lattice
+    z = np.ascontiguousarray((near.position @ np.linalg.solve(near.lattice.T, own.T)).T)
+    return _free_of_stress(cell, z, near.rest_length, irregular=False)
+
+
 @dataclass(frozen=True, slots=True)
 class Equilibria:
     """Elastic equilibria of k points.
