@@ -47,16 +47,6 @@ class Killing:
         return self.inner.submit(killed_once, *told, *arguments)
 
 
-def check_killed(executor, folder, alone, laws):
-    """Two workers, of whom one is killed in a run, leave what one process leaves."""
-    (folder / "recipe.toml").write_text(SHORT, encoding="utf-8")
-    killing = Killing(executor, folder)
-    out = folder / "out"
-    run_grid(folder / "recipe.toml", VALUES, out, laws=laws, threads=1, executor=killing)
-    assert (folder / "dead").exists()
-    check(out, alone, laws)
-
-
 def check(out, alone, laws):
     assert len([*out.glob("*/run.json")]) == 2 * len(laws)
     commands.assert_same(out, commands.left_in(alone(laws) / "out"))
@@ -64,20 +54,14 @@ def check(out, alone, laws):
 
 @pytest.mark.parametrize("laws", [("rve",), pytest.param(BOTH, marks=pytest.mark.slow)])
 def test_two_processes_of_which_one_is_killed_give_the_bits_of_one(laws, tmp_path, alone, caplog):
+    (tmp_path / "recipe.toml").write_text(SHORT, encoding="utf-8")
+    out = tmp_path / "out"
     with executor_of(2) as executor:
-        check_killed(executor, tmp_path, alone, laws)
+        killing = Killing(executor, tmp_path)
+        run_grid(tmp_path / "recipe.toml", VALUES, out, laws=laws, threads=1, executor=killing)
+    assert (tmp_path / "dead").exists()
     assert "a worker was lost" in caplog.text
-
-
-@pytest.mark.slow
-def test_a_cluster_of_dask_that_loses_a_worker(tmp_path, alone):
-    distributed = pytest.importorskip("distributed")
-    one = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
-    with (
-        distributed.LocalCluster(**one) as cluster,
-        executor_of(0, cluster.scheduler_address) as executor,
-    ):
-        check_killed(executor, tmp_path, alone, BOTH)
+    check(out, alone, laws)
 
 
 BY_MPI = """

@@ -1,4 +1,4 @@
-"""A kernel's machine code is its own: no other kernel of a process stands in for parts of it."""
+"""A kernel has the same bits whichever were compiled or read before; its arrays are aligned."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import os
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-
-from surrofe2.machine_code import OwnCode
 
 KERNELS = """
 import sys
@@ -60,22 +57,6 @@ def said(module, *lines):
 A = "a = np.linspace(0.1, 2.0, 13)"
 
 
-def test_all_but_the_entries_are_private(module, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(module / "kept"))
-    monkeypatch.syspath_prepend(module)
-    monkeypatch.delitem(sys.modules, "kernels", raising=False)
-    import kernels
-
-    kernels.outer(np.linspace(0.1, 2.0, 13))
-    (made,) = kernels.outer.overloads.values()
-    assert isinstance(made.library, OwnCode)
-    shared = {"linkonce_odr", "linkonce_any", "weak_odr", "weak_any"}
-    functions = list(made.library.get_defined_functions())
-    assert not [function.name for function in functions if function.linkage.name in shared]
-    assert any("inner" in function.name for function in functions)
-    assert [function.name for function in functions if function.linkage.name == "internal"]
-
-
 def test_a_kernel_has_the_same_bits_whichever_was_compiled_or_read_before(module):
     """It is compiled alone; read after another; compiled into one that was read."""
     first = said(module, A, "print(inner(a.copy()).hex())")
@@ -96,15 +77,3 @@ def test_a_kernel_has_the_same_bits_whichever_was_compiled_or_read_before(module
 def test_arrays_of_kernels_begin_at_a_line_of_the_cache(module):
     places = said(module, "print(*[a.ctypes.data % 64 for a in some_arrays(40)])")
     assert set(places) == {"0"}
-
-
-def test_kernels_of_others_are_left_as_they_are():
-    import numba
-
-    @numba.njit
-    def another(x):
-        return x + 1.0
-
-    assert another(1.0) == 2.0
-    (made,) = another.overloads.values()
-    assert not isinstance(made.library, OwnCode)

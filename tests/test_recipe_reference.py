@@ -31,13 +31,3 @@ def test_every_key_says_what_it_is(kind):
     for item in fields(kind):
         if item.metadata:
             assert item.metadata["about"], item.name
-
-
-def test_a_table_names_every_key_of_its_section(reference):
-    rows = reference.page().split("## [cache]")[1].split("## ")[0]
-    assert [row.split("`")[1] for row in rows.splitlines() if row.startswith("| `")] == [
-        "tolerance",
-        "relative_tolerance",
-        "audit",
-        "seed",
-    ]

@@ -20,7 +20,7 @@ from surrofe2.errors import InputError, SimulationError
 from surrofe2.io.data_sets import read_data_set
 from surrofe2.workflow import workers
 from surrofe2.workflow.generate import generate_data_set
-from surrofe2.workflow.workers import ATTEMPTS, Processes, executor_of, in_pieces
+from surrofe2.workflow.workers import ATTEMPTS, executor_of, in_pieces
 from tests.conftest import RECIPE
 from tests.some_work import squares, squares_or_death
 
@@ -119,16 +119,12 @@ def test_a_data_set_is_the_same_from_one_process_and_from_several(recipe):
     [
         ((2, "tcp://127.0.0.1:8786"), "--workers: 2; with --scheduler the cluster"),
         ((0, "nonsense://127.0.0.1:1"), "--scheduler: nonsense://127.0.0.1:1; no scheduler"),
+        ((-1,), "workers: -1; it must be at least 1"),
     ],
 )
 def test_wrong_executors(arguments, sentence):
     with pytest.raises(InputError, match=re.escape(sentence)), executor_of(*arguments):
         pass
-
-
-def test_no_workers():
-    with pytest.raises(InputError, match="workers: 0; it must be at least 1"):
-        Processes(0)
 
 
 def test_a_cluster_of_dask_that_loses_a_worker(tmp_path):

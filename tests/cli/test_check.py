@@ -8,9 +8,7 @@ import re
 
 import pytest
 
-from surrofe2 import compilation
 from surrofe2.recipe import load_recipe
-from surrofe2.units import rough_time
 from surrofe2.workflow import laws
 from surrofe2.workflow.dry_run import advised_law, dry_run, seconds_by_rves
 from surrofe2.workflow.recipe_check import recipe_faults
@@ -192,24 +190,3 @@ def test_the_advice(recipe_path, changed_recipe, invoke):
     start, end = table.index("[range]"), table.index("[samples]")
     recipe_path.write_text(table[:start] + table[end:], encoding="utf-8")
     assert advised_law(load_recipe(recipe_path), 1000.0) == "rve"
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.04, "0.04 s"), (12.0, "10 s"), (80.0, "80 s"), (130.0, "2 min"), (36000.0, "10 h"),
-     (200000.0, "2 days")],
-)  # fmt: skip
-def test_rough_times(seconds, text):
-    assert rough_time(seconds) == text
-
-
-def test_the_clock_stands_while_a_kernel_is_compiled(monkeypatch):
-    times = iter([1.0, 3.0, 10.0, 14.0, 20.0])
-    monkeypatch.setattr(compilation, "perf_counter", lambda: next(times))
-    monkeypatch.setattr(compilation, "_waited", [0.0, 0.0])
-    assert compilation.clock() == 1.0
-    with compilation._waiting():
-        with compilation._waiting():  # a kernel that it calls
-            pass
-        assert compilation.clock() == 3.0
-    assert compilation.clock() == 20.0 - 11.0

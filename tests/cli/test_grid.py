@@ -5,14 +5,11 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 import pytest
 
-from surrofe2.cli import output
 from surrofe2.io.run_folder import read_record, read_run
-from surrofe2.report.tables import Quantity, Table
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from tests.laws import SoftLaw
@@ -138,22 +135,6 @@ def test_what_is_no_grid_is_refused_before_anything_runs(grid, options, message)
     assert message in refused.stderr
     assert law.calls == 0
     assert not grid.out.exists()
-
-
-def test_a_table_is_no_wider_than_the_terminal(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
-    names = ["stiffness (µN/µm)", "law", *(f"large quantity {k}" for k in range(9))]
-    row = ["3000", "cached", *(f"{k}.{k}{k}{k}" for k in range(9))]
-    quantities = [Quantity(name, "", "", itemgetter(k)) for k, name in enumerate(names)]
-    output.begin("grid", quiet=False)
-    output.show_table("Many", Table(quantities, [row, row]), names=2)
-    lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 60
-    text = "\n".join(lines)
-    for k in range(9):
-        assert text.count(f"{k}.{k}{k}{k}") == 2
-    assert text.count("3000") == text.count("cached") > 2
-    assert text.count("quantity") == 9
 
 
 def test_a_tolerance_buys_hits_for_error(grid, invoke, recipe_path, monkeypatch):

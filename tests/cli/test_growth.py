@@ -66,54 +66,36 @@ def test_a_run_takes_what_several_tables_know(invoke, first, recipe_path, change
     assert max(sizes) < begun <= sum(sizes)
 
 
-def test_a_table_of_other_parameters_is_refused(
+def test_a_table_of_other_parameters_or_for_true_runs_is_refused(
     invoke, first, recipe_path, changed_recipe, tmp_path
 ):
-    changed_recipe('preset = "printed"', "viscosity = 0.2")
-    law = SquareLaw()
-    refused = run(
-        invoke,
-        recipe_path,
-        tmp_path / "x",
-        "--law",
-        "table",
-        "--table",
-        first / "table.h5",
-        law=law,
-    )
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {first / 'table.h5'}: a table for cell.viscosity = 0.1, not 0.2; start an empty "
-        "one or use one of these parameters\n"
-    )
-    assert not (tmp_path / "x").exists()
-
-
-def test_a_table_is_not_for_true_runs(invoke, first, recipe_path, tmp_path):
-    refused = run(
-        invoke, recipe_path, tmp_path / "x", "--law", "rve", "--table", first / "table.h5"
-    )
-    assert refused.exit_code == 1
+    out, table = tmp_path / "x", first / "table.h5"
+    refused = run(invoke, recipe_path, out, "--law", "rve", "--table", table)
     assert "--table: not with --law rve; it must be table" in refused.stderr
+    changed_recipe('preset = "printed"', "viscosity = 0.2")
+    refused = run(invoke, recipe_path, out, "--law", "table", "--table", table)
+    assert refused.exit_code == 1
+    told = f"error: {table}: a table for cell.viscosity = 0.1, not 0.2; start an empty one"
+    assert refused.stderr.startswith(told)
+    assert not out.exists()
 
 
-class StopsAfter(SquareLaw):
+class Stopping(SquareLaw):
     """Ctrl-C after so many answers."""
 
     def __init__(self, calls):
         super().__init__()
-        self.left = calls
+        self.calls = calls
 
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        self.left -= 1
-        if self.left < 0:
+    def respond(self, *asked, **options):
+        if len(self.states) == self.calls:
             raise KeyboardInterrupt
-        return super().respond(F, F_dot, state, tangents=tangents)
+        return super().respond(*asked, **options)
 
 
 def test_an_interrupted_run_keeps_table_and_harvest(invoke, changed_recipe, tmp_path):
     recipe, out = changed_recipe("-0.1]", "-0.5]"), tmp_path / "out"
-    stopped = run(invoke, recipe, out, "--law", "table", law=StopsAfter(40))
+    stopped = run(invoke, recipe, out, "--law", "table", law=Stopping(40))
     assert stopped.exit_code == 130, stopped.output
     kept = len(read_table(out / "table.h5").records.centre)
     harvested = len(read_harvest(out / "harvest.h5").F)

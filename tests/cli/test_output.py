@@ -93,15 +93,6 @@ def test_no_colours_where_none_are_wanted(monkeypatch):
         assert ("\x1b[31m" in text.getvalue()) == coloured
 
 
-def test_help_is_in_groups_of_at_most_twenty_commands():
-    told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output
-    places = [told.index(f"─ {group} ─") for group in ("Study", "Look", "Physics")]
-    assert places == sorted(places)
-    assert len(COMMANDS) <= 20
-    for name in COMMANDS:
-        assert f"surrofe2 {name}" in told, name
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_all_commands_have_the_options_of_all(name):
     told = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"})

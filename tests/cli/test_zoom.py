@@ -177,8 +177,6 @@ def test_several_cells_are_looked_into_by_the_cell_of_the_point(tmp_path):
     [
         ("200,50", "point: (200, 50) µm; it must lie within the mesh"),
         ("200", "--point: '200'; it must be two numbers X,Y in µm"),
-        ("a,b", "--point: 'a,b'; it must be two numbers X,Y in µm"),
-        ("nan,1", "point: (nan, 1) µm; it must lie within the mesh"),
     ],
 )
 def test_points_that_are_none(study, point, sentence):
