@@ -7,7 +7,7 @@ points with what plant cells have; true laws and surrogates of a cached law; a s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -230,12 +230,12 @@ class Failing:
         return self.inner.density
 
     def respond(self, F, F_dot, state=None, *, tangents=False) -> StressResponse:
-        answer = self.inner.respond(F, F_dot, state)
+        answer = self.inner.respond(F, F_dot, state, tangents=tangents)
         if self.fails is None:
             return answer
         bad = self.fails(F, F_dot)
         stress = np.where(bad[:, None, None], np.nan, answer.stress)
-        return StressResponse(stress, np.where(bad, self.code, 0).astype(np.int8), answer.state)
+        return replace(answer, stress=stress, status=np.where(bad, self.code, 0).astype(np.int8))
 
     def accept(self, F, F_dot, response) -> Acceptance:
         answer = self.inner.accept(F, F_dot, response)

@@ -90,4 +90,4 @@ def test_without_a_place_to_keep_them_kernels_are_compiled_in_memory(copy, setti
     (line,) = told.splitlines()
     assert "kernels are compiled in memory and not kept, which takes a minute: " in line
     assert why in line
-    assert not [*copy.parent.rglob("*.nb[ci]")]
+    assert not [*copy.parent.rglob("*.nbc")]

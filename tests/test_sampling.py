@@ -33,16 +33,11 @@ def turned(tensors, angle):
     ("changes", "message"),
     [
         ({"stretch": (1.1, 0.9)}, r"range.stretch: \(1.1, 0.9\); low must be below high"),
-        ({"stretch": (1.0, 1.0)}, "low must be below high"),
         ({"stretch": (-0.1, 1.0)}, "both positive"),
-        ({"stretch": (0.9, np.nan)}, "range.stretch"),
         ({"stretch": (0.9, np.inf)}, "range.stretch"),
-        ({"stretch": 1.0}, "a list of 2"),
-        ({"stretch": ("a", 1.0)}, "must be a number"),
         ({"shear": -0.1}, "range.shear: -0.1; it must be at least 0"),
         ({"shear": 0.9}, "det U > 0"),
         ({"rate": np.nan}, "range.rate: nan"),
-        ({"rate": True}, "range.rate: True; it must be a number"),
     ],
 )
 def test_a_range_that_makes_no_sense_is_refused(changes, message):

@@ -38,6 +38,7 @@ def laws():
         (np.eye(2), "F: shape"),
         (-EYE, None),
         (np.nan * EYE, "F: not finite at point 0"),
+        (EYE * [[[1.0], [-1.0]]], "F: det F = -1 at point 0; it must be positive"),
     ],
 )
 def test_what_are_no_deformations(laws, F, told):
@@ -48,8 +49,9 @@ def test_what_are_no_deformations(laws, F, told):
     with pytest.raises(InputError) as caught:
         law.respond(F, STILL)
     assert str(caught.value).startswith(told)
-    with pytest.raises(InputError, match="F_dot"):
-        law.respond(EYE, STILL + 0.0j)
+    for F_dot in (STILL + 0.0j, STILL[:2], STILL + np.inf):
+        with pytest.raises(InputError, match="F_dot"):
+            law.respond(EYE, F_dot)
 
 
 def test_whole_numbers_and_lists_are_deformations(laws):

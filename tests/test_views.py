@@ -17,7 +17,7 @@ from surrofe2.errors import InputError, MismatchError
 from surrofe2.macro.simulation import simulate
 from surrofe2.surrogate.training import train
 from surrofe2.workflow.saved_run import save_run
-from tests.laws import CELL, SoftLaw, lattice_samples, lattice_stress
+from tests.laws import CELL, SoftLaw, lattice_samples
 
 
 @pytest.fixture(scope="module")
@@ -37,19 +37,6 @@ def run():
 def stored(run, tmp_path):
     save_run(run, tmp_path / "saved")
     return read_run(tmp_path / "saved")
-
-
-def test_a_surrogate_is_scored_on_new_samples(surrogate):
-    fresh = lattice_samples(300, seed=8)
-    found = surrogate.score(fresh)
-    own = surrogate.extrapolate(fresh.F, fresh.F_dot)
-    error = (own - lattice_stress(fresh.F, fresh.F_dot))[:, 0, 1]
-    spread = fresh.stress[:, 0, 1].std()
-    assert found["points"] == 300
-    assert found["spread"]["xy"] == pytest.approx(spread)
-    assert found["rms"]["xy"] == pytest.approx(np.sqrt((error**2).mean()) / spread)
-    assert found["worst"]["xy"] == pytest.approx(np.abs(error).max() / spread)
-    assert found.keys() == surrogate.errors.keys()
 
 
 def test_what_is_not_of_its_rve_is_not_scored(surrogate):

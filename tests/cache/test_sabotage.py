@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import surrofe2
-from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.cache import CacheSettings
 from surrofe2.cache.trust import WRONG
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
@@ -17,7 +17,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import stress_error
+from tests.cache.standing import Kept
 from tests.laws import Learnt
 
 PRESETS = ("printed", "water")
@@ -31,35 +31,6 @@ SPREAD = {"printed": 70.0, "water": 16.0}
 
 def shear_of(F):
     return abs((F.transpose(0, 2, 1) @ F)[:, 0, 1]) / 2.0
-
-
-class Kept(CachedLaw):
-    """Keeps what stands: (F, Ḟ, stress) of all accepted answers of the surrogate, by window."""
-
-    def __init__(self, *args):
-        super().__init__(*args)
-        self.open, self.standing = [], []
-
-    def _learn(self, F, F_dot, response, state, accepted):
-        free = response.state.free()
-        self.open.append((F[free], F_dot[free], response.stress[free]))
-        return super()._learn(F, F_dot, response, state, accepted)
-
-    def mark(self, t, state):
-        super().mark(t, state)
-        self.standing, self.open = [*self.standing, self.open], []
-
-    def roll_back(self, t):
-        self.open = []
-        return super().roll_back(t)
-
-    def wrong_shares(self, law, allowed):
-        """Of each window that stands: the share of its answers off by more than allowed."""
-        for window in self.standing:
-            F, F_dot, stress = (np.concatenate(part) for part in zip(*window, strict=True))
-            if len(F):
-                error = stress_error(stress, law.respond(F, F_dot).stress)
-                yield float(np.mean(error > allowed))
 
 
 def check(surrogate, law, duration, audit):

@@ -14,13 +14,6 @@ TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 MIRROR = np.diag([1.0, -1.0])
 
 
-def test_there_and_back():
-    F, F_dot = states()
-    again = from_inputs(*to_inputs(F, F_dot))
-    np.testing.assert_allclose(again[0], F, atol=1e-14)
-    np.testing.assert_allclose(again[1], F_dot, atol=1e-16)
-
-
 @pytest.mark.parametrize("image", range(4))
 def test_images_are_the_group_of_the_square(image):
     """Bit 0 turns the cell by 90°, bit 1 reflects it: F → G⁻¹ F G in the rotated frame."""

@@ -222,28 +222,6 @@ def test_a_surrogate_of_nan_leaves_all_to_the_fallback():
     assert cached.counts["hits"] == 0
 
 
-def test_a_surrogate_of_other_parameters_with_a_forged_label_is_caught():
-    """Learnt of a solid that is 5 % stiffer; labels agree, the audit does not."""
-
-    class Stiffer(Learnt):
-        def lookup(self, F, F_dot, limit=np.inf):
-            _, status, risk = super().lookup(F, F_dot, limit)
-            return Truth(shear_modulus=63.0, lame=84.0).stress(F, F_dot), status, risk
-
-    cached = CachedLaw(
-        Stiffer(shear_error(0.0), sound_bound), Truth(), CacheSettings(tolerance=0.001, audit=0.2)
-    )
-    cached.surrogate.bound = lambda F, F_dot: 1e-3 + 1e-3 * abs(F[:, 1, 0])
-    run = simulate(LOAD_CASE, cached, SETTINGS)
-    event = cached.report()["trust"]["events"][0]
-    assert event["action"] in ("tightened", "off")
-    assert event["step"] < 0.25 * run.counts["steps"]
-    # All but what hardly deforms is answered by the true law from there on.
-    counts = cached.counts
-    points = (counts["hits"] + counts["fallbacks"]) // counts["steps"]
-    assert counts["hits"] - points * event["step"] < 0.1 * counts["fallbacks"]
-
-
 def test_a_surrogate_without_a_bound_says_so(caplog):
     surrogate = Learnt(shear_error(0.0), lambda F, F_dot: np.full(len(F), np.inf))
     surrogate.has_bound = False

@@ -10,7 +10,6 @@ import pytest
 from surrofe2.io.run_folder import read_curve, read_record
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
-from tests.laws import StoppingLaw
 
 
 @pytest.fixture
@@ -147,22 +146,3 @@ def test_a_corrupted_surrogate_loses_trust_loudly(invoke, recipe_path, tmp_path,
     assert record.cache["accepted"]["hits"] <= 20  # at the very start, which cannot go back
     assert "audited answers are off by more than the tolerance" in done.stderr
     assert "the risks count 2.75 times from here on" in done.stderr
-
-
-@pytest.mark.usefixtures("bias")
-def test_an_interrupted_run_keeps_its_audit(invoke, recipe_path, tmp_path, monkeypatch):
-    out = tmp_path / "cached"
-    monkeypatch.setattr("surrofe2.workflow.run.CHECKPOINT_INTERVAL", 0.0)
-    command = ("run", recipe_path, "--law", "cached", "--out", out, "--audit", "1.0")
-    invoke(*command, law=StoppingLaw(14))
-    before = read_record(out)
-    assert before.status == "interrupted"
-    assert before.cache["audit"]["audited"] > 50
-    done = invoke(*command)
-    assert done.exit_code == 0, done.output
-    after = read_record(out).cache
-    assert after["audit"]["audited"] == after["accepted"]["hits"]
-    assert after["accepted"]["hits"] > before.cache["accepted"]["hits"]
-    refused = invoke(*command, "--tolerance", "1e-2")
-    assert refused.exit_code == 1
-    assert "cache.tolerance: this call has 0.01, what is there 0.001" in refused.stderr

@@ -80,34 +80,6 @@ def test_a_table_of_other_parameters_or_for_true_runs_is_refused(
     assert not out.exists()
 
 
-class Stopping(SquareLaw):
-    """Ctrl-C after so many answers."""
-
-    def __init__(self, calls):
-        super().__init__()
-        self.calls = calls
-
-    def respond(self, *asked, **options):
-        if len(self.states) == self.calls:
-            raise KeyboardInterrupt
-        return super().respond(*asked, **options)
-
-
-def test_an_interrupted_run_keeps_table_and_harvest(invoke, changed_recipe, tmp_path):
-    recipe, out = changed_recipe("-0.1]", "-0.5]"), tmp_path / "out"
-    stopped = run(invoke, recipe, out, "--law", "table", law=Stopping(40))
-    assert stopped.exit_code == 130, stopped.output
-    kept = len(read_table(out / "table.h5").records.centre)
-    harvested = len(read_harvest(out / "harvest.h5").F)
-    assert kept > 0
-    assert harvested > 0
-    done = run(invoke, recipe, out, "--law", "table")
-    assert done.exit_code == 0, done.output
-    counts = read_record(out).counts
-    assert counts["table_added"] == counts["table_records"]
-    assert len(read_harvest(out / "harvest.h5").F) >= harvested
-
-
 @pytest.fixture
 def _trained(invoke, recipe_path):
     for command in ("generate", "train"):

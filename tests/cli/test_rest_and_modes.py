@@ -88,33 +88,13 @@ def test_rest_interrupted_keeps_the_way_there(recipe_path, tmp_path, monkeypatch
     assert stopped.exit_code == 130
     assert f"{out} keeps the load steps up to here" in stopped.stderr
     assert read_record(out).status == "interrupted"
-    assert (out / "path.csv").exists()
-
-
-def test_rest_interrupted_goes_on_from_its_last_load_step(recipe_path, tmp_path, monkeypatch):
-    whole, out = tmp_path / "whole", tmp_path / "rest"
-    assert call("rest", recipe_path, "--out", whole).exit_code == 0
-    with monkeypatch.context() as patched:
-        patched.setattr(laws, "true_law", _law_that(stops_after=6))
-        assert call("rest", recipe_path, "--out", out).exit_code == 130
-    begun = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)
+    begun = np.loadtxt(out / "path.csv", delimiter=",", skiprows=1)[:, 0]
     assert 1 < len(begun) < 11
+    monkeypatch.undo()
     told = []
     record = rest_study(load_recipe(recipe_path), out, report=lambda f, _: told.append(f))
-    assert told == list(np.loadtxt(whole / "path.csv", delimiter=",", skiprows=1)[len(begun) :, 0])
-    assert (out / "fields.h5").exists()
-    for name in ("path.csv", "energies.csv"):
-        paths = [np.loadtxt(each / name, delimiter=",", skiprows=1) for each in (whole, out)]
-        np.testing.assert_allclose(paths[1], paths[0], rtol=0, atol=1e-6 * abs(paths[0]).max())
-    expected = read_record(whole)
-    assert record.counts["load_steps"] == expected.counts["load_steps"] == 10
-    assert record.status == "finished"
-    np.testing.assert_allclose(record.met["F"], expected.met["F"], atol=1e-8)
-    frames = []
-    for each in (whole, out):
-        with h5py.File(each / "fields.h5") as file:
-            frames.append([item.shape for item in file.values()])
-    assert frames[0] == frames[1]
+    np.testing.assert_allclose([*begun, *told], np.linspace(0.0, 1.0, 11), atol=1e-12)
+    assert (record.status, record.counts["load_steps"]) == ("finished", 10)
     assert not (out / "checkpoint.h5").exists()
 
 
@@ -188,11 +168,3 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     assert kept.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
     refused = call("modes", recipe_path, "--initialisation", "elastic", "--out", out)
     assert "asked.count: this call has 4, what is there 2" in refused.stderr
-
-
-def test_rest_study_reports_the_part_of_the_load(recipe, tmp_path):
-    told = []
-    rest_study(
-        recipe, tmp_path / "rest", factor=-0.5, load_steps=2, report=lambda f, _: told.append(f)
-    )
-    assert told == [0.0, 0.5, 1.0]

@@ -16,7 +16,7 @@ from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.io.harvest import HarvestWriter, read_harvest
 from surrofe2.io.hdf5 import reading_hdf5, write_checkpoint, writing_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SEQUENCE, SamplingRange, sample
+from surrofe2.sampling import SEQUENCE, sample
 from surrofe2.stress_law import Status, describe
 from tests.io.small_data_set import HEADER, RANGE, append_chunk, write_all
 from tests.laws import SoftLaw
@@ -128,17 +128,6 @@ def test_every_moment_of_writing_leaves_a_file_to_continue(tmp_path):
         assert read_data_set(copy).fingerprint == read_data_set(whole).fingerprint
 
 
-def test_unfinished_is_not_read(tmp_path):
-    path = tmp_path / "cells.h5"
-    with writing_data_set(path, HEADER) as data:
-        append_chunk(data, SoftLaw())
-    with pytest.raises(InputError) as caught:
-        read_data_set(path)
-    assert str(caught.value) == (
-        f"{path}: unfinished, 8 of 20 samples; continue it with `surrofe2 generate RECIPE`"
-    )
-
-
 def test_unfinished_is_not_sealed(tmp_path):
     path = tmp_path / "cells.h5"
     with writing_data_set(path, HEADER) as data:
@@ -159,30 +148,12 @@ def test_points_of_another_sequence_are_not_gone_on_with(tmp_path, monkeypatch):
         assert data.completed == 0
 
 
-def test_a_finished_file_is_kept_unless_fresh(tmp_path):
-    path = tmp_path / "cells.h5"
-    write_all(path)
-    before = path.read_bytes()
-    with writing_data_set(path, HEADER) as data:
-        assert data.completed == HEADER.count
-        data.finish()
-    assert path.read_bytes() == before
-    with writing_data_set(path, HEADER, fresh=True) as data:
-        assert data.completed == 0
-
-
 @pytest.mark.parametrize(
     ("change", "told"),
     [
         ({"seed": 4}, "samples.seed: this call has 4, what is there 3"),
-        (
-            {"cell": CellParameters(viscosity=0.2)},
-            "cell.viscosity: this call has 0.2, what is there 0.1",
-        ),
-        (
-            {"range": SamplingRange(stretch=(0.95, 1.05), shear=0.04, rate=0.01)},
-            "range.shear: this call has 0.04, what is there 0.05",
-        ),
+        ({"cell": CellParameters(viscosity=0.2)}, "cell.viscosity: this call has 0.2, what is th"),
+        ({"range": replace(RANGE, shear=0.04)}, "range.shear: this call has 0.04, what is there 0"),
         ({"version": "9"}, "surrofe2.version: this call has 9, what is there 0.1.0"),
     ],
 )
@@ -190,64 +161,24 @@ def test_a_data_set_of_another_recipe_is_refused(tmp_path, change, told):
     path = tmp_path / "cells.h5"
     with writing_data_set(path, HEADER):
         pass
-    with (
-        pytest.raises(MismatchError) as caught,
-        writing_data_set(path, replace(HEADER, **change)),
-    ):
+    other = replace(HEADER, **change)
+    with pytest.raises(MismatchError) as caught, writing_data_set(path, other):
         pass
-    assert str(caught.value) == (
-        f"{path}: {told}; change it back, write elsewhere or start over with --fresh"
-    )
+    assert str(caught.value).startswith(f"{path}: {told}")
 
 
-def test_truncated(tmp_path):
+def test_what_is_no_data_set(tmp_path):
     path = tmp_path / "cells.h5"
-    write_all(path)
-    path.write_bytes(path.read_bytes()[:-500])
-    with pytest.raises(FileError) as caught:
-        read_data_set(path)
-    assert str(caught.value).startswith(f"{path}: damaged, or changed since it was written")
-
-
-def test_foreign_hdf5(tmp_path):
-    path = tmp_path / "cells.h5"
-    with h5py.File(path, "w") as file:
-        file["F"] = np.zeros(3)
-    with pytest.raises(FileError) as caught:
-        read_data_set(path)
-    assert str(caught.value) == f"{path}: no SHA-256 in it; it is damaged, foreign or older"
-
-
-def test_not_hdf5(tmp_path):
-    path = tmp_path / "cells.h5"
-    path.write_text("F = 1")
-    with pytest.raises(FileError) as caught:
-        read_data_set(path)
-    assert str(caught.value) == f"{path}: not an HDF5 file"
-
-
-def test_missing(tmp_path):
-    path = tmp_path / "cells.h5"
-    with pytest.raises(FileError) as caught:
-        read_data_set(path)
-    assert str(caught.value) == f"{path}: cannot be read: No such file or directory"
-
-
-def test_another_file_of_ours(tmp_path):
-    path = tmp_path / "cells.h5"
-    write_checkpoint(path, {}, "a run")
-    with pytest.raises(FileError) as caught:
-        read_data_set(path)
-    assert str(caught.value) == f"{path}: an HDF5 file, but not a surrofe2 data set"
-
-
-def test_changed_numbers(tmp_path):
-    path = tmp_path / "cells.h5"
-    write_all(path)
-    with h5py.File(path, "r+") as file:
-        file["stress"][0, 0, 0] += 1e-12
-    with pytest.raises(FileError, match="changed since it was written: see its SHA-256"):
-        read_data_set(path)
+    for write, told in (
+        (lambda: None, "cannot be read: No such file or directory"),
+        (lambda: path.write_text("F = 1"), "not an HDF5 file"),
+        (lambda: write_checkpoint(path, {}, "a run"), "an HDF5 file, but not a surrofe2 data set"),
+        (lambda: h5py.File(path, "w").close(), "no SHA-256 in it; it is damaged, foreign or older"),
+    ):
+        write()
+        with pytest.raises(FileError) as caught:
+            read_data_set(path)
+        assert str(caught.value) == f"{path}: {told}"
 
 
 def test_every_changed_byte_is_seen(tmp_path):
@@ -270,10 +201,3 @@ def test_later_schema(tmp_path, monkeypatch):
         write_all(path)
     with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
         read_data_set(path)
-
-
-def test_no_write_permission(unwritable):
-    path = unwritable / "cells.h5"
-    with pytest.raises(FileError) as caught, writing_data_set(path, HEADER):
-        pass
-    assert str(caught.value) == f"{path}: cannot be written: Not a directory"

@@ -152,17 +152,6 @@ def test_triangles_with_six_nodes(tmp_path):
     np.testing.assert_array_equal(points[:, :2], nodes)
 
 
-def test_vtk_sees_one_grid_a_time(tmp_path, frames):
-    pyvista = pytest.importorskip("pyvista")
-    write_fields(tmp_path, NODES, QUADS, frames)
-    reader = pyvista.get_reader(tmp_path / "fields.xdmf")
-    reader.set_active_time_value(1.0)
-    shown = reader.read()
-    blocks = shown if isinstance(shown, pyvista.MultiBlock) else [shown]
-    assert len(blocks) == 1
-    assert blocks[0].n_cells == len(QUADS)
-
-
 def test_points_of_the_law_read_back(tmp_path):
     """A cloud of six points of two elements at two times; what has no points is left out."""
     numbers = np.random.default_rng(1)
@@ -190,24 +179,3 @@ def test_points_of_the_law_read_back(tmp_path):
     np.testing.assert_array_equal(of_points["element"], [0, 0, 0, 1, 1, 1])
     np.testing.assert_array_equal(of_points["displacement_um"][:, :2], values[DISPLACEMENT_NAME][1])
     np.testing.assert_array_equal(of_points[SOURCE_NAME], values[SOURCE_NAME][1])
-
-
-def test_vtk_sees_the_points(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    stress = np.arange(24.0).reshape(2, 3, 2, 2)
-    write_point_fields(tmp_path, np.eye(3)[:, :2], np.arange(2.0), {STRESS_NAME: stress}, 3)
-    reader = pyvista.get_reader(tmp_path / "points.xdmf")
-    assert reader.time_values == [0.0, 1.0]
-    reader.set_active_time_value(1.0)
-    shown = reader.read()
-    cloud = shown.combine() if isinstance(shown, pyvista.MultiBlock) else shown
-    assert cloud.n_points == 3
-    np.testing.assert_array_equal(
-        np.asarray(cloud.point_data[STRESS_NAME]).reshape(3, 3, 3)[:, :2, :2], stress[1]
-    )
-
-
-def test_no_write_permission(unwritable, frames):
-    with pytest.raises(FileError) as caught:
-        write_fields(unwritable, NODES, QUADS, frames)
-    assert str(caught.value) == f"{unwritable / 'fields.h5'}: cannot be written: Not a directory"

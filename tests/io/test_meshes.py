@@ -114,46 +114,28 @@ def test_groups_of_gmsh_2_by_their_numbers(tmp_path, written):
     assert names(read_mesh(path)) == names(read_mesh(written(QUADS)))
 
 
+MIXED = changed(QUADS, ("5 5 1 5", "5 6 1 6"), ("2 2 3 1\n", "2 2 2 1\n6 2 6 3\n2 2 3 1\n"))
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (
-            changed(
-                QUADS, ("5 5 1 5", "5 6 1 6"), ("2 2 3 1\n", "2 2 2 1\n6 2 6 3\n2 2 3 1\n")
-            ).replace("5 6 1 6", "6 6 1 6"),
-            "leaf.msh: mixed elements, 2 of kind quad and 1 of kind triangle; all must be of one "
-            "kind",
-        ),
-        (
-            changed(TRIANGLES, ("1 1 5\n$EndNodes", "1 1 6\n$EndNodes")),
-            "leaf.msh: z from 5 to 6; the mesh must lie in a plane of constant z",
-        ),
-        (
-            changed(TRIANGLES, ("1 2 1 1\n2 3 4", "1 2 1 1\n2 3 5")),
-            "leaf.msh: boundary tip: the line from (2, 2) to (1, 1) is no outer side of an element",
-        ),
-        (
-            changed(TRIANGLES, ('1 2 "tip"\n', ""), ("\n3\n1 1", "\n2\n1 1")),
-            "leaf.msh: physical group 2 of curves has no name; give it one in Gmsh: "
-            'Physical Curve("name", 2) = …',
-        ),
-        (
-            changed(TRIANGLES, ('"leaf"\n', '"leaf"\n2 4 "stem"\n'), ("\n3\n1 1", "\n4\n1 1")),
-            "leaf.msh: physical group stem: it has no element",
-        ),
-        (
-            changed(TRIANGLES, ("6 1 5 4", "6 1 2 5")),
-            "leaf.msh: boundary base: the line from (0, 0) to (2, 0) is no outer side of an "
-            "element",
-        ),
-        (
-            changed(TRIANGLES, ("0 2 5\n1 1 5", "0 nan 5\n1 1 5")),
-            "leaf.msh: point 3 at [0.0, nan, 5.0]; coordinates must be finite",
-        ),
+        (MIXED.replace("5 6 1 6", "6 6 1 6"),
+         "mixed elements, 2 of kind quad and 1 of kind triangle; all must be of one kind"),
+        (changed(TRIANGLES, ("1 1 5\n$EndNodes", "1 1 6\n$EndNodes")),
+         "z from 5 to 6; the mesh must lie in a plane of constant z"),
+        (changed(TRIANGLES, ("1 2 1 1\n2 3 4", "1 2 1 1\n2 3 5")),
+         "boundary tip: the line from (2, 2) to (1, 1) is no outer side of an element"),
+        (changed(TRIANGLES, ('1 2 "tip"\n', ""), ("\n3\n1 1", "\n2\n1 1")),
+         'physical group 2 of curves has no name; give it one in Gmsh: Physical Curve("name", 2)'),
+        (changed(TRIANGLES, ('"leaf"\n', '"leaf"\n2 4 "stem"\n'), ("\n3\n1 1", "\n4\n1 1")),
+         "physical group stem: it has no element"),
+        (changed(TRIANGLES, ("0 2 5\n1 1 5", "0 nan 5\n1 1 5")),
+         "point 3 at [0.0, nan, 5.0]; coordinates must be finite"),
     ],
-)
+)  # fmt: skip
 def test_wrong_gmsh_files(written, text, sentence):
-    assert refusal(written(text)) == sentence
+    assert refusal(written(text)).startswith(f"leaf.msh: {sentence}")
 
 
 def test_elements_in_space_and_lines_alone(tmp_path):
@@ -185,30 +167,9 @@ def test_what_meshio_cannot_read(tmp_path, written, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    ("points", "quads", "sentence"),
-    [
-        (
-            [[0, 0], [1, 0], [1, 1], [0, 1], [5, 5]],
-            [[0, 1, 2, 3]],
-            "wrong.vtu: mesh: 1 nodes without an element, the first is 4 at (5, 5) µm; remove them",
-        ),
-        (
-            [[0, 0], [1, 0], [0.1, 0.1], [0, 1]],
-            [[0, 1, 2, 3]],
-            "wrong.vtu: mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go "
-            "round it and bulge outward",
-        ),
-        (
-            [[0, 0], [1, 0], [1, 1], [0, 1], [4, 0], [5, 0], [5, 1], [4, 1]],
-            [[0, 1, 2, 3], [4, 5, 6, 7]],
-            "wrong.vtu: mesh: 2 pieces that do not touch, the smallest of 1 elements at (0, 0) µm; "
-            "it must be one",
-        ),
-    ],
-)
-def test_meshes_that_no_tissue_has(tmp_path, points, quads, sentence):
-    path = tmp_path / "wrong.vtu"
-    points = np.pad(np.array(points, float), ((0, 0), (0, 1)))
-    meshio.Mesh(points, [("quad", quads)]).write(path)
-    assert refusal(path) == sentence
+def test_a_mesh_that_no_tissue_has(tmp_path):
+    """All that `check_mesh` finds is found in files too."""
+    path, points = tmp_path / "wrong.vtu", np.array([[0.0, 0], [1, 0], [0.1, 0.1], [0, 1]])
+    meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("quad", [[0, 1, 2, 3]])]).write(path)
+    told = "wrong.vtu: mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go round"
+    assert refusal(path).startswith(told)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.errors import FileError, InputError
 from surrofe2.io.files import write_json
 from surrofe2.io.run_folder import (
     open_run_folder,
@@ -52,18 +52,6 @@ def test_energies_name_their_units(tmp_path):
     assert (tmp_path / "energies.csv").read_text() == "t_us,kinetic_pJ\n0.0,0.0\n1.0,2.5\n"
 
 
-def test_a_folder_with_other_files_is_refused(tmp_path, record):
-    notes = tmp_path / "run" / "notes.txt"
-    notes.parent.mkdir()
-    notes.write_text("mine")
-    with pytest.raises(FileError) as caught:
-        open_run_folder(notes.parent, record)
-    assert str(caught.value) == (
-        f"{notes.parent}: has files but no run; write elsewhere or say --fresh"
-    )
-    assert list(notes.parent.iterdir()) == [notes]
-
-
 def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
     folder = tmp_path / "run"
     write_curve(folder, curve)
@@ -89,35 +77,12 @@ def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, rec
     assert read_record(folder).status == "running"
 
 
-def test_another_run_is_refused(tmp_path, record):
-    write_record(tmp_path, replace(record, status="interrupted"))
-    other = replace(record, recipe={**record.recipe, "load": {**record.recipe["load"], "width": 9}})
-    with pytest.raises(MismatchError) as caught:
-        open_run_folder(tmp_path, other)
-    assert str(caught.value) == (
-        f"{tmp_path}: load.width: this call has 9, what is there 100.0; "
-        "change it back, write elsewhere or start over with --fresh"
-    )
-
-
-def test_no_write_permission(unwritable, record):
-    with pytest.raises(FileError) as caught:
-        open_run_folder(unwritable, record)
-    assert str(caught.value) == f"{unwritable}: cannot be written: Not a directory"
-
-
 def test_unfinished_run_is_not_read(tmp_path, record, curve):
     write_record(tmp_path, replace(record, status="interrupted"))
     write_curve(tmp_path, curve)
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
     assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command goes on with it"
-
-
-def test_not_a_run_folder(tmp_path):
-    with pytest.raises(FileError) as caught:
-        read_run(tmp_path)
-    assert str(caught.value) == f"{tmp_path}: no run.json; it is not a run folder"
 
 
 def test_foreign_record(tmp_path):

@@ -92,10 +92,7 @@ def test_a_step_that_sees_the_shape():
     ("make", "message"),
     [
         (lambda: Table(), r"amplitude\.points: \[\]; it must have at least one"),
-        (lambda: Table(points=((1.0, 0.0), (1.0, 1.0))), r"amplitude\.points: .*must increase"),
-        (lambda: Ramp(begin=2.0, end=1.0), r"amplitude\.end: 1\.0; it must be after begin, 2\.0"),
         (lambda: Sine(frequency=0.0), r"amplitude\.frequency: .*must be"),
-        (lambda: Pulse(length=-1.0), r"amplitude\.length: .*must be"),
         (lambda: Pulse(length=1.0, shape="square"), r"amplitude\.shape: .*must be"),
         (lambda: Constant(value=math.nan), r"amplitude\.value: .*must be"),
     ],

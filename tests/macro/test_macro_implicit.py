@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.errors import InputError, MismatchError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Weights
-from surrofe2.macro.time_stepping import Stepper
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-from surrofe2.stress_law import Status
 from tests.laws import DryFriction, Fibres, KelvinVoigt
 from tests.macro.bars import equations_of_bar
 
@@ -156,84 +154,6 @@ def test_stiff_viscosity_costs_the_explicit_run_its_steps():
     assert implicit.counts["right_hand_sides"] < 0.1 * explicit.counts["right_hand_sides"]
 
 
-def test_results_belong_together():
-    run = simulate(LOAD_CASE, KelvinVoigt(), IMPLICIT)
-    counts = run.counts
-    assert run.finished
-    assert run.curve.t[-1] == LOAD_CASE.duration
-    assert counts["right_hand_sides"] == counts["stress_calls"]
-    assert counts["factorisations"] >= counts["steps"]
-    assert run.energies["dissipated"][-1] > 0.0
-
-
-def stepper_of(law, first_step=0.2):
-    equations = equations_of_bar(LOAD_CASE, (2, 2), law)
-    loose = replace(IMPLICIT, relative_tolerance=1e6)
-    y = np.zeros(2 * equations.system.free.size)
-    method = GeneralisedAlpha(equations, loose)
-    return Stepper(
-        equations, method, loose, 12.8, equations.begin(0.0, y), first_step
-    ), equations.tally
-
-
-class Refusing(KelvinVoigt):
-    """Fails at the questions, or refuses the acceptances, with these numbers."""
-
-    def __init__(self, questions=(), acceptances=()):
-        super().__init__()
-        self.questions, self.acceptances, self.asked, self.accepted = questions, acceptances, -1, -1
-
-    def respond(self, F, F_dot, state=None, *, tangents=False):
-        self.asked += 1
-        answer = super().respond(F, F_dot, state, tangents=tangents)
-        if self.asked in self.questions:
-            answer.status[3] = Status.NOT_CONVERGED
-        return answer
-
-    def accept(self, F, F_dot, response):
-        self.accepted += 1
-        answer = super().accept(F, F_dot, response)
-        if self.accepted in self.acceptances:
-            answer.status[3] = Status.UNSTABLE
-        return answer
-
-
-@pytest.mark.parametrize("law", [Refusing(questions=[2]), Refusing(acceptances=[1])])
-def test_failed_trial_is_repeated_at_half_its_length(law):
-    stepper, tally = stepper_of(law)
-    step = stepper.advance()
-    assert step.end.t == pytest.approx(0.1, rel=1e-12)
-    assert stepper.next_length == pytest.approx(0.1, rel=1e-12)
-    assert tally.counts["failed_trials"] == 1
-    plain, _ = stepper_of(KelvinVoigt(), first_step=0.1)
-    np.testing.assert_array_equal(step.end.y, plain.advance().end.y)
-
-
-def test_ten_halvings_end_the_run_with_what_was_computed():
-    law = Refusing(questions=range(120, 1000))
-    with pytest.raises(
-        SimulationError, match=r"10 halvings: point 3 .* did not converge"
-    ) as caught:
-        simulate(LOAD_CASE, law, IMPLICIT)
-    partial = caught.value.partial
-    assert partial.counts["failed_trials"] == 11
-    assert partial.curve.t.size > 1
-    assert not partial.finished
-
-
-def test_interrupted_run_resumes_to_the_bit():
-    states = []
-    whole = simulate(
-        LOAD_CASE, KelvinVoigt(), IMPLICIT, checkpoint=states.append, checkpoint_interval=0.0
-    )
-    for state in (states[0], states[len(states) // 2]):
-        again = MacroState.from_arrays(state.to_arrays())
-        resumed = simulate(LOAD_CASE, KelvinVoigt(), IMPLICIT, resume=again)
-        np.testing.assert_array_equal(resumed.curve.displacement, whole.curve.displacement)
-        np.testing.assert_array_equal(resumed.energies["kinetic"], whole.energies["kinetic"])
-        assert resumed.counts["steps"] == whole.counts["steps"]
-
-
 @pytest.mark.parametrize("begun", ["explicit", "implicit"])
 def test_a_checkpoint_of_the_other_integrator_is_refused(begun):
     states = []
@@ -258,18 +178,3 @@ def test_bar_of_rves_moves_as_the_explicit_run_says():
     explicit = simulate(load_case, law, MacroSettings(elements=(2, 2)))
     implicit = simulate(load_case, law, MacroSettings(elements=(2, 2), integrator="implicit"))
     assert difference(implicit, explicit) < 1e-2
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"integrator": "leapfrog"},
-        {"spectral_radius": 1.1},
-        {"spectral_radius": -0.1},
-        {"newton_tolerance": 0.0},
-        {"newton_tolerance": float("nan")},
-    ],
-)
-def test_settings_out_of_range_are_refused(change):
-    with pytest.raises(InputError, match=rf"macro\.{next(iter(change))}: .*must be"):
-        MacroSettings(**change)

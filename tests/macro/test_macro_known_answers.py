@@ -11,7 +11,7 @@ import pytest
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
-from tests.laws import DryFriction, Fibres, KelvinVoigt
+from tests.laws import DryFriction, Fibres
 
 W, H, G = 30.0, 20.0, 0.05
 ONE_ELEMENT = LoadCase(
@@ -120,23 +120,3 @@ def test_state_given_to_the_law_is_that_of_the_last_accepted_step():
     assert seen[0] == (None, 0)
     assert all(state is law.committed[steps - 1] for state, steps in seen[1:])
     assert len(law.committed) > 5
-
-
-def test_equilibrium_under_constant_load_is_where_forces_balance():
-    """Overdamped, a bending bar comes to rest: all that the load did is stored or dissipated."""
-    law = KelvinVoigt(shear_viscosity=120.0, bulk_viscosity=120.0)
-    load_case = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=60.0)
-    run = simulate(load_case, law, MacroSettings(elements=(3, 3)))
-    energies = {name: values[-1] for name, values in run.energies.items()}
-    assert energies["kinetic"] < 1e-3 * energies["load"]
-    stored = 0.0
-    # Element-centre F resolves the stored energy to the accuracy of the mesh only.
-    area = 60.0 * 60.0 / 9
-    for F in run.frames.F[-1]:
-        J = np.linalg.det(F)
-        stored += area * (
-            0.5 * law.shear_modulus * ((F**2).sum() - 2.0 - 2.0 * np.log(J))
-            + 0.5 * law.lame * np.log(J) ** 2
-        )
-    assert energies["internal"] - energies["dissipated"] == pytest.approx(stored, rel=0.2)
-    assert energies["dissipated"] > 0.3 * energies["load"]

@@ -14,10 +14,8 @@ from surrofe2.macro import (
     Fixed,
     HalfPlane,
     MacroSettings,
-    Plane,
     PrescribedMotion,
     Problem,
-    RigidBody,
     Symmetry,
     Traction,
     find_rest,
@@ -127,20 +125,6 @@ def test_a_condition_without_its_place_is_one_line(conditions, message):
     with pytest.raises(InputError, match=message) as caught:
         find_rest(Problem(mesh=mesh, conditions=conditions), KelvinVoigt())
     assert "\n" not in str(caught.value)
-
-
-def test_a_body_on_an_unknown_boundary_is_one_line():
-    body = RigidBody(name="wall", shape=Plane(normal=(0.0, -1.0)), on="roof", position=(0.0, 3.0))
-    with pytest.raises(InputError, match=r"wall\.on: roof; no such boundary"):
-        simulate(Problem(mesh=SQUARE, conditions=(), bodies=(body,)), KelvinVoigt())
-
-
-def test_parts_that_hold_nothing_are_named():
-    away = Box((5.0, 5.0), (6.0, 6.0))
-    with pytest.raises(InputError, match=r"mesh\.boundaries\.far: .*both ends of an outer side"):
-        with_boundaries(SQUARE, far=away)
-    with pytest.raises(InputError, match=r"mesh\.regions\.far: .*the centre of an element"):
-        with_regions(SQUARE, far=away)
 
 
 def test_names_and_times_of_a_problem_are_checked():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, find_modes, find_rest, modes
 from surrofe2.macro.tangents import mass_matrix
@@ -91,8 +90,3 @@ def test_bar_of_rves_has_the_period_and_damping_of_its_motion():
         assert found.periods[0] == pytest.approx(49.5, rel=2e-3)
         assert found.decrements[0] == pytest.approx(decrement, rel=1e-2)
         assert found.stable
-
-
-def test_count_out_of_range_is_refused():
-    with pytest.raises(InputError, match="count"):
-        find_modes(find_rest(LOAD_CASE, PROPORTIONAL, SETTINGS), 0)

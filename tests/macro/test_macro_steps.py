@@ -17,85 +17,67 @@ from tests.laws import Failing, KelvinVoigt
 from tests.macro.bars import LOAD_CASE, SETTINGS, equations_of_bar
 
 
-class FailsAtQuestions:
-    """Answers NaN with a status at the questions whose number (from 0) is listed."""
+class Refusing(KelvinVoigt):
+    """Fails at the questions, or refuses the acceptances, with these numbers from 0."""
 
-    has_tangents = False
-
-    def __init__(self, numbers):
-        self.inner, self.numbers, self.asked = KelvinVoigt(), set(numbers), -1
-        self.density = self.inner.density
+    def __init__(self, questions=(), acceptances=()):
+        super().__init__()
+        self.questions, self.acceptances, self.asked, self.accepted = questions, acceptances, -1, -1
 
     def respond(self, F, F_dot, state=None, *, tangents=False):
         self.asked += 1
-        answer = self.inner.respond(F, F_dot, state)
-        if self.asked in self.numbers:
-            answer.status[3] = Status.NOT_CONVERGED
-            answer.stress[3] = np.nan
+        answer = super().respond(F, F_dot, state, tangents=tangents)
+        if self.asked in self.questions:
+            answer.status[3], answer.stress[3] = Status.NOT_CONVERGED, np.nan
         return answer
 
     def accept(self, F, F_dot, response):
-        return self.inner.accept(F, F_dot, response)
+        self.accepted += 1
+        answer = super().accept(F, F_dot, response)
+        if self.accepted in self.acceptances:
+            answer.status[3] = Status.UNSTABLE
+        return answer
 
 
-def stepper_of(law, first_step=0.4):
+def stepper_of(law, integrator="explicit", first_step=0.4):
     equations = equations_of_bar(LOAD_CASE, (2, 3), law)
     y = np.zeros(2 * equations.system.free.size)
-    loose = replace(SETTINGS, absolute_tolerance=1e3)
+    loose = replace(SETTINGS, integrator=integrator, absolute_tolerance=1e3, relative_tolerance=1e6)
     method = make_method(equations, loose)
     return Stepper(
         equations, method, loose, 6.0, equations.begin(0.0, y), first_step
     ), equations.tally
 
 
-def test_step_whose_trial_fails_is_repeated_at_half_its_length():
-    # Question 0 is at the start; 1 to 6 are the first step's.
-    for question in (1, 4, 6):
-        stepper, tally = stepper_of(FailsAtQuestions([question]))
-        step = stepper.advance()
-        assert step.end.t == pytest.approx(0.2, rel=1e-12), question
-        # Having failed, it does not grow at once.
-        assert stepper.next_length == pytest.approx(0.2, rel=1e-12)
-        assert tally.counts["failed_trials"] == 1
-        assert stepper.advance().end.t == pytest.approx(0.4, rel=1e-12)
-
-
-def test_unfailing_step_has_its_length_and_grows():
-    stepper, tally = stepper_of(FailsAtQuestions([]))
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+@pytest.mark.parametrize("trouble", [{"questions": [2]}, {"acceptances": [1]}], ids=str)
+def test_a_failed_or_refused_trial_is_repeated_at_half_its_length(trouble, integrator):
+    stepper, tally = stepper_of(Refusing(**trouble), integrator)
     step = stepper.advance()
-    assert step.end.t == pytest.approx(0.4, rel=1e-12)
-    assert stepper.next_length > 0.5
-    assert tally.counts["failed_trials"] == 0
+    assert step.start.t == 0.0
+    assert step.end.t == pytest.approx(0.2, rel=1e-12)
+    # Having failed, it does not grow at once.
+    assert stepper.next_length == pytest.approx(0.2, rel=1e-12)
+    assert tally.counts["failed_trials"] == 1
+    plain, none = stepper_of(KelvinVoigt(), integrator, first_step=0.2)
+    expected = plain.advance()
+    np.testing.assert_array_equal(step.end.y, expected.end.y)
+    np.testing.assert_array_equal(step.work(step.end.t), expected.work(expected.end.t))
+    assert none.counts["failed_trials"] == 0
+    assert stepper.advance().end.t == pytest.approx(0.4, rel=1e-12)
 
 
 def test_failing_trials_leave_the_motion_as_it_is():
     law = KelvinVoigt()
     settings = replace(SETTINGS, absolute_tolerance=1e-8, relative_tolerance=1e-8)
     whole = simulate(LOAD_CASE, law, settings)
-    failing = simulate(LOAD_CASE, FailsAtQuestions(range(20, 400, 17)), settings)
+    failing = simulate(LOAD_CASE, Refusing(range(20, 400, 17)), settings)
     assert failing.counts["failed_trials"] > 5
     np.testing.assert_allclose(failing.curve.displacement, whole.curve.displacement, atol=1e-6)
     for name in ("load", "internal"):
         np.testing.assert_allclose(
             failing.energies[name], whole.energies[name], atol=1e-6 * whole.energies["load"].max()
         )
-
-
-def test_step_whose_end_the_law_refuses_is_taken_back():
-    accepted = []
-
-    def second(F, F_dot):
-        accepted.append(F)
-        return np.full(len(F), len(accepted) == 2)
-
-    stepper, tally = stepper_of(Failing(KelvinVoigt(), refuses=second))
-    plain, _ = stepper_of(KelvinVoigt(), first_step=0.2)
-    step, expected = stepper.advance(), plain.advance()
-    assert tally.counts["failed_trials"] == 1
-    assert step.start.t == 0.0
-    assert step.end.t == pytest.approx(0.2, rel=1e-12)
-    np.testing.assert_allclose(step.end.y, expected.end.y, rtol=1e-10, atol=1e-14)
-    np.testing.assert_allclose(step.work(step.end.t), expected.work(expected.end.t), rtol=1e-10)
 
 
 def test_refused_steps_leave_the_motion_as_it_is():
@@ -117,14 +99,20 @@ def test_refused_steps_leave_the_motion_as_it_is():
     np.testing.assert_allclose(run.curve.displacement, whole.curve.displacement, atol=5e-3 * scale)
 
 
-@pytest.mark.parametrize("role", ["fails", "refuses"])
-def test_ten_halvings_end_the_run_with_what_was_computed(role):
+@pytest.mark.parametrize(
+    ("role", "integrator"),
+    [("fails", "explicit"), ("refuses", "explicit"), ("refuses", "implicit")],
+)
+def test_ten_halvings_end_the_run_with_what_was_computed(role, integrator):
+    settings = replace(SETTINGS, integrator=integrator)
+
     def sheared(F, F_dot):
         return abs(F[:, 1, 0]) > 0.03
 
     law = Failing(KelvinVoigt(), code=Status.UNSTABLE, **{role: sheared})
+    law.has_tangents = True
     with pytest.raises(SimulationError, match="10 halvings") as caught:
-        simulate(LOAD_CASE, law, SETTINGS)
+        simulate(LOAD_CASE, law, settings)
     message = str(caught.value)
     assert "\n" not in message
     for part in ("point ", "µm, t = ", "F = [[", "unstable"):
@@ -132,7 +120,7 @@ def test_ten_halvings_end_the_run_with_what_was_computed(role):
     partial = caught.value.partial
     assert not partial.finished
     assert partial.counts["failed_trials"] >= 11
-    whole = simulate(LOAD_CASE, KelvinVoigt(), SETTINGS)
+    whole = simulate(LOAD_CASE, KelvinVoigt(), settings)
     rows = partial.curve.t.size
     assert 3 < rows < whole.curve.t.size
     scale = abs(whole.curve.displacement).max()

@@ -3,19 +3,16 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import Fixed, Problem
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import (
     make_assembly,
-    mass_matrix,
 )
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw, RveSettings
-from surrofe2.stress_law import require_tangents
-from tests.laws import DryFriction, Fibres, KelvinVoigt, LinearFirstPiola
+from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.bars import bar_system, distorted_bar, random_state
 from tests.macro.meshes import plate
 
@@ -82,24 +79,3 @@ def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisati
     for tangent, slope in zip(tangents, slopes, strict=True):
         assert abs(slope).max() > 1.0
         assert abs(tangent.toarray() - slope).max() <= 1e-6 * abs(slope).max()
-
-
-def test_pattern_joins_all_nodes_of_an_element_and_no_others():
-    bar = bar_system(LoadCase(), (3, 2))
-    assembly = make_assembly(bar)
-    joined = assembly.sum(np.ones((6, 8, 8))).toarray() > 0.0
-    nodes = bar.discretisation.nodes[bar.free[::2] // 2]
-    near = abs(nodes[:, None] - nodes) <= [134.0, 201.0]
-    np.testing.assert_array_equal(joined[::2, 1::2], near.all(axis=2))
-
-
-def test_mass_of_both_components(rng):
-    bar = bar_system(LoadCase(), (3, 2))
-    a, _ = random_state(bar, rng)
-    np.testing.assert_allclose(mass_matrix(bar) @ bar.pick(a), bar.pick(bar.mass @ a), rtol=1e-12)
-
-
-def test_law_without_tangents_is_named():
-    with pytest.raises(InputError, match=r"^modes: DryFriction has no tangents; use .*$"):
-        require_tangents(DryFriction(), "modes")
-    require_tangents(KelvinVoigt(), "modes")

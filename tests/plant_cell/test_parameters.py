@@ -37,8 +37,3 @@ def test_bad_parameters_are_named_with_what_is_allowed(changes, message):
     with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
         CellParameters.preset("printed", **changes)
     assert message in str(caught.value)
-
-
-def test_unknown_preset():
-    with pytest.raises(InputError, match="'oil'; it must be one of printed, water"):
-        CellParameters.preset("oil")

@@ -92,16 +92,10 @@ class Browser:
         self._call("Input.dispatchKeyEvent", {"type": "keyDown", **asked, **text})
         self._call("Input.dispatchKeyEvent", {"type": "keyUp", **asked})
 
-    def picture(self, path: Path | None = None, *, whole: bool = False) -> np.ndarray:
-        """(h, w, 4) what is seen, or the whole page, 0 to 1."""
-        asked = {"format": "png", "captureBeyondViewport": whole}
-        if whole:
-            size = self._call("Page.getLayoutMetrics")["cssContentSize"]
-            asked["clip"] = {**size, "scale": 1}
-        png = base64.b64decode(self._call("Page.captureScreenshot", asked)["data"])
-        if path is not None:
-            path.write_bytes(png)
-        return imread(BytesIO(png))
+    def picture(self) -> np.ndarray:
+        """(h, w, 4) what is seen, 0 to 1."""
+        png = self._call("Page.captureScreenshot", {"format": "png"})["data"]
+        return imread(BytesIO(base64.b64decode(png)))
 
     def paper(self) -> bytes:
         """The page as PDF."""

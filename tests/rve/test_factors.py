@@ -3,52 +3,9 @@
 import numpy as np
 import pytest
 
-from surrofe2.plant_cell.tiles import pack
-from surrofe2.rve.rve_state import Factors
 from surrofe2.simd import TILE
 from surrofe2.stress_law import Status
 from tests.rve.rves import PRESETS, deformations, law
-
-
-def numbered(points, rows=6):
-    """Factors whose every entry tells its point."""
-    tiles = pack(np.arange(points, dtype=np.float32))
-    return Factors.of([np.tile(lanes, (rows, 1)) for lanes in tiles])
-
-
-def points_of(factors, points):
-    lanes = [block[:, lane] for block in factors.blocks for lane in range(TILE)]
-    assert all((lane == lane[0]).all() for lane in lanes)
-    return [int(lane[0]) for lane in lanes[:points]]
-
-
-def test_points_can_be_taken_in_any_order_and_the_last_tile_is_filled_up():
-    index = np.array([18, 3, 3, 0, 11, 9, 10, 1, 17, 2])
-    part = numbered(19).take(index)
-    assert points_of(part, 2 * TILE) == [*index, *[2] * 6]
-
-
-def test_points_that_are_put_replace_their_own_lanes_in_new_blocks_and_others_are_shared():
-    whole, part = numbered(19), numbered(19).take(np.array([18, 17]))
-    put = whole.put(np.array([2, 0]), part)
-    assert points_of(put, 19) == [17, 1, 18, *range(3, 19)]
-    assert points_of(whole, 19) == list(range(19))
-    assert [a is b for a, b in zip(put.blocks, whole.blocks, strict=True)] == [False, True, True]
-    assert [put.blocks[k].ctypes.data for k in range(3)] == put.address.tolist()
-
-
-def test_only_wanted_tiles_are_renewed():
-    whole = numbered(19)
-    renewed = whole.renewed(np.array([False, True, False]))
-    assert [a is b for a, b in zip(renewed.blocks, whole.blocks, strict=True)] == [
-        True, False, True,
-    ]  # fmt: skip
-    assert [renewed.blocks[k].ctypes.data for k in range(3)] == renewed.address.tolist()
-
-
-def test_rves_at_rest_share_one_block():
-    state = law("printed").rest_state(20_480)
-    assert len({id(block) for block in state.factors.blocks}) == 1
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -191,31 +191,6 @@ def particles_of(state, point):
 
 
 @pytest.mark.parametrize(
-    ("F", "F_dot", "message"),
-    [
-        (np.eye(2), np.eye(2), r"F: shape \(2, 2\); it must be \(n, 2, 2\)"),
-        (np.ones((3, 2, 2)), np.zeros((2, 2, 2)), "F_dot: shape"),
-        (np.diag([1.0, -1.0])[None], np.zeros((1, 2, 2)), r"F: det F = -1 at point 0; it must be"),
-        (np.zeros((1, 2, 2)), np.zeros((1, 2, 2)), "F: det F = 0 at point 0; it must be positive"),
-        (np.full((1, 2, 2), np.nan), np.zeros((1, 2, 2)), "F: not finite at point 0"),
-        (np.eye(2)[None], np.full((1, 2, 2), np.inf), "F_dot: not finite at point 0"),
-        ([["a", "b"], ["c", "d"]], np.zeros((1, 2, 2)), "F: <U1; it must be an array"),
-    ],
-)
-def test_bad_deformations_are_named(F, F_dot, message):
-    with pytest.raises(InputError, match=message) as caught:
-        law("printed").respond(F, F_dot)
-    assert "\n" not in str(caught.value)
-
-
-def test_foreign_state_is_refused():
-    F, F_dot = deformations("printed", n=4)
-    state = law("printed").respond(F, F_dot).state
-    with pytest.raises(InputError, match="state: not a state of this RveLaw for 3 points"):
-        law("printed").respond(F[:3], F_dot[:3], state)
-
-
-@pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"initialisation": "magic"}, "rve.initialisation: 'magic'; it must be one of"),
@@ -227,11 +202,6 @@ def test_foreign_state_is_refused():
 def test_bad_settings_are_named(settings, message):
     with pytest.raises(InputError, match=message):
         RveLaw(**{"cell": CellParameters.preset("printed"), **settings})
-
-
-def test_no_points_no_stress():
-    answer = law("printed").respond(np.empty((0, 2, 2)), np.empty((0, 2, 2)))
-    assert answer.stress.shape == (0, 2, 2)
 
 
 def test_cold_answers_are_checked_and_warm_ones_at_accept():

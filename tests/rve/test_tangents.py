@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.stress_law import Status
 from tests.rve.rves import PRESETS, clear_of_the_cut_off, deformations, law, piola
@@ -86,9 +85,3 @@ def test_points_without_stress_have_no_tangents():
     assert np.isfinite(answer.tangents.P_by_F[0]).all()
     assert np.isnan(answer.tangents.P_by_F[1]).all()
     assert law("printed").respond(F, np.zeros_like(F)).tangents is None
-
-
-def test_tangents_of_the_iterated_solver_are_refused():
-    F = np.eye(2)[None]
-    with pytest.raises(InputError, match="tangents: not with solver iterated"):
-        law("printed", solver="iterated").respond(F, 0.0 * F, tangents=True)

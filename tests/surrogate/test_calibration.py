@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError, InputError
+from surrofe2.errors import InputError
 from surrofe2.io.files import plain
 from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.sampling import SamplingRange, sample
@@ -22,7 +22,6 @@ from surrofe2.surrogate.deformation_paths import DeformationPaths, random_walks
 from surrofe2.surrogate.settings import MARGIN, CalibrationSettings
 from surrofe2.tensors import stress_error, stress_spread, unrotated
 from tests.laws import RANGE, lattice_stress
-from tests.surrogate.torch_twin import read_parts, write_parts
 
 ALPHA = 0.01
 
@@ -94,14 +93,6 @@ def test_the_confidence_of_so_many_paths(count, alpha, expected):
         assert kept == pytest.approx(expected, abs=0.04)
 
 
-def test_broken_fraction_is_alpha_for_nearly_all_sets_of_scores():
-    rng = np.random.default_rng(2)
-    quantiles = [conformal_quantile(rng.exponential(size=60), 0.1) for _ in range(20_000)]
-    broken = np.exp(-np.array(quantiles))
-    assert 0.005 < np.mean(broken > 0.1) <= 0.05
-    assert 0.02 < broken.mean() < 0.1
-
-
 def test_the_bound_holds_on_random_states(calibrated):
     F, F_dot = sample(RANGE, 20_000, seed=31)
     stress, status, bound = calibrated.lookup(F, F_dot)
@@ -166,25 +157,6 @@ def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):
     write_surrogate(replace(calibrated, calibration=unknown), tmp_path / "a.safetensors")
     loaded = read_surrogate(tmp_path / "a.safetensors").calibration
     assert loaded.quantile == loaded.kinds["walks"]["quantile"] == np.inf
-
-
-def test_a_damaged_bound_is_refused(calibrated, tmp_path):
-    path = tmp_path / "a.safetensors"
-    write_surrogate(calibrated, path)
-    content, tensors = read_parts(path)
-    del content["calibration"]["alpha"]
-    write_parts(path, content, tensors)
-    with pytest.raises(FileError, match="missing or damaged entries"):
-        read_surrogate(path)
-
-
-def test_a_damaged_domain_is_refused(calibrated, tmp_path):
-    path = tmp_path / "a.safetensors"
-    write_surrogate(calibrated, path)
-    content, tensors = read_parts(path)
-    write_parts(path, content, {**tensors, "domain.boundary": np.ones(3)})
-    with pytest.raises(FileError, match="missing or damaged entries"):
-        read_surrogate(path)
 
 
 def corrupted(law, factor=1.001):
@@ -296,10 +268,7 @@ def test_no_path_at_all(law, samples):
     ("setting", "message"),
     [
         ({"alpha": 0.0}, r"calibration.alpha: 0.0; it must be between 0 and 1"),
-        ({"walks": -1}, "calibration.walks: -1; it must be an integer of at least 0"),
-        ({"length": 1}, "calibration.length: 1; it must be an integer of at least 2"),
         ({"runs": 98}, "calibration.runs: 98; it must be 0 or at least 99"),
-        ({"seed": True}, "calibration.seed: True"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting, message):

@@ -10,7 +10,7 @@ import pytest
 
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.load_case import LoadCase
-from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, relax, simulate_tissue
+from surrofe2.tissue import TissueDynamics, TissueSettings, relax, simulate_tissue
 from surrofe2.tissue.simulation import held_and_loaded, make_conditions
 from tests.tissue.twin import TissueTwin
 
@@ -157,13 +157,6 @@ def test_relaxed_tissue_shrinks_where_its_boundary_is_free(reference):
     assert at((150.0, 62.5))[0] - at((150.0, 50.0))[0] > 2.0
 
 
-def test_step_that_is_too_long_is_named(reference):
-    cell, at_rest = reference("printed")
-    settings = TissueSettings(micro_step=8e-3)
-    with pytest.raises(InputError, match=r"tissue\.micro_step: 0\.008 µs; at most 0\.002"):
-        simulate_tissue(LOAD_CASE, cell, settings, reference=at_rest)
-
-
 @pytest.mark.parametrize(("name", "extent"), [("width", 60.0), ("height", 20.0)])
 def test_wrong_extent_is_named(reference, name, extent):
     cell, at_rest = reference("printed")
@@ -176,12 +169,6 @@ def test_reference_of_another_cell_is_refused(reference):
     cell, at_rest = reference("printed")
     with pytest.raises(MismatchError, match=r"^reference: it belongs to plant cells"):
         simulate_tissue(LOAD_CASE, replace(cell, viscosity=0.2), reference=at_rest)
-
-
-@pytest.mark.parametrize("cells", [(0, 1), (2.0, 1), (1,)])
-def test_wrong_number_of_cells(reference, cells):
-    with pytest.raises(InputError, match=r"tissue\.cells"):
-        make_tissue(*reference("printed"), cells)
 
 
 @pytest.mark.parametrize(

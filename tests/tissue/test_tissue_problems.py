@@ -348,13 +348,6 @@ def test_stiff_plate_shortens_the_step(reference):
     assert abs(done.energies["balance"]).max() < 1e-3 * done.energies["motion"].max()
 
 
-def test_a_body_that_begins_inside_is_named(reference):
-    sunk = replace(LOWER, position=(0.0, 1.0))
-    expected = r"^bodies\.lower\.position: \[0\.0, 1\.0\]; the tissue begins 1 µm inside it"
-    with pytest.raises(InputError, match=expected):
-        run(reference, replace(PRESSED, bodies=(sunk,)))
-
-
 def test_supports_that_contradict_are_named(reference):
     other = Support(name="other", on="top", displacement=(0.0, 1.0), amplitude=SMOOTH)
     problem = replace(PRESSED, bodies=(), supports=(Support(name="clamp", on="left"), other))
