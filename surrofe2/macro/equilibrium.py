@@ -17,7 +17,6 @@ from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.frames import Frames
-from surrofe2.macro.path_work import acting, energies_along
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.tangents import Assembly, factorised
@@ -43,7 +42,8 @@ class Rest:
         forces: (k, 2) forces on the tissue, of `System.force_names`, µN.
         path: (steps + 1, 3) factor and displacement of the first watched point at each load step,
             from factor 0 on.
-        acts: (steps + 1, k + 3, n, 2) what acted there, as of `acting`.
+        acts: (steps + 1, k + 3, n, 2) displacement there, internal force, the k other forces of
+            the system and the reaction.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
         counts: load steps, halvings, Newton iterations.
         next_step: factor of the next load step.
@@ -98,16 +98,39 @@ class Rest:
     @property
     def energies(self) -> dict[str, Array]:
         """By name, (steps + 1,) pJ: `internal` and the work of each force and of `motion` along
-        the path, `contact` and `contact dissipated`, and `balance`, the other works − internal,
-        zero to Newton's tolerance. Their order is that of `works_along`.
+        the path, by the trapezoidal rule (second order in the load step), `contact` and `contact
+        dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
         """
-        return energies_along(self.system, self.path[:, 0], self.acts)
+        system, u = self.system, self.acts[:, 0]
+        internal, *others, motion = works_along(u, self.acts[:, 1:]).T
+        works = {force.name: work for force, work in zip(system.forces, others, strict=True)}
+        if system.moving:
+            works["motion"] = motion
+        contact = {}
+        if system.contacts:
+            stored = np.array([sum(each.energy(at) for each in system.contacts) for at in u])
+            done = np.sum([works[each.name] for each in system.contacts], axis=0)
+            contact = {"contact": stored, "contact dissipated": stored[0] - stored - done}
+        balance = np.sum([*works.values()], axis=0) - internal
+        return {"internal": internal, **works, **contact, "balance": balance}
 
     @property
     def watched(self) -> Array:
         """(2,) displacement of the watched point, µm."""
         watched: Array = self.system.at_watched_points(self.u)[0]
         return watched
+
+
+def works_along(u: Array, forces: Array) -> Array:
+    """(s, k) works ∫ f · du, pJ, from the first of s load steps to each, by the trapezoidal rule.
+
+    Forces without a sum do no work together.
+
+    Args:
+        u: (s, n, 2) µm. forces: (s, k, n, 2) µN.
+    """
+    done = np.einsum("skni,sni->sk", 0.5 * (forces[1:] + forces[:-1]), np.diff(u, axis=0))
+    return np.concatenate([np.zeros((1, forces.shape[1])), np.cumsum(done, axis=0)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +153,9 @@ class Newton:
         if isinstance(found, NoStress):
             return found
         self.equations.tally.counts["load_steps"] += factor != 0.0
-        here = np.append(factor, self.equations.system.at_watched_points(found[0].u)[0])[None]
-        acts = acting(self.equations, found[0])[None]
+        now, reaction = found[0], self.equations.reaction(found[0])
+        here = np.append(factor, self.equations.system.at_watched_points(now.u)[0])[None]
+        acts = np.stack([now.u, now.internal, *now.forces, reaction])[None]
         if last is not None:
             here, acts = np.concatenate([last.path, here]), np.concatenate([last.acts, acts])
         return self._rest(*found, here, acts)

@@ -27,7 +27,6 @@ from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
-from surrofe2.macro.monotone_cubic import integral_of_monotone_cubic
 from surrofe2.macro.posed import as_problem, system_of
 from surrofe2.macro.problem import Problem
 from surrofe2.macro.quasi_static import settle
@@ -58,8 +57,8 @@ class MacroRun(ViewedRun):
             bodies; `numerical`, what the method itself and its interpolation dissipated, the work
             of inertia M ü − gain of kinetic energy; `balance`, all other works − gain of kinetic
             energy − internal − numerical, zero to rounding or Newton's tolerance; `dissipated`,
-            the work of the stress in excess of σ(F, 0), from samples at the ends of steps joined
-            by a monotone cubic (second order or better), NaN where not recorded, and by region
+            the work of the stress in excess of σ(F, 0), by the trapezoidal rule from samples at the
+            ends of steps (second order), NaN where not recorded, and by region
             ``dissipated NAME``; `surface`, the work of the surface tension of free sides, and by
             boundary ``dissipated surface NAME``.
         curves: displacement of every watched point by name.
@@ -340,15 +339,14 @@ def _of_contact(system: System, found: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _dissipated(t: Array, samples: Array) -> Array:
-    """(r,) ∫ rate dt at the output times.
-
-    A monotone cubic stays between its samples, so the work of a rate that is never negative
-    never falls.
-    """
-    if len(samples) < 2:
+    """(r,) ∫ rate dt at the output times, the rate linear between samples as it is for fields."""
+    if not len(samples):
         return np.where(t == 0.0, 0.0, np.nan)
-    begin, rate = samples.T
-    return integral_of_monotone_cubic(begin, rate, t)
+    sampled, rate = samples.T
+    every = np.union1d(sampled, t[t <= sampled[-1]])
+    rates = np.interp(every, sampled, rate)
+    done = np.cumsum(0.5 * np.diff(every) * (rates[1:] + rates[:-1]))
+    return np.interp(t, every, np.append(0.0, done), right=np.nan)
 
 
 def _check_same_run(state: MacroState, system: System, settings: MacroSettings) -> None:

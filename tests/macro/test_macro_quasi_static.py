@@ -21,7 +21,7 @@ from surrofe2.macro import (
     rectangle,
     simulate,
 )
-from surrofe2.macro.path_work import works_along
+from surrofe2.macro.equilibrium import works_along
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
@@ -155,23 +155,15 @@ def test_stiffness_is_symmetric_without_load_and_nearly_so_with_it():
         assert abs(K - K.T).max() < allowed * abs(K).max()
 
 
-def test_works_along_a_path_are_of_fourth_order():
-    """∫ f du of u = sin 3λ, f = exp λ; exact for cubics from four steps on, however long each."""
+def test_works_along_a_path_are_of_second_order():
+    """∫ f du of u = sin 3λ, f = exp λ, however long each step."""
     errors = []
     for steps in (8, 16, 32):
         factors = np.linspace(0.0, 1.0, steps + 1) ** 1.2
-        acts = np.stack([np.sin(3.0 * factors), np.exp(factors)], axis=1)[:, :, None, None]
+        u, f = np.sin(3.0 * factors)[:, None, None], np.exp(factors)[:, None, None, None]
         exact = np.exp(factors) * (0.3 * np.cos(3.0 * factors) + 0.9 * np.sin(3.0 * factors)) - 0.3
-        errors.append(abs(works_along(factors, acts)[:, 0] - exact).max())
-    assert (np.log2(np.divide(errors[:-1], errors[1:])) > 3.7).all()
-    factors = np.array([0.0, 0.1, 0.4, -0.2, 1.0])[[3, 0, 1, 2, 4]]
-    acts = np.stack([factors**3, 1.0 - factors**2], axis=1)[:, :, None, None]
-    exact = factors**3 - 0.6 * factors**5
-    np.testing.assert_allclose(works_along(factors, acts)[:, 0], exact - exact[0], atol=1e-14)
-    np.testing.assert_allclose(
-        works_along(np.array([0.0, 2.0]), acts[:2])[:, 0],
-        [0.0, 0.5 * (acts[0, 1] + acts[1, 1]).item() * (acts[1, 0] - acts[0, 0]).item()],
-    )
+        errors.append(abs(works_along(u, f)[:, 0] - exact).max())
+    assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(2.0, abs=0.1)
 
 
 def test_internal_work_is_the_energy_stored(rng):
