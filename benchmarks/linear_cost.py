@@ -15,8 +15,8 @@ from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.evaluation import Evaluation
-from surrofe2.macro.problem import bar
 from surrofe2.macro.system import System, make_system
+from surrofe2.problem.problem import bar
 from surrofe2.report.figures import Curve, Panel, write_figure
 
 TITLE = "Cost over the number of points"

@@ -14,8 +14,8 @@ from surrofe2 import LoadCase
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
-from surrofe2.macro.problem import bar
 from surrofe2.macro.system import System, make_system
+from surrofe2.problem.problem import bar
 from surrofe2.stress_law import Acceptance, StressResponse
 
 TITLE = "A right-hand side but for its stress law"

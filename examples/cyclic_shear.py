@@ -8,9 +8,17 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from surrofe2 import CellParameters, RveLaw, simulate
-from surrofe2.amplitude import Sine
-from surrofe2.macro import Fixed, MacroSettings, PrescribedMotion, Problem, rectangle
+from surrofe2 import (
+    CellParameters,
+    Fixed,
+    MacroSettings,
+    PrescribedMotion,
+    Problem,
+    RveLaw,
+    Sine,
+    rectangle,
+    simulate,
+)
 
 WIDTH, HEIGHT, SHEAR = 40.0, 1.0, 0.005
 FREQUENCIES = (0.1, 0.2, 0.4)  # 1/µs

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from surrofe2.public_names import public_names
 
 if TYPE_CHECKING:
-    from surrofe2.amplitude import (
+    from surrofe2.problem.amplitude import (
         Constant as Constant,
         Pulse as Pulse,
         Ramp as Ramp,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
         write_surrogate as write_surrogate,
     )
     from surrofe2.load_case import LoadCase as LoadCase
-    from surrofe2.macro.conditions import (
+    from surrofe2.problem.conditions import (
         BodyForce as BodyForce,
         Fixed as Fixed,
         Foundation as Foundation,
@@ -54,15 +54,13 @@ if TYPE_CHECKING:
         Traction as Traction,
     )
     from surrofe2.macro.discretisation import points_by_region as points_by_region
-    from surrofe2.macro.mesh import (
-        Box as Box,
-        Disc as Disc,
-        HalfPlane as HalfPlane,
+    from surrofe2.problem.regions import Box as Box, Disc as Disc, HalfPlane as HalfPlane
+    from surrofe2.problem.mesh import (
         rectangle as rectangle,
         with_boundaries as with_boundaries,
         with_regions as with_regions,
     )
-    from surrofe2.macro.problem import Problem as Problem
+    from surrofe2.problem.problem import Problem as Problem
     from surrofe2.macro.quasi_static import find_rest as find_rest
     from surrofe2.macro.settings import MacroSettings as MacroSettings
     from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
@@ -70,7 +68,7 @@ if TYPE_CHECKING:
     from surrofe2.problem_sections import load_mesh as load_mesh
     from surrofe2.recipe import load_recipe as load_recipe
     from surrofe2.regional_law import RegionalLaw as RegionalLaw
-    from surrofe2.rigid_bodies import (
+    from surrofe2.problem.rigid_bodies import (
         Circle as Circle,
         Corner as Corner,
         Plane as Plane,

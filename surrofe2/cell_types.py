@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, quoted
 from surrofe2.macro.discretisation import points_by_region
-from surrofe2.macro.mesh import region
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem.mesh import region
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_settings, check_value, from_table, setting
 from surrofe2.surrogate.settings import TrainingSettings

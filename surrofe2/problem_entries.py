@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from surrofe2.amplitude import KINDS, Amplitude, Constant
 from surrofe2.errors import InputError, quoted
-from surrofe2.macro.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
-from surrofe2.macro.mesh import Box, Disc, HalfPlane, Part
-from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
+from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
+from surrofe2.problem.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
+from surrofe2.problem.regions import Box, Disc, HalfPlane, Part
+from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.settings import check_value, from_table, unknown
 from surrofe2.units import LENGTH
 

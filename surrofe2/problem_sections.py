@@ -19,10 +19,9 @@ import skfem
 from surrofe2.errors import FileError, InputError, quoted
 from surrofe2.io.files import reported
 from surrofe2.io.meshes import read_mesh
-from surrofe2.macro.conditions import BodyForce, Condition, Foundation, Pressure, Traction
 from surrofe2.macro.discretisation import make_discretisation
-from surrofe2.macro.mesh import (
-    Part,
+from surrofe2.problem.conditions import BodyForce, Condition, Foundation, Pressure, Traction
+from surrofe2.problem.mesh import (
     boundary,
     check_mesh,
     nodes_on,
@@ -31,7 +30,9 @@ from surrofe2.macro.mesh import (
     with_boundaries,
     with_regions,
 )
-from surrofe2.macro.problem import Problem, label
+from surrofe2.problem.problem import Problem, label
+from surrofe2.problem.regions import Part
+from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.problem_entries import (
     Point,
     body_of,
@@ -40,7 +41,6 @@ from surrofe2.problem_entries import (
     entries_of_part,
     parts_of,
 )
-from surrofe2.rigid_bodies import RigidBody
 from surrofe2.settings import check_settings, check_value, from_table, setting
 from surrofe2.units import LENGTH, TIME
 

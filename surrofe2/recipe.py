@@ -25,11 +25,11 @@ from surrofe2.cell_types import CellType, SampleSettings, cell_types, points_of_
 from surrofe2.errors import FileError, InputError, quoted, shortened
 from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
-from surrofe2.macro.conditions import FREE
-from surrofe2.macro.mesh import boundary
-from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem.conditions import FREE
+from surrofe2.problem.mesh import boundary
+from surrofe2.problem.problem import Problem, bar
 from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
 from surrofe2.problem_sections import StatedProblem, stated_problem
 from surrofe2.recipe_entries import with_changes

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from surrofe2.cell_types import REST
 from surrofe2.errors import InputError
 from surrofe2.macro import conditions as stated_as
-from surrofe2.macro.conditions import (
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem.conditions import (
     BodyForce,
     Condition,
     Fixed,
@@ -20,9 +21,8 @@ from surrofe2.macro.conditions import (
     Symmetry,
     Traction,
 )
-from surrofe2.macro.mesh import nodes_on
-from surrofe2.macro.problem import label
-from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem.mesh import nodes_on
+from surrofe2.problem.problem import label
 from surrofe2.recipe import Recipe
 from surrofe2.tissue.problem import (
     Foundation,

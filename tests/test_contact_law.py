@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrofe2 import contact_law
 from surrofe2.compilation import kernel
+from surrofe2.problem import contact_law
 from surrofe2.tissue.contact import _drag
 
 LAW = (3000.0, 0.01, 4.0)

@@ -13,7 +13,7 @@ import pytest
 import skfem
 
 from surrofe2 import CellParameters, Fixed, Problem, RveLaw, Traction, find_rest, simulate
-from surrofe2.amplitude import Constant, Sine
+from surrofe2.problem.amplitude import Constant, Sine
 from surrofe2.recipe import load_recipe
 from surrofe2.tissue import TissueSettings, simulate_tissue
 from surrofe2.tissue.simulation import make_conditions

@@ -37,7 +37,7 @@ def test_what_help_runs_tables_and_comparisons_need_does_not(module):
 def test_only_what_has_a_mesh_imports_scikit_fem():
     for code in ("import surrofe2", "from surrofe2.cli import main"):
         assert heavy_imports(code, heavy=("skfem", "scipy.sparse", "meshio")) == ""
-    assert heavy_imports("import surrofe2.macro.mesh", heavy=("skfem", "meshio")) == "skfem"
+    assert heavy_imports("import surrofe2.problem.mesh", heavy=("skfem", "meshio")) == "skfem"
 
 
 def test_help_imports_nothing_heavy():

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import skfem
 
-from surrofe2.amplitude import Constant, Pulse, Ramp, Sine, Table
 from surrofe2.errors import FileError, InputError
-from surrofe2.macro import (
+from surrofe2.macro import simulate
+from surrofe2.problem import (
     BodyForce,
     Circle,
     Corner,
@@ -27,9 +27,9 @@ from surrofe2.macro import (
     Symmetry,
     Traction,
     rectangle,
-    simulate,
 )
-from surrofe2.macro.mesh import check_mesh, nodes_on
+from surrofe2.problem.amplitude import Constant, Pulse, Ramp, Sine, Table
+from surrofe2.problem.mesh import check_mesh, nodes_on
 from surrofe2.problem_sections import load_mesh
 from surrofe2.recipe import load_recipe, make_recipe
 from tests.io.gmsh_files import QUADS

@@ -5,18 +5,16 @@ import pytest
 
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import InputError
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, points_by_region, simulate
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import (
     BodyForce,
     Box,
     Fixed,
-    MacroSettings,
     Problem,
-    points_by_region,
     rectangle,
-    simulate,
     with_regions,
 )
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
 from tests.laws import DryFriction, Failing, KelvinVoigt, Surrogate, TrueLaw, stretched

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.io.kept import read_kept, write_kept
-from surrofe2.macro import Rest, Surface, find_rest, simulate
+from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import Surface
 from surrofe2.recipe import Recipe, make_recipe
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.report.figures import Curve, Panel

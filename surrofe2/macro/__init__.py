@@ -1,6 +1,6 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings, mesh, conditions, problem (what is computed);
+Reading order: settings;
 discretisation, internal_force (space); forces, contact, free_sides, surface_patches,
 surface_elements, supports, mass, system (what acts on it), posed; equations_of_motion,
 time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); history,
@@ -14,34 +14,13 @@ from typing import TYPE_CHECKING
 from surrofe2.public_names import public_names
 
 if TYPE_CHECKING:
-    from surrofe2.macro.conditions import (
-        BodyForce,
-        Fixed,
-        Foundation,
-        InitialVelocity,
-        PrescribedMotion,
-        Pressure,
-        Surface,
-        Symmetry,
-        Traction,
-    )
     from surrofe2.macro.discretisation import points_by_region
     from surrofe2.macro.extremes import MetRange
     from surrofe2.macro.frames import Frames
     from surrofe2.macro.history import MacroState
-    from surrofe2.macro.mesh import (
-        Box,
-        Disc,
-        HalfPlane,
-        rectangle,
-        with_boundaries,
-        with_regions,
-    )
     from surrofe2.macro.modes import Modes, find_modes
-    from surrofe2.macro.problem import Problem
     from surrofe2.macro.quasi_static import Rest, find_rest
     from surrofe2.macro.settings import MacroSettings
     from surrofe2.macro.simulation import MacroRun, simulate
-    from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody
 
 __getattr__, __dir__ = public_names(__name__)

@@ -16,9 +16,9 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where a body is touched
 from numpy.typing import NDArray
 
-from surrofe2 import contact_law
 from surrofe2.macro.forces import Matrix, Slopes, side_points
-from surrofe2.rigid_bodies import RigidBody, Shape, check_outside
+from surrofe2.problem import contact_law
+from surrofe2.problem.rigid_bodies import RigidBody, Shape, check_outside
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -26,7 +26,7 @@ import skfem
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.macro.mesh import element_nodes, region
+from surrofe2.problem.mesh import element_nodes, region
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

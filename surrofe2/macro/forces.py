@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine
 
-from surrofe2.amplitude import ONE, Amplitude, Proportional
-from surrofe2.macro.conditions import (
+from surrofe2.problem.amplitude import ONE, Amplitude, Proportional
+from surrofe2.problem.conditions import (
     BodyForce,
     DrivenCondition,
     Foundation,
     Pressure,
     Traction,
 )
-from surrofe2.macro.mesh import boundary, region
-from surrofe2.macro.problem import Problem, label
+from surrofe2.problem.mesh import boundary, region
+from surrofe2.problem.problem import Problem, label
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

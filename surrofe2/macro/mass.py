@@ -11,7 +11,7 @@ import skfem
 from numpy.typing import NDArray
 
 from surrofe2.macro.forces import Matrix
-from surrofe2.macro.problem import Problem
+from surrofe2.problem.problem import Problem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

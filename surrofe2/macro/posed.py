@@ -6,9 +6,9 @@ import numpy as np
 
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.discretisation import n_points_of
-from surrofe2.macro.problem import Problem, bar
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System, make_system
+from surrofe2.problem.problem import Problem, bar
 from surrofe2.stress_law import StressLaw
 
 

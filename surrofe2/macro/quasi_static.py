@@ -16,9 +16,9 @@ from surrofe2.macro.equilibrium import Newton, Rest
 from surrofe2.macro.evaluation import NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
 from surrofe2.macro.posed import as_problem, system_of
-from surrofe2.macro.problem import Problem
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.tangents import make_assembly
+from surrofe2.problem.problem import Problem
 from surrofe2.stress_law import StressLaw, require_tangents
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from surrofe2.macro.conditions import FREE, checked_sides
+from surrofe2.problem.conditions import FREE, checked_sides
 from surrofe2.settings import check_settings, setting
 from surrofe2.units import TIME
 

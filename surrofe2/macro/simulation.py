@@ -28,12 +28,12 @@ from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
 from surrofe2.macro.posed import as_problem, system_of
-from surrofe2.macro.problem import Problem
 from surrofe2.macro.quasi_static import settle
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import PARTS, System
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
+from surrofe2.problem.problem import Problem
 from surrofe2.stress_law import StressLaw
 from surrofe2.threads import one_blas_thread
 from surrofe2.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY

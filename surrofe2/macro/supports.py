@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.amplitude import ONE, Amplitude, Proportional
 from surrofe2.errors import InputError
-from surrofe2.macro.conditions import Fixed, PrescribedMotion, Symmetry
-from surrofe2.macro.mesh import nodes_on
-from surrofe2.macro.problem import Problem, label
+from surrofe2.problem.amplitude import ONE, Amplitude, Proportional
+from surrofe2.problem.conditions import Fixed, PrescribedMotion, Symmetry
+from surrofe2.problem.mesh import nodes_on
+from surrofe2.problem.problem import Problem, label
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

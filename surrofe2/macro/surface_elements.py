@@ -26,8 +26,8 @@ from surrofe2.compilation import kernel
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.free_sides import FreeSides, free_sides
-from surrofe2.macro.problem import SURFACE, Problem
 from surrofe2.macro.surface_patches import stretched_nodes
+from surrofe2.problem.problem import SURFACE, Problem
 from surrofe2.surface_law import SurfaceResponse
 
 Array = NDArray[np.float64]

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.macro.conditions import InitialVelocity
 from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.discretisation import Discretisation, make_discretisation
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
 from surrofe2.macro.mass import make_mass, mass_solver, tissue_mass
-from surrofe2.macro.mesh import boundary, facet_nodes, nodes_on, region
-from surrofe2.macro.problem import SURFACE, Problem, label
 from surrofe2.macro.supports import Support, make_supports
 from surrofe2.macro.surface_elements import SurfaceForce, make_surface
+from surrofe2.problem.conditions import InitialVelocity
+from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
+from surrofe2.problem.problem import SURFACE, Problem, label
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

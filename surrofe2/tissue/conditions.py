@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
+from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
 from surrofe2.simd import TILE
 from surrofe2.tissue.acting import NO_DRIVE, Drive, Edges
 from surrofe2.tissue.contact import CIRCLE, CORNER, NO_PLATES, PLANE, Plates

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
-from surrofe2.contact_law import circle, corner, friction, pressure, stored
+from surrofe2.problem.contact_law import circle, corner, friction, pressure, stored
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.amplitude import ONE, Amplitude, Table
 from surrofe2.load_case import LoadCase, output_times
-from surrofe2.rigid_bodies import RigidBody
+from surrofe2.problem.amplitude import ONE, Amplitude, Table
+from surrofe2.problem.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float]

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, Problem, simulate
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.settings import SECTION_6_2
+from surrofe2.problem import Problem
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import StressLaw

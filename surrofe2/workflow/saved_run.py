@@ -35,14 +35,15 @@ from surrofe2.io.run_folder import (
     write_record,
 )
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroRun, Problem
+from surrofe2.macro import MacroRun
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.internal_force import deformation_gradient
-from surrofe2.macro.mesh import element_nodes, extent
-from surrofe2.macro.problem import label
 from surrofe2.macro.simulation import as_problem
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
+from surrofe2.problem import Problem
+from surrofe2.problem.mesh import element_nodes, extent
+from surrofe2.problem.problem import label
 from surrofe2.problem_sections import sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.amplitude import Amplitude, Value
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import Problem
-from surrofe2.macro.conditions import Condition, DrivenCondition, InitialVelocity
-from surrofe2.rigid_bodies import RigidBody
+from surrofe2.problem import Problem
+from surrofe2.problem.amplitude import Amplitude, Value
+from surrofe2.problem.conditions import Condition, DrivenCondition, InitialVelocity
+from surrofe2.problem.rigid_bodies import RigidBody
 
 FACTOR = (0.25, 1.5)
 """Of an amplitude or a velocity, uniform between."""

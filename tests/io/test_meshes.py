@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.errors import FileError, InputError
 from surrofe2.io.meshes import read_mesh
-from surrofe2.macro.mesh import check_mesh, element_nodes
+from surrofe2.problem.mesh import check_mesh, element_nodes
 from surrofe2.problem_sections import load_mesh
 from tests.io.gmsh_files import QUADS, TRIANGLES
 from tests.macro.meshes import sides_of

@@ -9,8 +9,8 @@ import numpy as np
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.problem import bar
 from surrofe2.macro.system import make_system
+from surrofe2.problem.problem import bar
 
 LOAD_CASE = LoadCase(
     width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.25

@@ -9,9 +9,9 @@ import skfem
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefQuad, RefTri
 
-from surrofe2.macro import Box, rectangle, with_boundaries
 from surrofe2.macro.discretisation import reference_shapes
-from surrofe2.macro.mesh import boundary, element_nodes, facet_nodes
+from surrofe2.problem import Box, rectangle, with_boundaries
+from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes
 
 WIDTH, HEIGHT = 30.0, 20.0
 KINDS = ("quads", "triangles", "curved triangles")

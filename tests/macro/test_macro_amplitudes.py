@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surrofe2.amplitude import Amplitude, Constant, Pulse, Ramp, Sine, Table
 from surrofe2.errors import InputError
+from surrofe2.problem.amplitude import Amplitude, Constant, Pulse, Ramp, Sine, Table
 
 AMPLITUDES = {
     "constant": Constant(value=-0.7),

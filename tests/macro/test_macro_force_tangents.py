@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, find_rest
+from surrofe2.macro.contact import Grip
+from surrofe2.macro.system import make_system
+from surrofe2.problem import (
     BodyForce,
     Circle,
     Corner,
     Fixed,
     Foundation,
-    MacroSettings,
     Plane,
     PrescribedMotion,
     Pressure,
@@ -19,11 +21,8 @@ from surrofe2.macro import (
     RigidBody,
     Symmetry,
     Traction,
-    find_rest,
     rectangle,
 )
-from surrofe2.macro.contact import Grip
-from surrofe2.macro.system import make_system
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import HEIGHT, WIDTH, plate
 

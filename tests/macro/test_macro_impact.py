@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.macro.system import make_system
+from surrofe2.problem import (
     InitialVelocity,
-    MacroSettings,
     Plane,
     Problem,
     RigidBody,
     Symmetry,
     rectangle,
-    simulate,
 )
-from surrofe2.macro.system import make_system
 from tests.laws import KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import HEIGHT, WIDTH, plate
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.macro import Problem
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import widen_extremes
 from surrofe2.macro.internal_force import (
@@ -18,6 +17,7 @@ from surrofe2.macro.internal_force import (
 )
 from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import mass_matrix
+from surrofe2.problem import Problem
 from surrofe2.tensors import det
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, bar_system, distorted_bar, random_state, state_vector

@@ -8,8 +8,8 @@ import scipy.sparse
 from surrofe2 import LoadCase
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.mass import mass_solver
-from surrofe2.macro.problem import bar
 from surrofe2.macro.system import make_system
+from surrofe2.problem.problem import bar
 
 
 def test_a_large_mass_is_inverted(rng):

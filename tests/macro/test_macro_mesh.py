@@ -7,26 +7,24 @@ import pytest
 import skfem
 
 from surrofe2.errors import InputError
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, find_rest, simulate
+from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.problem import (
     BodyForce,
     Box,
     Disc,
     Fixed,
     HalfPlane,
-    MacroSettings,
     PrescribedMotion,
     Problem,
     Symmetry,
     Traction,
-    find_rest,
     rectangle,
-    simulate,
     with_boundaries,
     with_regions,
 )
-from surrofe2.macro.discretisation import make_discretisation
-from surrofe2.macro.internal_force import deformation_gradient, internal_force
-from surrofe2.macro.mesh import check_mesh, element_nodes, facet_nodes
+from surrofe2.problem.mesh import check_mesh, element_nodes, facet_nodes
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import plate, sides_of, triangles
 

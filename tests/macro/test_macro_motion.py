@@ -3,27 +3,25 @@
 import numpy as np
 import pytest
 
-from surrofe2.amplitude import ONE, Pulse, Ramp, Sine, Table
 from surrofe2.errors import InputError
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, MacroState, simulate
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.system import make_system
+from surrofe2.macro.tangents import mass_matrix
+from surrofe2.problem import (
     BodyForce,
     Circle,
     Fixed,
     Foundation,
     InitialVelocity,
-    MacroSettings,
-    MacroState,
     PrescribedMotion,
     Pressure,
     Problem,
     RigidBody,
     Traction,
     rectangle,
-    simulate,
 )
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.system import make_system
-from surrofe2.macro.tangents import mass_matrix
+from surrofe2.problem.amplitude import ONE, Pulse, Ramp, Sine, Table
 from tests.laws import KelvinVoigt
 from tests.macro.bars import random_state, state_vector
 from tests.macro.meshes import HEIGHT, WIDTH, plate, sides_of

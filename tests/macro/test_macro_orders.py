@@ -8,22 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from surrofe2.amplitude import Proportional
-from surrofe2.macro import (
-    Fixed,
-    Foundation,
-    InitialVelocity,
-    MacroSettings,
-    Problem,
-    Symmetry,
-    find_rest,
-    quasi_static,
-    simulate,
-    simulation,
-)
+from surrofe2.macro import MacroSettings, find_rest, quasi_static, simulate, simulation
 from surrofe2.macro.forces import DeadLoad
-from surrofe2.macro.mesh import element_nodes
 from surrofe2.macro.system import make_system
+from surrofe2.problem import Fixed, Foundation, InitialVelocity, Problem, Symmetry
+from surrofe2.problem.amplitude import Proportional
+from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import distance, plate, quadrature, weak_load
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, find_rest
+from surrofe2.problem import (
     BodyForce,
     Box,
     Fixed,
     Foundation,
-    MacroSettings,
     Plane,
     PrescribedMotion,
     Pressure,
@@ -17,10 +17,9 @@ from surrofe2.macro import (
     RigidBody,
     Symmetry,
     Traction,
-    find_rest,
     with_regions,
 )
-from surrofe2.macro.mesh import element_nodes
+from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate
 

@@ -7,22 +7,19 @@ import pytest
 
 from surrofe2.errors import SimulationError
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, Rest, find_rest, simulate
+from surrofe2.macro.equilibrium import works_along
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import (
     Fixed,
     Foundation,
-    MacroSettings,
     Plane,
     PrescribedMotion,
     Pressure,
     Problem,
-    Rest,
     RigidBody,
-    find_rest,
     rectangle,
-    simulate,
 )
-from surrofe2.macro.equilibrium import works_along
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import Status
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola

@@ -7,29 +7,26 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.macro import (
+from surrofe2.macro import MacroSettings, find_modes, find_rest, simulate
+from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.free_sides import free_sides
+from surrofe2.macro.history import MacroState
+from surrofe2.macro.system import make_system
+from surrofe2.problem import (
     BodyForce,
     Box,
     Fixed,
     InitialVelocity,
-    MacroSettings,
     Plane,
     Problem,
     RigidBody,
     Surface,
     Symmetry,
-    find_modes,
-    find_rest,
     rectangle,
-    simulate,
     with_boundaries,
     with_regions,
 )
-from surrofe2.macro.discretisation import make_discretisation
-from surrofe2.macro.free_sides import free_sides
-from surrofe2.macro.history import MacroState
-from surrofe2.macro.mesh import element_nodes
-from surrofe2.macro.system import make_system
+from surrofe2.problem.mesh import element_nodes
 from tests.laws import KelvinVoigt, LinearFirstPiola, Skin
 from tests.macro.meshes import HEIGHT, KINDS, WIDTH, plate, sides_of, triangles
 from tests.macro.test_macro_force_tangents import assert_slopes

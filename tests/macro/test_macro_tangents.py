@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import Fixed, Problem
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import (
     make_assembly,
 )
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import Fixed, Problem
 from surrofe2.rve import RveLaw, RveSettings
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.bars import bar_system, distorted_bar, random_state

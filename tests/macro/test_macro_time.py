@@ -12,9 +12,10 @@ from surrofe2 import (
     sample_stress,
     train,
 )
-from surrofe2.amplitude import ONE, Pulse, Ramp, Sine, Table
-from surrofe2.macro import BodyForce, Fixed, MacroSettings, Problem, rectangle, simulate
+from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import BodyForce, Fixed, Problem, rectangle
+from surrofe2.problem.amplitude import ONE, Pulse, Ramp, Sine, Table
 from surrofe2.rve import RveLaw
 from tests.laws import KelvinVoigt
 

@@ -3,12 +3,13 @@
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.amplitude import Constant, Pulse, Ramp
 from surrofe2.errors import InputError
-from surrofe2.macro import MacroSettings, Plane, RigidBody, simulate
-from surrofe2.macro.conditions import BodyForce, Fixed, InitialVelocity, PrescribedMotion
-from surrofe2.macro.mesh import rectangle
-from surrofe2.macro.problem import Problem
+from surrofe2.macro import MacroSettings, simulate
+from surrofe2.problem import Plane, RigidBody
+from surrofe2.problem.amplitude import Constant, Pulse, Ramp
+from surrofe2.problem.conditions import BodyForce, Fixed, InitialVelocity, PrescribedMotion
+from surrofe2.problem.mesh import rectangle
+from surrofe2.problem.problem import Problem
 from tests.laws import KelvinVoigt
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.amplitude import Ramp, Sine, Table
 from surrofe2.errors import InputError
 from surrofe2.load_case import LoadCase
+from surrofe2.problem.amplitude import Ramp, Sine, Table
+from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
 from surrofe2.recipe import make_recipe
-from surrofe2.rigid_bodies import Circle, Corner, Plane, RigidBody
 from surrofe2.tissue import TissueSettings, TissueState, relax, simulate_tissue
 from surrofe2.tissue.problem import (
     Foundation,

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from surrofe2.load_case import LoadCase
-from surrofe2.macro import MacroSettings, Surface, find_rest, simulate
-from surrofe2.macro.problem import bar as bar_problem
+from surrofe2.macro import MacroSettings, find_rest, simulate
+from surrofe2.problem import Surface
+from surrofe2.problem.problem import bar as bar_problem
 from surrofe2.report.study import NamedCell
 from tests.laws import KelvinVoigt, Skin
 from validation.bars import LIMIT, aitken, bar, describe_damping, with_limits

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, Shape
 from surrofe2.problem_entries import body_of
 from surrofe2.report.page.seen import SeenRun
-from surrofe2.rigid_bodies import Circle, Corner, Plane, Shape
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.amplitude import ONE, Amplitude, Constant, Table
 from surrofe2.errors import InputError, quoted
 from surrofe2.load_case import LoadCase, output_times
-from surrofe2.macro.conditions import (
+from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Table
+from surrofe2.problem.conditions import (
     BodyForce,
     Condition,
     DrivenCondition,
@@ -23,8 +23,8 @@ from surrofe2.macro.conditions import (
     PrescribedMotion,
     Surface,
 )
-from surrofe2.macro.mesh import check_mesh, extent, rectangle
-from surrofe2.rigid_bodies import RigidBody
+from surrofe2.problem.mesh import check_mesh, extent, rectangle
+from surrofe2.problem.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
 

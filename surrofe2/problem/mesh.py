@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import skfem
@@ -20,59 +18,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from surrofe2.errors import InputError
+from surrofe2.problem.regions import Box, Part
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MOST_ELEMENTS = 10_000_000
 _ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
-
-
-class Part(Protocol):
-    """A part of the plane that picks nodes."""
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        """(n,) whether each of the points (n, 2) is in it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Box:
-    """x from low[0] to high[0], y from low[1] to high[1], edges included, µm."""
-
-    low: tuple[float, float]
-    high: tuple[float, float]
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        """As of `Part`; rounding of 1e-9 of the box is forgiven."""
-        low, high = np.array(self.low), np.array(self.high)
-        width = high - low
-        slack = 1e-9 * np.max(width[np.isfinite(width)], initial=1.0)
-        return ((points >= low - slack) & (points <= high + slack)).all(axis=1)
-
-
-@dataclass(frozen=True, slots=True)
-class HalfPlane:
-    """All points p with (p − through)·normal ≥ 0, µm."""
-
-    through: tuple[float, float]
-    normal: tuple[float, float]
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        slack = 1e-9 * abs(points).max(initial=1.0)
-        normal = np.array(self.normal) / np.linalg.norm(self.normal)
-        return (points - np.array(self.through)) @ normal >= -slack
-
-
-@dataclass(frozen=True, slots=True)
-class Disc:
-    """All points at most `radius` from the centre, µm."""
-
-    centre: tuple[float, float]
-    radius: float
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        distance = np.linalg.norm(points - np.array(self.centre), axis=1)
-        return distance <= self.radius * (1.0 + 1e-9)
 
 
 def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.MeshQuad1:

@@ -14,8 +14,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.amplitude import ONE, Amplitude
 from surrofe2.errors import InputError, quoted
+from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.settings import check_settings, setting
 from surrofe2.surface_law import SurfaceLaw
 from surrofe2.units import ACCELERATION, LENGTH

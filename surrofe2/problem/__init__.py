@@ -1,0 +1,30 @@
+"""What is computed, for finite elements and for a full tissue of particles alike.
+
+Reading order: regions (of the plane), mesh; amplitude (factors in time), contact_law, rigid_bodies;
+conditions (what holds and loads a tissue), problem (all of it).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from surrofe2.public_names import public_names
+
+if TYPE_CHECKING:
+    from surrofe2.problem.conditions import (
+        BodyForce,
+        Fixed,
+        Foundation,
+        InitialVelocity,
+        PrescribedMotion,
+        Pressure,
+        Surface,
+        Symmetry,
+        Traction,
+    )
+    from surrofe2.problem.mesh import rectangle, with_boundaries, with_regions
+    from surrofe2.problem.problem import Problem
+    from surrofe2.problem.regions import Box, Disc, HalfPlane
+    from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
+
+__getattr__, __dir__ = public_names(__name__)
