@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from surrofe2.cell_types import REST
 from surrofe2.errors import InputError
-from surrofe2.macro import conditions as stated_as
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import conditions as stated_as
 from surrofe2.problem.conditions import (
     BodyForce,
     Condition,
