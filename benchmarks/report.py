@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.row import Row
-from surrofe2.io.files import write_json, write_text
+from surrofe2.store.store import write_json, write_text
 from surrofe2.workflow.run_lifecycle import describe_platform
 
 SCHEMA, SCHEMA_VERSION = "surrofe2-benchmarks", 1

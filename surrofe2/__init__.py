@@ -35,9 +35,9 @@ if TYPE_CHECKING:
         difference as difference,
     )
     from surrofe2.errors import Surrofe2Error as Surrofe2Error
-    from surrofe2.io.data_sets import read_data_set as read_data_set
-    from surrofe2.io.run_folder import read_run as read_run
-    from surrofe2.io.surrogates import (
+    from surrofe2.store.samples import read_data_set as read_data_set
+    from surrofe2.store.run_folder import read_run as read_run
+    from surrofe2.store.surrogates import (
         read_surrogate as read_surrogate,
         write_surrogate as write_surrogate,
     )

@@ -17,8 +17,6 @@ import numpy as np
 import skfem
 
 from surrofe2.errors import FileError, InputError, quoted
-from surrofe2.io.files import reported
-from surrofe2.io.meshes import read_mesh
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.problem.conditions import BodyForce, Condition, Foundation, Pressure, Traction
 from surrofe2.problem.mesh import (
@@ -42,6 +40,8 @@ from surrofe2.problem_entries import (
     parts_of,
 )
 from surrofe2.settings import check_settings, check_value, from_table, setting
+from surrofe2.store.meshes import read_mesh
+from surrofe2.store.store import reported
 from surrofe2.units import LENGTH, TIME
 
 SECTIONS = ("mesh", "conditions", "bodies", "watch", "time")

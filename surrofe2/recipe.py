@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.cell_types import CellType, SampleSettings, cell_types, points_of_cells
 from surrofe2.errors import FileError, InputError, quoted, shortened
-from surrofe2.io.files import plain
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
@@ -36,6 +35,7 @@ from surrofe2.recipe_entries import with_changes
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_value, from_table, hints_of, unknown
+from surrofe2.store.store import plain
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 

@@ -20,11 +20,11 @@ import numba
 
 from surrofe2 import cell_types
 from surrofe2.interruption import begin_work, exit_code, watch
-from surrofe2.io import data_sets
-from surrofe2.io.files import SEAL, write_bytes
-from surrofe2.io.surrogates import content_fingerprint
 from surrofe2.recipe import load_recipe
 from surrofe2.report import figures
+from surrofe2.store import samples
+from surrofe2.store.store import SEAL, write_bytes
+from surrofe2.store.surrogates import content_fingerprint
 from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
@@ -105,7 +105,7 @@ def checkpointed(name):
         patch(laws, "true_law", lambda recipe, *_: soft.of(recipe.cell, recipe.rve))
         for module in (run, rest, tissue):
             patch(module, "CHECKPOINT_INTERVAL", 0.0)
-        patch(data_sets, "INTERVAL", 0.0)
+        patch(samples, "INTERVAL", 0.0)
         patch(cell_types, "FIRST_COUNT", 40)
         patch(cell_types, "MOST_COUNT", 160)
         patch(generate_data_set, "__kwdefaults__", generate_data_set.__kwdefaults__ | {"chunk": 8})

@@ -1,4 +1,4 @@
-"""Faults of the disk: every operation of `surrofe2.io.disk` in turn fails, or is the last one."""
+"""Faults of the disk: each operation of `surrofe2.store.disk` in turn fails, or is the last one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from itertools import count
 
 from surrofe2.errors import FileError
-from surrofe2.io import disk
+from surrofe2.store import disk
 
 OPERATIONS = ("write", "sync", "move", "remove", "remove_folder", "make_folder")
 KINDS = {"no space": errno.ENOSPC, "input/output error": errno.EIO, "killed": None}

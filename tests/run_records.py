@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surrofe2.io.run_folder import RunRecord
+from surrofe2.store.run_folder import RunRecord
 
 
 def finished_record(recipe, law, wall_time, counts):

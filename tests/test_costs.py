@@ -12,9 +12,9 @@ import pytest
 
 from surrofe2.compilation import compiled
 from surrofe2.costs import Balance, Meter
-from surrofe2.io.provenance import read_seconds
-from surrofe2.io.run_folder import read_run
-from surrofe2.io.surrogates import content_fingerprint, read_surrogate, write_surrogate
+from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.run_folder import read_run
+from surrofe2.store.surrogates import content_fingerprint, read_surrogate, write_surrogate
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study

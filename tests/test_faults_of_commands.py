@@ -12,8 +12,8 @@ import shutil
 import pytest
 
 from surrofe2.errors import MismatchError
-from surrofe2.io.run_folder import read_record
 from surrofe2.recipe import load_recipe
+from surrofe2.store.run_folder import read_record
 from surrofe2.workflow import run_lifecycle
 from surrofe2.workflow.run import run_study
 from tests import commands

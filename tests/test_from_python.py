@@ -39,7 +39,7 @@ from surrofe2 import (
     zoom_into,
 )
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.io.run_folder import read_record
+from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
 from tests.laws import KelvinVoigt, SoftLaw

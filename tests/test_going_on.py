@@ -14,9 +14,9 @@ import numba
 import numpy as np
 import pytest
 
-from surrofe2.io.files import SEAL
-from surrofe2.io.run_folder import caches_of, read_record
 from surrofe2.recipe import load_recipe
+from surrofe2.store.run_folder import caches_of, read_record
+from surrofe2.store.store import SEAL
 from surrofe2.workflow import rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study

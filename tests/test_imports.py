@@ -28,7 +28,7 @@ def test_training_imports_them():
 
 @pytest.mark.parametrize(
     "module",
-    ["cli", "cli.run", "cli.compare", "cli.generate", "io.surrogates"],
+    ["cli", "cli.run", "cli.compare", "cli.generate", "store.surrogates"],
 )
 def test_what_help_runs_tables_and_comparisons_need_does_not(module):
     assert heavy_imports(f"import surrofe2.{module}") == ""

@@ -32,8 +32,8 @@ from surrofe2.problem.amplitude import Constant, Pulse, Ramp, Sine, Table
 from surrofe2.problem.mesh import check_mesh, nodes_on
 from surrofe2.problem_sections import load_mesh
 from surrofe2.recipe import load_recipe, make_recipe
-from tests.io.gmsh_files import QUADS
 from tests.laws import KelvinVoigt
+from tests.store.gmsh_files import QUADS
 
 RECIPE = """
 [range]

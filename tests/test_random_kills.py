@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2.io.run_folder import read_record
+from surrofe2.store.run_folder import read_record
 from tests import commands
 
 KILLS = int(os.environ.get("SURROFE2_KILLS", "50"))

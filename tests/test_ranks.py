@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from surrofe2.io.run_folder import read_record
+from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
 from tests.on_ranks import recipe_of

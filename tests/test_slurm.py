@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from surrofe2.io.run_folder import read_record
+from surrofe2.store.run_folder import read_record
 from tests.conftest import RECIPE
 
 ROOT = Path(__file__).parents[1]

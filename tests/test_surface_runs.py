@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import read_columns
-from surrofe2.io.run_folder import read_record, read_run
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe, make_recipe
+from surrofe2.store.run_folder import read_record, read_run
+from surrofe2.store.store import read_columns
 from surrofe2.surface.slab_law import SlabLaw
 from surrofe2.surface.tabulated import TabulatedSurface
 from surrofe2.workflow import surfaces

@@ -17,7 +17,7 @@ import pytest
 
 from surrofe2 import RveLaw, load_recipe, sample_stress
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.io.data_sets import read_data_set
+from surrofe2.store.samples import read_data_set
 from surrofe2.workflow import workers
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.workers import ATTEMPTS, executor_of, in_pieces

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.kept import read_kept, write_kept
 from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
@@ -24,6 +23,7 @@ from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import NamedCell
 from surrofe2.report.tables import Quantity
 from surrofe2.rve import RveLaw
+from surrofe2.store.store import read_kept, write_kept
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.tissue import simulate_tissue

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from benchmarks.trust import SEARCH
 from surrofe2.cache import CacheSettings
-from surrofe2.io.files import write_text
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
 from surrofe2.sampling import SamplingRange
+from surrofe2.store.store import write_text
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.deformation_paths import (
     DeformationPaths,

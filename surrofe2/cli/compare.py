@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from surrofe2.cli import console
-from surrofe2.io.run_folder import caches_of
 from surrofe2.report.comparison import Comparison
+from surrofe2.store.run_folder import caches_of
 from surrofe2.workflow.comparison import (
     COMPARISON_FILES,
     compare_runs,

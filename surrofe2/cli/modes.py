@@ -19,10 +19,10 @@ from surrofe2.cli.console import (
     progress,
     show_table,
 )
-from surrofe2.io.files import is_there, read_json, write_json
 from surrofe2.recipe import load_recipe
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
+from surrofe2.store.store import keep
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.rest import find_all_modes, modes_identity, modes_record
 
@@ -49,14 +49,13 @@ def modes(
     use_threads(threads)
     methods = INITIALISATIONS if initialisation == "all" else (initialisation,)
     asked = modes_identity(study, methods, count)
-    if out is not None and not fresh and is_there(out, asked):
-        found = read_json(out)["states"]
-    else:
-        found = find_all_modes(study, methods, count, stage=progress)
-        if out is not None:
-            write_json(out, asked | modes_record(study, found))
+
+    def make() -> dict[str, Any]:
+        return modes_record(study, find_all_modes(study, methods, count, stage=progress))
+
+    record = make() if out is None else keep(out, asked, make, fresh=fresh)[0]
     n = study.problem().mesh.nelements
-    for state, of_state in found.items():
+    for state, of_state in record["states"].items():
         title = f"{state.capitalize()}, {n} elements, preset {study.preset}"
         show_table(title, _table(of_state))
         for method, numbers in of_state.items():

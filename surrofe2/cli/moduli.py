@@ -23,9 +23,9 @@ from surrofe2.cli.console import (
     show_table,
     stages,
 )
-from surrofe2.io.files import is_there, write_json
 from surrofe2.report.study import NamedCell, Study, keep_study
 from surrofe2.rve import INITIALISATIONS
+from surrofe2.store.store import keep
 from surrofe2.studies import memory as memory_of
 from surrofe2.studies import stability as stability_of
 from surrofe2.studies.memory import MemorySettings
@@ -84,10 +84,19 @@ def moduli(
     if turgor is not None:
         of = NamedCell(with_turgor(of.cell, turgor), of.name, of.source)
     asked = of.identity({"initialisation": initialisation, "tables": tables})
-    if out is not None and not fresh and is_there(out, asked):
+
+    def make() -> dict[str, Any]:
+        return _moduli(of, initialisation, tables)
+
+    was_there = False
+    if out is None:
+        make()
+    else:
+        _, was_there = keep(out, asked, make, fresh=fresh)
+    if was_there:
         print_line(f"{out}: there already")
     else:
-        _moduli(of, initialisation, tables, out, asked)
+        done(out, f"elastic and viscous, of {of}")
     if memory is not None:
         wanted = MemorySettings(period=period)
         _study(
@@ -132,9 +141,8 @@ def _study(
     print_line(f"{folder}: {files}")
 
 
-def _moduli(
-    of: NamedCell, initialisation: str, tables: bool, out: Path | None, asked: Mapping[str, Any]
-) -> None:
+def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
+    """Compute and show them; what a file says of them."""
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
     with on_interrupt("nothing was changed"), stages() as stage:
         found = {}
@@ -164,12 +172,10 @@ def _moduli(
             if row.trouble:
                 print_line(f"{name} {row.value:.4g}: {row.trouble}")
         shown[title] = table
-    if out is not None:
-        turgors = {"turgor_mean_MPa": pressure.mean, "turgor_virial_MPa": pressure.virial}
-        turgors["turgor_walls_MPa"] = pressure.walls
-        records = {title: table.to_records() for title, table in shown.items()}
-        write_json(out, {**asked, "fingerprint": of.cell.fingerprint, **turgors, "tables": records})
-    done(out, f"elastic and viscous, of {of}")
+    turgors = {"turgor_mean_MPa": pressure.mean, "turgor_virial_MPa": pressure.virial}
+    turgors["turgor_walls_MPa"] = pressure.walls
+    records = {title: table.to_records() for title, table in shown.items()}
+    return {"fingerprint": of.cell.fingerprint, **turgors, "tables": records}
 
 
 def _counted(report: Report) -> Callable[[float], None]:

@@ -17,10 +17,9 @@ from surrofe2.displacement_curve import (
     force_difference,
 )
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.io.files import flat
-from surrofe2.io.run_costs import balance_of
-from surrofe2.io.run_folder import RunRecord, StoredRun, presets_of
 from surrofe2.report.tables import Quantity, Table, percent
+from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, presets_of
+from surrofe2.store.store import flat
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.io.run_folder import StoredRun, caches_of
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.report.comparison import Comparison, order_runs
 from surrofe2.report.figures import Curve, Panel, write_figure
+from surrofe2.store.run_folder import StoredRun, caches_of
 
 _BINS_A_DECADE = 10
 _SEEN = 0.02

@@ -17,8 +17,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import write_bytes
 from surrofe2.report.tables import Table
+from surrofe2.store.store import write_bytes
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import is_there, write_json, write_text
-from surrofe2.io.lock import file_lock, locked_file
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.report.figures import Panel, write_figure
 from surrofe2.report.tables import Table, to_csv
+from surrofe2.store.store import keep, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +112,15 @@ def keep_study(
     """
     stem, known = f"{name}-{of.name}", of.identity(asked)
     png, csv, md, json = paths = [out / f"{stem}.{kind}" for kind in ("png", "csv", "md", "json")]
-    if not (fresh or file_lock(json).exists()) and is_there(json, known):
-        return None, paths
-    with locked_file(json):
-        if not fresh and is_there(json, known):
-            return None, paths
+    studies: list[Study] = []
+
+    def compute() -> dict[str, Any]:
         study = make()
+        studies.append(study)
         write_text(md, study.table.to_markdown())
         write_text(csv, study.to_csv())
         write_figure(png, f"{study.title}, {of}", study.panels, study.columns)
-        made = {"study": stem, **study.to_record()}
-        write_json(json, made | known | {"fingerprint": of.cell.fingerprint})
-    return study, paths
+        return {"study": stem, **study.to_record(), "fingerprint": of.cell.fingerprint}
+
+    keep(json, known, compute, fresh=fresh)
+    return next(iter(studies), None), paths

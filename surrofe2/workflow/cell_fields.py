@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import (
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe import Recipe, make_recipe
+from surrofe2.rve import RveLaw
+from surrofe2.store.fields import (
     CELL,
     F_DOT_NAME,
     F_NAME,
@@ -19,11 +22,8 @@ from surrofe2.io.fields import (
     add_to_elements,
     read_fields,
 )
-from surrofe2.io.lock import locked_folder
-from surrofe2.io.run_folder import RunRecord, read_record
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe import Recipe, make_recipe
-from surrofe2.rve import RveLaw
+from surrofe2.store.run_folder import RunRecord, read_record
+from surrofe2.store.store import locked_folder
 from surrofe2.workflow.laws import true_law
 
 Array = NDArray[np.float64]

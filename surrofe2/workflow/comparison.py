@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import is_there, write_json
-from surrofe2.io.lock import folder_lock, locked_folder
-from surrofe2.io.run_folder import file_fingerprint, read_run
 from surrofe2.report.comparison import Comparison
 from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.comparison_plot import write_comparison_plot
+from surrofe2.store.run_folder import read_run
+from surrofe2.store.store import digest, keep
 from surrofe2.workflow.cell_fields import recipes_of
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.surfaces import missing_sentence
@@ -27,13 +27,13 @@ def compare_runs(
     out = Path(out)
     runs = [read_run(folder) for folder in folders]
     result = compare_stored(runs)
-    of = {run.folder.name: file_fingerprint(run.folder / "run.json") for run in runs}
-    path = out / COMPARISON_FILES[0]
-    if fresh or folder_lock(out).exists() or not is_there(path, {"of": of}):
-        with locked_folder(out):
-            if fresh or not is_there(path, {"of": of}):
-                write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
-                write_json(path, {**result.to_dict(), "of": of})
+    of = {run.folder.name: digest(run.folder / "run.json")[:16] for run in runs}
+
+    def make() -> dict[str, Any]:
+        write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
+        return result.to_dict()
+
+    keep(out / COMPARISON_FILES[0], {"of": of}, make, folder=out, fresh=fresh)
     return result
 
 

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.errors import InputError, SimulationError, quoted
-from surrofe2.io.files import write_json, write_text
-from surrofe2.io.lock import locked_folder
-from surrofe2.io.run_folder import read_run
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.recipe_entries import name_of_values
 from surrofe2.report.grid import Grid, GridRow, write_grid_plot
 from surrofe2.settings import unknown
+from surrofe2.store.run_folder import read_run
+from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.grid_tasks import GridTask, Work, run_member
 from surrofe2.workflow.laws import use_threads

@@ -18,22 +18,22 @@ from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.costs import Meter
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.kept import (
-    read_attached,
-    read_reference,
-    reference_path,
-    write_reference,
-)
-from surrofe2.io.provenance import read_seconds
-from surrofe2.io.run_folder import file_fingerprint
-from surrofe2.io.surrogates import content_fingerprint, read_surrogate
-from surrofe2.io.tables import check_table, read_table
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.ranks.distributed_law import shared
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
+from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.reference_states import (
+    read_attached,
+    read_reference,
+    reference_path,
+    write_reference,
+)
+from surrofe2.store.store import digest
+from surrofe2.store.surrogates import content_fingerprint, read_surrogate
+from surrofe2.store.tables import check_table, read_table
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
@@ -173,7 +173,7 @@ def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> Str
 def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     if not tables:
         return None
-    names, prints = [path.name for path in tables], [file_fingerprint(path) for path in tables]
+    names, prints = [path.name for path in tables], [digest(path)[:16] for path in tables]
     seconds = {str(path): read_seconds(path) for path in tables}
     made = {"seconds": {} if None in seconds.values() else seconds}
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}

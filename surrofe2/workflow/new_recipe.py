@@ -6,8 +6,8 @@ from importlib import resources
 from pathlib import Path
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import read_bytes, write_text
 from surrofe2.settings import unknown
+from surrofe2.store.store import read_bytes, write_text
 
 KINDS = {
     "bar": "the paper's bending bar",

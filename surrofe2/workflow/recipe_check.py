@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.harvest import check_harvest, read_harvest
-from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import Recipe, load_recipe, make_recipe
+from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
+from surrofe2.store.surrogates import read_surrogate
 from surrofe2.workflow.laws import check_surrogate
 from surrofe2.workflow.samples import check_data
 

@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.costs import Meter
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.io.data_sets import stored_count
-from surrofe2.io.files import (
+from surrofe2.recipe import Recipe
+from surrofe2.report.tables import NONE, Quantity, percent
+from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
+from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.run_folder import caches_of
+from surrofe2.store.samples import Harvest, HarvestWriter, read_harvest, stored_count
+from surrofe2.store.store import (
     check_same,
+    locked_folder,
     make_folder,
     read_bytes,
     read_json,
@@ -27,13 +33,6 @@ from surrofe2.io.files import (
     write_bytes,
     write_json,
 )
-from surrofe2.io.harvest import Harvest, HarvestWriter, read_harvest
-from surrofe2.io.lock import locked_folder
-from surrofe2.io.provenance import read_seconds
-from surrofe2.io.run_folder import caches_of
-from surrofe2.recipe import Recipe
-from surrofe2.report.tables import NONE, Quantity, percent
-from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
 from surrofe2.tensors import stress_error
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set, wanted_count

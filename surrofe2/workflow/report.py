@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.io.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
-from surrofe2.io.files import read_bytes, read_columns, write_text
-from surrofe2.io.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page.document import page_of
 from surrofe2.report.page.seen import OF_ELEMENTS, OF_POINTS, Seen, SeenRun
+from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
+from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
+from surrofe2.store.store import read_bytes, read_columns, write_text
 
 _MOST_PICTURES = 4
 

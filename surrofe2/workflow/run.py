@@ -10,11 +10,11 @@ from typing import Any
 from surrofe2.cache.branches import part_of, within
 from surrofe2.compilation import seconds_compiling
 from surrofe2.errors import InputError
-from surrofe2.io.provenance import read_seconds
-from surrofe2.io.run_folder import RunRecord, caches_of, write_events
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import out_of_range
+from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.run_folder import RunRecord, caches_of, write_events
 from surrofe2.workflow.cell_laws import (
     NO_FILES,
     cache_report,

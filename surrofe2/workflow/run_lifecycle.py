@@ -18,17 +18,16 @@ import numpy as np
 
 from surrofe2.costs import processor
 from surrofe2.errors import FileError, InputError, MismatchError, SimulationError
-from surrofe2.io.files import remove
-from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.io.lock import folder_lock, locked_folder
-from surrofe2.io.run_folder import (
+from surrofe2.recipe import Recipe
+from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
+from surrofe2.store.run_folder import (
     CHECKPOINT,
     RunRecord,
     earlier_run,
     open_run_folder,
     write_record,
 )
-from surrofe2.recipe import Recipe
+from surrofe2.store.store import folder_lock, locked_folder, remove
 from surrofe2.units import time_text as time_text
 
 log = logging.getLogger(__name__)

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from surrofe2.cache import StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.io.harvest import HarvestWriter
-from surrofe2.io.provenance import Origin
-from surrofe2.io.tables import stored, write_table
 from surrofe2.recipe import Recipe
+from surrofe2.store.samples import HarvestWriter, Origin
+from surrofe2.store.tables import stored, write_table
 
 TABLE, HARVEST = "table.h5", "harvest.h5"
 

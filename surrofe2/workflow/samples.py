@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from surrofe2.errors import MismatchError
-from surrofe2.io.data_sets import read_data_set, stored_count
-from surrofe2.io.harvest import Harvest, check_harvest, read_harvest
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange
+from surrofe2.store.samples import Harvest, check_harvest, read_data_set, read_harvest, stored_count
 from surrofe2.stress_law import StressLaw
 from surrofe2.stress_samples import StressSamples
 from surrofe2.tensors import stress_error, stress_spread

@@ -11,29 +11,6 @@ from typing import Any
 import numpy as np
 
 from surrofe2.cache import CachedLaw
-from surrofe2.io.fields import (
-    DISPLACEMENT_NAME,
-    F_DOT_NAME,
-    F_NAME,
-    RISK_NAME,
-    SOURCE_NAME,
-    STRESS_NAME,
-    VELOCITY_NAME,
-    write_fields,
-    write_point_fields,
-)
-from surrofe2.io.files import plain
-from surrofe2.io.lock import locked_folder
-from surrofe2.io.run_folder import (
-    RunRecord,
-    caches_of,
-    open_run_folder,
-    write_curve,
-    write_energies,
-    write_events,
-    write_history,
-    write_record,
-)
 from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroRun
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
@@ -49,6 +26,28 @@ from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
+from surrofe2.store.fields import (
+    DISPLACEMENT_NAME,
+    F_DOT_NAME,
+    F_NAME,
+    RISK_NAME,
+    SOURCE_NAME,
+    STRESS_NAME,
+    VELOCITY_NAME,
+    write_fields,
+    write_point_fields,
+)
+from surrofe2.store.run_folder import (
+    RunRecord,
+    caches_of,
+    open_run_folder,
+    write_curve,
+    write_energies,
+    write_events,
+    write_history,
+    write_record,
+)
+from surrofe2.store.store import locked_folder, plain
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.cell_laws import (

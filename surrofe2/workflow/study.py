@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
-from surrofe2.io.run_folder import RunRecord
 from surrofe2.recipe import Recipe
 from surrofe2.report.comparison import Comparison
+from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
 from surrofe2.workflow.recipe_check import refuse_faults

@@ -16,14 +16,14 @@ import numpy as np
 
 from surrofe2.compilation import cache_folder
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.run_folder import RunRecord
-from surrofe2.io.surfaces import check_surface, read_surface, write_surface
 from surrofe2.macro.free_sides import free_sides
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem import Problem, Surface
 from surrofe2.problem.mesh import extent
 from surrofe2.recipe import Recipe
+from surrofe2.store.run_folder import RunRecord
+from surrofe2.store.tables import check_surface, read_surface, write_surface
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import ROWS, SlabLaw, rows_across
 from surrofe2.surface.tabulated import TabulatedSurface

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from surrofe2.compilation import seconds_compiling
 from surrofe2.errors import InputError
-from surrofe2.io.fields import write_particle_fields
-from surrofe2.io.run_folder import RunRecord, write_curve, write_energies, write_history
 from surrofe2.recipe import Recipe
+from surrofe2.store.fields import write_particle_fields
+from surrofe2.store.run_folder import RunRecord, write_curve, write_energies, write_history
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import make_conditions, step_at_rest, with_step
 from surrofe2.tissue_problem import cells_of, problem_of_tissue

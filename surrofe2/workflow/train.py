@@ -11,19 +11,18 @@ import numpy as np
 
 from surrofe2.costs import Meter
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.io.files import START_OVER, check_same, remove
-from surrofe2.io.kept import read_attached
-from surrofe2.io.lock import locked_file
-from surrofe2.io.provenance import read_seconds
-from surrofe2.io.surrogates import (
+from surrofe2.recipe import Recipe
+from surrofe2.sampling import SamplingRange
+from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.reference_states import read_attached
+from surrofe2.store.store import START_OVER, check_same, locked_file, remove
+from surrofe2.store.surrogates import (
     read_surrogate,
     read_training,
     training_seconds,
     write_surrogate,
     write_training,
 )
-from surrofe2.recipe import Recipe
-from surrofe2.sampling import SamplingRange
 from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.settings import WISH

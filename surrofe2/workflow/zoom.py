@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import F_DOT_NAME, F_NAME, StoredFields
-from surrofe2.io.files import write_columns
-from surrofe2.io.lock import locked_folder
-from surrofe2.io.particles import write_rve_fields
-from surrofe2.io.run_folder import RunRecord, read_record
 from surrofe2.macro.discretisation import find_element
 from surrofe2.report.particle_plot import write_particle_picture
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
+from surrofe2.store.fields import F_DOT_NAME, F_NAME, StoredFields, write_rve_fields
+from surrofe2.store.run_folder import RunRecord, read_record
+from surrofe2.store.store import locked_folder, write_columns
 from surrofe2.stress_law import describe
 from surrofe2.workflow.cell_fields import cell_numbers, read_motion, recipes_of
 from surrofe2.workflow.laws import true_law

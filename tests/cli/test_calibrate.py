@@ -9,12 +9,12 @@ import pytest
 
 from surrofe2 import simulate
 from surrofe2.errors import SimulationError
-from surrofe2.io.data_sets import read_data_set
-from surrofe2.io.files import plain
-from surrofe2.io.surrogates import read_surrogate
 from surrofe2.load_case import LoadCase
 from surrofe2.problem.amplitude import Pulse, Ramp, Sine
 from surrofe2.recipe import load_recipe
+from surrofe2.store.samples import read_data_set
+from surrofe2.store.store import plain
+from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.workflow import calibrate as calibrating

@@ -10,14 +10,14 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app
 from surrofe2.errors import InputError
-from surrofe2.io.harvest import read_harvest
-from surrofe2.io.run_folder import read_curve, read_record
-from surrofe2.io.tables import read_table
 from surrofe2.macro import simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.rve import RveLaw
+from surrofe2.store.run_folder import read_curve, read_record
+from surrofe2.store.samples import read_harvest
+from surrofe2.store.tables import read_table
 from surrofe2.workflow import laws
 from surrofe2.workflow.dry_run import dry_run
 from surrofe2.workflow.generate import generate_data_set

@@ -5,7 +5,7 @@ from shutil import copytree
 
 import pytest
 
-from surrofe2.io.lock import locked_folder
+from surrofe2.store.store import locked_folder
 from tests.laws import SoftLaw
 
 

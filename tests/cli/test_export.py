@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from surrofe2.io.surrogates import write_surrogate
+from surrofe2.store.surrogates import write_surrogate
 from tests.surrogate.networks import make_law
 
 

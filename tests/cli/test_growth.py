@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.io.harvest import read_harvest
-from surrofe2.io.run_folder import read_record
-from surrofe2.io.surrogates import read_surrogate
-from surrofe2.io.tables import read_table
 from surrofe2.recipe import load_recipe
+from surrofe2.store.run_folder import read_record
+from surrofe2.store.samples import read_harvest
+from surrofe2.store.surrogates import read_surrogate
+from surrofe2.store.tables import read_table
 from surrofe2.workflow.laws import make_table
 from tests.laws import SoftLaw, SquareLaw, square_stress
 

@@ -8,10 +8,10 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.io.run_folder import read_curve, read_history, read_record
+from surrofe2.store.run_folder import read_curve, read_history, read_record
 from tests.cli.finished_run import RUN_FILES
-from tests.io.gmsh_files import TRIANGLES
 from tests.laws import SoftLaw, StoppingLaw
+from tests.store.gmsh_files import TRIANGLES
 
 LEAF = TRIANGLES.replace(
     "0 0 5\n2 0 5\n2 2 5\n0 2 5\n1 1 5", "0 0 5\n100 0 5\n100 100 5\n0 100 5\n50 50 5"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from surrofe2 import compilation
-from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.io.run_folder import read_curve, read_record
+from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
+from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.workflow import laws
 from surrofe2.workflow.run import run_study, step_notes
 from tests.cli.finished_run import RUN_FILES

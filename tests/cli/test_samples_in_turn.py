@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from surrofe2 import cell_types
-from surrofe2.io.data_sets import read_data_set, stored_count
-from surrofe2.io.provenance import read_seconds
-from surrofe2.io.surrogates import read_surrogate
 from surrofe2.recipe import load_recipe
+from surrofe2.store.hdf5 import read_seconds
+from surrofe2.store.samples import read_data_set, stored_count
+from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.refinement import refine_surrogate

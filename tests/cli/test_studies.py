@@ -7,8 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app, progress
-from surrofe2.io.files import read_json, write_json
-from surrofe2.io.lock import locked_file
+from surrofe2.store.store import locked_file, read_json, write_json
 from surrofe2.studies import stability
 
 

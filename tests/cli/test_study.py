@@ -8,7 +8,7 @@ import shutil
 
 import pytest
 
-from surrofe2.io.run_folder import read_record
+from surrofe2.store.run_folder import read_record
 from tests.laws import SoftLaw, SquareLaw
 
 

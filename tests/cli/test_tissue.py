@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.io.files import read_columns
-from surrofe2.io.run_folder import read_curve, read_history, read_record
 from surrofe2.recipe import load_recipe
+from surrofe2.store.run_folder import read_curve, read_history, read_record
+from surrofe2.store.store import read_columns
 from tests.cli.finished_run import TISSUE_FILES
 
 

@@ -4,8 +4,8 @@ import shlex
 
 import pytest
 
-from surrofe2.io.files import START_OVER
-from surrofe2.io.surrogates import read_surrogate
+from surrofe2.store.store import START_OVER
+from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.workflow import train as train_workflow
 from surrofe2.workflow.train import large_errors, train_surrogate

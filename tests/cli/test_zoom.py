@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import app, progress
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.fields import CELL, F_DOT_NAME, F_NAME
-from surrofe2.io.lock import locked_folder
-from surrofe2.io.run_folder import read_record
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe
 from surrofe2.rve import RveLaw
+from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME
+from surrofe2.store.run_folder import read_record
+from surrofe2.store.store import locked_folder
 from surrofe2.workflow.cell_fields import cell_numbers, extremes_of, read_motion, recipes_of
 from surrofe2.workflow.zoom import zoom_into
 from tests.cli.test_cell_types import BAR as SEVERAL_CELLS

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.io.data_sets import read_data_set, writing_data_set
-from surrofe2.io.fields import write_fields
-from surrofe2.io.files import read_json, write_json
-from surrofe2.io.harvest import HarvestWriter, read_harvest
-from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.io.kept import read_reference, write_reference
-from surrofe2.io.run_folder import (
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.problem_sections import load_mesh
+from surrofe2.recipe import load_recipe
+from surrofe2.store.fields import write_fields
+from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
+from surrofe2.store.reference_states import read_reference, write_reference
+from surrofe2.store.run_folder import (
     read_curve,
     read_history,
     read_record,
@@ -22,26 +22,25 @@ from surrofe2.io.run_folder import (
     write_history,
     write_record,
 )
-from surrofe2.io.surrogates import (
+from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest, writing_data_set
+from surrofe2.store.store import read_json, write_json
+from surrofe2.store.surrogates import (
     read_surrogate,
     read_training,
     write_surrogate,
     write_training,
 )
-from surrofe2.io.tables import read_table, stored, write_table
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.problem_sections import load_mesh
-from surrofe2.recipe import load_recipe
+from surrofe2.store.tables import read_table, stored, write_table
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
 from surrofe2.workflow.cell_fields import read_motion
 from tests.cache.tables import make, states, taught
 from tests.fuzz.test_recipes import ROOT
-from tests.io.gmsh_files import QUADS
-from tests.io.small_data_set import HEADER, append_chunk, write_all
 from tests.laws import CELL, SoftLaw, lattice_samples
 from tests.run_records import finished_record
+from tests.store.gmsh_files import QUADS
+from tests.store.small_data_set import HEADER, append_chunk, write_all
 
 POINTS = np.eye(2) + 0.01 * np.arange(8.0).reshape(2, 2, 2), 0.001 * np.ones((2, 2, 2))
 T = np.arange(5.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from surrofe2.io.files import plain
+from surrofe2.store.store import plain
 from tests.fuzz.fuzzing import Content, answered, damaged_bytes, examples, few_and_all
 from tests.fuzz.stored import KINDS, UNSEALED
 

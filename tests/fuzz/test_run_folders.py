@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surrofe2.io.run_folder import read_run
 from surrofe2.report.comparison import compare
+from surrofe2.store.run_folder import read_run
 from tests.fuzz.fuzzing import Content, answered, damaged_bytes, examples, few_and_all
 from tests.fuzz.stored import KINDS
 

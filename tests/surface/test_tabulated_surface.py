@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.surfaces import check_surface, read_surface, write_surface
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.store.tables import check_surface, read_surface, write_surface
 from surrofe2.surface import SlabLaw, tabulate_surface
 from surrofe2.surface_law import SurfaceResponse
 

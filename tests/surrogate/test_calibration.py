@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import InputError
-from surrofe2.io.files import plain
-from surrofe2.io.surrogates import read_surrogate, write_surrogate
 from surrofe2.sampling import SamplingRange, sample
+from surrofe2.store.store import plain
+from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import calibration
 from surrofe2.surrogate.calibration import (

@@ -11,9 +11,9 @@ from safetensors.numpy import save_file
 
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.errors import FileError
-from surrofe2.io import surrogates
-from surrofe2.io.surrogates import read_surrogate, write_surrogate, write_training
 from surrofe2.sampling import sample
+from surrofe2.store import surrogates
+from surrofe2.store.surrogates import read_surrogate, write_surrogate, write_training
 from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings, train
 from tests.laws import RANGE, WELL_INSIDE, TrueLattice, lattice_samples
@@ -116,7 +116,7 @@ def test_an_unfinished_training_is_no_surrogate(tmp_path):
 def test_a_surrogate_of_an_older_schema_says_what_to_do(file, monkeypatch):
     content, tensors = read_parts(file)
     with monkeypatch.context() as older:
-        older.setattr(surrogates, "SCHEMA_VERSION", 4)
+        older.setattr(surrogates, "SURROGATE", replace(surrogates.SURROGATE, version=4))
         write_parts(file, content, tensors)
     assert_refused(file, "surrofe2-surrogate 4; this .* train again with: surrofe2 train RECIPE")
 

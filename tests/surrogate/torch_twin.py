@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from surrofe2.io import surrogates
+from surrofe2.store import surrogates
 from surrofe2.surrogate.network import StressNetwork, along
 from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.tensors import INPUTS, to_inputs
@@ -35,11 +35,11 @@ def differentiate(network, inputs):
 
 def read_parts(path):
     """(content, tensors) of a surrogate's file."""
-    return surrogates._read(path, surrogates.SCHEMA, "surrogate")
+    return surrogates._read(path, surrogates.SURROGATE)
 
 
 def write_parts(path, content, tensors):
     """A file of these parts, with the right SHA-256."""
     own = ("sha256", "schema", "schema_version")
     content = {key: value for key, value in content.items() if key not in own}
-    surrogates._write(path, surrogates.SCHEMA, content, tensors)
+    surrogates._write(path, surrogates.SURROGATE, content, tensors)

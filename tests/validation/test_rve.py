@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surrofe2.io.files import read_json
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.store.store import read_json
 from validation import rve
 from validation.__main__ import STUDIES, main
 

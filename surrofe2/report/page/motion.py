@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import SOURCE_NAME, StoredFields
 from surrofe2.report.page.bodies import MARGIN, DrawnBody, bodies_of
 from surrofe2.report.page.colours import (
     LEVELS,
@@ -22,6 +21,7 @@ from surrofe2.report.page.colours import (
 )
 from surrofe2.report.page.html import figure, grid, missing, section
 from surrofe2.report.page.seen import VON_MISES, WALL_STRETCH, Seen, SeenRun
+from surrofe2.store.fields import SOURCE_NAME, StoredFields
 
 Array = NDArray[np.float64]
 

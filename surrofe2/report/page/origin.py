@@ -7,9 +7,9 @@ import json
 import shlex
 from typing import Any
 
-from surrofe2.io.files import flat
 from surrofe2.report.page.html import figure, folded, missing, paragraph, section, table
 from surrofe2.report.page.seen import Seen, SeenRun
+from surrofe2.store.store import flat
 
 _MOST_EVENTS = 200
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.costs import Balance
-from surrofe2.io.fields import F_NAME, STRESS_NAME
-from surrofe2.io.run_costs import made_for
 from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.charts import bars, chart
 from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table_of
 from surrofe2.report.page.seen import Seen, SeenRun
+from surrofe2.store.fields import F_NAME, STRESS_NAME
+from surrofe2.store.run_folder import made_for
 
 _MOST_RUNS = 2.0
 """Runs, as multiples of those from which on a cache pays, that its picture shows."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import RISK_NAME, SOURCE_NAME, STRESS_NAME, StoredFields
-from surrofe2.io.run_folder import RunRecord, StoredRun
 from surrofe2.report.comparison import Comparison
+from surrofe2.store.fields import RISK_NAME, SOURCE_NAME, STRESS_NAME, StoredFields
+from surrofe2.store.run_folder import RunRecord, StoredRun
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.io.fields import RISK_NAME, SOURCE_NAME
-from surrofe2.io.run_folder import caches_of
 from surrofe2.report.comparison_plot import audit_curves, clock_of
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.charts import chart
@@ -17,6 +15,8 @@ from surrofe2.report.page.colours import SOURCES
 from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table
 from surrofe2.report.page.motion import mesh_picture
 from surrofe2.report.page.seen import Seen, SeenRun
+from surrofe2.store.fields import RISK_NAME, SOURCE_NAME
+from surrofe2.store.run_folder import caches_of
 from surrofe2.stress_law import TABLE
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
 from surrofe2.cache.cached_law import effort_of
-from surrofe2.io.run_folder import write_record
 from surrofe2.macro import simulate
+from surrofe2.store.run_folder import write_record
 from surrofe2.stress_law import Status
 from surrofe2.workflow.saved_run import write_results
 from tests.laws import KelvinVoigt

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.meshes import read_mesh
 from surrofe2.problem.mesh import check_mesh, element_nodes
 from surrofe2.problem_sections import load_mesh
-from tests.io.gmsh_files import QUADS, TRIANGLES
+from surrofe2.store.meshes import read_mesh
 from tests.macro.meshes import sides_of
+from tests.store.gmsh_files import QUADS, TRIANGLES
 
 
 @pytest.fixture

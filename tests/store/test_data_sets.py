@@ -11,15 +11,14 @@ import pytest
 
 from surrofe2 import interruption
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io import data_sets
-from surrofe2.io.data_sets import read_data_set, writing_data_set
-from surrofe2.io.harvest import HarvestWriter, read_harvest
-from surrofe2.io.hdf5 import reading_hdf5, write_checkpoint, writing_hdf5
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SEQUENCE, sample
+from surrofe2.store import samples
+from surrofe2.store.hdf5 import reading_hdf5, write_checkpoint, writing_hdf5
+from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest, writing_data_set
 from surrofe2.stress_law import Status, describe
-from tests.io.small_data_set import HEADER, RANGE, append_chunk, write_all
 from tests.laws import SoftLaw
+from tests.store.small_data_set import HEADER, RANGE, append_chunk, write_all
 
 
 def test_what_was_written_is_read(tmp_path):
@@ -139,7 +138,7 @@ def test_unfinished_is_not_sealed(tmp_path):
 def test_points_of_another_sequence_are_not_gone_on_with(tmp_path, monkeypatch):
     path = tmp_path / "cells.h5"
     with monkeypatch.context() as before:
-        before.setattr(data_sets, "SEQUENCE", "Sobol")
+        before.setattr(samples, "SEQUENCE", "Sobol")
         write_all(path)
     told = f"samples.sequence: this call has {SEQUENCE}, what is there Sobol"
     with pytest.raises(MismatchError, match=told), writing_data_set(path, HEADER):
@@ -197,7 +196,7 @@ def test_every_changed_byte_is_seen(tmp_path):
 def test_later_schema(tmp_path, monkeypatch):
     path = tmp_path / "cells.h5"
     with monkeypatch.context() as later:
-        later.setattr(data_sets, "SCHEMA_VERSION", 3)
+        later.setattr(samples, "DATA_SET", replace(samples.DATA_SET, version=3))
         write_all(path)
     with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
         read_data_set(path)

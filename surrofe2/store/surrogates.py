@@ -21,7 +21,12 @@ from safetensors.numpy import load, save
 from surrofe2 import units
 from surrofe2.cache.branches import part_of, within
 from surrofe2.errors import FileError, shortened
-from surrofe2.io.files import (
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.sampling import SamplingRange
+from surrofe2.settings import check_value
+from surrofe2.store.hdf5 import Kind
+from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
     check_seal,
@@ -30,20 +35,17 @@ from surrofe2.io.files import (
     sealed,
     write_bytes,
 )
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_value
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
-SCHEMA, TRAINING_SCHEMA = "surrofe2-surrogate", "surrofe2-unfinished-training"
-SCHEMA_VERSION = 5  # 1 and 2 were stored by torch; 4 had an energy form and half-spaces
+SURROGATE = Kind("surrogate", 6)  # 1 and 2: by torch; 4: energy form, half-spaces; 5: no alpha
+TRAINING = Kind("unfinished training", 5)
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
 _ANEW = "train again with: surrofe2 train RECIPE --fresh"
+_FOREIGN = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _ZIP = b"PK\x03\x04"  # how files of torch begin
 
 Tensors = dict[str, NDArray[Any]]
@@ -74,7 +76,7 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
         "calibration": law.calibration,
         "seconds": law.seconds,
     }
-    _write(path, SCHEMA, content, tensors)
+    _write(path, SURROGATE, content, tensors)
 
 
 def read_surrogate(path: str | Path) -> SurrogateLaw:
@@ -84,7 +86,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
         FileError: missing, truncated, foreign, altered, or of an older version.
     """
     path = Path(path)
-    content, tensors = _read(path, SCHEMA, "surrogate")
+    content, tensors = _read(path, SURROGATE)
     try:
         cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
@@ -164,12 +166,12 @@ def write_training(
 ) -> None:
     """Write an interrupted training, see `surrogate.training.TrainingState`, and its time."""
     content = {"identity": dict(identity), "iterations": iterations, "seconds": seconds}
-    _write(path, TRAINING_SCHEMA, content, dict(arrays))
+    _write(path, TRAINING, content, dict(arrays))
 
 
 def training_seconds(path: Path) -> float:
     """Seconds of an interrupted training; a FileError where it cannot be read."""
-    content, _ = _read(path, TRAINING_SCHEMA, "unfinished training")
+    content, _ = _read(path, TRAINING)
     try:
         return float(content["seconds"])
     except (KeyError, ValueError, TypeError):
@@ -182,57 +184,61 @@ def content_fingerprint(path: Path) -> str:
     Raises:
         FileError: it cannot be read.
     """
-    stored = read_bytes(path)
     try:
-        length = int.from_bytes(stored[:8], "little")
-        head = json.loads(stored[8 : 8 + length])
-        content = json.loads(head["__metadata__"]["surrofe2"])
+        head, content, arrays = _head_of(read_bytes(path))
         del head["__metadata__"], content[SEAL]
-        content.pop("seconds", None)
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except _FOREIGN:
         raise FileError(f"{path}: not of surrofe2; {_ANEW}") from None
-    told = json.dumps([head, content], sort_keys=True).encode()
-    return hashlib.sha256(told + stored[8 + length :]).hexdigest()[:16]
+    content.pop("seconds", None)
+    text = json.dumps([head, content], sort_keys=True).encode()
+    return hashlib.sha256(text + arrays).hexdigest()[:16]
 
 
 def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
     """(identity, iterations, arrays) of an interrupted training, or a FileError."""
-    content, tensors = _read(path, TRAINING_SCHEMA, "unfinished training")
+    content, tensors = _read(path, TRAINING)
     identity, iterations = content.get("identity"), content.get("iterations")
     if not isinstance(identity, dict) or type(iterations) is not int or iterations < 0:
         raise FileError(f"{path}: identity, iterations: missing or damaged; {_ANEW}")
     return identity, iterations, tensors
 
 
-def _write(path: Path, schema: str, content: Mapping[str, Any], tensors: Tensors) -> None:
-    head = {SEAL: NO_DIGEST, "schema": schema, "schema_version": SCHEMA_VERSION}
+def _write(path: Path, kind: Kind, content: Mapping[str, Any], tensors: Tensors) -> None:
+    head = {SEAL: NO_DIGEST, "schema": kind.schema, "schema_version": kind.version}
     text = json.dumps(plain(content) | head, ensure_ascii=False)
     arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
-    stored = save(arrays, metadata={"surrofe2": text})
-    write_bytes(path, sealed(stored))
+    write_bytes(path, sealed(save(arrays, metadata={"surrofe2": text})))
 
 
-def _read(path: Path, schema: str, name: str) -> tuple[dict[str, Any], Tensors]:
+def _head_of(stored: bytes) -> tuple[dict[str, Any], dict[str, Any], bytes]:
+    """The header of safetensors, our metadata in it, and the bytes of the arrays."""
+    length = int.from_bytes(stored[:8], "little")
+    head = json.loads(stored[8 : 8 + length])
+    content = json.loads(head["__metadata__"]["surrofe2"])
+    if not isinstance(content, dict):
+        raise TypeError("metadata: no JSON object")
+    return head, content, stored[8 + length :]
+
+
+def _read(path: Path, kind: Kind) -> tuple[dict[str, Any], Tensors]:
     stored = read_bytes(path)
     if stored.startswith(_ZIP):
         raise FileError(f"{path}: a surrogate of an older surrofe2, stored by torch; {_ANEW}")
     if SEAL.encode() not in stored:
-        raise FileError(f"{path}: not a surrofe2 {name}, or truncated; {_ANEW}")
+        raise FileError(f"{path}: not a surrofe2 {kind.name}, or truncated; {_ANEW}")
     try:
         check_seal(path, stored)
     except FileError as error:
         raise FileError(f"{error}; {_ANEW}") from None
     try:
-        length = int.from_bytes(stored[:8], "little")
-        content = json.loads(json.loads(stored[8 : 8 + length])["__metadata__"]["surrofe2"])
+        _, content, _ = _head_of(stored)
         tensors = load(stored)
-        content.get("schema")
-    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise FileError(f"{path}: not a surrofe2 {name}; {_ANEW}") from None
-    found, version = content.get("schema"), content.get("schema_version")
-    if found != schema or version != SCHEMA_VERSION:
+    except (SafetensorError, *_FOREIGN):
+        raise FileError(f"{path}: not a surrofe2 {kind.name}; {_ANEW}") from None
+    schema, version = content.get("schema"), content.get("schema_version")
+    if schema != kind.schema or version != kind.version:
         raise FileError(
-            f"{path}: {found} {version}; this surrofe2 reads {schema} {SCHEMA_VERSION} as {name}; "
-            f"{_ANEW}"
+            f"{path}: {schema} {version}; this surrofe2 reads {kind.schema} {kind.version} as "
+            f"{kind.name}; {_ANEW}"
         )
     return content, tensors

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.io.data_sets import read_data_set, writing_data_set
 from surrofe2.sampling import sample
+from surrofe2.store.samples import read_data_set, writing_data_set
 from surrofe2.stress_law import StressResponse, Tangents
-from tests.io.small_data_set import HEADER, RANGE, write_all
 from tests.laws import SoftLaw
+from tests.store.small_data_set import HEADER, RANGE, write_all
 
 
 def test_tangents_are_kept_to_the_bit(tmp_path):

@@ -1,4 +1,7 @@
-"""Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points."""
+"""Fields over time as XDMF + HDF5, which ParaView opens: of elements, particles, or law points.
+
+Of an RVE that is looked into, they are of its particles.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import FileError
-from surrofe2.io.files import reported, write_text
-from surrofe2.io.hdf5 import reading_hdf5, stored_array, writing_hdf5
+from surrofe2.rve.particles import Particles
+from surrofe2.store.hdf5 import Kind, Stored, reading_hdf5, store_array, writing
+from surrofe2.store.store import reported, write_text
 
 if TYPE_CHECKING:
     from surrofe2.macro.frames import Frames
@@ -28,6 +31,7 @@ RISK_NAME = "risk"
 DISPLACEMENT_NAME, VELOCITY_NAME = "displacement_um", "velocity_um_per_us"
 CELL = "plant_cell"
 _TENSORS = (STRESS_NAME, F_NAME, F_DOT_NAME)
+FIELDS_FILE = Kind("fields", 1)
 FIELDS, POINTS = "fields", "points"
 """Names of the two files of elements or particles, and of those of points of the law."""
 _KINDS = {1: "Polyvertex", 2: "Polyline", 4: "Quadrilateral", 6: "Triangle_6"}
@@ -132,14 +136,10 @@ def write_series(
         cells: (e, k) the points of each.
         name: of the two files.
     """
-    with writing_hdf5(folder / f"{name}.h5") as file:
+    with writing(folder / f"{name}.h5", FIELDS_FILE, {}) as file:
 
         def stored(entry: str, values: NDArray[Any]) -> str:
-            # As file[entry] = values, in 0.05 ms instead of 0.13: a run stores a thousand of them.
-            kind = h5py.h5t.py_create(values.dtype, logical=True)
-            space = h5py.h5s.create_simple(values.shape)
-            held = h5py.h5d.create(file.id, entry.encode(), kind, space)
-            held.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(values))
+            store_array(file, entry, values)
             return _item(entry, values, f"{name}.h5")
 
         def attribute(what: str, centre: str, k: int, of_plane: NDArray[Any]) -> str:
@@ -208,12 +208,12 @@ def add_to_elements(folder: Path, added: Series) -> None:
     """
     of_frames = {f"{name}.{k}": at for name, of in added.items() for k, at in enumerate(of)}
     path = folder / f"{FIELDS}.h5"
-    with reading_hdf5(path) as there, writing_hdf5(path) as file:
+    with reading_hdf5(path) as there, writing(path, FIELDS_FILE, {}) as file:
         for name in there:
             if name not in of_frames:
                 there.copy(name, file)
         for name, values in of_frames.items():
-            file[name] = values
+            store_array(file, name, values)
     path = folder / f"{FIELDS}.xdmf"
     with reported(path, "read"):
         *grids, end = path.read_text(encoding="utf-8").split("</Grid>\n")
@@ -262,8 +262,9 @@ def read_fields(
         for what in needed:
             if f"{what}.0" not in file:
                 raise FileError(f"{path}: no {what} in it; run it again with --fresh")
-        t, points = stored_array(file, "t", (None,)), stored_array(file, "points", (None, 3))
-        cells = stored_array(file, "cells", (None, None), np.int64)
+        stored = Stored(file, FIELDS_FILE)
+        t, points = stored.array("t", (None,)), stored.array("points", (None, 3))
+        cells = stored.array("cells", (None, None), np.int64)
         if not (len(t) and 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points)):
             raise ValueError("t or cells: empty, or of points that are not there")
         values = {}
@@ -276,7 +277,67 @@ def read_fields(
             is_motion = what in (DISPLACEMENT_NAME, VELOCITY_NAME)
             axes = 2 if what in _TENSORS else int(is_motion)
             shape = (len(points if is_motion else cells), *(3,) * axes)
-            whole = [stored_array(file, f"{what}.{k}", shape, first.dtype) for k in range(len(t))]
+            whole = [stored.array(f"{what}.{k}", shape, first.dtype) for k in range(len(t))]
             in_plane: tuple[Any, ...] = (..., *(slice(2),) * axes)
             values[what] = np.stack(whole)[in_plane].astype(np.float64)
         return StoredFields(points[:, :2], cells, t, values)
+
+
+@dataclass(frozen=True, slots=True)
+class _WithImages:
+    """An RVE with those images of its particles to which springs lead across its boundary.
+
+    Attributes:
+        owner: (p,) particle of each point. shift: (p, 2) lattice shift of each, 0 of the particles.
+        springs: (b, 2) points.
+    """
+
+    owner: NDArray[np.int64]
+    shift: NDArray[np.int64]
+    springs: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, seen: Particles) -> _WithImages:
+        particles = seen.position.shape[1]
+        across = seen.bond_shift.any(axis=1)
+        needed = np.column_stack([seen.bonds[across, 1], seen.bond_shift[across]])
+        images, place = np.unique(needed, axis=0, return_inverse=True)
+        springs = seen.bonds.copy()
+        springs[across, 1] = particles + place.ravel()
+        own = np.column_stack([np.arange(particles), np.zeros((particles, 2), np.int64)])
+        points = np.concatenate([own, images])
+        return cls(points[:, 0], points[:, 1:], springs)
+
+    def moved(self, vectors: Array, step: Array) -> Array:
+        """(n, p, 2) vectors of the particles (n, particles, 2), of images by `step` (n, 2, 2) a
+        shift more.
+        """
+        moved: Array = vectors[:, self.owner] + self.shift @ step.swapaxes(1, 2)
+        return moved
+
+
+def write_rve_fields(folder: Path, seen: Particles, t: Array) -> None:
+    """Write fields.xdmf and fields.h5 of the RVE of `seen` at times t (n,), µs.
+
+    Points are its particles as they are at the first time, with images where wall springs lead
+    across its boundary; lines are the springs. `displacement_um` moves them.
+    """
+    points, particles = _WithImages.of(seen), seen.position.shape[1]
+    walls = int(seen.is_wall.sum())
+
+    now = points.moved(seen.position, seen.F @ seen.lattice)
+    turgor, contact = np.zeros((2, len(t), particles))
+    turgor[:, walls:], contact[:, :walls] = seen.pressure, seen.contact_pressure
+    of_particles = np.stack([seen.is_wall[points.owner], (points.shift != 0).any(axis=1)])
+    wall, image = np.broadcast_to(of_particles[:, None], (2, len(t), len(points.owner)))
+    at_points = {
+        "displacement_um": now - now[0],
+        "velocity_um_per_us": points.moved(seen.velocity, seen.F_dot @ seen.lattice),
+        "force_uN": seen.force[:, points.owner],
+        "turgor_uN_per_um": turgor[:, points.owner],
+        "contact_pressure_uN_per_um": contact[:, points.owner],
+        "wall": wall.astype(np.float64),
+        "image": image.astype(np.float64),
+    }
+    of_springs = {"wall_stretch": seen.stretch, "wall_tension_uN": seen.tension}
+    write_series(folder, now[0], points.springs, t, at_points, of_springs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -12,14 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from surrofe2.costs import Balance
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, quoted, shortened
-from surrofe2.io.files import (
+from surrofe2.settings import check_value, hints_of
+from surrofe2.store.store import (
     check_same,
+    digest,
+    folder_lock,
     make_folder,
     partial_of,
     plain,
-    read_bytes,
     read_columns,
     read_json,
     remove,
@@ -28,8 +30,6 @@ from surrofe2.io.files import (
     write_json,
     write_text,
 )
-from surrofe2.io.lock import folder_lock
-from surrofe2.settings import check_value, hints_of
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.views import Facts, ViewedRun, course
 
@@ -375,17 +375,25 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
     return StoredRun(folder, record, read_curve(folder), history)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
-
-
-def file_fingerprint(path: Path) -> str:
-    """16 hexadecimal digits of a file's content."""
-    return digest(path)[:16]
-
-
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:
     """Write events.jsonl whole, a decision of a cached law a line; run.json has its SHA-256."""
     lines = [json.dumps(plain(each), ensure_ascii=False) for each in decisions]
     write_text(folder / EVENTS, "".join(f"{line}\n" for line in lines))
+
+
+def made_for(record: RunRecord) -> float | None:
+    """Seconds of what was made for a run, a surrogate or a table to begin with; None: not known."""
+    if record.surrogate is None:
+        return None if record.law in ("cached", "surrogate") else 0.0
+    seconds = record.surrogate.get("seconds", {})
+    if record.law != "table" and not any(name.startswith("data") for name in seconds):
+        return None
+    return float(sum(seconds.values())) if seconds else None
+
+
+def balance_of(record: RunRecord, true: RunRecord) -> Balance | None:
+    """A run through a cache or a surrogate against one by RVEs; None of other runs."""
+    if record.law not in ("cached", "table", "surrogate") or true.law not in ("rve", "tissue"):
+        return None
+    run, reference = (each.wall_time.get("total", 0.0) for each in (record, true))
+    return Balance(made=made_for(record), run=run, true=reference)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from surrofe2.io import data_sets
-from surrofe2.io.data_sets import read_data_set, writing_data_set
-from surrofe2.io.files import write_text
+from surrofe2.store import samples
+from surrofe2.store.samples import read_data_set, writing_data_set
+from surrofe2.store.store import write_text
 from tests.faults import KINDS, each_fault
-from tests.io.small_data_set import HEADER, append_chunk
 from tests.laws import SoftLaw
+from tests.store.small_data_set import HEADER, append_chunk
 
 
 def fill(folder):
@@ -21,7 +21,7 @@ def fill(folder):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_data_set_loses_no_row(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(data_sets, "INTERVAL", 0.0)
+    monkeypatch.setattr(samples, "INTERVAL", 0.0)
     whole = fill(tmp_path / "whole")
     met = 0
     for folder in each_fault(kind, tmp_path, fill):

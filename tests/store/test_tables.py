@@ -11,15 +11,10 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError, MismatchError
-from surrofe2.io.harvest import (
-    HarvestWriter,
-    check_harvest,
-    read_harvest,
-)
-from surrofe2.io.hdf5 import writing_hdf5
-from surrofe2.io.provenance import Origin
-from surrofe2.io.tables import check_table, read_table, stored, write_table
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.store.hdf5 import writing_hdf5
+from surrofe2.store.samples import HarvestWriter, Origin, check_harvest, read_harvest
+from surrofe2.store.tables import check_table, read_table, stored, write_table
 from tests.cache.tables import make, states, taught
 
 CELL = CellParameters()

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surrofe2.io.kept import read_attached, read_reference, write_reference
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.rve import RveLaw
+from surrofe2.store.reference_states import read_attached, read_reference, write_reference
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate

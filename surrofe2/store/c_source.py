@@ -57,7 +57,7 @@ def c_source(law: SurrogateLaw) -> str:
         rate=law.range.rate,
     )
     lines = [f"#define SURROFE2_{status.name} {int(status)}" for status in _STATUSES]
-    body = files("surrofe2.io").joinpath("surrogate_body.c").read_text(encoding="utf-8")
+    body = files("surrofe2.store").joinpath("surrogate_body.c").read_text(encoding="utf-8")
     return head + "\n".join([*lines, "", *_tables(law), "", body])
 
 

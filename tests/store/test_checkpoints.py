@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint, writing_hdf5
+from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint, writing_hdf5
 
 
 def test_arrays_come_back_as_they_were(tmp_path):

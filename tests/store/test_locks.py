@@ -13,12 +13,12 @@ import time
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.lock import file_lock, folder_lock, locked_file, locked_folder
+from surrofe2.store.store import file_lock, folder_lock, locked_file, locked_folder
 
 HOLDER = """
 import signal, sys, time
 from pathlib import Path
-from surrofe2.io.lock import locked_folder
+from surrofe2.store.store import locked_folder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have it ignored
 with locked_folder(Path(sys.argv[1])):
     print("held", flush=True)

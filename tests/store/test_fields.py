@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io.fields import (
+from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
     F_DOT_NAME,
     F_NAME,

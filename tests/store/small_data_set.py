@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.io.data_sets import DataSetHeader, writing_data_set
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange, sample
+from surrofe2.store.samples import DataSetHeader, writing_data_set
 from tests.laws import SoftLaw
 
 RANGE = SamplingRange(stretch=(0.95, 1.05), shear=0.05, rate=0.01)

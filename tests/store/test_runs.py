@@ -9,8 +9,7 @@ import pytest
 
 from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError
-from surrofe2.io.files import write_json
-from surrofe2.io.run_folder import (
+from surrofe2.store.run_folder import (
     open_run_folder,
     read_curve,
     read_record,
@@ -19,6 +18,7 @@ from surrofe2.io.run_folder import (
     write_energies,
     write_record,
 )
+from surrofe2.store.store import write_json
 from tests.run_records import finished_record
 
 

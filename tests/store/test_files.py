@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from surrofe2.errors import FileError
-from surrofe2.io import disk
-from surrofe2.io.files import (
+from surrofe2.store import disk
+from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
     plain,

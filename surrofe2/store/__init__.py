@@ -1,0 +1,16 @@
+"""What is kept on disk: files that are whole or absent and prove themselves, one writer at a time.
+
+In reading order:
+
+    disk              the operations that change what is on disk, where tests put faults in
+    store             whole files with their digest, JSON, CSV, locks, `keep`
+    hdf5              arrays with one header: which kind of file, made of what, when, in which time
+    reference_states  settled RVEs, in the cache folder and in data sets
+    samples           data sets and harvests
+    tables            tables of RVE answers, and of surface laws
+    surrogates        surrogates and interrupted trainings
+    c_source          a surrogate as C
+    run_folder        what a run leaves: its record, curves, fields, checkpoint
+    fields            fields over time for ParaView, of elements, particles and law points
+    meshes            meshes that other programs made
+"""

@@ -1,0 +1,386 @@
+"""Samples (F, Ḟ) → σ in HDF5: data sets of a range, and harvests of runs; schema: data/README.md.
+
+A data set is continued after a kill at any moment: while samples are computed, it is written again
+every few seconds, whole, with all rows that there are. A harvest has the answers of RVEs that a run
+has paid for, and is written when the run ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.checkpoint_clock import CheckpointClock
+from surrofe2.costs import Meter
+from surrofe2.errors import FileError, InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.sampling import SEQUENCE, SamplingRange
+from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
+from surrofe2.store.reference_states import attached
+from surrofe2.store.store import check_same, file_lock, flat, locked_file
+from surrofe2.stress_law import Status, StressResponse, describe
+from surrofe2.stress_samples import TANGENTS, StressSamples
+from surrofe2.units import RATE, STRESS, VISCOSITY
+
+Array = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+
+INTERVAL = 5.0
+"""Seconds between two writings of a data set, at least."""
+LEFT = "left_bifurcation"
+WHY = {
+    0: "asked of the RVE because the cache might not answer",
+    1: "audit of the cache's answer",
+    2: "neighbour of such a state",
+    3: "sample of the range widened to hold such states",
+}
+_CODES = {int(code): describe(code) for code in Status}
+_COLUMNS = {
+    "F": Column((None, 2, 2)),
+    "F_dot": Column((None, 2, 2), unit=RATE),
+    "stress": Column((None, 2, 2), unit=STRESS),
+    "status": Column(kind=np.int8, meaning=_CODES),
+}
+_MARK = Column(kind=np.int8, meaning="1: a stable state beyond a bifurcation, one of several")
+_OF_TANGENTS = {
+    name: Column((None, 2, 2, 2, 2), unit=unit, optional=True)
+    for name, unit in zip(TANGENTS, (STRESS, VISCOSITY), strict=True)
+}
+DATA_SET = Kind("data set", 2, _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS)
+HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=WHY)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Where the answers in a file come from: plant cells, settings of their RVEs, recipe."""
+
+    cell: CellParameters
+    rve: Mapping[str, Any]
+    recipe: Mapping[str, Any]
+
+    def entries(self) -> dict[str, Any]:
+        """Those of the header."""
+        return {**origin(self.cell, str(self.rve["initialisation"]), self.recipe), "rve": self.rve}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataSetHeader(Origin):
+    """What a data set is made from; two data sets with equal headers hold equal numbers.
+
+    `tangents`: whether it holds ∂P/∂F and ∂P/∂Ḟ as well. `is_open`: whether it may get more than
+    `count` samples later. `recipe` and the `reference` state of the RVEs are carried along and
+    not compared.
+    """
+
+    range: SamplingRange
+    count: int
+    seed: int
+    chunk: int
+    version: str
+    reference: ReferenceState | None = None
+    tangents: bool = False
+    is_open: bool = False
+
+    def compared(self) -> dict[str, Any]:
+        """Everything the numbers depend on, by the names a recipe uses."""
+        return {
+            "cell": self.cell.to_dict(),
+            "rve": dict(self.rve),
+            "range": asdict(self.range),
+            "samples": {
+                "count": None if self.is_open else self.count,
+                "seed": self.seed,
+                "chunk": self.chunk,
+                "tangents": self.tangents,
+                "sequence": SEQUENCE,
+            },
+            "surrofe2": {"version": self.version},
+        }
+
+    def entries(self) -> dict[str, Any]:
+        reference = self.reference
+        return {
+            **Origin.entries(self),
+            "compared": flat(self.compared()),
+            "range": asdict(self.range),
+            "count": self.count,
+            "seed": self.seed,
+            **({} if reference is None else {"rest_length": reference.rest_length}),
+        }
+
+
+class SampleRows:
+    """Rows of the columns of a file, taken in parts: each whole or not at all."""
+
+    def __init__(self, kind: Kind, rows: Arrays | None = None) -> None:
+        self._kind, self._parts = kind, [rows] if rows else []
+
+    def __len__(self) -> int:
+        return sum(len(part["F"]) for part in self._parts)
+
+    def append(self, **rows: Any) -> None:
+        """Take the next rows by column."""
+        columns = self._kind.columns
+        self._parts.append({name: np.array(v, columns[name].kind) for name, v in rows.items()})
+
+    def arrays(self) -> Arrays:
+        """All rows, one array for each column; empty ones before there are any."""
+        if not self._parts:
+            columns = self._kind.columns.items()
+            return {
+                k: np.empty((0, 2, 2)[: len(c.shape)], c.kind) for k, c in columns if not c.optional
+            }
+        if len(self._parts) > 1:
+            names = self._parts[0]
+            whole = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
+            self._parts = [whole]
+        return self._parts[0]
+
+
+class DataSetWriter:
+    """A data set in the making: rows are appended in order, then it is finished."""
+
+    def __init__(
+        self, path: Path, header: DataSetHeader, rows: Arrays, is_finished: bool, before: float
+    ) -> None:
+        self.path, self.header, self.is_finished = path, header, is_finished
+        self.meter = Meter(before)
+        self._rows = SampleRows(DATA_SET, rows)
+        self._clock = CheckpointClock(INTERVAL)
+        self._is_stored = bool(rows)
+
+    @property
+    def completed(self) -> int:
+        """How many rows there are."""
+        return len(self._rows)
+
+    def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
+        """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
+        left, slopes = answer.left_bifurcation, {}
+        if answer.tangents is not None and self.header.tangents:
+            slopes = {
+                "P_by_F": answer.tangents.P_by_F,
+                "P_by_F_dot": answer.tangents.P_by_F_dot,
+            }
+        rows = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status}
+        self._is_stored = False
+        self._rows.append(**rows, **{LEFT: np.zeros(len(F)) if left is None else left}, **slopes)
+        if self._clock.is_due():
+            self._clock.write(self.store)
+
+    def left_count(self) -> int:
+        """How many rows so far have a stress, but of an RVE that left a bifurcation."""
+        rows = self._rows.arrays()
+        return int((rows[LEFT].astype(bool) & (rows["status"] == 0)).sum())
+
+    def status_counts(self) -> dict[int, int]:
+        """How many rows so far have each status code."""
+        codes, counts = np.unique(self._rows.arrays()["status"], return_counts=True)
+        return {int(code): int(n) for code, n in zip(codes, counts, strict=True)}
+
+    def store(self) -> None:
+        """Write the rows that there are, to go on from."""
+        if not self._is_stored:
+            self._write("writing")
+
+    def finish(self) -> StressSamples:
+        """Write all rows, the list of those that failed and the fingerprint; as read back.
+
+        Raises:
+            InputError: rows are missing.
+        """
+        missing = self.header.count - self.completed
+        if missing:
+            raise InputError(f"{self.path}: {missing} samples are missing; it cannot be finished")
+        if not self.is_finished:
+            self._write("finished")
+            self.is_finished = True
+        return read_data_set(self.path)
+
+    def _write(self, status: str) -> None:
+        rows, entries = self._rows.arrays(), self.header.entries()
+        arrays = rows | attached(self.header.reference)
+        entries |= {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
+        if status == "finished":
+            failed = np.flatnonzero(rows["status"])
+            reasons = [describe(code) for code in rows["status"][failed]]
+            arrays |= {"failed/index": failed, "failed/reason": np.array(reasons, object)}
+            of, length = self.header, entries.get("rest_length")
+            whose = of.cell, entries["initialisation"], of.range, of.seed, length
+            entries["fingerprint"] = _samples(rows, *whose).fingerprint
+        write(self.path, DATA_SET, entries, arrays)
+        self._is_stored = True
+
+
+@contextmanager
+def writing_data_set(
+    path: Path, header: DataSetHeader, *, fresh: bool = False
+) -> Iterator[DataSetWriter]:
+    """A data set to fill, or to go on with where it is there; the file has what the block took.
+
+    Raises:
+        FileError: the file is not a data set, or another process fills it.
+        MismatchError: it was begun with other settings, and not `fresh`.
+    """
+    writer = _begun(path, header, fresh)
+    if writer.is_finished and not file_lock(path).exists():
+        yield writer
+        return
+    with locked_file(path):
+        writer = _begun(path, header, fresh)  # what another process added is there now
+        if not writer.completed:
+            writer.store()
+        try:
+            yield writer
+        finally:
+            writer.store()
+
+
+def _begun(path: Path, header: DataSetHeader, fresh: bool) -> DataSetWriter:
+    rows: Arrays = {}
+    is_finished, before = False, 0.0
+    if path.exists() and not fresh:
+        with reading(path, DATA_SET) as stored:
+            check_same(path, header.compared(), stored.table("compared"))
+            completed = stored.number("completed")
+            is_finished = stored.text("status") == "finished" and completed == header.count
+            if completed:
+                before, rows = stored.number("seconds"), stored.arrays()
+                if not len(rows["F"]) == completed <= header.count:
+                    raise ValueError(f"completed: {completed:g} of {len(rows['F'])}")
+    return DataSetWriter(path, header, rows, is_finished, before)
+
+
+class StoredCount(NamedTuple):
+    """How many samples a data set has; whether it is finished, and may get more later."""
+
+    rows: int
+    is_finished: bool
+    is_open: bool
+
+
+def stored_count(path: Path) -> StoredCount:
+    """What a data set says of its samples.
+
+    Raises:
+        FileError: not a data set of this schema, or damaged.
+    """
+    with reading(path, DATA_SET) as stored:
+        return StoredCount(
+            rows=int(stored.number("completed")),
+            is_finished=stored.text("status") == "finished",
+            is_open=stored.table("compared").get("samples.count") is None,
+        )
+
+
+def read_data_set(path: str | Path) -> StressSamples:
+    """The samples of a finished data set, failed ones (status not 0, stress NaN) included.
+
+    Raises:
+        FileError: not a data set of this schema, or damaged.
+        InputError: it is not finished.
+    """
+    path = Path(path)
+    with reading(path, DATA_SET) as stored:
+        if stored.text("status") != "finished":
+            raise InputError(
+                f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
+                "samples; continue it with `surrofe2 generate RECIPE`"
+            )
+        length = stored.number("rest_length") if "rest_length" in stored.file.attrs else None
+        whose = stored.cell, stored.text("initialisation"), stored.range
+        return _samples(stored.arrays(), *whose, int(stored.number("seed")), length)
+
+
+def _samples(
+    rows: Arrays,
+    cell: CellParameters,
+    initialisation: str,
+    range: SamplingRange,
+    seed: int,
+    rest_length: float | None,
+) -> StressSamples:
+    arrays = {**rows, LEFT: rows[LEFT].astype(np.bool_)}
+    return StressSamples(
+        **arrays,
+        cell=cell,
+        initialisation=initialisation,
+        range=range,
+        seed=seed,
+        rest_length=rest_length,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Harvest:
+    """A harvest read back; arrays as in `StressSamples`, and `why` (n,) as in `WHY`."""
+
+    F: Array
+    F_dot: Array
+    stress: Array
+    status: NDArray[np.int8]
+    why: NDArray[np.int8]
+    cell: CellParameters
+    initialisation: str
+
+
+class HarvestWriter:
+    """Takes answers as `CachedLaw(on_true_answer=…)` gives them; `flush` writes the file again."""
+
+    def __init__(self, path: Path, origin: Origin) -> None:
+        self.path, self.origin = path, origin
+        self._rows = SampleRows(HARVEST)
+        self._is_stored = True
+
+    def __call__(
+        self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
+    ) -> None:
+        """Take answers, (n, 2, 2) and (n,)."""
+        self._rows.append(F=F, F_dot=F_dot, stress=stress, status=status, why=why)
+        self._is_stored = self._is_stored and not len(F)
+
+    def to_arrays(self) -> Arrays:
+        """All answers so far, for `restore`."""
+        return self._rows.arrays()
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Hold these answers and no others."""
+        self._rows = SampleRows(HARVEST, {name: arrays[name] for name in HARVEST.columns})
+        self._is_stored = not len(self._rows)
+
+    def flush(self, seconds: float = 0.0) -> None:
+        """Write all answers so far, and the seconds that they took."""
+        if not self._is_stored:
+            entries = {**self.origin.entries(), "seconds": seconds}
+            write(self.path, HARVEST, entries, self._rows.arrays())
+            self._is_stored = True
+
+
+def read_harvest(path: str | Path) -> Harvest:
+    """The answers in a harvest, each state once, also of a run that was interrupted.
+
+    Raises:
+        FileError: not a harvest of this schema, or damaged.
+    """
+    path = Path(path)
+    with reading(path, HARVEST) as stored:
+        arrays, cell, initialisation = stored.arrays(), stored.cell, stored.text("initialisation")
+    if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
+        raise FileError(f"{path}: stress: not finite where the status is 0; it is damaged")
+    states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
+    _, first = np.unique(states, axis=0, return_index=True)
+    first.sort()
+    once = {name: values[first] for name, values in arrays.items()}
+    return Harvest(**once, cell=cell, initialisation=initialisation)
+
+
+check_harvest = partial(check_same_rve, "harvested", "leave it out")
+"""Refuse a harvest of other plant cells: path, harvest, and the cell and initialisation wanted."""

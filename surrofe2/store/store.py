@@ -1,0 +1,417 @@
+"""Files that are whole or absent and prove themselves, and the locks of their writers.
+
+Somewhere in a file stands the SHA-256 of the whole file, computed with zeros where the digest
+stands. In every format it follows the word `SEAL`: in an attribute, a JSON entry or a header. Any
+changed byte is seen.
+
+One process at a time writes an output. It holds a lock file beside or in it by `flock`, which the
+kernel drops when the process ends, however it ends. What stands in the lock is for people: who
+holds it. A process that ends well removes it, so one that is there without a holder says that the
+last process was killed.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import io
+import json
+import logging
+import math
+import os
+import platform
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, is_dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from surrofe2.compilation import cache_folder
+from surrofe2.errors import FileError, MismatchError, shortened
+from surrofe2.interruption import held
+from surrofe2.store import disk
+
+log = logging.getLogger(__name__)
+
+SEAL = "sha256_of_this_file"
+NO_DIGEST = "0" * 64
+"""What stands in a file before it is sealed."""
+_WORD = SEAL.encode()
+_DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
+
+START_OVER = "change it back, write elsewhere or start over with --fresh"
+"""The end of error messages that refuse output of other settings."""
+
+
+@contextmanager
+def reported(path: Path, action: str) -> Iterator[None]:
+    """Turn an operating-system error on `path` into one sentence."""
+    try:
+        yield
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f"{path}: cannot be {action}: {error.strerror or error}") from None
+
+
+def partial_of(path: Path) -> Path:
+    """The name under which a file is written; a process that was killed leaves it behind."""
+    return path.with_name(f".{path.name}.partial")
+
+
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a file whole, or leave what was there."""
+    partial = partial_of(path)
+    with reported(path, "written"):
+        disk.make_folder(path.parent)
+        try:
+            disk.write(partial, content)
+            disk.sync(partial)
+            disk.move(partial, path)
+            disk.sync(path.parent)
+        finally:
+            disk.remove(partial)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole."""
+    write_bytes(path, text.encode())
+
+
+def read_bytes(path: Path) -> bytes:
+    """What is in a file, or a FileError."""
+    with reported(path, "read"):
+        return path.read_bytes()
+
+
+def remove(path: Path) -> None:
+    """Remove a file, and what a process that was killed left of it, where they are there."""
+    with reported(path, "removed"):
+        for each in (path, partial_of(path)):
+            if each.exists():
+                disk.remove(each)
+
+
+def remove_tree(folder: Path) -> None:
+    """Remove a folder and all that is in it."""
+    with reported(folder, "removed"):
+        for path in sorted(folder.rglob("*"), reverse=True):
+            is_folder = path.is_dir() and not path.is_symlink()
+            (disk.remove_folder if is_folder else disk.remove)(path)
+        disk.remove_folder(folder)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those that it is in, where they are not there."""
+    with reported(path, "written"):
+        disk.make_folder(path)
+
+
+def sealed(content: bytes) -> bytes:
+    """`content` with its digest instead of `NO_DIGEST`, which stands in it once."""
+    begin, end = _place(content)
+    if content[begin:end] != NO_DIGEST.encode():
+        raise ValueError("no place for the digest")
+    digest = hashlib.sha256(content).hexdigest().encode()
+    return b"".join((content[:begin], digest, content[end:]))
+
+
+def check_seal(path: Path, content: bytes) -> None:
+    """Refuse content that is not what was sealed.
+
+    Raises:
+        FileError: there is no digest, or it is that of other content.
+    """
+    try:
+        begin, end = _place(content)
+    except ValueError:
+        raise FileError(f"{path}: no SHA-256 in it; it is damaged, foreign or older") from None
+    digest = hashlib.sha256(content[:begin])
+    digest.update(NO_DIGEST.encode())
+    digest.update(memoryview(content)[end:])
+    if digest.hexdigest().encode() != content[begin:end]:
+        raise FileError(f"{path}: damaged, or changed since it was written: see its SHA-256")
+
+
+def _place(content: bytes) -> tuple[int, int]:
+    """Where the digest stands."""
+    found, at = [], content.find(_WORD)  # 50 times as fast as to let the pattern search
+    while at >= 0:
+        match = _DIGEST.match(content, at)
+        found += [match.span(1)] if match else []
+        at = content.find(_WORD, at + 1)
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} digests instead of one")
+    return found[0]
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file's content; its first 16 digits are its fingerprint."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
+def plain(value: Any) -> Any:
+    """`value` as strict JSON can hold it: dataclasses and arrays opened, "inf" for infinity."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write a sealed JSON object that people read too."""
+    entries = {SEAL: NO_DIGEST, **plain(value)}
+    text = json.dumps(entries, indent=2, ensure_ascii=False) + "\n"
+    write_bytes(path, sealed(text.encode()))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """What `write_json` wrote, or a FileError."""
+    content = read_bytes(path)
+    try:
+        value = json.loads(content)
+    except (ValueError, RecursionError):
+        raise FileError(f"{path}: not a JSON file; it is damaged or foreign") from None
+    if not isinstance(value, dict):
+        raise FileError(f"{path}: not a JSON object; it is damaged or foreign")
+    check_seal(path, content)
+    if SEAL not in value:
+        raise FileError(f"{path}: no SHA-256 in it; it is damaged, foreign or older")
+    del value[SEAL]
+    return value
+
+
+def write_columns(path: Path, header: list[str], columns: list[np.ndarray]) -> None:
+    """Write columns (m,) and their names as CSV."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(header)
+    table.writerows([repr(float(value)) for value in row] for row in zip(*columns, strict=True))
+    write_text(path, text.getvalue())
+
+
+def read_columns(path: Path) -> tuple[list[str], np.ndarray]:
+    """Names of columns and (m, columns) numbers.
+
+    Raises:
+        FileError: missing or damaged.
+    """
+    content = read_bytes(path)
+    names: list[str] = []
+    try:
+        names, *rows = csv.reader(content.decode().splitlines() or [""])
+        table = np.array([[float(entry) for entry in row] for row in rows])
+        return names, table.reshape(len(rows), len(names))
+    except (ValueError, csv.Error):
+        columns = shortened(",".join(names[:3]), 80)
+        raise FileError(f"{path}: not a table of {columns or 'names and numbers'}") from None
+
+
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Plain entries by their dotted names."""
+    entries: dict[str, Any] = {}
+    for name, value in settings.items():
+        nested = isinstance(value, Mapping)
+        entries |= flat(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": plain(value)}
+    return entries
+
+
+def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -> None:
+    """Refuse to keep or go on with what was made by other settings.
+
+    Args:
+        place: what was made.
+        here, there: settings now and then, nested by section; what only `there` has is ignored.
+
+    Raises:
+        MismatchError: naming the first that differs.
+    """
+    known = flat(there)
+    for name, value in flat(here).items():
+        if known.get(name) != value:
+            mine, theirs = ("nothing" if v is None else v for v in (value, known.get(name)))
+            raise MismatchError(
+                f"{place}: {name}: this call has {mine}, what is there {theirs}; {START_OVER}"
+            )
+
+
+def keep(
+    path: Path,
+    identity: Mapping[str, Any],
+    make: Callable[[], Mapping[str, Any]],
+    *,
+    folder: Path | None = None,
+    fresh: bool = False,
+) -> tuple[dict[str, Any], bool]:
+    """A JSON file of these settings: read where it is there, else made and written.
+
+    Args:
+        identity: the settings, which are entries of the file.
+        make: gives the other entries, after it has written what belongs to them.
+        folder: whose lock it is made under, default: its own. Where a lock is there, the process
+            before was killed, or is at work.
+        fresh: make it, whatever is there.
+
+    Returns:
+        Its entries, and whether it was there.
+
+    Raises:
+        MismatchError: it is there, by other settings, and not `fresh`.
+        FileError: it is damaged or foreign, or another process makes it.
+    """
+    lock = file_lock(path) if folder is None else folder_lock(folder)
+
+    def stored() -> dict[str, Any] | None:
+        if fresh or not path.exists():
+            return None
+        entries = read_json(path)
+        check_same(path, identity, entries)
+        return entries
+
+    there = None if lock.exists() else stored()
+    if there is not None:
+        return there, True
+    with _locked(lock, folder or path):
+        there = stored()
+        if there is not None:
+            return there, True
+        entries = {**identity, **make()}
+        write_json(path, entries)
+    return entries, False
+
+
+def read_kept(path: Path, configuration: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What `write_kept` wrote of this configuration and these sources of the package, or None.
+
+    Raises:
+        FileError: the file is damaged.
+    """
+    if not path.exists():
+        return None
+    stored = read_json(path)
+    return stored if stored.pop("identity", None) == _identity(configuration) else None
+
+
+def write_kept(path: Path, configuration: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Write values that took long to compute, to be read by the very sources that made them."""
+    write_json(path, {"identity": _identity(configuration), **values})
+
+
+def _identity(configuration: Mapping[str, Any]) -> Any:
+    return plain({"sources": cache_folder().name, **configuration})
+
+
+def folder_lock(folder: Path) -> Path:
+    """The lock of what a folder holds."""
+    return folder / ".lock"
+
+
+def file_lock(path: Path) -> Path:
+    """The lock of a file."""
+    return path.with_name(f".{path.name}.lock")
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Only this call writes into a folder, which is made where it is missing.
+
+    Raises:
+        FileError: another call does, which the message names, or the folder is not writable.
+    """
+    with _locked(folder_lock(folder), folder):
+        yield
+
+
+@contextmanager
+def locked_file(path: Path) -> Iterator[None]:
+    """As `locked_folder`, of one file."""
+    with _locked(file_lock(path), path):
+        yield
+
+
+@contextmanager
+def _locked(lock: Path, output: Path) -> Iterator[None]:
+    with reported(output, "written"), held():
+        disk.make_folder(lock.parent)
+        file = None
+        while file is None:
+            file = _taken(lock, output)
+    try:
+        yield
+    finally:
+        with file, suppress(OSError):  # where it cannot be removed, the next process takes it over
+            try:
+                disk.remove(lock)
+            except OSError:  # the disk may fail once
+                disk.remove(lock)
+
+
+def _taken(lock: Path, output: Path) -> IO[bytes] | None:
+    """The open lock file, held and signed; None where its holder removed it meanwhile."""
+    file = lock.open("a+b")
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = _signature(file)
+            is_me = holder.startswith(f"process {os.getpid()} on {platform.node()} ")
+            who = "another call of this process" if is_me else f"{holder}; wait for it or end it"
+            raise FileError(f"{output}: in use by {who}") from None
+        if not _is_at(file, lock):
+            file.close()
+            return None
+        if os.fstat(file.fileno()).st_size:
+            log.warning("%s: %s was killed; this process goes on", output, _signature(file))
+        _sign(lock)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _is_at(file: IO[bytes], lock: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), lock.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _sign(lock: Path) -> None:
+    """Write who holds a lock into it."""
+    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
+    me = {
+        "process": os.getpid(),
+        "host": platform.node(),
+        "since": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "command": command,
+    }
+    try:
+        disk.write(lock, json.dumps(me).encode())
+    except OSError:
+        with suppress(OSError):
+            disk.remove(lock)
+        raise
+
+
+def _signature(file: IO[bytes]) -> str:
+    """Who signed a lock; its content is damaged or empty at times."""
+    try:
+        file.seek(0)
+        signed = json.loads(file.read(10_000))
+        who = f"process {signed['process']} on {signed['host']} since {signed['since']}"
+        return " ".join(f"{who} ({signed['command']})".split())[:200]
+    except (ValueError, RecursionError, KeyError, TypeError):
+        return "a process that did not say its name"

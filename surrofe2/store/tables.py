@@ -1,0 +1,152 @@
+"""Tables in HDF5, whole or absent: of RVE answers with their ellipsoids, and of surface laws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surrofe2.cache.table.records import OUTPUTS, Records
+from surrofe2.cache.table.stress_table import StressTable
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.sampling import SamplingRange
+from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
+from surrofe2.surface.tabulated import TabulatedSurface
+from surrofe2.tensors import INPUTS
+from surrofe2.units import STRESS
+
+TABLE = Kind(
+    "table",
+    2,
+    {
+        "centre": Column((None, INPUTS), unit="1 (3), 1/µs (4)"),
+        "stress": Column((None, OUTPUTS), unit=STRESS),
+        "slope": Column((None, OUTPUTS, INPUTS), unit=f"{STRESS} over that of centre"),
+        "curvature": Column((None, INPUTS, INPUTS), unit=f"{STRESS} over that of centre, twice"),
+        "extent": Column((None, INPUTS), unit=f"that of centre, squared, over {STRESS}"),
+    },
+)
+SURFACE = Kind(
+    "surface table",
+    2,
+    {"coefficients": Column((None, None), unit="µN"), "stretch": Column((2,))},
+)
+_NUMBERS = ("rate", "mass", "depth", "width", "error", "spread")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredTable:
+    """A table read back.
+
+    Attributes:
+        records: see `Records`.
+        tolerance, spread: largest error for which it was grown, and spread of stress, µN/µm.
+        range: by which neighbours of records were placed.
+        recipe: of the run that wrote it, or what it was merged from.
+        seconds: of all runs that it learnt from.
+    """
+
+    records: Records
+    cell: CellParameters
+    initialisation: str
+    range: SamplingRange
+    tolerance: float
+    spread: float
+    recipe: Mapping[str, Any]
+    seconds: float = 0.0
+
+
+def stored(table: StressTable, recipe: Mapping[str, Any], seconds: float = 0.0) -> StoredTable:
+    """What is written of a table."""
+    return StoredTable(
+        records=table.records,
+        cell=table.cell,
+        initialisation=table.initialisation,
+        range=table.range,
+        tolerance=table.tolerance,
+        spread=table.stress_spread,
+        recipe=recipe,
+        seconds=seconds,
+    )
+
+
+def write_table(path: Path, table: StoredTable) -> None:
+    """Write a table, whole or not at all."""
+    header = {
+        **origin(table.cell, table.initialisation, table.recipe),
+        "range": asdict(table.range),
+        "tolerance": table.tolerance,
+        "stress_spread": table.spread,
+        "seconds": table.seconds,
+        "inputs": "sum, difference, shear of U - I; sum, difference, shear, spin of R^T F_dot",
+    }
+    write(path, TABLE, header, table.records._asdict())
+
+
+def read_table(path: str | Path) -> StoredTable:
+    """Read a table.
+
+    Raises:
+        FileError: not a table of this schema, truncated or damaged.
+    """
+    with reading(Path(path), TABLE) as file:
+        table = StoredTable(
+            records=Records(**file.arrays()),
+            cell=file.cell,
+            initialisation=file.text("initialisation"),
+            range=file.range,
+            tolerance=file.number("tolerance"),
+            spread=file.number("stress_spread"),
+            recipe=file.table("recipe"),
+            seconds=file.number("seconds"),
+        )
+        for name, values in table.records._asdict().items():
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} is damaged")
+        if not (table.tolerance > 0.0 and table.spread > 0.0):
+            raise ValueError("tolerance and stress_spread must be positive")
+    return table
+
+
+def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]) -> None:
+    """Write the table of a surface law, whole or not at all; `recipe`: of the run that made it."""
+    header = {
+        **origin(table.cell, table.initialisation, recipe),
+        **{name: getattr(table, name) for name in _NUMBERS},
+        "inputs": "Chebyshev polynomials of stretch and stretch rate over their ranges",
+    }
+    arrays = {"coefficients": table.coefficients, "stretch": np.array(table.stretch)}
+    write(path, SURFACE, header, arrays)
+
+
+def read_surface(path: str | Path) -> TabulatedSurface:
+    """Read the table of a surface law.
+
+    Raises:
+        FileError: not a table of this schema, truncated or damaged.
+    """
+    with reading(Path(path), SURFACE) as file:
+        coefficients, stretch = file.arrays().values()
+        low, high = stretch.tolist()
+        numbers = {name: file.number(name) for name in _NUMBERS}
+        if not (np.isfinite(coefficients).all() and min(coefficients.shape) >= 2):
+            raise ValueError("coefficients are damaged")
+        if not (0.0 < low < high and numbers["rate"] > 0.0):
+            raise ValueError("stretch and rate: no range")
+        return TabulatedSurface(
+            coefficients=coefficients,
+            stretch=(low, high),
+            cell=file.cell,
+            initialisation=file.text("initialisation"),
+            **numbers,
+        )
+
+
+check_table = partial(check_same_rve, "a table", "start an empty one or use one of {}")
+"""Refuse a table of other plant cells: path, table, and the cell and initialisation wanted."""
+check_surface = partial(check_same_rve, "a surface table", "tabulate the surface of {}", wall=True)
+"""The same of the table of a surface law, on which the outer wall counts."""
