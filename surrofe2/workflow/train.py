@@ -15,7 +15,7 @@ from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.reference_states import read_attached
-from surrofe2.store.store import START_OVER, check_same, locked_file, remove
+from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
 from surrofe2.store.surrogates import (
     read_surrogate,
     read_training,
@@ -103,9 +103,11 @@ def train_surrogate(
 
     if surrogate is not None:
         _check_surrogate(recipe, surrogate, samples)
-        if surrogate.is_calibrated:
+        if surrogate.is_calibrated and not file_lock(path).exists():
             return trained(surrogate, kept=True)
     with locked_file(path):
+        if surrogate is not None and surrogate.is_calibrated:  # killed after its last file
+            return trained(surrogate, kept=True)
         shaping: list[Truth] = []
         if surrogate is None:
             if fresh:
