@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from surrofe2.recipe import SECTIONS
 from surrofe2.recipe_entries import text_of
-from surrofe2.report.comparison import ComparedRun, compared_run
+from surrofe2.report.comparison import compared_run
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.store.run_folder import StoredRun, caches_of
@@ -24,7 +23,7 @@ _DECADE = 10.0
 """Positive values that are so many times apart stand on a logarithm."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class GridRow:
     """One run of a grid, by its law.
 
@@ -32,7 +31,8 @@ class GridRow:
         values: of the entries that change and that it depends on, by dotted name.
         name: of the folder.
         run: None where it failed.
-        true: the run of the same values by true RVEs, if there is one.
+        facts: what the columns of the table have of it, and the `tolerance` of its cache, relative
+            to the spread of stress.
         error: the sentence of a run that failed.
     """
 
@@ -40,127 +40,86 @@ class GridRow:
     law: str
     name: str
     run: StoredRun | None
-    true: StoredRun | None
-    error: str | None = None
-
-    @cached_property
-    def against(self) -> ComparedRun | None:
-        """The run against that by true RVEs."""
-        if self.run is None or self.true is None or self.law == "rve":
-            return None
-        return compared_run(self.run, self.true)
-
-    @cached_property
-    def caches(self) -> list[Mapping[str, Any]]:
-        """What the caches of the run's cells report; of several, the worst is told."""
-        return [] if self.run is None else [*caches_of(self.run.record.cache).values()]
-
-    def of_run(self, get: Callable[[StoredRun], Any]) -> Any:
-        """What `get` gives of the run; None where it failed."""
-        return None if self.run is None else get(self.run)
-
-    def of_comparison(self, get: Callable[[ComparedRun], Any]) -> Any:
-        """What `get` gives of the comparison with true RVEs; None where there is none."""
-        return None if self.against is None else get(self.against)
-
-    def worst(self, get: Callable[[Mapping[str, Any]], float]) -> float | None:
-        """The largest that `get` gives of a cache."""
-        return max((get(cache) for cache in self.caches), default=None)
-
-    def stress_error(self, get: Callable[[Mapping[str, Any]], float]) -> float | None:
-        """An error that audits found, relative to the spread of stress where both are known."""
-        found = [
-            get(cache["audit"]) / cache["tolerance"]["spread"]
-            for cache in self.caches
-            if cache["audit"]["quantiles"] and cache["tolerance"]["spread"]
-        ]
-        return max(found, default=None)
-
-    @property
-    def allowed(self) -> float | None:
-        """The tolerance of the cache, relative to the spread of stress."""
-        return self.worst(lambda cache: float(cache["tolerance"]["share"]))
-
-    @property
-    def above(self) -> str | None:
-        """How many of the audited answers were above the tolerance."""
-        found = [sum(each["audit"][k] for each in self.caches) for k in ("violations", "audited")]
-        return "{} of {}".format(*found) if self.caches else None
-
-    @property
-    def hits(self) -> float | None:
-        """Share of the stresses that the cache answered."""
-        counts = self.of_run(lambda run: run.record.counts) or {}
-        asked = counts.get("hits", 0) + counts.get("fallbacks", 0)
-        return counts["hits"] / asked if asked else None
+    facts: Mapping[str, Any]
+    error: str | None
 
 
-def _inverse(ratio: float | None) -> float:
-    return 1.0 / (ratio or float("inf"))
+def grid_row(
+    values: Mapping[str, Any],
+    law: str,
+    name: str,
+    run: StoredRun | None,
+    true: StoredRun | None,
+    error: str | None,
+) -> GridRow:
+    """A row; true: the run of the same values by true RVEs, if there is one."""
+    facts = {"run": name, "error": error, **(_facts_of(run) if run else {})}
+    if run is not None and true is not None and law != "rve":
+        against = compared_run(run, true)
+        evaluations = against.speed_up["right_hand_sides"]
+        facts |= {
+            "displacement error": against.difference.largest,
+            "speed-up": against.speed_up["wall_time"],
+            "all counted": against.balance and against.balance.gain,
+            "right-hand sides": 1.0 / evaluations if evaluations else 0.0,
+        }
+    return GridRow(values, law, name, run, facts, error)
 
 
-QUANTITIES: tuple[Quantity[GridRow], ...] = (
-    Quantity("largest displacement", "µm", ".5g", lambda row: row.of_run(_largest_displacement)),
-    Quantity(
-        "displacement error",
-        "",
-        percent(".2g"),
-        lambda row: row.of_comparison(lambda run: run.difference.largest),
-    ),
-    Quantity(
-        "stress error",
-        "",
-        percent(".2g"),
-        lambda row: row.stress_error(lambda audit: audit["quantiles"]["0.99"]),
-    ),
-    Quantity(
-        "largest stress error",
-        "",
-        None,
-        lambda row: row.stress_error(lambda audit: audit["largest"]),
-    ),
-    Quantity("above", "", "", lambda row: row.above),
-    Quantity("hits", "", percent(".3g"), lambda row: row.hits),
-    Quantity(
-        "wall time", "s", ".3g", lambda row: row.of_run(lambda run: run.record.wall_time["total"])
-    ),
-    Quantity(
-        "speed-up", "×", ".3g", lambda row: row.of_comparison(lambda run: run.speed_up["wall_time"])
-    ),
-    Quantity(
-        "all counted",
-        "×",
-        ".3g",
-        lambda row: row.of_comparison(lambda run: run.balance and run.balance.gain),
-    ),
-    Quantity(
-        "RVE solves",
-        "",
-        None,
-        lambda row: row.of_run(lambda run: run.record.counts.get("rve_solves", 0)),
-    ),
-    Quantity(
-        "right-hand sides",
-        "",
-        None,
-        lambda row: row.of_comparison(lambda run: _inverse(run.speed_up["right_hand_sides"])),
-    ),
-    Quantity("factor", "", None, lambda row: row.worst(lambda cache: cache["trust"]["factor"])),
-    Quantity(
-        "switched off",
-        "",
-        lambda off: "yes",
-        lambda row: row.worst(lambda cache: cache["trust"]["off"]) or None,
-    ),
-    Quantity("run", "", None, lambda row: row.name),
-    Quantity("error", "", lambda sentence: "failed", lambda row: row.error),
+def _facts_of(run: StoredRun) -> dict[str, Any]:
+    """What a run says by itself; of several caches the worst."""
+    counts, caches = run.record.counts, [*caches_of(run.record.cache).values()]
+    facts = {
+        "largest displacement": float(np.linalg.norm(run.curve.displacement, axis=1).max()),
+        "wall time": run.record.wall_time["total"],
+        "RVE solves": counts.get("rve_solves", 0),
+    }
+    asked = counts.get("hits", 0) + counts.get("fallbacks", 0)
+    if asked:
+        facts["hits"] = counts["hits"] / asked
+    if caches:
+        audits = [cache["audit"] for cache in caches]
+        wrong, audited = (sum(audit[k] for audit in audits) for k in ("violations", "audited"))
+        facts |= {
+            "tolerance": max(float(cache["tolerance"]["share"]) for cache in caches),
+            "above": f"{wrong} of {audited}",
+            "factor": max(cache["trust"]["factor"] for cache in caches),
+            "switched off": any(cache["trust"]["off"] for cache in caches) or None,
+        }
+    known = [
+        (cache["audit"], cache["tolerance"]["spread"])
+        for cache in caches
+        if cache["audit"]["quantiles"] and cache["tolerance"]["spread"]
+    ]
+    if known:
+        facts["stress error"] = max(audit["quantiles"]["0.99"] / of for audit, of in known)
+        facts["largest stress error"] = max(audit["largest"] / of for audit, of in known)
+    return facts
+
+
+def _fact(name: str, unit: str, format: str | Callable[[Any], str] | None) -> Quantity[GridRow]:
+    return Quantity(name, unit, format, lambda row: row.facts.get(name))
+
+
+QUANTITIES = (
+    _fact("largest displacement", "µm", ".5g"),
+    _fact("displacement error", "", percent(".2g")),
+    _fact("stress error", "", percent(".2g")),
+    _fact("largest stress error", "", None),
+    _fact("above", "", ""),
+    _fact("hits", "", percent(".3g")),
+    _fact("wall time", "s", ".3g"),
+    _fact("speed-up", "×", ".3g"),
+    _fact("all counted", "×", ".3g"),
+    _fact("RVE solves", "", None),
+    _fact("right-hand sides", "", None),
+    _fact("factor", "", None),
+    _fact("switched off", "", lambda off: "yes"),
+    _fact("run", "", None),
+    _fact("error", "", lambda sentence: "failed"),
 )
 """Stresses relative to their spread; the stress error is what 99 % of the audited answers keep,
 right-hand sides are relative to those of true FE²."""
-
-
-def _largest_displacement(run: StoredRun) -> float:
-    return float(np.linalg.norm(run.curve.displacement, axis=1).max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,18 +256,20 @@ def _over_values(
     grid: Grid, over: str, name: str, groups: Mapping[str, list[GridRow]]
 ) -> list[Curve]:
     places = _places(grid, over)
-    quantity = next(each for each in QUANTITIES if each.name == name)
     found = []
     for k, (label, rows) in enumerate(groups.items()):
         x = np.array([places[text_of(row.values[over])] for row in rows])
         order = np.argsort(x)
-        y = np.array([quantity.get(row) for row in rows], dtype=np.float64)  # None: NaN
+
+        def fact(name: str, rows: list[GridRow] = rows, order: Any = order) -> Any:
+            return np.array([row.facts.get(name) for row in rows], dtype=np.float64)[order]
+
+        y = fact(name)  # None: NaN
         if np.isnan(y).all():
             continue
-        found.append(Curve("", x[order], y[order], label or grid.recipe, colour=k))
+        found.append(Curve("", x[order], y, label or grid.recipe, colour=k))
         if name == "stress error":
-            allowed = np.array([row.allowed for row in rows], dtype=np.float64)
-            found.append(Curve("reference", x[order], allowed[order], "tolerance of stress"))
+            found.append(Curve("reference", x[order], fact("tolerance"), "tolerance of stress"))
     return found
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from surrofe2.errors import InputError, SimulationError, quoted
 from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.recipe_entries import name_of_values
-from surrofe2.report.grid import Grid, GridRow, write_grid_plot
+from surrofe2.report.grid import Grid, grid_row, write_grid_plot
 from surrofe2.settings import unknown
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, write_json, write_text
@@ -84,7 +84,7 @@ def run_grid(
         errors |= lost | _done(ready, run, executor, stage, "runs")
         stored = {name: read_run(out / name) for name in runs if not errors[name]}
         rows = [
-            GridRow(
+            grid_row(
                 task.values, task.law, name, stored.get(name), stored.get(task.true), errors[name]
             )
             for name, task in runs.items()
