@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
@@ -64,34 +63,21 @@ def modes(
     done(out, f"by {', '.join(methods)}")
 
 
-@dataclass(frozen=True, slots=True)
-class _Mode:
-    """One oscillation about a state, by the initialisation that it was found with."""
-
-    initialisation: str
-    watched: float
-    number: int
-    period: float
-    decrement: float
-    ratio: float
-
-
-_QUANTITIES: tuple[Quantity[_Mode], ...] = (
-    Quantity("initialisation", "", "", lambda mode: mode.initialisation),
-    Quantity("u_y", "µm", ".2f", lambda mode: mode.watched),
-    Quantity("mode", "", "", lambda mode: mode.number),
-    Quantity("period", "µs", ".3f", lambda mode: mode.period),
-    Quantity("decrement", "", ".4f", lambda mode: mode.decrement),
-    Quantity("damping ratio", "", ".5f", lambda mode: mode.ratio),
+_COLUMNS: tuple[Quantity[Any], ...] = (
+    Quantity("initialisation", "", ""),
+    Quantity("u_y", "µm", ".2f"),
+    Quantity("mode", "", ""),
+    Quantity("period", "µs", ".3f"),
+    Quantity("decrement", "", ".4f"),
+    Quantity("damping ratio", "", ".5f"),
 )
 
 
-def _table(found: dict[str, dict[str, Any]]) -> Table[_Mode]:
-    rows = [
-        _Mode(method, numbers["watched"][1], k + 1, *figures)
-        for method, numbers in found.items()
-        for k, figures in enumerate(
-            zip(numbers["period"], numbers["decrement"], numbers["damping_ratio"], strict=True)
-        )
-    ]
-    return Table(_QUANTITIES, rows)
+def _table(found: dict[str, dict[str, Any]]) -> Table[Any]:
+    rows = []
+    for method, numbers in found.items():
+        figures = zip(*(numbers[k] for k in ("period", "decrement", "damping_ratio")), strict=True)
+        for k, each in enumerate(figures):
+            values = method, numbers["watched"][1], k + 1, *each
+            rows.append(dict(zip((column.name for column in _COLUMNS), values, strict=True)))
+    return Table(_COLUMNS, rows)

@@ -169,8 +169,8 @@ def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
         title = f"Over {name}, {method}: MPa, MPa µs"
         show_table(title, table)
         for row in table.rows:
-            if row.trouble:
-                print_line(f"{name} {row.value:.4g}: {row.trouble}")
+            if "trouble" in row:
+                print_line(f"{name} {row[CHANGES[name][0]]:.4g}: {row['trouble']}")
         shown[title] = table
     turgors = {"turgor_mean_MPa": pressure.mean, "turgor_virial_MPa": pressure.virial}
     turgors["turgor_walls_MPa"] = pressure.walls

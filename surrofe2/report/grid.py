@@ -53,7 +53,7 @@ def grid_row(
     error: str | None,
 ) -> GridRow:
     """A row; true: the run of the same values by true RVEs, if there is one."""
-    facts = {"run": name, "error": error, **(_facts_of(run) if run else {})}
+    facts: dict[str, Any] = {"run": name, "error": error, **(_facts_of(run) if run else {})}
     if run is not None and true is not None and law != "rve":
         against = compared_run(run, true)
         evaluations = against.speed_up["right_hand_sides"]
@@ -69,7 +69,7 @@ def grid_row(
 def _facts_of(run: StoredRun) -> dict[str, Any]:
     """What a run says by itself; of several caches the worst."""
     counts, caches = run.record.counts, [*caches_of(run.record.cache).values()]
-    facts = {
+    facts: dict[str, Any] = {
         "largest displacement": float(np.linalg.norm(run.curve.displacement, axis=1).max()),
         "wall time": run.record.wall_time["total"],
         "RVE solves": counts.get("rve_solves", 0),

@@ -23,13 +23,14 @@ class Quantity(Generic[Row]):
         name: what it is, in words; in JSON with underscores.
         unit: "" for names, counts and ratios.
         format: of a value for people, as `format` takes it, or a function; None: in files alone.
-        get: the value of a row: a number, a text, or None where there is none.
+        read: the value of a row: a number, a text, or None where there is none; not given, rows are
+            mappings and have it by its name.
     """
 
     name: str
     unit: str
     format: str | Callable[[Any], str] | None
-    get: Callable[[Row], Any]
+    read: Callable[[Row], Any] | None = None
 
     @property
     def heading(self) -> str:
@@ -40,6 +41,10 @@ class Quantity(Generic[Row]):
     def key(self) -> str:
         """The name in JSON."""
         return re.sub(r"\W+", "_", self.name).strip("_")
+
+    def get(self, row: Row) -> Any:
+        """The value of a row."""
+        return self.read(row) if self.read else row.get(self.name)  # type: ignore[attr-defined]
 
     def text(self, row: Row) -> str:
         """The value of a row for people."""

@@ -13,9 +13,8 @@ All are two-dimensional; divided by the thickness of the tissue they are in MPa 
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, TypeVar
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,6 @@ from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
-Row = TypeVar("Row")
 
 FACTORS = (0.5, 0.75, 1.0, 1.5, 2.0)
 """Of turgor and wall stiffness in the tables."""
@@ -166,33 +164,29 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
 
 def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict[str, Table[Any]]:
     """By title: elastic and viscous moduli by initialisation, in 2D and over the thickness."""
-    t, rows = cell.tissue_thickness, tuple(found.items())
-    name: Quantity[tuple[str, CellModuli]] = Quantity("initialisation", "", "", lambda row: row[0])
-    matrices: dict[str, Callable[[tuple[str, CellModuli]], Array]] = {
-        "Elastic moduli, N/m": lambda row: row[1].elastic,
-        "Elastic moduli, MPa": lambda row: row[1].elastic / t,
-        "Viscous moduli, N/m µs": lambda row: row[1].viscous,
-        "Viscous moduli, MPa µs": lambda row: row[1].viscous / t,
-    }
-    return {
-        title: Table((name, *_moduli_of(matrix, MODULI)), rows)
-        for title, matrix in matrices.items()
-    }
+    name: Quantity[Any] = Quantity("initialisation", "", "")
+    t, tables = cell.tissue_thickness, {}
+    for title, kind, over in (
+        ("Elastic moduli, N/m", "elastic", 1.0),
+        ("Elastic moduli, MPa", "elastic", t),
+        ("Viscous moduli, N/m µs", "viscous", 1.0),
+        ("Viscous moduli, MPa µs", "viscous", t),
+    ):
+        rows = [
+            {"initialisation": method, **_moduli_of(asdict(each)[kind] / over)}
+            for method, each in found.items()
+        ]
+        tables[title] = Table((name, *_columns(MODULI)), rows)
+    return tables
 
 
-def _moduli_of(
-    matrix: Callable[[Row], Array | None], shown: Container[str], kind: str = ""
-) -> list[Quantity[Row]]:
-    """Every modulus of the matrix of a row; `kind` goes before the name."""
+def _columns(shown: Container[str], kind: str = "") -> list[Quantity[Any]]:
+    """One for each modulus; `kind` goes before the name."""
+    return [Quantity(f"{kind}{k}", "", ".4g" if k in shown else None) for k in MODULI]
 
-    def get(row: Row, name: str) -> float | None:
-        C = matrix(row)
-        return None if C is None else float(MODULI[name](C))
 
-    return [
-        Quantity(f"{kind}{name}", "", ".4g" if name in shown else None, partial(get, name=name))
-        for name in MODULI
-    ]
+def _moduli_of(C: Array, kind: str = "") -> dict[str, float]:
+    return {f"{kind}{name}": float(modulus(C)) for name, modulus in MODULI.items()}
 
 
 def with_wall_springs(cell: CellParameters, n: float) -> CellParameters:
@@ -238,58 +232,47 @@ CHANGES: Mapping[str, Change] = {
 """Turgor by the fluid's mass; the damping constant of the wall follows its stiffness (eq. 1)."""
 
 
-@dataclass(frozen=True, slots=True)
-class ChangedCell:
-    """A cell with one value changed; `trouble` says why there are no moduli, else it is empty.
-
-    relative_rest_length: of a wall spring, over its length in the square cell.
-    """
-
-    value: float
-    trouble: str = ""
-    turgor: Turgor | None = None
-    relative_rest_length: float | None = None
-    moduli: CellModuli | None = None
-
-
 def changed_cells(
     cell: CellParameters,
     initialisation: str,
     change: Change,
-    values: Sequence[float] | None = None,
+    values: Sequence[float],
     progress: Callable[[float], None] = lambda done: None,
-) -> Table[ChangedCell]:
+) -> Table[Mapping[str, Any]]:
     """Moduli over a parameter in MPa and MPa µs; those of some are in files alone.
 
     Args:
         progress: called with the number of values that are done.
     """
-    t = cell.tissue_thickness
-    heading, usual, make = change
+    (heading, _, make), t = change, cell.tissue_thickness
 
-    def changed(value: float) -> ChangedCell:
+    def changed(value: float) -> Mapping[str, Any]:
+        """A cell with one value changed; `trouble` says why there are no moduli."""
+        row = {heading: value}
         try:
             new = make(cell, value)
-            relative = RveLaw(new).rest_length * new.wall_springs_per_side / new.cell_side
-            found = cell_moduli(new, initialisation)
-            return ChangedCell(value, "", turgor(new), relative, found)
+            found, pressure = cell_moduli(new, initialisation), turgor(new)
+            return row | {
+                "mean turgor": pressure.mean,
+                "virial turgor": pressure.virial,
+                "l₀/spring": RveLaw(new).rest_length / new.spring_length,
+                **_moduli_of(found.elastic / t),
+                **_moduli_of(found.viscous / t, "viscous "),
+            }
         except InputError as error:
-            return ChangedCell(value, str(error))
+            return row | {"trouble": str(error)}
 
-    quantities: tuple[Quantity[ChangedCell], ...] = (
-        Quantity(heading, "", ".4g", lambda row: row.value),
-        Quantity("mean turgor", "MPa", ".4g", lambda row: row.turgor and row.turgor.mean),
-        Quantity("virial turgor", "MPa", None, lambda row: row.turgor and row.turgor.virial),
-        Quantity("l₀/spring", "", ".4g", lambda row: row.relative_rest_length),
-        *_moduli_of(
-            lambda row: row.moduli and row.moduli.elastic / t,
-            ("bulk", "shear", "shear 45°", "young"),
-        ),
-        *_moduli_of(lambda row: row.moduli and row.moduli.viscous / t, ("shear",), "viscous "),
-        Quantity("trouble", "", None, lambda row: row.trouble or None),
-    )
+    columns: list[Quantity[Mapping[str, Any]]] = [
+        Quantity(heading, "", ".4g"),
+        Quantity("mean turgor", "MPa", ".4g"),
+        Quantity("virial turgor", "MPa", None),
+        Quantity("l₀/spring", "", ".4g"),
+        *_columns(("bulk", "shear", "shear 45°", "young")),
+        *_columns(("shear",), "viscous "),
+        Quantity("trouble", "", None),
+    ]
     rows = []
-    for value in values or usual(cell):
+    for value in values:
         rows.append(changed(value))
         progress(len(rows))
-    return Table(quantities, rows)
+    return Table(columns, rows)

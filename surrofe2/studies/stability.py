@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,30 +126,28 @@ def find_onset(
     return None
 
 
-QUANTITIES: tuple[Quantity[tuple[str, float | None]], ...] = (
-    Quantity("way", "", "", lambda row: row[0]),
-    Quantity(
-        "stable up to",
-        "largest entry of F − I",
-        ".4f",
-        lambda row: WAYS[row[0]][1] if row[1] is None else row[1],
-    ),
-    Quantity(
-        "loses stability", "", lambda lost: "yes" if lost else "no", lambda row: row[1] is not None
-    ),
+COLUMNS: tuple[Quantity[Any], ...] = (
+    Quantity("way", "", ""),
+    Quantity("stable up to", "largest entry of F − I", ".4f"),
+    Quantity("loses stability", "", lambda lost: "yes" if lost else "no"),
 )
 
 
 def describe(found: StabilityMap) -> Study:
     """The map: one panel for each plane; the onset along each way."""
     planes = found.planes.values()
+    ends = [
+        (way, WAYS[way][1] if onset is None else onset, onset is not None)
+        for way, onset in found.onset.items()
+    ]
+    names = [column.name for column in COLUMNS]
     F = np.concatenate([plane.F for plane in planes])
     category = np.concatenate([plane.category for plane in planes])
     return Study(
         title="Stable equilibria of the plant cell at rest",
         panels=tuple(_panel(plane) for plane in planes),
         columns=2,
-        table=Table(QUANTITIES, tuple(found.onset.items())),
+        table=Table(COLUMNS, [dict(zip(names, each, strict=True)) for each in ends]),
         series={
             "plane": [key for key, plane in found.planes.items() for _ in plane.F],
             "F_xx (1)": F[:, 0, 0],
