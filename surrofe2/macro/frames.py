@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,34 +90,9 @@ class Frames:
             point_risk=_of_points(None if sources is None else sources.risk, points),
         )
 
-    def followed_by(self, other: Frames) -> Frames:
-        """Both, one after the other; behind these in memory where that has room.
-
-        These stay as they are, and are followed once: a second time begins from `copy`.
-        """
-        return Frames(*map(_appended, self._arrays(), other._arrays()))
-
-    def copy(self) -> Frames:
-        """The same in memory of its own."""
-        return Frames(*(each.copy() for each in self._arrays()))
-
-    def _arrays(self) -> tuple[Array, ...]:
-        motion = self.t, self.displacement, self.velocity, self.stress, self.F, self.F_dot
-        points = self.point_t, self.point_stress, self.point_source, self.point_risk
-        return *motion, self.source, self.risk, self.dissipated, *points
-
-
-def _appended(first: Array, last: Array) -> Array:
-    """(k + m, …) both; `first` (k, …) is copied only where the array it begins has no room left."""
-    k, n = len(first), len(first) + len(last)
-    room = first.base
-    begins = room is not None and room.shape[1:] == first.shape[1:] and len(room) >= n
-    if room is None or not begins or first.ctypes.data != room.ctypes.data:
-        room = np.empty((2 * n, *first.shape[1:]))
-        room[:k] = first
-    room[k:n] = last
-    both: Array = room[:n]
-    return both
+    def to_series(self) -> dict[str, Array]:
+        """The rows that they add to a `Journal`."""
+        return {f"frames.{item.name}": getattr(self, item.name) for item in fields(self)}
 
 
 def _of_points(values: NDArray | None, kept: bool) -> Array:

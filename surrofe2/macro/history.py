@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import clock, cpu_clock
-from surrofe2.errors import InputError
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
@@ -18,6 +16,7 @@ from surrofe2.macro.frames import NOTHING, POINTS_EVERY, Frames
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
+from surrofe2.run.journal import Journal, RunState
 
 Array = NDArray[np.float64]
 
@@ -37,22 +36,18 @@ COUNTS = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MacroState:
-    """A run at the end of a step: all that carries it on, and all it has found.
-
-    Plain arrays, numbers and dicts, none of which is changed any more, and the law's state, which
-    is whatever the law makes it: who writes a file adds it to the arrays by the law's own means.
+class MacroState(RunState):
+    """A run at the end of a step: all that carries it on, and all it has recorded.
 
     Attributes:
         t: µs. y: (2 m,) displacement and velocity of the free unknowns.
         next_step: length proposed for the next step, µs.
         memory: what the integrator knows besides y; empty if and only if it is the explicit one.
         work: (k,) since t = 0 of what `Evaluation.powers` lists, pJ.
-        rows: (r, c) at the output times passed, the columns of `columns_of`.
-        samples: (s, 1 + k) t and rates of dissipation of `System.dissipating`, µs and pJ/µs, at
-            ends of steps.
+        journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
+            ``samples`` (s, 1 + k) t and rates of dissipation of `System.dissipating`, µs and pJ/µs,
+            at ends of steps; ``frames.…`` as of `Frames`.
         dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
-        frames: whole fields.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
         identity: (k, 32) digests of the problem's parts; a resumed run must have the same.
         counts, effort, wall_time: as in `MacroRun`.
@@ -63,15 +58,17 @@ class MacroState:
             which the law knows; None: it never does.
     """
 
+    SERIES: ClassVar[tuple[str, ...]] = (
+        "rows", "samples", *(f"frames.{item.name}" for item in fields(Frames))
+    )  # fmt: skip
+
     t: float
     y: Array
     next_step: float
     memory: Array
     work: Array
-    rows: Array
-    samples: Array
+    journal: Journal
     dissipated: Array
-    frames: Frames
     extremes: Array
     identity: Array
     counts: dict[str, int]
@@ -82,45 +79,15 @@ class MacroState:
     rest: Array = field(default_factory=lambda: np.empty((0, 2)))
     mark: MacroState | None = None
 
-    def to_arrays(self) -> dict[str, NDArray]:
-        """One array for each entry; those of frames and dicts are ``"counts.steps"`` and so on."""
-        arrays: dict[str, NDArray] = {}
-        if self.mark is not None:
-            arrays |= {f"mark.{name}": array for name, array in self.mark.to_arrays().items()}
-        values = asdict(replace(self, law_state=None, mark=None))
-        del values["law_state"], values["mark"]
-        for name, value in values.items():
-            inner = value.items() if isinstance(value, dict) else ()
-            arrays |= {f"{name}.{key}": np.array(entry) for key, entry in inner}
-            if not isinstance(value, dict):
-                arrays[name] = np.array(value)
-        return arrays
+    @property
+    def frames(self) -> Frames:
+        """Whole fields at a few times."""
+        return Frames(**self.journal.part("frames"))
 
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray]) -> MacroState:
-        """The state whose `to_arrays` gave `arrays`.
-
-        Raises:
-            InputError: one of them is missing.
-        """
-        values: dict[str, Any] = {"frames": {}, "counts": {}, "effort": {}, "wall_time": {}}
-        marked = {k.removeprefix("mark."): v for k, v in arrays.items() if k.startswith("mark.")}
-        if marked:
-            values["mark"] = cls.from_arrays(marked)
-        for name, array in arrays.items():
-            if name.startswith("mark."):
-                continue
-            value = array.item() if np.ndim(array) == 0 else np.array(array, dtype=np.float64)
-            group, dot, key = name.partition(".")
-            (values[group] if dot else values)[key or name] = value
-        for of, found, prefix in ((cls, values, ""), (Frames, values["frames"], "frames.")):
-            for item in fields(of):
-                needed = item.default is MISSING and item.default_factory is MISSING
-                if needed and item.name not in found:
-                    raise InputError(
-                        f"macro state: no '{prefix}{item.name}'; the checkpoint is incomplete"
-                    )
-        return cls(**values | {"frames": Frames(**values["frames"])})
+    def copy(self) -> MacroState:
+        """The same with memory of its own for what it has recorded."""
+        mark = None if self.mark is None else self.mark.copy()
+        return replace(self, journal=self.journal.copy(), mark=mark)
 
 
 def columns_of(system: System) -> list[str]:
@@ -157,35 +124,35 @@ class Recorder:
         self._frame_fractions = np.linspace(0.0, problem.duration, settings.frames)
         # A run that began without samples has no dissipation up to here to add to.
         self._record_dissipation = settings.record_dissipation and (
-            resume is None or len(resume.samples) > 0
+            resume is None or len(resume.journal["samples"]) > 0
         )
         begin = clock() if begin is None else begin
         self._started = begin - (resume.wall_time["total"] if resume else 0.0)
         self._cpu_started = cpu_clock() - (resume.wall_time.get("cpu", 0.0) if resume else 0.0)
         self._state: MacroState
         if resume is not None:
-            self._state = replace(resume, frames=resume.frames.copy())
+            self._state = resume.copy()
 
     def begin(self, stepper: Stepper, work: Array) -> None:
         """Record the start; `work` is that of the jump of prescribed velocities there."""
         start = stepper.now
         extremes = NO_EXTREMES.copy()
         widen_extremes(extremes, start.F, start.F_dot)
-        samples = np.zeros((0, 1 + len(self._system.dissipating)))
-        dissipated = np.zeros((2, len(self._system.discretisation.elements)))
+        sample, dissipated = NOTHING, np.zeros((2, len(self._system.discretisation.elements)))
         if self._record_dissipation:
-            samples, dissipated = self._with_sample(samples, dissipated, start)
-            self._record_dissipation = len(samples) > 0
+            sample, dissipated = self._sampled(NOTHING, dissipated, start)
+            self._record_dissipation = sample.size > 0
+        samples = sample.reshape(-1, 1 + len(self._system.dissipating))
+        rows = {"rows": self._row(start.t, start.y, work, self._forces(start))[None]}
+        rows |= {"samples": samples} | self._frame(start, samples, dissipated)
         self._state = MacroState(
             t=start.t,
             y=start.y,
             next_step=stepper.next_length,
             memory=stepper.memory,
             work=work,
-            rows=self._row(start.t, start.y, work, self._forces(start))[None],
-            samples=samples,
+            journal=Journal.of(rows),
             dissipated=dissipated,
-            frames=self._frame(start, samples, dissipated),
             extremes=extremes,
             identity=self._system.identity(),
             rest=np.empty((0, 2)) if self._system.rest is None else self._system.rest,
@@ -195,9 +162,8 @@ class Recorder:
     def record(self, step: StepResult, stepper: Stepper) -> None:
         """Record an accepted step, after which `stepper` stands at its end."""
         before, end = self._state, step.end
-        passed, due = len(before.rows), self._rows_due(end.t)
-        rows, samples, frames = [before.rows], before.samples, before.frames
-        dissipated = before.dissipated
+        journal, dissipated = before.journal, before.dissipated
+        passed, due = journal.lengths["rows"], self._rows_due(end.t)
         if due > passed:
             first, last = self._forces(step.start), self._forces(end)
             for t in self._t[passed:due]:
@@ -205,12 +171,15 @@ class Recorder:
                 part = (within - step.start.t) / step.length
                 forces = (1.0 - part) * first + part * last
                 work = before.work + step.work(within)
-                rows.append(self._row(t, step.interpolate(within), work, forces)[None])
+                row = self._row(t, step.interpolate(within), work, forces)
+                journal = journal.written({"rows": row[None]})
         # About every other output time, and at the last.
         if self._record_dissipation and (due // 2 > passed // 2 or passed < due == self._t.size):
-            samples, dissipated = self._with_sample(samples, dissipated, end)
+            sample, dissipated = self._sampled(journal["samples"], dissipated, end)
+            if sample.size:
+                journal = journal.written({"samples": sample[None]})
         if self._frames_due(end.t) > self._frames_due(step.start.t):
-            frames = frames.followed_by(self._frame(end, samples, dissipated))
+            journal = journal.written(self._frame(end, journal["samples"], dissipated))
         extremes = before.extremes.copy()
         widen_extremes(extremes, end.F, end.F_dot)
         self._state = replace(
@@ -220,10 +189,8 @@ class Recorder:
             next_step=stepper.next_length,
             memory=stepper.memory,
             work=before.work + step.work(end.t),
-            rows=np.concatenate(rows),
-            samples=samples,
+            journal=journal,
             dissipated=dissipated,
-            frames=frames,
             extremes=extremes,
             **self._standing(stepper),
         )
@@ -248,9 +215,14 @@ class Recorder:
         self._state = replace(mark, law_state=law_state, mark=mark, **self._cost())
         return self._state
 
+    @property
+    def may_be_kept(self) -> bool:
+        """Not in a step that the law is asked to commit: it may have taken down a part of it."""
+        return not self._equations.is_committing
+
     def checkpoint(self) -> MacroState:
         """The state after the last step recorded, without what the next one has cost so far."""
-        return replace(self._state, wall_time=self._cost()["wall_time"])
+        return replace(self._state, wall_time=self._cost()["wall_time"]).copy()
 
     def state(self) -> MacroState:
         """Everything up to the last step recorded, with all that was spent."""
@@ -282,17 +254,15 @@ class Recorder:
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
-    def _with_sample(
-        self, samples: Array, dissipated: Array, now: Evaluation
-    ) -> tuple[Array, Array]:
-        """With a row of time and each region's dissipation, and with that of the elements; as they
-        were where it is not known.
+    def _sampled(self, samples: Array, dissipated: Array, now: Evaluation) -> tuple[Array, Array]:
+        """Time and rate of dissipation of each region, and `MacroState.dissipated` there; nothing
+        and the same as before where it is not known.
         """
         # At rest nothing dissipates.
         still = np.zeros(dissipated.shape[1])
         rates = still if not now.v.any() else self._equations.dissipation_rates(now)
         if rates is None:
-            return samples, dissipated
+            return NOTHING, dissipated
         by_region = [rates[elements].sum() for elements in self._system.regions.values()]
         surface = self._system.surface
         if surface is not None:
@@ -300,7 +270,7 @@ class Recorder:
         energy, before = dissipated
         since = now.t - samples[-1, 0] if len(samples) else 0.0
         energy = energy + 0.5 * since * (before + rates)
-        return np.vstack([samples, [now.t, *by_region]]), np.stack([energy, rates])
+        return np.array([now.t, *by_region]), np.stack([energy, rates])
 
     def _forces(self, now: Evaluation) -> Array:
         """(k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
@@ -318,12 +288,13 @@ class Recorder:
         flat = [part.ravel() for part in vectors]
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
-    def _frame(self, now: Evaluation, samples: Array, dissipated: Array) -> Frames:
+    def _frame(self, now: Evaluation, samples: Array, dissipated: Array) -> dict[str, Array]:
         answer, space = now.response, self._system.discretisation
-        told = None if answer.sources is None else answer.sources()
+        sources = None if answer.sources is None else answer.sources()
         density = NOTHING
         if self._record_dissipation:
             density = (dissipated[0] + (now.t - samples[-1, 0]) * dissipated[1]) / space.areas
         motion, due = (now.u, now.v), self._frames_due(now.t)
         kept = (due - 1) % POINTS_EVERY == 0 or now.t >= self.end
-        return Frames.of(space, now.t, motion, now.F, answer.stress, told, density, points=kept)
+        frame = Frames.of(space, now.t, motion, now.F, answer.stress, sources, density, points=kept)
+        return frame.to_series()

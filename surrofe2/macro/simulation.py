@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import zip_longest
 from typing import Any
 
@@ -14,10 +13,9 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.compilation import clock
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.errors import MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.chunks import Chunks
 from surrofe2.macro.discretisation import displacement_basis
@@ -34,6 +32,8 @@ from surrofe2.macro.system import PARTS, System
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.problem.problem import Problem
+from surrofe2.run.journal import curves_of, history_of, named_columns
+from surrofe2.run.loop import carry_out, check_interval
 from surrofe2.stress_law import StressLaw
 from surrofe2.threads import one_blas_thread
 from surrofe2.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
@@ -188,10 +188,7 @@ def simulate(
             already where the run starts).
         MismatchError: `resume` is of another run.
     """
-    if not checkpoint_interval >= 0.0:
-        raise InputError(
-            f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
-        )
+    check_interval(checkpoint_interval)
     given, problem = (problem, law, settings), as_problem(problem, settings)
     system = system_of(problem, law)
     for contact in system.contacts:
@@ -209,38 +206,61 @@ def simulate(
             rest = resume.rest
         system = equations.system = system.from_rest(rest)
     recorder = Recorder(equations, settings, resume, begin)
-    duration, due = problem.duration, CheckpointClock(checkpoint_interval)
-    with one_blas_thread():  # as in every step
+    # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
+    with one_blas_thread():
         stepper = _make_stepper(equations, settings, recorder, resume)
-    try:
-        # BLAS has vectors to add up here; its threads would stand in the way of those of the law.
-        with one_blas_thread():
-            chunks = Chunks(equations, recorder, resume)
-            equations.is_committing = False
-            while stepper.now.t < duration:
-                try:
-                    recorder.record(stepper.advance(), stepper)
-                except SimulationError:  # wrong answers may have led there
-                    back = chunks.settle(final=True)
-                    if back is None:
-                        raise
-                else:
-                    back = chunks.settle(final=stepper.now.t >= duration)
-                if back is not None:
-                    equations.go_to(back.t)
-                    stepper = _make_stepper(equations, settings, recorder, back)
-                if progress is not None:
-                    progress(stepper.now.t, duration)
-                if checkpoint is not None and due.is_due():
-                    due.write(partial(checkpoint, recorder.checkpoint()))
-    except SimulationError as error:
-        so_far = _make_run(system, recorder.state(), given, finished=False)
-        raise SimulationError(str(error), partial=so_far) from error
-    except KeyboardInterrupt:
-        if checkpoint is not None and not equations.is_committing:
-            checkpoint(recorder.checkpoint())
-        raise
-    return _make_run(system, recorder.state(), given, finished=True)
+        return carry_out(
+            _steps(stepper, equations, settings, recorder, resume),
+            _Recorded(recorder, system, given),
+            problem.duration,
+            progress=progress,
+            checkpoint=checkpoint,
+            interval=checkpoint_interval,
+        )
+
+
+def _steps(
+    stepper: Stepper,
+    equations: EquationsOfMotion,
+    settings: MacroSettings,
+    recorder: Recorder,
+    resume: MacroState | None,
+) -> Iterator[float]:
+    """Steps to the end of the run, some of them again where an audited law says so."""
+    chunks = Chunks(equations, recorder, resume)
+    equations.is_committing = False
+    while stepper.now.t < recorder.end:
+        try:
+            recorder.record(stepper.advance(), stepper)
+        except SimulationError:  # wrong answers may have led there
+            back = chunks.settle(final=True)
+            if back is None:
+                raise
+        else:
+            back = chunks.settle(final=stepper.now.t >= recorder.end)
+        if back is not None:
+            equations.go_to(back.t)
+            stepper = _make_stepper(equations, settings, recorder, back)
+        yield stepper.now.t
+
+
+@dataclass(frozen=True, slots=True)
+class _Recorded:
+    """What a recorder holds, as `carry_out` asks for it; given: as of `simulate`."""
+
+    recorder: Recorder
+    system: System
+    given: tuple[Problem | LoadCase, StressLaw, MacroSettings]
+
+    @property
+    def may_be_kept(self) -> bool:
+        return self.recorder.may_be_kept
+
+    def checkpoint(self) -> MacroState:
+        return self.recorder.checkpoint()
+
+    def run(self, *, finished: bool) -> MacroRun:
+        return _make_run(self.system, self.recorder.state(), self.given, finished)
 
 
 def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method:
@@ -280,14 +300,9 @@ def _make_run(
 ) -> MacroRun:
     """The results that `state` holds of what was `given` to `simulate`."""
     problem, law, settings = given
-    found = dict(zip(columns_of(system), state.rows.T, strict=True))
+    found = named_columns(columns_of(system), state.journal["rows"])
     t, kinetic, internal = found["t"], found["kinetic"], found["work internal"]
-    curves = {
-        name: DisplacementCurve(
-            t, np.stack([found[f"displacement {name} {axis}"] for axis in "xy"], axis=1)
-        )
-        for name in system.problem.watched
-    }
+    curves, samples = curves_of(t, found), state.journal["samples"]
     works = {
         name.removeprefix("work "): column
         for name, column in found.items()
@@ -296,10 +311,9 @@ def _make_run(
     works.pop("internal")
     inertia = works.pop("inertia")
     dissipated = {
-        f"dissipated {name}".strip(): _dissipated(t, state.samples[:, [0, 1 + k]])
+        f"dissipated {name}".strip(): _dissipated(t, samples[:, [0, 1 + k]])
         for k, name in enumerate(system.dissipating)
     }
-    kept = ("mean displacement", "force", "position", "penetration")
     return MacroRun(
         curve=next(iter(curves.values())),
         energies={
@@ -313,7 +327,7 @@ def _make_run(
             "balance": sum(works.values()) - internal - inertia,
         },
         curves=curves,
-        history={name: column for name, column in found.items() if name.startswith(kept)},
+        history=history_of(found),
         nodes=system.discretisation.nodes,
         elements=system.discretisation.elements,
         rest=state.rest[: len(system.discretisation.nodes)],

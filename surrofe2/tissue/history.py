@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import clock
 from surrofe2.displacement_curve import DisplacementCurve
-from surrofe2.errors import InputError
+from surrofe2.run.journal import Journal, RunState, curves_of, history_of, named_columns
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.pair_lists import bonded_particles
@@ -24,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TissueState:
+class TissueState(RunState):
     """A run at an output time: all that is needed to carry it on, bit by bit, and its results.
 
     Attributes:
@@ -32,11 +31,15 @@ class TissueState:
             µm/µs. listed: (particles, 2) positions at which the pair lists in use were made.
         elastic: stored energy of the unloaded tissue, pJ; resting: (k, 2) forces there, µN.
         bodies: (2, b, 2) position and velocity of rigid bodies.
-        history: (rows, c) the columns of `columns_of` at the output times passed.
-        frame_t: (k,); frame_displacement, frame_velocity: (k, particles, 2).
+        journal: ``rows`` (r, c) at the output times passed, the columns of `columns_of`;
+            ``frames.…`` as of `ParticleFrames`.
         identity: numbers that a run to be resumed must share.
         relaxation_time, run_time: s. steps, force_evaluations, list_builds: counts.
     """
+
+    SERIES: ClassVar[tuple[str, ...]] = (
+        "rows", "frames.t", "frames.displacement", "frames.velocity"
+    )  # fmt: skip
 
     relaxed: Array
     x: Array
@@ -45,10 +48,7 @@ class TissueState:
     elastic: float
     resting: Array
     bodies: Array
-    history: Array
-    frame_t: Array
-    frame_displacement: Array
-    frame_velocity: Array
+    journal: Journal
     identity: Array
     relaxation_time: float
     steps: int = 0
@@ -59,26 +59,7 @@ class TissueState:
     @property
     def rows(self) -> int:
         """Output times passed."""
-        return len(self.history)
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """One array for each field."""
-        return {name: np.array(value) for name, value in asdict(self).items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray]) -> TissueState:
-        """The state whose `to_arrays` gave `arrays`.
-
-        Raises:
-            InputError: one of them is missing.
-        """
-        values: dict[str, Any] = {}
-        for item in fields(cls):
-            if item.name not in arrays:
-                raise InputError(f"tissue state: no {item.name!r}; the checkpoint is incomplete")
-            value = np.asarray(arrays[item.name])
-            values[item.name] = value.item() if value.ndim == 0 else value
-        return cls(**values)
+        return self.journal.lengths["rows"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +156,7 @@ class Recorder:
         ]
         self._supports = conditions.components()
         self._created = clock()
-        self.state: TissueState
+        self._state: TissueState
 
     def begin(self, velocity: Array, rates: Array) -> None:
         """Record the tissue at rest and, with the velocities of `TissueDynamics.start`, t = 0."""
@@ -197,15 +178,13 @@ class Recorder:
             elastic=elastic,
             resting=resting,
             bodies=np.stack([dynamics.plates.x, dynamics.plates.v]),
-            history=np.zeros((0, 1)),
-            frame_t=np.zeros(1),
-            frame_displacement=0.0 * relaxed[None],
-            frame_velocity=v[None],
+            journal=Journal.of({}),
             identity=self._identity,
             relaxation_time=relaxation_time,
         )
-        row = self._row(0.0, state, works)
-        self.state = replace(state, history=row[None], **self._counted())
+        rows = {"rows": self._row(0.0, state, works)[None]}
+        rows |= _frame(0.0, 0.0 * relaxed, v)
+        self._state = replace(state, journal=Journal.of(rows), **self._counted())
 
     def restore(self, state: TissueState) -> None:
         """Go on from where `state` was taken."""
@@ -216,7 +195,7 @@ class Recorder:
         dynamics.counts.update(
             force_evaluations=state.force_evaluations, list_builds=state.list_builds
         )
-        self.state = state
+        self._state = replace(state, journal=state.journal.copy())
         self._started = clock() - state.run_time
 
     def record(self, steps: int, works: Array) -> None:
@@ -226,29 +205,37 @@ class Recorder:
             works: (loads + 4,) since then, of the loads, of `acceleration` on bodies, of what moves
                 supports and bodies, lost in contact and in the tissue, pJ.
         """
-        dynamics, before = self._dynamics, self.state
+        dynamics, before = self._dynamics, self._state
         row, t = before.rows, self._t[before.rows]
-        x, v, listed = dynamics.x, dynamics.v, dynamics.listed
-        found = self._row(t, before, works)
-        state = replace(
+        x, v = dynamics.x, dynamics.v
+        found = before.journal["rows"][-1, -len(works) :] + works
+        journal = before.journal.written({"rows": self._row(t, before, found)[None]})
+        if self._frames_due(t) > self._frames_due(self._t[row - 1]):
+            journal = journal.written(_frame(t, x - before.relaxed, v))
+        self._state = replace(
             before,
             x=x,
             v=v,
-            listed=listed,
+            listed=dynamics.listed,
             bodies=np.stack([dynamics.plates.x, dynamics.plates.v]),
-            history=np.vstack([before.history, found]),
+            journal=journal,
             steps=before.steps + steps,
             **self._counted(),
         )
-        if self._frames_due(t) > self._frames_due(self._t[row - 1]):
-            u = x - before.relaxed
-            state = replace(
-                state,
-                frame_t=np.append(state.frame_t, t),
-                frame_displacement=np.concatenate([state.frame_displacement, u[None]]),
-                frame_velocity=np.concatenate([state.frame_velocity, v[None]]),
-            )
-        self.state = state
+
+    @property
+    def rows(self) -> int:
+        """Output times passed."""
+        return self._state.rows
+
+    @property
+    def may_be_kept(self) -> bool:
+        """Always: what is recorded is replaced as a whole."""
+        return True
+
+    def checkpoint(self) -> TissueState:
+        """The state at the last output time recorded."""
+        return replace(self._state, journal=self._state.journal.copy())
 
     def _counted(self) -> dict[str, Any]:
         counts = self._dynamics.counts
@@ -259,7 +246,7 @@ class Recorder:
         }
 
     def _row(self, t: float, before: TissueState, works: Array) -> Array:
-        """What `columns_of` lists; `works` as of `record`."""
+        """What `columns_of` lists; works: since t = 0, else as of `record`."""
         dynamics, plates = self._dynamics, self._dynamics.plates
         u = dynamics.x - before.relaxed
         factors = self._factors(t)
@@ -274,8 +261,6 @@ class Recorder:
             self._forces(t, factors) - before.resting,
             plates.x - start.reshape(-1, 2),
         ]
-        if before.rows:
-            works = before.history[-1, -len(works) :] + works
         energies = [kinetic, elastic, plates.stored.sum(), *works]
         return np.concatenate([*(part.ravel() for part in vectors), plates.depth, energies])
 
@@ -303,21 +288,15 @@ class Recorder:
 
     def run(self, *, finished: bool) -> TissueRun:
         """The results so far."""
-        state, tissue = self.state, self._dynamics.tissue
+        state, tissue = self._state, self._dynamics.tissue
         problem = self._conditions.problem
-        t = self._t[: state.rows]
-        columns = dict(zip(columns_of(problem), state.history.T, strict=True))
-        curves = {
-            name: DisplacementCurve(
-                t, np.stack([columns[f"displacement {name} {axis}"] for axis in "xy"], axis=1)
-            )
-            for name in problem.watched
-        }
+        columns = named_columns(columns_of(problem), state.journal["rows"])
+        curves = curves_of(self._t[: state.rows], columns)
         own = [name for name in columns if name.startswith("energy ")]
         energies = {name.removeprefix("energy "): columns[name] for name in own}
         lost = ("kinetic", "elastic", "contact", "contact dissipated", "dissipated")
         signs = {name: -1.0 if name in lost else 1.0 for name in energies}
-        balance = sum(signs[name] * column for name, column in energies.items())
+        balance = np.sum([signs[name] * column for name, column in energies.items()], axis=0)
         energies["balance"] = balance - balance[0]
         internal = energies["elastic"] + energies["dissipated"]
         energies = {"kinetic": energies["kinetic"], "internal": internal, **energies}
@@ -327,16 +306,15 @@ class Recorder:
             del energies["motion"]
         if not problem.bodies:
             del energies["contact"], energies["contact dissipated"]
-        kept = ("mean displacement", "force", "position", "penetration")
         return TissueRun(
             curve=next(iter(curves.values())),
             curves=curves,
             energies=energies,
-            history={name: column for name, column in columns.items() if name.startswith(kept)},
+            history=history_of(columns),
             position=state.relaxed,
             bonds=bonded_particles(tissue),
             is_wall=np.arange(tissue.particles) < tissue.wall_particles,
-            frames=ParticleFrames(state.frame_t, state.frame_displacement, state.frame_velocity),
+            frames=ParticleFrames(**state.journal.part("frames")),
             wall_time={
                 "total": state.relaxation_time + state.run_time,
                 "relaxation": state.relaxation_time,
@@ -355,3 +333,12 @@ class Recorder:
 
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_times, t * (1.0 + 1e-12), side="right"))
+
+
+def _frame(t: float, displacement: Array, velocity: Array) -> dict[str, Array]:
+    """The rows of one time that a journal takes."""
+    return {
+        "frames.t": np.array([t]),
+        "frames.displacement": displacement[None],
+        "frames.velocity": velocity[None],
+    }

@@ -19,18 +19,18 @@ place on the grid of walls, moved by its displacement, does.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.errors import InputError, MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.run.loop import carry_out, check_interval
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.history import Recorder, TissueRun, TissueState, columns_of
@@ -80,10 +80,7 @@ def simulate_tissue(
             `TissueRun` up to there (None before the loaded run begins).
         MismatchError: `resume` is of another run, `reference` of another cell.
     """
-    if not checkpoint_interval >= 0.0:
-        raise InputError(
-            f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
-        )
+    check_interval(checkpoint_interval)
     conditions = make_conditions(problem, cell, reference)
     problem, tissue = conditions.problem, conditions.tissue
     bears = step_at_rest(conditions, cell, reference)
@@ -106,24 +103,28 @@ def simulate_tissue(
         recorder.begin(conditions.velocity(), np.array(rates))
     else:
         recorder.restore(resume)
-    times = problem.output_times()
-    clock = CheckpointClock(checkpoint_interval)
     try:
-        for row in range(recorder.state.rows, len(times)):
-            start, end = float(times[row - 1]), float(times[row])
-            recorder.record(*advance(dynamics, problem, settings, start, end))
-            if progress is not None:
-                progress(end, problem.duration)
-            if checkpoint is not None and clock.is_due():
-                clock.write(partial(checkpoint, recorder.state))
+        return carry_out(
+            _steps(recorder, dynamics, problem, settings),
+            recorder,
+            problem.duration,
+            progress=progress,
+            checkpoint=checkpoint,
+            interval=checkpoint_interval,
+        )
     except SimulationError as error:
-        said = f"{error}; {_about_step(settings, bears)}"
-        raise SimulationError(said, partial=recorder.run(finished=False)) from error
-    except KeyboardInterrupt:
-        if checkpoint is not None:
-            checkpoint(recorder.state)
-        raise
-    return recorder.run(finished=True)
+        message = f"{error}; {_about_step(settings, bears)}"
+        raise SimulationError(message, partial=error.partial) from error
+
+
+def _steps(
+    recorder: Recorder, dynamics: TissueDynamics, problem: TissueProblem, settings: TissueSettings
+) -> Iterator[float]:
+    """From one output time to the next, to the end of the run."""
+    times = problem.output_times().tolist()
+    for start, end in pairwise(times[recorder.rows - 1 :]):
+        recorder.record(*advance(dynamics, problem, settings, start, end))
+        yield end
 
 
 def make_conditions(

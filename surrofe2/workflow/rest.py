@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe import Recipe
 from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import RunRecord, write_energies, write_history, write_load_path
+from surrofe2.run.journal import Journal
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (
@@ -38,6 +39,8 @@ from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
+_SERIES = ("forces", *(f"frames.{item.name}" for item in fields(Frames)))
+"""What is recorded of each load step."""
 
 
 def rest_study(
@@ -64,14 +67,15 @@ def rest_study(
     problem = recipe.problem()
     chosen = choose_laws(recipe, "rve", problem.mesh)
     problem = with_surface(recipe, problem, kept_reference)
-    found: tuple[Rest | None, Frames, np.ndarray] | None = None  # replaced whole, so never torn
+    found: tuple[Rest | None, Journal] | None = None  # replaced whole, so never torn
     begin, before = 0.0, seconds_compiling()
 
     def store(record: RunRecord, last: Rest) -> RunRecord:
         assert found is not None
-        _, frames, forces = found
+        journal = found[1]
+        frames = Frames(**journal.part("frames"))
         write_load_path(folder, last.path)
-        write_history(folder, last.path[:, 0], _by_name(last, forces), "factor")
+        write_history(folder, last.path[:, 0], _by_name(last, journal["forces"]), "factor")
         write_energies(folder, last.path[:, 0], last.energies, "factor")
         space = last.system.discretisation
         cell = cell_of_elements(chosen.law, len(space.elements))
@@ -90,27 +94,25 @@ def rest_study(
         if arrays is not None:
             with current.restoring():
                 begin -= float(arrays["seconds"])
-                found = None, Frames(**part_of(arrays, "frames")), arrays["forces"]
+                found = None, Journal.of({name: arrays[name] for name in _SERIES})
                 state = law_state(chosen.law, part_of(arrays, "law"))
         due = CheckpointClock(CHECKPOINT_INTERVAL)
 
         def reached(rest: Rest) -> None:
             nonlocal found
-            frames, forces = rest.frame, rest.forces[None]
-            if found is not None:
-                frames, forces = found[1].followed_by(frames), np.append(found[2], forces, axis=0)
-            found = rest, frames, forces
+            rows = {"forces": rest.forces[None]} | rest.frame.to_series()
+            found = rest, Journal.of(rows) if found is None else found[1].written(rows)
             if due.is_due():
                 due.write(checkpoint)
             report(rest.factor / factor if factor else 1.0, "")
 
         def checkpoint() -> None:
             assert found is not None
-            rest, frames, forces = found
+            rest, journal = found
             assert rest is not None
-            more = {"seconds": np.array(clock() - begin), "forces": forces}
+            more = {"seconds": np.array(clock() - begin)} | {k: journal[k] for k in _SERIES}
             more |= within("law", law_arrays(chosen.law, rest.law_state))
-            current.checkpoint(rest.to_arrays() | within("frames", asdict(frames)) | more)
+            current.checkpoint(rest.to_arrays() | more)
 
         try:
             with recipe.named(InputError):

@@ -1,0 +1,146 @@
+"""What a run records: rows, samples and whole fields, and the state that carries it on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.errors import InputError
+
+Array = NDArray[np.float64]
+
+HISTORY = ("mean displacement", "force", "position", "penetration")
+"""Beginnings of the names of columns that are a run's `history`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Journal:
+    """Rows by the name of their series, behind one another in memory with room for more.
+
+    A journal is never changed: `written` makes a longer one in the same memory, so no interrupt
+    tears it, and an older one is a mark to go back to. What follows a mark is then written over:
+    whoever keeps a journal while its run goes on takes a `copy`.
+
+    Attributes:
+        room: by name, (most, …) rows, the first of which are written.
+        lengths: by name, how many are.
+    """
+
+    room: Mapping[str, Array]
+    lengths: Mapping[str, int]
+
+    @classmethod
+    def of(cls, rows: Mapping[str, Array]) -> Journal:
+        """A journal with (m, …) first rows of each series, in memory of its own."""
+        room = {name: np.array(values, dtype=np.float64) for name, values in rows.items()}
+        return cls(room, {name: len(values) for name, values in room.items()})
+
+    def written(self, rows: Mapping[str, Array]) -> Journal:
+        """With (m, …) rows of some series behind those that are there."""
+        room, lengths = dict(self.room), dict(self.lengths)
+        for name, values in rows.items():
+            first, last = lengths[name], lengths[name] + len(values)
+            if last > len(room[name]):
+                larger = np.empty((2 * last, *room[name].shape[1:]))
+                larger[:first] = room[name][:first]
+                room[name] = larger
+            room[name][first:last] = values
+            lengths[name] = last
+        return Journal(room, lengths)
+
+    def __getitem__(self, name: str) -> Array:
+        return self.room[name][: self.lengths[name]]
+
+    def part(self, name: str) -> dict[str, Array]:
+        """The series ``name.…`` by what follows the dot."""
+        begin = f"{name}."
+        return {key.removeprefix(begin): self[key] for key in self.room if key.startswith(begin)}
+
+    def copy(self) -> Journal:
+        """The same in memory of its own."""
+        return Journal.of({name: self[name] for name in self.room})
+
+
+class RunState:
+    """Base of dataclasses of all that carries a run on: arrays, numbers, dicts of numbers and a
+    `journal` of the series `SERIES`, and perhaps a `mark`, a state to go back to.
+
+    `law_state` is whatever a law makes it: who writes a file adds it by the law's own means.
+    """
+
+    __slots__ = ()
+    SERIES: ClassVar[tuple[str, ...]]
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """One array for each entry; those of dicts are ``"counts.steps"`` and so on."""
+        arrays: dict[str, NDArray] = {}
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            if isinstance(value, Journal):
+                arrays |= {name: value[name].copy() for name in self.SERIES}
+            elif isinstance(value, RunState):
+                arrays |= {f"{item.name}.{key}": a for key, a in value.to_arrays().items()}
+            elif isinstance(value, dict):
+                arrays |= {f"{item.name}.{key}": np.array(entry) for key, entry in value.items()}
+            elif value is not None and item.name != "law_state":
+                arrays[item.name] = np.array(value)
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Self:
+        """The state whose `to_arrays` gave `arrays`.
+
+        Raises:
+            InputError: one of them is missing.
+        """
+        values: dict[str, Any] = {}
+        for item in fields(cls):  # type: ignore[arg-type]
+            begin = f"{item.name}."
+            inner = {k.removeprefix(begin): v for k, v in arrays.items() if k.startswith(begin)}
+            if item.name == "journal":
+                series = {name: _entry(arrays, name) for name in cls.SERIES}
+                values["journal"] = Journal.of(series)
+            elif item.name in ("mark", "law_state"):
+                values[item.name] = cls.from_arrays(inner) if inner else None
+            elif inner:
+                values[item.name] = {name: _value(array) for name, array in inner.items()}
+            elif item.type == "dict[str, int]":  # of a law that counts nothing
+                values[item.name] = {}
+            else:
+                values[item.name] = _value(_entry(arrays, item.name))
+        return cls(**values)
+
+
+def _entry(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+    if name not in arrays:
+        raise InputError(f"state of a run: no {name!r}; the checkpoint is incomplete")
+    return arrays[name]
+
+
+def _value(array: NDArray) -> Any:
+    return array.item() if np.ndim(array) == 0 else np.array(array, dtype=np.float64)
+
+
+def named_columns(names: Iterable[str], rows: Array) -> dict[str, Array]:
+    """(m,) columns by name."""
+    return dict(zip(names, rows.T, strict=True))
+
+
+def curves_of(t: Array, columns: Mapping[str, Array]) -> dict[str, DisplacementCurve]:
+    """Displacement of each watched point, from the columns ``displacement NAME x`` and ``y``."""
+    begin = "displacement "
+    names = [key[len(begin) : -2] for key in columns if key.startswith(begin) and key[-1] == "x"]
+    return {
+        name: DisplacementCurve(t, np.stack([columns[f"{begin}{name} {a}"] for a in "xy"], axis=1))
+        for name in names
+    }
+
+
+def history_of(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Those of boundaries, supports, loads and bodies, which `HISTORY` begins."""
+    return {name: column for name, column in columns.items() if name.startswith(HISTORY)}

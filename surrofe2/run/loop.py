@@ -1,0 +1,75 @@
+"""The loop of every run over time: steps with progress, checkpoints and interrupts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, Protocol, TypeVar
+
+from surrofe2.checkpoint_clock import CheckpointClock
+from surrofe2.errors import InputError, SimulationError
+
+State_co = TypeVar("State_co", covariant=True)
+Run_co = TypeVar("Run_co", covariant=True)
+
+
+class Recorded(Protocol[State_co, Run_co]):
+    """A run as far as it is recorded."""
+
+    @property
+    def may_be_kept(self) -> bool:
+        """Whether a checkpoint may be taken upon an interrupt now."""
+
+    def checkpoint(self) -> State_co:
+        """What carries the run on, in memory of its own."""
+
+    def run(self, *, finished: bool) -> Run_co:
+        """The results so far."""
+
+
+def carry_out(
+    steps: Iterable[float],
+    recorded: Recorded[Any, Run_co],
+    duration: float,
+    *,
+    progress: Callable[[float, float], None] | None,
+    checkpoint: Callable[[Any], None] | None,
+    interval: float,
+) -> Run_co:
+    """Take all `steps`, each of which records itself and gives the time reached in µs.
+
+    Args:
+        progress: called with (t, duration) in µs after every step.
+        checkpoint: called with `recorded.checkpoint()` when `interval` seconds have passed since
+            it last was, or more where that took long, and upon an interrupt, which then goes its
+            way.
+
+    Raises:
+        SimulationError: of a step; `partial` is the run up to there.
+    """
+    due = CheckpointClock(interval)
+    try:
+        for t in steps:
+            if progress is not None:
+                progress(t, duration)
+            if checkpoint is not None and due.is_due():
+                due.write(partial(checkpoint, recorded.checkpoint()))
+    except SimulationError as error:
+        raise SimulationError(str(error), partial=recorded.run(finished=False)) from error
+    except KeyboardInterrupt:
+        if checkpoint is not None and recorded.may_be_kept:
+            checkpoint(recorded.checkpoint())
+        raise
+    return recorded.run(finished=True)
+
+
+def check_interval(checkpoint_interval: float) -> None:
+    """Refuse an interval of checkpoints that is negative or not a number.
+
+    Raises:
+        InputError: naming it.
+    """
+    if not checkpoint_interval >= 0.0:
+        raise InputError(
+            f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
+        )

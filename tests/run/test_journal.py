@@ -1,0 +1,133 @@
+"""The journal of a run: rows behind rows, marks to go back to, states as arrays."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from surrofe2.errors import InputError, SimulationError
+from surrofe2.run.journal import Journal, RunState
+from surrofe2.run.loop import carry_out, check_interval
+
+
+@dataclass(frozen=True, slots=True)
+class State(RunState):
+    SERIES: ClassVar[tuple[str, ...]] = ("rows", "frames.t")
+    t: float
+    journal: Journal
+    counts: dict[str, int]
+    mark: "State | None" = None
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def grown(rows, times):
+    journal = Journal.of({"rows": np.empty((0, 2)), "frames.t": np.empty(0)})
+    for row, t in zip(rows, times, strict=True):
+        journal = journal.written({"rows": row[None], "frames.t": [t] if t % 2 else []})
+    return journal
+
+
+def test_a_longer_journal_leaves_the_shorter_ones_as_they_were(rng):
+    rows = rng.uniform(size=(9, 2))
+    journals = [Journal.of({"rows": rows[:1]})]
+    for row in rows[1:]:
+        journals.append(journals[-1].written({"rows": row[None]}))
+    for k, journal in enumerate(journals):
+        np.testing.assert_array_equal(journal["rows"], rows[: k + 1])
+    # rows are not copied at every step
+    assert journals[8].room["rows"] is journals[7].room["rows"]
+
+
+def test_a_mark_is_gone_back_to_and_a_copy_keeps_what_is_written_over(rng):
+    rows = rng.uniform(size=(6, 2))
+    mark = grown(rows[:4], range(4))
+    taken_back = mark.written({"rows": rows[4:5]})
+    kept = taken_back.copy()
+    again = mark.written({"rows": rows[5:6]})
+    np.testing.assert_array_equal(again["rows"], rows[[0, 1, 2, 3, 5]])
+    np.testing.assert_array_equal(kept["rows"], rows[:5])
+    np.testing.assert_array_equal(mark.part("frames")["t"], [1.0, 3.0])
+
+
+def test_state_comes_back_from_its_arrays_with_its_mark(rng):
+    rows = rng.uniform(size=(3, 2))
+    mark = State(1.0, grown(rows[:2], range(2)), {"steps": 2})
+    state = State(2.5, grown(rows, range(3)), {"steps": 3}, mark)
+    arrays = state.to_arrays()
+    back = State.from_arrays(arrays)
+    assert (back.t, back.counts, back.mark.t, back.mark.counts) == (
+        2.5,
+        {"steps": 3},
+        1.0,
+        {"steps": 2},
+    )
+    np.testing.assert_array_equal(back.journal["rows"], rows)
+    np.testing.assert_array_equal(back.mark.journal["rows"], rows[:2])
+    for name in ("t", "rows", "frames.t"):
+        with pytest.raises(InputError, match=f"no '{name}'; the checkpoint is incomplete"):
+            State.from_arrays({k: v for k, v in arrays.items() if k != name})
+
+
+class Recorded:
+    may_be_kept = True
+
+    def __init__(self):
+        self.steps = []
+
+    def checkpoint(self):
+        return tuple(self.steps)
+
+    def run(self, *, finished):
+        return finished, tuple(self.steps)
+
+    def to(self, end, fault=None):
+        for t in range(1, end + 1):
+            if fault is not None and t == 3:
+                raise fault
+            self.steps.append(t)
+            yield float(t)
+
+
+def carried_out(recorded, fault=None):
+    told, states = [], []
+    found = carry_out(
+        recorded.to(4, fault), recorded, 4.0, interval=0.0,
+        progress=lambda t, duration: told.append((t, duration)), checkpoint=states.append,
+    )  # fmt: skip
+    return found, told, states
+
+
+def test_loop_reports_and_checkpoints_every_step():
+    found, told, states = carried_out(Recorded())
+    assert found == (True, (1, 2, 3, 4))
+    assert told == [(float(t), 4.0) for t in range(1, 5)]
+    assert states == [(1,), (1, 2), (1, 2, 3), (1, 2, 3, 4)]
+
+
+def test_failure_gives_the_run_up_to_there():
+    with pytest.raises(SimulationError, match="collapsed") as caught:
+        carried_out(Recorded(), SimulationError("collapsed"))
+    assert caught.value.partial == (False, (1, 2))
+
+
+@pytest.mark.parametrize("may_be_kept", [True, False])
+def test_interrupt_leaves_a_checkpoint_where_it_may_be_kept(may_be_kept):
+    recorded, states = Recorded(), []
+    recorded.may_be_kept = may_be_kept
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(
+            recorded.to(4, KeyboardInterrupt()), recorded, 4.0, progress=None,
+            checkpoint=states.append, interval=60.0,
+        )  # fmt: skip
+    assert states == ([(1, 2)] if may_be_kept else [])
+
+
+@pytest.mark.parametrize("interval", [-1.0, float("nan")])
+def test_interval_must_be_a_number_of_at_least_zero(interval):
+    with pytest.raises(InputError, match=r"checkpoint_interval: .* at least 0"):
+        check_interval(interval)
