@@ -73,6 +73,7 @@ class TissueDynamics:
             ),
             free=tissue.to_tiles(self.free.astype(np.float64)),
             loads=np.array([tissue.to_tiles(each) for each in self.loads]),
+            work=np.zeros((len(self.loads), tissue.tiles, TILE)),
             retained=1.0,
         )
         self._mixing = MixtureMaker(tissue) if len(tissue.types) > 1 else None
@@ -90,6 +91,12 @@ class TissueDynamics:
     def v(self) -> Array:
         """(particles, 2) velocities, µm/µs."""
         return self.tissue.to_particles(self._particles.v[:-1, :, : self.tissue.own])
+
+    def take_load_work(self) -> Array:
+        """(loads,) work of dead loads since it was last taken, pJ."""
+        work: Array = self._body.work.sum(axis=(1, 2))
+        self._body.work[:] = 0.0
+        return work
 
     @property
     def listed(self) -> Array:

@@ -68,12 +68,15 @@ class Body(NamedTuple):
         per_mass: (tiles, own, TILE) 1/ng, 0 where missing.
         free: (tiles, 2, own, TILE) 1, or 0 where v does not follow forces.
         loads: (loads, tiles, 2, own, TILE) µN at amplitude 1.
+        work: (loads, tiles, TILE) of these, pJ, to which each step adds: kick · force · mean of the
+            velocities before and after.
         retained: part of the velocity that a step leaves; 1, or less with drag.
     """
 
     per_mass: Array
     free: Array
     loads: Array
+    work: Array
     retained: float
 
 
@@ -221,6 +224,11 @@ def _kick_and_drift(t, particles, lists, grid, body, watch, amplitude, step):
         speed_y = where_less(0.0, load(body.free, t, 1, i), speed_y, old_y)
         store(speed_x, v, t, 0, i)
         store(speed_y, v, t, 1, i)
+        for n in range(body.loads.shape[0]):
+            power = load(body.loads, n, t, 0, i) * (old_x + speed_x)
+            power += load(body.loads, n, t, 1, i) * (old_y + speed_y)
+            done = load(body.work, n, t) + 0.5 * kick * amplitude[n] * power
+            store(done, body.work, n, t)
         new_x, new_y = load(x, t, 0, i) + drift * speed_x, load(x, t, 1, i) + drift * speed_y
         store(new_x, x, t, 0, i)
         store(new_y, x, t, 1, i)

@@ -254,8 +254,8 @@ def advance(
 ) -> tuple[int, Array]:
     """Move from t = start to end, µs; steps taken, and works as of `Recorder.record`.
 
-    The work of a load of amplitude a between two samples is ā load·Δx, exact where a is
-    constant; the dissipated power is integrated by the trapezoidal rule, second order in the step.
+    Works are summed over the steps; the dissipated power is integrated by the trapezoidal rule over
+    samples. Both are of second order in the step.
     """
     longest = settings.micro_step or LONGEST
     total = int(np.ceil((end - start) / longest * (1.0 - 1e-9)))
@@ -271,7 +271,8 @@ def advance(
     works = np.zeros(len(loads) + 4)
     for each in (drive, plates, edges):
         each.work[:] = 0.0
-    x, rate = dynamics.x, dynamics.dissipation_rate()
+    dynamics.take_load_work()
+    rate = dynamics.dissipation_rate()
     for k in range(samples):
         t = start + k * length + step * np.arange(count + 1)
         amplitudes = np.array([[each.at(at, at)[0] for each in loads] for at in t])
@@ -282,12 +283,9 @@ def advance(
         if not loads:
             amplitudes = np.zeros((len(t), 1))
         dynamics.leap(kicks, drifts, amplitudes, speeds)
-        x_before, rate_before, x, rate = x, rate, dynamics.x, dynamics.dissipation_rate()
-        for n in range(len(loads)):
-            mean = 0.5 * (amplitudes[0, n] + amplitudes[-1, n])
-            works[n] += mean * float(np.sum(dynamics.loads[n] * (x - x_before)))
+        rate_before, rate = rate, dynamics.dissipation_rate()
         works[-1] += 0.5 * length * (rate_before + rate)
-    works[: len(loads)] += edges.work
+    works[: len(loads)] = dynamics.take_load_work()[: len(loads)] + edges.work
     works[-4:-1] = plates.work
     works[-3] += drive.work[0]
     if not np.isfinite(works).all():

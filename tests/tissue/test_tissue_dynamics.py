@@ -54,6 +54,15 @@ def test_order_of_displacement_and_of_energy_balance(reference, preset, changes,
     assert abs(last[0] - last[2]) < 1e-3 * abs(last[2])
 
 
+def test_a_load_that_comes_and_goes_between_two_samples_of_the_energy_does_work(reference):
+    cell, at_rest = reference("printed")
+    blow = replace(LOAD_CASE, amplitude=((0.0, 0.0), (0.02, 1.0), (0.04, 0.0), (1.0, 0.0)))
+    settings = TissueSettings(micro_step=1e-3, frames=2, energy_steps=50)
+    energies = simulate_tissue(blow, cell, settings, reference=at_rest).energies
+    assert energies["kinetic"].max() > 0.0
+    assert abs(energies["balance"]).max() < 0.02 * energies["load"].max()
+
+
 def test_energies_are_shared_out(reference):
     energies = run(reference, "water", 1e-3).energies
     assert energies["kinetic"][0] == energies["load"][0] == energies["elastic"][0] == 0.0
