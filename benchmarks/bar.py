@@ -12,8 +12,8 @@ from benchmarks.row import Row
 from benchmarks.setting import PRESETS, Setting, rve
 from benchmarks.timing import Timing, all_cores, ratio
 from surrofe2 import LoadCase, MacroSettings, StressLaw, simulate
-from surrofe2.displacement_curve import difference
 from surrofe2.macro import MacroRun
+from surrofe2.run.displacement_curve import difference
 
 TITLE = "Bending bar, true against cached FE²"
 _ERROR = "largest difference of the watched displacement / largest displacement"

@@ -19,7 +19,7 @@ from benchmarks.row import Row
 from benchmarks.setting import PRESETS, ROOT, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, MacroSettings, simulate
-from surrofe2.displacement_curve import DisplacementCurve, difference
+from surrofe2.run.displacement_curve import DisplacementCurve, difference
 
 TITLE = "FE² against the full tissue"
 ERROR = 1e-3

@@ -22,9 +22,9 @@ from benchmarks.timing import all_cores
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
 from surrofe2.cache import CacheSettings, StressTable
 from surrofe2.cache.protocols import Surrogate
-from surrofe2.displacement_curve import difference
 from surrofe2.errors import SimulationError
 from surrofe2.macro import MacroRun
+from surrofe2.run.displacement_curve import difference
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.store.store import write_json, write_text
 from surrofe2.tensors import stress_error

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     )
     from surrofe2.cache.cached_law import CachedLaw as CachedLaw
     from surrofe2.cache.settings import CacheSettings as CacheSettings
-    from surrofe2.displacement_curve import (
+    from surrofe2.run.displacement_curve import (
         DisplacementCurve as DisplacementCurve,
         difference as difference,
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
+from surrofe2.run.views import Facts, Viewed
 from surrofe2.stress_law import (
     Acceptance,
     AuditedLaw,
@@ -20,7 +21,6 @@ from surrofe2.stress_law import (
     SwitchingLaw,
     Tangents,
 )
-from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

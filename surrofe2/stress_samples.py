@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.run.views import Facts, Viewed
 from surrofe2.sampling import SamplingRange
-from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 

@@ -32,6 +32,7 @@ from surrofe2.cache.branches import (
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.trust import Trust, Window
+from surrofe2.run.views import Facts, Viewed
 from surrofe2.sampling import QUANTITIES, farthest_out
 from surrofe2.stress_law import (
     SURROGATE,
@@ -43,7 +44,6 @@ from surrofe2.stress_law import (
     check_deformation,
     require_tangents,
 )
-from surrofe2.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ import skfem
 from numpy.typing import NDArray
 
 from surrofe2.compilation import clock
-from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import MismatchError, SimulationError
 from surrofe2.load_case import LoadCase
 from surrofe2.macro.chunks import Chunks
@@ -32,12 +31,13 @@ from surrofe2.macro.system import PARTS, System
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.problem.problem import Problem
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import curves_of, history_of, named_columns
 from surrofe2.run.loop import carry_out, check_interval
+from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.stress_law import StressLaw
 from surrofe2.threads import one_blas_thread
 from surrofe2.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
-from surrofe2.views import Facts, ViewedRun, course
 
 Array = NDArray[np.float64]
 

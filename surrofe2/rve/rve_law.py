@@ -13,6 +13,7 @@ from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import Topology, pack, unpack
+from surrofe2.run.views import Facts, Viewed
 from surrofe2.rve.newton import renew
 from surrofe2.rve.particle_state import Drive
 from surrofe2.rve.particles import Particles, look_into
@@ -30,7 +31,6 @@ from surrofe2.stress_law import (
     check_deformation,
     describe,
 )
-from surrofe2.views import Facts, Viewed
 
 _RENEW_AFTER = {"slow-manifold": 9}
 _RENEW_AFTER_ELSE = 4

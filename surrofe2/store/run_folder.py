@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from surrofe2.costs import Balance
-from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError, quoted, shortened
+from surrofe2.io.lock import folder_lock
+from surrofe2.run.displacement_curve import DisplacementCurve
+from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.settings import check_value, hints_of
 from surrofe2.store.store import (
     check_same,
@@ -31,7 +33,6 @@ from surrofe2.store.store import (
     write_text,
 )
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
-from surrofe2.views import Facts, ViewedRun, course
 
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 2

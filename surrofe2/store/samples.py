@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.costs import Meter
 from surrofe2.errors import FileError, InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.run.loop import CheckpointClock
 from surrofe2.sampling import SEQUENCE, SamplingRange
 from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
 from surrofe2.store.reference_states import attached

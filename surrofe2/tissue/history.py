@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import clock
-from surrofe2.displacement_curve import DisplacementCurve
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import Journal, RunState, curves_of, history_of, named_columns
+from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.pair_lists import bonded_particles
 from surrofe2.tissue.problem import TissueProblem
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.views import Facts, ViewedRun, course
 
 Array = NDArray[np.float64]
 

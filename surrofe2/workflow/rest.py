@@ -12,14 +12,14 @@ import numba
 import numpy as np
 
 from surrofe2.cache.branches import part_of, within
-from surrofe2.checkpoint_clock import CheckpointClock
 from surrofe2.compilation import clock, seconds_compiling
 from surrofe2.errors import InputError
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe import Recipe
+from surrofe2.run.journal import Journal
+from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import RunRecord, write_energies, write_history, write_load_path
-from surrofe2.run.journal import Journal
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.run_lifecycle import (

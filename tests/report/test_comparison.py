@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.report.comparison import compare
 from surrofe2.report.comparison_plot import write_comparison_plot
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import StoredRun
 from surrofe2.store.store import plain
 from tests.run_records import finished_record

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.displacement_curve import DisplacementCurve
 from surrofe2.errors import FileError, InputError
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import (
     open_run_folder,
     read_curve,
