@@ -10,9 +10,6 @@ import numpy as np
 
 from surrofe2.costs import Balance
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.io.files import flat
-from surrofe2.io.run_costs import balance_of
-from surrofe2.io.run_folder import RunRecord, StoredRun, presets_of
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.displacement_curve import (
     CurveDifference,

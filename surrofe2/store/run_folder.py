@@ -13,7 +13,6 @@ import numpy as np
 
 from surrofe2.costs import Balance
 from surrofe2.errors import FileError, InputError, quoted, shortened
-from surrofe2.io.lock import folder_lock
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.settings import check_value, hints_of

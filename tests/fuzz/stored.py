@@ -7,21 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem_sections import load_mesh
 from surrofe2.recipe import load_recipe
+from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.fields import write_fields
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.reference_states import read_reference, write_reference
 from surrofe2.store.run_folder import (
-from surrofe2.io.data_sets import read_data_set, writing_data_set
-from surrofe2.io.fields import write_fields
-from surrofe2.io.files import read_json, write_json
-from surrofe2.io.harvest import HarvestWriter, read_harvest
-from surrofe2.io.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.io.kept import read_reference, write_reference
-from surrofe2.io.run_folder import (
     read_curve,
     read_history,
     read_record,
@@ -38,11 +31,6 @@ from surrofe2.store.surrogates import (
     write_training,
 )
 from surrofe2.store.tables import read_table, stored, write_table
-from surrofe2.io.tables import read_table, stored, write_table
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.problem_sections import load_mesh
-from surrofe2.recipe import load_recipe
-from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
