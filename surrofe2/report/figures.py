@@ -158,19 +158,17 @@ def make_figure(
     return figure
 
 
-def svg_of(figure: Figure) -> bytes:
-    """A figure as SVG, whose words stay words."""
-    drawn = BytesIO()
+def drawn(figure: Figure, form: str = "png") -> bytes:
+    """A figure as PNG, or as SVG, whose words stay words."""
+    picture, options = BytesIO(), {"dpi": 150} if form == "png" else {"metadata": {"Date": None}}
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "surrofe2"}):
-        figure.savefig(drawn, format="svg", metadata={"Date": None})
-    return drawn.getvalue()
+        figure.savefig(picture, format=form, **options)
+    return picture.getvalue()
 
 
 def write_png(path: Path, figure: Figure) -> None:
     """Write a figure as PNG."""
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=150)
-    write_bytes(path, drawn.getvalue())
+    write_bytes(path, drawn(figure))
 
 
 def _draw_table(axes: Axes, table: Table[Any]) -> None:

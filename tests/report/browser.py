@@ -62,19 +62,18 @@ class Browser:
         self._process.terminate()
         self._process.wait(timeout=30.0)
 
-    def show(self, path: Path, width: int, *, dark: bool = False, script: bool = True) -> None:
+    def show(self, path: Path, width: int, *, script: bool = True) -> None:
         """Open a file at a width in pixels."""
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
         self._call("Emulation.setDeviceMetricsOverride", size)
         self._call("Emulation.setScriptExecutionDisabled", {"value": not script})
-        self.media("screen", dark=dark)
+        self.media("screen")
         self._call("Page.navigate", {"url": path.resolve().as_uri()})
         self._wait_for("document.readyState === 'complete' && location.protocol === 'file:'")
 
-    def media(self, kind: str, *, dark: bool = False) -> None:
-        """Show on "screen" or in "print", light or dark."""
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self._call("Emulation.setEmulatedMedia", {"media": kind, "features": [scheme]})
+    def media(self, kind: str) -> None:
+        """Show on "screen" or in "print"."""
+        self._call("Emulation.setEmulatedMedia", {"media": kind})
 
     def value(self, expression: str) -> object:
         """What a script gives."""

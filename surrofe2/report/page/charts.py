@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import re
 from collections.abc import Mapping, Sequence
-from html import escape
 
-from surrofe2.report.figures import PALETTE, Panel, make_figure, svg_of
+from surrofe2.report.figures import PALETTE, Panel, drawn, make_figure
+from surrofe2.report.page.html import image
 
 _BAR_ROW, _AXIS, _LEGEND_ROW = 0.6, 0.8, 0.25
 """Inches."""
@@ -17,7 +15,7 @@ def chart(panel: Panel) -> str:
     """The curves of a panel with its axes and legend."""
     named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
     what = f"{panel.title or panel.y_label} over {panel.x_label}"
-    return _picture(svg_of(make_figure([panel])), f"{what}: {named}" if named else what)
+    return image(drawn(make_figure([panel]), "svg"), f"{what}: {named}" if named else what)
 
 
 def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
@@ -42,12 +40,4 @@ def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
         f"{label}: " + ", ".join(f"{name} {value:.3g} {unit}" for name, value in parts.items())
         for label, parts in rows
     )
-    return _picture(svg_of(figure), told)
-
-
-def _picture(svg: bytes, told: str) -> str:
-    """An SVG as an image; its words for those who do not see it."""
-    words = re.sub(r"\$([^$]*)\$", lambda found: found[1].replace("_", ""), " ".join(told.split()))
-    source = base64.b64encode(svg).decode()
-    alt = escape(words, quote=True)
-    return f'<img class="chart" alt="{alt}" src="data:image/svg+xml;base64,{source}">'
+    return image(drawn(figure, "svg"), told)

@@ -14,7 +14,6 @@ STOPS = (
 """Viridis, evenly from lowest to highest."""
 LEVELS, UNKNOWN = 254, 255
 """Numbers are stored as 0 … LEVELS; UNKNOWN is none."""
-NO_COLOUR = "#9a9a9a"
 SOURCES: dict[int, tuple[str, str]] = {
     SURROGATE: ("network", "#3b82c4"),
     TABLE: ("table", "#3aa37f"),
@@ -34,12 +33,3 @@ def levels_of(values: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float, fl
     stored = np.rint(LEVELS * share).astype(np.uint8)
     stored[~np.isfinite(values)] = UNKNOWN
     return stored, low, high
-
-
-def colour_of(share: float) -> str:
-    """The colour of a number, 0 the lowest and 1 the highest."""
-    place = min(max(share, 0.0), 1.0) * (len(STOPS) - 1)
-    k = min(int(place), len(STOPS) - 2)
-    pair = [[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in STOPS[k : k + 2]]
-    mixed = [round(a + (place - k) * (b - a)) for a, b in zip(*pair, strict=True)]
-    return "#" + "".join(f"{value:02x}" for value in mixed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
@@ -20,6 +21,13 @@ def paragraph(text: str, kind: str = "") -> str:
 def missing(text: str) -> str:
     """What is left out, and why."""
     return paragraph(text, "missing")
+
+
+def image(picture: bytes, words: str, form: str = "svg+xml") -> str:
+    """A picture, SVG or "png"; its words for those who do not see it."""
+    told = re.sub(r"\$([^$]*)\$", lambda found: found[1].replace("_", ""), " ".join(words.split()))
+    source = f"data:image/{form};base64,{base64.b64encode(picture).decode()}"
+    return f'<img class="chart" alt="{escape(told, quote=True)}" src="{source}">'
 
 
 def figure(content: str, caption: str) -> str:
@@ -85,7 +93,6 @@ def document(title: str, sections: Sequence[tuple[str, str, str]], data: str) ->
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
         f"<title>{escape(title)}</title>\n<style>{style}</style></head>\n<body>\n"
         f'<header><h1>{escape(title)}</h1><nav aria-label="Sections"><ul>{links}</ul></nav>'
         f"</header>\n<main>{content}</main>\n"

@@ -7,19 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.collections import Collection, LineCollection, PolyCollection
 from numpy.typing import NDArray
 
+from surrofe2.report.figures import drawn, make_figure
 from surrofe2.report.page.bodies import MARGIN, DrawnBody, bodies_of
-from surrofe2.report.page.colours import (
-    LEVELS,
-    NO_COLOUR,
-    SOURCES,
-    STOPS,
-    UNKNOWN,
-    colour_of,
-    levels_of,
-)
-from surrofe2.report.page.html import figure, grid, missing, section
+from surrofe2.report.page.colours import LEVELS, SOURCES, STOPS, UNKNOWN, levels_of
+from surrofe2.report.page.html import figure, grid, image, missing, section
 from surrofe2.report.page.seen import VON_MISES, WALL_STRETCH, Seen, SeenRun
 from surrofe2.store.fields import SOURCE_NAME, StoredFields
 
@@ -27,14 +22,15 @@ Array = NDArray[np.float64]
 
 _BUDGET = 1_200_000
 """Bytes of all animations together, before base64."""
-_STILL = 12_000
-"""Cells that a still picture has at most."""
-_OUTLINE = {6: [0, 3, 1, 4, 2, 5]}
-"""Order of a triangle's nodes along its sides."""
 _SHOWN = 0.08
 """Share of the tissue's size that the largest displacement is drawn with at first, about."""
 _FACTORS = (1, 2, 5, 10, 20, 50, 100)
-_WIDTH, _BANDS = 360, 24
+_SIDES = 5000
+"""Elements from which on their sides are not drawn."""
+_WIDTH = 4.0
+"""Of a still picture, inches."""
+_COLOURS = colormaps["viridis"].with_extremes(bad="0.6")
+"""Those of the script, grey where nothing is known."""
 
 
 def motion_section(seen: Seen) -> tuple[str, list[dict[str, Any]]]:
@@ -98,8 +94,7 @@ def _arrays(run: SeenRun, budget: int) -> dict[str, Any]:
     at = np.unique(np.linspace(0, len(fields.t) - 1, kept).round().astype(int))
     u = fields.displacement[at]
     largest = float(abs(u).max()) or 1.0
-    order = _OUTLINE.get(fields.cells.shape[1], list(range(fields.cells.shape[1])))
-    bodies = bodies_of(run)
+    order, bodies = _outline(fields), bodies_of(run)
     factor = 1 if bodies else _factor(fields)  # multiplied, a gap closes before it should
     (x0, y0), (x1, y1) = _box(fields.points + factor * u, bodies)
     return {
@@ -162,21 +157,17 @@ def _still(run: SeenRun, factor: int) -> str:
     """The tissue where it has moved farthest, by stress, for paper and without the script."""
     name, fields = run.name, run.fields
     assert fields is not None
-    if len(fields.cells) > _STILL:
-        return missing(
-            f"{name}: {len(fields.cells):,} cells of the mesh; a still picture is left out."
-        )
     k = int(np.linalg.norm(fields.displacement, axis=2).max(axis=1).argmax())
     colours = _colours(fields)
     what = "von Mises stress" if "von Mises stress" in colours else "displacement"
     unit, values = colours[what]
-    drawn = mesh_picture(fields, values[k], k, factor, bodies=bodies_of(run))
+    picture = mesh_picture(fields, values[k], k, factor, bodies=bodies_of(run))
     low, high = np.nanmin(values[k]), np.nanmax(values[k])
     caption = (
         f"{name} where it has moved farthest, t = {fields.t[k]:.4g}, displacement × {factor}; "
         f"{what} from {low:.3g} (dark) to {high:.3g} {unit} (bright)"
     )
-    return figure(drawn, caption)
+    return figure(picture, caption)
 
 
 def mesh_picture(
@@ -190,42 +181,24 @@ def mesh_picture(
     """Cells at time k coloured by values (e,) from the lowest to the highest, or between ends."""
     at = fields.points + factor * fields.displacement[k]
     low, high = _box(at, bodies)
-    scale = (_WIDTH - 8) / float((high - low).max() or 1.0)
-    height = 8.0 + scale * float(high[1] - low[1])
-
-    def on_page(points: Array) -> NDArray[np.int64]:
-        """In tenths of a pixel, y downward."""
-        found = np.rint(10.0 * (4.0 + scale * (points - low))).astype(int)
-        found[:, 1] = round(10.0 * height) - found[:, 1]
-        return found
-
-    place = on_page(at)
-    first, last = ends or (float(np.nanmin(values)), float(np.nanmax(values)))
-    band = np.floor(_BANDS * (values - first) / ((last - first) or 1.0)).clip(0, _BANDS - 1)
-    corners = fields.cells.shape[1]
-    order = _OUTLINE.get(corners, list(range(corners)))
-    paths = []
+    size = high - low
+    shape = make_figure([], (_WIDTH, max(_WIDTH * float(size[1] / (size[0] or 1.0)), 0.5)))
+    axes = shape.subplots()
+    axes.axis("off")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     for body in bodies:
-        words = "L".join(f"{x / 10:g} {y / 10:g}" for x, y in on_page(body.at(k, factor)).tolist())
-        paths.append(f'<path class="body" d="M{words}z"/>')
-    for each in np.unique(band[np.isfinite(band)]):
-        outlines = place[fields.cells[band == each][:, order]]
-        closed = "z" if corners > 2 else ""
-        words = "".join(
-            "M" + "L".join(f"{x / 10:g} {y / 10:g}" for x, y in outline.tolist()) + closed
-            for outline in outlines
-        )
-        kind = "cells" if corners > 2 else "springs"
-        colour = colour_of((each + 0.5) / _BANDS)
-        paint = f'fill="{colour}"' if corners > 2 else f'stroke="{colour}"'
-        paths.append(f'<path class="{kind}" {paint} d="{words}"/>')
-    if np.isnan(band).any() and corners > 2:
-        unknown = place[fields.cells[np.isnan(band)][:, order]].tolist()
-        words = "".join(
-            "M" + "L".join(f"{x / 10:g} {y / 10:g}" for x, y in each) + "z" for each in unknown
-        )
-        paths.append(f'<path class="cells" fill="{NO_COLOUR}" d="{words}"/>')
-    return (
-        f'<svg class="mesh" viewBox="0 0 {_WIDTH} {height:.0f}" role="img" aria-label="the mesh">'
-        f"{''.join(paths)}</svg>"
-    )
+        axes.fill(*body.at(k, factor).T, facecolor="0.8", edgecolor="0.5", linewidth=0.8)
+    corners = [*at[fields.cells[:, _outline(fields)]]]
+    width = 0.3 * (len(corners) < _SIDES)
+    cells: Collection = PolyCollection(corners, edgecolors="0.5", linewidths=width)
+    if fields.cells.shape[1] == 2:  # the springs of a full tissue
+        cells = LineCollection(corners, linewidths=0.8)
+    cells.set(array=values, cmap=_COLOURS, clim=ends or (np.nanmin(values), np.nanmax(values)))
+    axes.add_collection(cells)
+    return image(drawn(shape), "the mesh", "png")
+
+
+def _outline(fields: StoredFields) -> list[int]:
+    """Order of an element's nodes along its sides."""
+    corners = fields.cells.shape[1]
+    return [0, 3, 1, 4, 2, 5] if corners == 6 else [*range(corners)]

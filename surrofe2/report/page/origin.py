@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import shlex
 from typing import Any
 
-from surrofe2.report.page.html import figure, folded, missing, paragraph, section, table
+from surrofe2.report.page.html import figure, folded, image, missing, paragraph, section, table
 from surrofe2.report.page.seen import Seen, SeenRun
 from surrofe2.store.store import flat
 
@@ -18,8 +17,7 @@ def particle_section(seen: Seen) -> str:
     """The plant cells that `surrofe2 zoom` looked into."""
     figures = [
         figure(
-            f'<img alt="particles of a plant cell at six times" src="data:image/png;base64,'
-            f'{base64.b64encode(png).decode()}">',
+            image(png, "particles of a plant cell at six times", "png"),
             f"{each.name}, {name}: the plant cell there, walls by stretch and fluid by turgor",
         )
         for each in seen.runs

@@ -21,8 +21,6 @@ from surrofe2.stress_law import TABLE
 
 Array = NDArray[np.float64]
 
-_FEW_CELLS = 12_000
-
 
 def fallback_section(seen: Seen) -> str:
     """Where and when the cache fell back on true RVEs."""
@@ -71,16 +69,14 @@ def _over_time_and_mesh(run: SeenRun) -> str:
     )
     panel = Panel(clock_of(run.run), "elements (%)", curves, zero=True)
     found = [figure(chart(panel), f"{run.name}: who answered at the stored times")]
-    if len(fields.cells) <= _FEW_CELLS:
-        share = (source > TABLE).mean(axis=0)
-        drawn = mesh_picture(fields, share, 0, ends=(0.0, max(float(share.max()), 1e-9)))
-        found.append(
-            figure(
-                drawn,
-                f"{run.name}: share of the stored times at which an element had a point on true "
-                f"RVEs, from none (dark) to {100.0 * share.max():.3g} % (bright)",
-            )
+    share = (source > TABLE).mean(axis=0)
+    found.append(
+        figure(
+            mesh_picture(fields, share, 0, ends=(0.0, max(float(share.max()), 1e-9))),
+            f"{run.name}: share of the stored times at which an element had a point on true RVEs, "
+            f"from none (dark) to {100.0 * share.max():.3g} % (bright)",
         )
+    )
     return grid(found)
 
 

@@ -33,16 +33,12 @@ def page(recipe, tmp_path, browser):
 
 @pytest.mark.parametrize("width", [360, 1440])
 def test_seen_at_a_width(browser, page, width):
-    for dark in (False, True):
-        browser.show(page, width, dark=dark)
-        assert browser.value("document.documentElement.scrollWidth") <= width
-        assert browser.value(COLOURS) > 3
-        ground = browser.picture()[0, 0, :3]
-        assert (ground < 0.2).all() if dark else (ground > 0.9).all()
-        for kind in ("img.chart", "svg.mesh"):
-            wide = f"[...document.querySelectorAll('{kind}')].map(e => e.clientWidth)"
-            shown = [each for each in browser.value(wide) if each]
-            assert all(min(250, width) <= each <= width for each in shown)
+    browser.show(page, width)
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    assert browser.value(COLOURS) > 3
+    wide = "[...document.querySelectorAll('img.chart')].map(e => e.clientWidth)"
+    shown = [each for each in browser.value(wide) if each]
+    assert all(min(250, width) <= each <= width for each in shown)
     assert browser.complaints == []
 
 
@@ -90,7 +86,7 @@ def test_on_paper_and_without_scripts(browser, page):
     player = "getComputedStyle(document.getElementById('player')).display != 'none'"
     browser.show(page, 1440)
     assert browser.value(f"[{still}, {player}]") == [False, True]
-    browser.media("print", dark=True)
+    browser.media("print")
     assert browser.value(f"[{still}, {player}]") == [True, False]
     assert (browser.picture()[0, 0, :3] > 0.9).all(), "paper is white"
     paper = browser.paper()
