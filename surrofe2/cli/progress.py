@@ -53,45 +53,32 @@ class Clock:
 
 @contextmanager
 def progress(what: str, total: float, unit: str) -> Iterator[Report]:
-    """A function (done, note) that shows how far work is, at which rate, and the time left.
-
-    In a terminal a bar on stderr; elsewhere a plain line now and then, see `SELDOM`.
-    """
-    console = Console(stderr=True)
-    if now().quiet:
-        yield _nothing
-    elif console.is_terminal and not console.is_dumb_terminal:
-        with _display(console) as shown, _row(shown, what, total, unit) as report:
-            yield report
-    else:
-        yield _lines(what, total, unit)
+    """A function (done, note) that shows how far work is, at which rate, and the time left."""
+    with stages() as stage, stage(what, total, unit) as report:
+        yield report
 
 
 @contextmanager
 def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Report]]]:
-    """One display for all stages of a command: a `progress` whose rows stay, with their times."""
+    """One display for all stages of a command, each a `progress`.
+
+    In a terminal bars on stderr that stay, with their times; elsewhere a plain line now and then,
+    see `SELDOM`.
+    """
     console = Console(stderr=True)
     if now().quiet or not console.is_terminal or console.is_dumb_terminal:
-        yield progress
-    else:
-        with _display(console) as shown:
-            yield partial(_row, shown)
-
-
-def _nothing(done: float, note: str = "") -> None:
-    """Say nothing."""
-
-
-def _display(console: Console) -> Progress:
-    return Progress(
+        yield _lines
+        return
+    columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=_bar_width(console)),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[told]}"),
-        console=console,
-        transient=True,
-        redirect_stdout=sys.stdout.isatty(),  # what is piped elsewhere goes there
     )
+    # what is piped elsewhere goes there
+    redirected = sys.stdout.isatty()
+    with Progress(*columns, console=console, transient=True, redirect_stdout=redirected) as shown:
+        yield partial(_row, shown)
 
 
 @contextmanager
@@ -110,20 +97,21 @@ def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report
     shown.update(task, completed=total, told=time_text(time.perf_counter() - began))
 
 
-def _lines(what: str, total: float, unit: str) -> Report:
+@contextmanager
+def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
     clock, last = Clock(total, unit), time.perf_counter()
 
     def report(done: float, note: str = "") -> None:
         nonlocal last
         left_and_rate = clock.told(done)
-        if time.perf_counter() - last < SELDOM:
+        if now().quiet or time.perf_counter() - last < SELDOM:
             return
         last = time.perf_counter()
         share = f"{100.0 * done / total:.0f} %" if total else ""
         told = ", ".join(each for each in (share, *left_and_rate, note) if each)
         typer.echo(f"{what}: {told}", err=True)
 
-    return report
+    yield report
 
 
 def _bar_width(console: Console) -> int:
