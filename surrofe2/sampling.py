@@ -6,6 +6,7 @@ F = R U seven inputs are left: the stretch U (symmetric) and the rate A = Rᵀ�
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,13 +26,7 @@ SEQUENCE = "Sobol, every third drawn to rest"
 """What `training_points` gives, by which a data set of other points is told."""
 _DRAWN = 3  # every so many samples of a data set, one
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
-_BITS = 30
-_MOST_SAMPLES = 2**_BITS  # points of the scrambled Sobol sequence
-# primitive polynomial and first direction numbers of each input but the first (Joe and Kuo)
-_PRIMITIVE = (
-    (3, (1,)), (7, (1, 3)), (11, (1, 3, 1)), (13, (1, 1, 1)), (19, (1, 1, 3, 3)),
-    (25, (1, 3, 5, 13)),
-)  # fmt: skip
+_MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,36 +182,13 @@ def half_widths(range: SamplingRange) -> Array:
 
 
 def _sobol(count: int, seed: int, start: int) -> Array:
-    """(count, 7) points in [0, 1), bit for bit those of `scipy.stats.qmc.Sobol(7)`.
+    """(count, 7) points in [0, 1) of scipy's scrambled sequence."""
+    from scipy.stats import qmc  # here, since it takes longer to load than a cached run
 
-    Written out, since importing scipy.stats takes longer than a cached run: point n is the
-    exclusive or of the direction numbers at the bits of n's Gray code. They are scrambled by a
-    random linear map of their bits and by a random shift (Matoušek, 1998).
-    """
-    random = np.random.default_rng(seed).spawn(1)[0]  # as scipy does
-    weights = 1 << np.arange(_BITS)[::-1]
-    shift = random.integers(2, size=(INPUTS, _BITS), dtype=np.uint32).astype(int) @ weights[::-1]
-    maps = random.integers(2, size=(INPUTS, _BITS, _BITS), dtype=np.uint32).astype(int)
-    maps = np.tril(maps, -1) + np.eye(_BITS, dtype=int)
-    bits = _direction_numbers()[:, :, None] // weights & 1
-    scrambled = (np.einsum("dpk,djk->djp", maps, bits) & 1) @ weights
-    n = np.arange(start, start + count)
-    points = np.tile(shift, (count, 1))
-    for k in np.arange(_BITS):
-        points ^= ((n ^ n >> 1) >> k & 1)[:, None] * scrambled[:, k]
-    return points / 2.0**_BITS
-
-
-def _direction_numbers() -> NDArray[np.int64]:
-    """(7, 30) of each input, by Joe and Kuo's recurrence (2008)."""
-    rows = [[1] * _BITS]
-    for polynomial, first in _PRIMITIVE:
-        row, degree = list(first), len(first)
-        for k in np.arange(degree, _BITS):
-            number = row[k - degree]
-            for i in np.arange(degree).tolist():
-                if polynomial >> (degree - 1 - i) & 1:
-                    number ^= row[k - i - 1] << (i + 1)
-            row.append(number)
-        rows.append(row)
-    return np.array(rows) << np.arange(_BITS)[::-1]
+    sequence = qmc.Sobol(INPUTS, seed=np.random.default_rng(seed))
+    if start:
+        sequence.fast_forward(start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # any number of points will do
+        points: Array = sequence.random(count)
+    return points

@@ -13,7 +13,7 @@ import pytest
 
 from tests.source_contract import ROOT, circles, import_graph, local_imports, sources
 
-HEAVY = ("torch", "matplotlib", "meshio", "skfem", "distributed", "mpi4py")
+HEAVY = ("torch", "matplotlib", "meshio", "scipy", "skfem", "distributed", "mpi4py")
 """What a function may import."""
 
 
