@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.row import Row
+from surrofe2.store.run_folder import describe_platform
 from surrofe2.store.store import write_json, write_text
-from surrofe2.workflow.run_lifecycle import describe_platform
 
 SCHEMA, SCHEMA_VERSION = "surrofe2-benchmarks", 1
 

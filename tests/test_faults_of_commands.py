@@ -13,8 +13,8 @@ import pytest
 
 from surrofe2.errors import MismatchError
 from surrofe2.recipe import load_recipe
+from surrofe2.store import run_folder
 from surrofe2.store.run_folder import read_record
-from surrofe2.workflow import run_lifecycle
 from surrofe2.workflow.run import run_study
 from tests import commands
 from tests.faults import KINDS, each_fault
@@ -62,15 +62,15 @@ def test_a_killed_run_goes_on_to_the_bit(name, tmp_path, learnt):
 def test_a_finished_run_stays_so_when_interrupted(tmp_path, monkeypatch):
     commands.prepare("rve", tmp_path / "study", None)
     out = tmp_path / "study" / "out"
-    remove = run_lifecycle.remove
+    remove = run_folder.remove
 
     def interrupted(path):
-        if read_record(out).status == "finished":
+        if path.name == "checkpoint.h5" and path.exists() and read_record(out).status == "finished":
             raise KeyboardInterrupt
         remove(path)
 
     with monkeypatch.context() as patched:
-        patched.setattr(run_lifecycle, "remove", interrupted)
+        patched.setattr(run_folder, "remove", interrupted)
         with pytest.raises(KeyboardInterrupt):
             commands.execute("rve", tmp_path / "study")
     before = (out / "run.json").read_bytes()

@@ -194,7 +194,7 @@ def options(
     package = logging.getLogger("surrofe2")
     if not package.handlers:
         package.addHandler(output.PrintHandler())
-        logging.getLogger("surrofe2.workflow").setLevel(logging.INFO)
+        logging.getLogger("surrofe2.store").setLevel(logging.INFO)
 
 
 def main() -> None:

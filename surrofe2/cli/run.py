@@ -12,6 +12,7 @@ import typer
 from surrofe2.cli import console
 from surrofe2.cli.ranks import all_ranks
 from surrofe2.recipe import changed
+from surrofe2.units import time_text
 from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.cell_laws import files_by_cell
 from surrofe2.workflow.laws import open_study
@@ -23,7 +24,6 @@ from surrofe2.workflow.run import (
     run_summary,
     step_notes,
 )
-from surrofe2.workflow.run_lifecycle import time_text
 from surrofe2.workflow.surfaces import surface_notes
 
 

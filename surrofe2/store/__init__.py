@@ -10,7 +10,7 @@ In reading order:
     tables            tables of RVE answers, and of surface laws
     surrogates        surrogates and interrupted trainings
     c_source          a surrogate as C
-    run_folder        what a run leaves: its record, curves, fields, checkpoint
+    run_folder        the one life of a run in its folder: record, curves, checkpoint
     fields            fields over time for ParaView, of elements, particles and law points
     meshes            meshes that other programs made
 """

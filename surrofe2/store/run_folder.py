@@ -1,25 +1,44 @@
-"""Run folders: run.json, tables of curves, history and energies, fields, checkpoint.h5."""
+"""Run folders: run.json, tables of curves, history and energies, fields, checkpoint.h5.
+
+`RunFolder` is the one life of a run in its folder.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import logging
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 
-from surrofe2.costs import Balance
-from surrofe2.errors import FileError, InputError, quoted, shortened
+from surrofe2.costs import Balance, processor
+from surrofe2.errors import (
+    FileError,
+    InputError,
+    MismatchError,
+    SimulationError,
+    quoted,
+    shortened,
+)
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.settings import check_value, hints_of
+from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.store import (
     check_same,
     digest,
     folder_lock,
+    locked_folder,
     make_folder,
     partial_of,
     plain,
@@ -33,9 +52,13 @@ from surrofe2.store.store import (
 )
 from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 
+log = logging.getLogger(__name__)
+
 SCHEMA = "surrofe2-run"
 SCHEMA_VERSION = 2
 CHECKPOINT, EVENTS = "checkpoint.h5", "events.jsonl"
+CHECKPOINT_INTERVAL = 5.0
+"""Seconds between two checkpoints, at least."""
 FILES = (
     "run.json", "curve.csv", "history.csv", "energies.csv", "path.csv", "fields.xdmf", "fields.h5",
     "points.xdmf", "points.h5", CHECKPOINT, "table.h5", "harvest.h5", EVENTS,
@@ -226,6 +249,156 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
     return earlier
 
 
+Store = Callable[[RunRecord, Any], RunRecord]
+"""Writes the files of a result, whole or partial; gives the record with what it cost."""
+
+
+@dataclass(slots=True)
+class RunFolder:
+    """A run in its folder: begun or resumed, checkpointed, and finished, failed or interrupted.
+
+        with RunFolder.open(folder, record, store) as run:
+            if not run.is_finished:
+                with run.restoring() as arrays:
+                    state = None if arrays is None else State.from_arrays(arrays)
+                run.finish(simulate(…, checkpoint=run.checkpoint, resume=state))
+
+    Attributes:
+        record: what run.json says now.
+        partial: what to store where the run ends early and its error carries nothing.
+        cache: what a cached law reported of itself at the last checkpoint.
+        is_finished: whether run.json says that it is finished, as then it stays.
+        goes_on: whether the run resumes from a checkpoint of an earlier call.
+    """
+
+    folder: Path
+    record: RunRecord
+    store: Store
+    partial: Any = None
+    cache: Mapping[str, Any] | None = None
+    is_finished: bool = False
+    goes_on: bool = False
+
+    @classmethod
+    @contextmanager
+    def open(
+        cls, folder: Path, record: RunRecord, store: Store, *, fresh: bool = False
+    ) -> Iterator[RunFolder]:
+        """A run that nobody else writes meanwhile; one that an earlier call finished is kept.
+
+        A run that fails or is interrupted leaves what it computed.
+
+        Raises:
+            FileError: the folder cannot be written, has files but no run, or is in use.
+            MismatchError: it has a run of other settings, and not `fresh`.
+        """
+        run = cls(folder, record, store)
+        earlier = None if fresh else earlier_run(folder, record)
+        is_whole = earlier is not None and earlier.status == "finished"
+        # Where one of these is there, the process ended after its last file.
+        is_whole &= not (folder_lock(folder).exists() or (folder / CHECKPOINT).exists())
+        with nullcontext() if is_whole else locked_folder(folder), run._recorded():
+            if not is_whole:
+                earlier = open_run_folder(folder, record, fresh=fresh)
+            if earlier is not None and earlier.status == "finished":
+                run.record, run.is_finished = earlier, True
+                remove(folder / CHECKPOINT)
+                log.info("%s: finished before; --fresh starts over", folder)
+            elif earlier is not None:
+                run.goes_on = True
+                write_record(folder, record)
+            yield run
+
+    @contextmanager
+    def _recorded(self) -> Iterator[None]:
+        """Record how the block ends."""
+        try:
+            yield
+        except SimulationError as error:
+            partial = self.partial if error.partial is None else error.partial
+            self._end("failed", partial, str(error))
+            raise
+        except FileError as error:
+            if not self.is_finished:
+                with suppress(FileError):  # the disk may be full for this too
+                    self._end("failed", error=str(error))
+            raise
+        except KeyboardInterrupt:
+            if not self.is_finished:
+                self._end("interrupted", self.partial)
+            raise
+
+    @contextmanager
+    def restoring(self) -> Iterator[dict[str, np.ndarray] | None]:
+        """The arrays of the last checkpoint, None where the run starts at its beginning.
+
+        The block makes a state of them: what fails in it is the checkpoint's.
+
+        Raises:
+            FileError: it has no state of this run.
+        """
+        path = self.folder / CHECKPOINT
+        try:
+            yield read_checkpoint(path, self._kind) if self.goes_on else None
+        except (SimulationError, FileError, MismatchError):
+            raise
+        except Exception as error:
+            if not self.goes_on:
+                raise
+            why = error if isinstance(error, InputError) else type(error).__name__
+            log.debug("%s: no state of this run", path, exc_info=error)
+            raise FileError(
+                f"{path}: no state of this run ({why}); start over with --fresh; --traceback "
+                "shows where it failed"
+            ) from error
+
+    def checkpoint(
+        self, arrays: Mapping[str, np.ndarray], cache: Mapping[str, Any] | None = None
+    ) -> None:
+        """Write a state to resume from; `cache` is what a cached law reports of itself there."""
+        write_checkpoint(self.folder / CHECKPOINT, arrays, self._kind)
+        self.cache = cache
+
+    def finish(self, result: Any) -> None:
+        """Store a whole result; run.json comes last, so a finished record has all its files."""
+        self._end("finished", result)
+        self.is_finished = True
+        remove(self.folder / CHECKPOINT)
+
+    def _end(self, status: str, result: Any = None, error: str | None = None) -> None:
+        """Store what there is and say how the run ended."""
+        self.record = replace(self.record, status=status, error=error, cache=self.cache)
+        if result is not None:
+            self.record = self.store(self.record, result)
+        write_record(self.folder, self.record)
+
+    @property
+    def _kind(self) -> str:
+        return f"a {self.record.law} run"
+
+
+def describe_origin() -> dict[str, Any]:
+    """When and by what a record is made, by the names that it has."""
+    return {
+        "package_version": version("surrofe2"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "threads": numba.get_num_threads(),
+        "platform": describe_platform(),
+    }
+
+
+def describe_platform() -> dict[str, str]:
+    """Processor, cores, system and library versions; nothing that identifies the machine."""
+    libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "torch")}
+    return {
+        "processor": processor(),
+        "cores": str(os.cpu_count()),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        **libraries,
+    }
+
+
 def caches_of(cache: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
     """The reports in a record's `cache` by name of the cell, which is "" where there is one."""
     if not cache:
@@ -260,10 +433,10 @@ def read_record(folder: Path) -> RunRecord:
     stored = read_json(path)
     if stored.pop("schema", None) != SCHEMA:
         raise FileError(f"{path}: not the record of a surrofe2 run")
-    version = stored.pop("schema_version", None)
+    found = stored.pop("schema_version", None)
     known = {item.name for item in fields(RunRecord)}
-    if version != SCHEMA_VERSION or not known.issuperset(stored):
-        raise FileError(f"{path}: run schema {version}; this surrofe2 reads {SCHEMA_VERSION}")
+    if found != SCHEMA_VERSION or not known.issuperset(stored):
+        raise FileError(f"{path}: run schema {found}; this surrofe2 reads {SCHEMA_VERSION}")
     try:
         record = RunRecord(**stored)
         _check_entries(record)

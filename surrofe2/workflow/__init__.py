@@ -2,11 +2,10 @@
 
 In reading order:
 
-    run_lifecycle  one run in its folder: begun, checkpointed, finished, failed or interrupted
+    progress       how work reports what it does
     laws           the stress law of a run: chosen, started from a kept reference, warmed up
     cell_laws      the same of several cell types, each at the points of its regions
-    run_outputs    the tables and true answers that runs leave
-    saved_run      what a run leaves in its folder, by a command or from Python
+    run_outputs    what a run leaves in its folder, by a command or from Python
     run            a bar by a stress law
     tissue         the full microscopic tissue
     rest           the bar at rest under its load, and its small oscillations

@@ -41,7 +41,7 @@ from surrofe2.surrogate.settings import (
 from surrofe2.tensors import stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.run_lifecycle import Report, untold
+from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.varied_loads import random_loads, varied_problems
 
 log = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ def calibrate(
     *,
     problem: Problem | LoadCase | None = None,
     macro: MacroSettings = SECTION_6_2,
-    report: Report = untold,
+    report: Report = no_report,
 ) -> SurrogateLaw:
     """The surrogate with the bound of its error, without which a `CachedLaw` never trusts it.
 

@@ -26,7 +26,7 @@ from surrofe2.stress_law import StressLaw, StressResponse
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.run_lifecycle import Report, untold
+from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.train import is_trained
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ class _Recorder(WatchedLaw):
         self.steps.append((F[some].copy(), F_dot[some].copy()))
 
 
-def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = untold) -> DryRun:
+def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report) -> DryRun:
     """A dry run of a recipe's problem.
 
     Where `seconds` are too short for the whole run, rectangles are meshed with half as many

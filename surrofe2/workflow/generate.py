@@ -21,7 +21,7 @@ from surrofe2.store.samples import DataSetHeader, stored_count, writing_data_set
 from surrofe2.stress_law import StressLaw, StressResponse, describe
 from surrofe2.stress_samples import StressSamples
 from surrofe2.workflow import laws
-from surrofe2.workflow.run_lifecycle import Report, untold
+from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.workers import in_pieces
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def generate_data_set(
     fresh: bool = False,
     chunk: int = CHUNK,
     executor: Any = None,
-    report: Report = untold,
+    report: Report = no_report,
 ) -> Generated:
     """Sample the recipe's range, ask the RVE, and write the recipe's data set.
 
@@ -136,7 +136,7 @@ def sample_stress(
     seed: int = 1,
     tangents: bool = True,
     executor: Any = None,
-    report: Report = untold,
+    report: Report = no_report,
 ) -> StressSamples:
     """Samples of the stress of an RVE over a range, for `train`; the numbers of `generate`.
 

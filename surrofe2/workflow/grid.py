@@ -21,7 +21,7 @@ from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.grid_tasks import GridTask, Work, run_member
 from surrofe2.workflow.laws import use_threads
-from surrofe2.workflow.run_lifecycle import Report, Stage, silent
+from surrofe2.workflow.progress import Report, Stage, no_stage
 from surrofe2.workflow.train import is_trained, train_surrogate
 from surrofe2.workflow.workers import Processes, results_of
 
@@ -48,7 +48,7 @@ def run_grid(
     threads: int | None = None,
     executor: Any = None,
     fresh: bool = False,
-    stage: Stage = silent,
+    stage: Stage = no_stage,
 ) -> Grid:
     """Run a recipe with each combination of values and laws, and make a table and a picture of it.
 
@@ -188,7 +188,7 @@ def _done(
     if not tasks:
         return {}
     with stage(what, len(tasks), what) as report:
-        calls = ((task.name, work, (task, silent)) for task in tasks)
+        calls = ((task.name, work, (task, no_stage)) for task in tasks)
         outcomes = []
         for outcome in results_of(calls, executor):
             outcomes.append(outcome)

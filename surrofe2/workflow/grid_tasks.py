@@ -10,8 +10,8 @@ from typing import Any
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.recipe import Recipe
 from surrofe2.workflow.laws import use_threads
+from surrofe2.workflow.progress import Stage
 from surrofe2.workflow.run import run_study
-from surrofe2.workflow.run_lifecycle import Stage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

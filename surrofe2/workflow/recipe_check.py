@@ -25,7 +25,7 @@ def recipe_faults(path: Path) -> list[str]:
     """A sentence on each entry of a recipe that cannot be what it says, all in one go.
 
     After each the entry is left out, or its section where that cannot do without, and the rest is
-    read again; so what such a section says besides may stay untold.
+    read again; so what such a section says besides may stay no_report.
     """
     try:
         load_recipe(path)

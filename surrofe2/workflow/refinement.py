@@ -34,10 +34,11 @@ from surrofe2.store.store import (
     write_json,
 )
 from surrofe2.tensors import stress_error
+from surrofe2.units import time_text
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set, wanted_count
+from surrofe2.workflow.progress import Report, Stage, no_stage
 from surrofe2.workflow.run import run_study
-from surrofe2.workflow.run_lifecycle import Report, Stage, silent, time_text
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
 from surrofe2.workflow.train import STRESSES, Trained, train_surrogate
 
@@ -121,7 +122,7 @@ def refine_surrogate(
     cell: str | None = None,
     rounds: int = 6,
     fresh: bool = False,
-    stage: Stage = silent,
+    stage: Stage = no_stage,
     tell: Callable[[Round], None] = lambda row: None,
 ) -> list[Round]:
     """Rounds of training, cached run, harvest and sampling in a folder, until one is settled.

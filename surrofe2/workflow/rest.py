@@ -19,22 +19,20 @@ from surrofe2.recipe import Recipe
 from surrofe2.run.journal import Journal
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.fields import write_fields
-from surrofe2.store.run_folder import RunRecord, write_energies, write_history, write_load_path
+from surrofe2.store.run_folder import (
+    CHECKPOINT_INTERVAL,
+    RunFolder,
+    RunRecord,
+    describe_platform,
+    write_energies,
+    write_history,
+    write_load_path,
+)
+from surrofe2.units import time_text
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import kept_reference
-from surrofe2.workflow.run_lifecycle import (
-    CHECKPOINT_INTERVAL,
-    Recording,
-    Report,
-    Stage,
-    describe_platform,
-    new_record,
-    record_run,
-    silent,
-    time_text,
-    untold,
-)
-from surrofe2.workflow.saved_run import problem_record, with_rest, write_points
+from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
+from surrofe2.workflow.run_outputs import new_record, problem_record, with_rest, write_points
 from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
@@ -50,7 +48,7 @@ def rest_study(
     factor: float = 1.0,
     load_steps: int = 10,
     fresh: bool = False,
-    report: Report = untold,
+    report: Report = no_report,
 ) -> RunRecord:
     """Load the recipe's tissue in steps and write the run folder.
 
@@ -86,37 +84,38 @@ def rest_study(
         record = with_rest(record, last.system.rest)
         return replace(record, wall_time=wall, counts=last.counts, met=met)
 
-    def compute(current: Recording) -> Rest:
-        nonlocal found, begin
-        begin = clock()
-        arrays = current.last_state()
-        state = None
-        if arrays is not None:
-            with current.restoring():
+    def reached(rest: Rest) -> None:
+        nonlocal found
+        rows = {"forces": rest.forces[None]} | rest.frame.to_series()
+        found = rest, Journal.of(rows) if found is None else found[1].written(rows)
+        if due.is_due():
+            due.write(checkpoint)
+        report(rest.factor / factor if factor else 1.0, "")
+
+    def checkpoint() -> None:
+        assert found is not None
+        rest, journal = found
+        assert rest is not None
+        more = {"seconds": np.array(clock() - begin)} | {k: journal[k] for k in _SERIES}
+        more |= within("law", law_arrays(chosen.law, rest.law_state))
+        run.checkpoint(rest.to_arrays() | more)
+
+    record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
+    stated = {"factor": factor, "load_steps": load_steps}
+    record = replace(record, recipe={**record.recipe, "rest": stated})
+    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+        if run.is_finished:
+            return run.record
+        begin, state = clock(), None
+        with run.restoring() as arrays:
+            if arrays is not None:
                 begin -= float(arrays["seconds"])
                 found = None, Journal.of({name: arrays[name] for name in _SERIES})
                 state = law_state(chosen.law, part_of(arrays, "law"))
         due = CheckpointClock(CHECKPOINT_INTERVAL)
-
-        def reached(rest: Rest) -> None:
-            nonlocal found
-            rows = {"forces": rest.forces[None]} | rest.frame.to_series()
-            found = rest, Journal.of(rows) if found is None else found[1].written(rows)
-            if due.is_due():
-                due.write(checkpoint)
-            report(rest.factor / factor if factor else 1.0, "")
-
-        def checkpoint() -> None:
-            assert found is not None
-            rest, journal = found
-            assert rest is not None
-            more = {"seconds": np.array(clock() - begin)} | {k: journal[k] for k in _SERIES}
-            more |= within("law", law_arrays(chosen.law, rest.law_state))
-            current.checkpoint(rest.to_arrays() | more)
-
         try:
             with recipe.named(InputError):
-                return find_rest(
+                rest = find_rest(
                     problem,
                     chosen.law,
                     recipe.macro,
@@ -128,14 +127,11 @@ def rest_study(
                 )
         except KeyboardInterrupt:
             if found is not None and found[0] is not None:
-                current.partial = found[0]
+                run.partial = found[0]
                 checkpoint()
             raise
-
-    record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
-    stated = {"factor": factor, "load_steps": load_steps}
-    record = replace(record, recipe={**record.recipe, "rest": stated})
-    return record_run(folder, record, compute, store, fresh=fresh)
+        run.finish(rest)
+    return run.record
 
 
 def _by_name(rest: Rest, forces: np.ndarray) -> dict[str, np.ndarray]:
@@ -159,7 +155,7 @@ def rest_summary(record: RunRecord) -> str:
 
 
 def find_all_modes(
-    recipe: Recipe, methods: Sequence[str], count: int, *, stage: Stage = silent
+    recipe: Recipe, methods: Sequence[str], count: int, *, stage: Stage = no_stage
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """The slowest oscillations about both states of `STATES`, by state and initialisation."""
     found: dict[str, dict[str, dict[str, Any]]] = {state: {} for state in STATES}

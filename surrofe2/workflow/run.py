@@ -14,7 +14,14 @@ from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import out_of_range
 from surrofe2.store.hdf5 import read_seconds
-from surrofe2.store.run_folder import RunRecord, caches_of, write_events
+from surrofe2.store.run_folder import (
+    CHECKPOINT_INTERVAL,
+    RunFolder,
+    RunRecord,
+    caches_of,
+    write_events,
+)
+from surrofe2.units import time_text
 from surrofe2.workflow.cell_laws import (
     NO_FILES,
     cache_report,
@@ -24,17 +31,15 @@ from surrofe2.workflow.cell_laws import (
     law_state,
 )
 from surrofe2.workflow.laws import kept_reference
-from surrofe2.workflow.run_lifecycle import (
-    CHECKPOINT_INTERVAL,
-    Recording,
-    Report,
+from surrofe2.workflow.progress import Report, no_report
+from surrofe2.workflow.run_outputs import (
+    RunOutputs,
+    counts_with,
     new_record,
-    record_run,
-    time_text,
-    untold,
+    problem_record,
+    with_results,
+    write_results,
 )
-from surrofe2.workflow.run_outputs import RunOutputs, counts_with
-from surrofe2.workflow.saved_run import problem_record, with_results, write_results
 from surrofe2.workflow.surfaces import with_surface
 
 MOST_IMPLICIT_STEPS = 3000
@@ -50,7 +55,7 @@ def run_study(
     tables: Sequence[Path] = (),
     harvest: bool = True,
     fresh: bool = False,
-    report: Report = untold,
+    report: Report = no_report,
 ) -> RunRecord:
     """Run the recipe's problem by the law called `kind` and write the run folder.
 
@@ -75,8 +80,8 @@ def run_study(
     problem = with_surface(recipe, problem, kept_reference)
     earlier = sum(read_seconds(each) or 0.0 for each in tables)
 
-    def store(record: RunRecord, run: MacroRun) -> RunRecord:
-        record = with_results(record, run)
+    def store(record: RunRecord, result: MacroRun) -> RunRecord:
+        record = with_results(record, result)
         seconds = _with_beginning(record.wall_time, chosen.seconds)
         record = replace(
             record,
@@ -84,33 +89,34 @@ def run_study(
             counts=counts_with(chosen.tables, record.counts),
         )
         outputs.store(chosen.tables, earlier + record.wall_time.get("total", 0.0))
-        write_results(folder, run)
+        write_results(folder, result)
         return record
 
-    def compute(current: Recording) -> MacroRun:
-        arrays = current.last_state()
+    def checkpoint(state: MacroState) -> None:
+        arrays = within("macro", state.to_arrays())
+        arrays |= within("law", law_arrays(chosen.law, state.law_state))
+        arrays |= within("harvest", outputs.to_arrays())
+        run.checkpoint(arrays, cache_report(chosen.law))
+        decisions = decisions_of(chosen.law)
+        if decisions:
+            write_events(folder, decisions)
+
+    record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
+    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+        if run.is_finished:
+            return run.record
         state: MacroState | None = None
-        if arrays is not None:
-            with current.restoring():
+        with run.restoring() as arrays:
+            if arrays is not None:
                 macro, law = (part_of(arrays, name) for name in ("macro", "law"))
                 state = MacroState.from_arrays(macro)
                 state = replace(state, law_state=law_state(chosen.law, law))
                 outputs.restore(part_of(arrays, "harvest"))
-                current.cache = cache_report(chosen.law)
-
-        def checkpoint(state: MacroState) -> None:
-            arrays = within("macro", state.to_arrays())
-            arrays |= within("law", law_arrays(chosen.law, state.law_state))
-            arrays |= within("harvest", outputs.to_arrays())
-            current.checkpoint(arrays, cache_report(chosen.law))
-            decisions = decisions_of(chosen.law)
-            if decisions:
-                write_events(folder, decisions)
-
+                run.cache = cache_report(chosen.law)
         report(0.0, "loading kernels")
         try:
             with recipe.named(InputError):
-                return simulate(
+                result = simulate(
                     problem,
                     chosen.law,
                     recipe.macro,
@@ -122,9 +128,8 @@ def run_study(
         except KeyboardInterrupt:
             outputs.store(chosen.tables)
             raise
-
-    record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
-    return record_run(folder, record, compute, store, fresh=fresh)
+        run.finish(result)
+    return run.record
 
 
 def _with_beginning(seconds: Mapping[str, float], before: float) -> dict[str, float]:

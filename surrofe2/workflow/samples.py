@@ -19,7 +19,7 @@ from surrofe2.stress_samples import StressSamples
 from surrofe2.tensors import stress_error, stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
-from surrofe2.workflow.run_lifecycle import Stage, silent
+from surrofe2.workflow.progress import Stage, no_stage
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ class SampleSource:
     recipe: Recipe
     harvests: Sequence[Path] = ()
     range: SamplingRange | None = None
-    stage: Stage = silent
+    stage: Stage = no_stage
 
     def take(self, count: int) -> StressSamples:
         """The first `count` samples of the data set, and all of the harvests.

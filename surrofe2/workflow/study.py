@@ -13,10 +13,10 @@ from surrofe2.report.comparison import Comparison
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import data_summary, generate_data_set, wanted_count
+from surrofe2.workflow.progress import Report, Stage, no_stage
 from surrofe2.workflow.recipe_check import refuse_faults
 from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study, run_summary
-from surrofe2.workflow.run_lifecycle import Report, Stage, silent
 from surrofe2.workflow.train import is_trained, large_errors, train_surrogate, training_summary
 
 log = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ COMPARISON, REPORT = "comparison", "report.html"
 """Folder of the comparison, and the page on it, among the folders of the runs."""
 
 
-def untold(sentence: str) -> None:
+def no_report(sentence: str) -> None:
     """Tells nobody."""
 
 
@@ -38,8 +38,8 @@ class Steps:
     """The steps of a study, numbered as it goes: their displays, and what each came to."""
 
     count: int
-    stage: Stage = silent
-    tell: Tell = untold
+    stage: Stage = no_stage
+    tell: Tell = no_report
 
     def step(self, number: int) -> tuple[Stage, Tell]:
         """Display and outcome of the step of this number, from 1."""
@@ -67,8 +67,8 @@ def run_recipe(
     laws: Sequence[str] = LAWS,
     true: Path | None = None,
     fresh: bool = False,
-    stage: Stage = silent,
-    tell: Tell = untold,
+    stage: Stage = no_stage,
+    tell: Tell = no_report,
 ) -> Studied:
     """Data set, surrogate, runs by each law in `out`, and their comparison: what is missing of it.
 

@@ -9,20 +9,21 @@ from surrofe2.compilation import seconds_compiling
 from surrofe2.errors import InputError
 from surrofe2.recipe import Recipe
 from surrofe2.store.fields import write_particle_fields
-from surrofe2.store.run_folder import RunRecord, write_curve, write_energies, write_history
+from surrofe2.store.run_folder import (
+    CHECKPOINT_INTERVAL,
+    RunFolder,
+    RunRecord,
+    write_curve,
+    write_energies,
+    write_history,
+)
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import make_conditions, step_at_rest, with_step
 from surrofe2.tissue_problem import cells_of, problem_of_tissue
+from surrofe2.units import time_text
 from surrofe2.workflow.laws import kept_reference
-from surrofe2.workflow.run_lifecycle import (
-    CHECKPOINT_INTERVAL,
-    Recording,
-    Report,
-    new_record,
-    record_run,
-    time_text,
-    untold,
-)
+from surrofe2.workflow.progress import Report, no_report
+from surrofe2.workflow.run_outputs import new_record
 
 
 def run_tissue(
@@ -30,7 +31,7 @@ def run_tissue(
     folder: Path,
     *,
     fresh: bool = False,
-    report: Report = untold,
+    report: Report = no_report,
 ) -> RunRecord:
     """Run the recipe's problem on a tissue of plant cells and write the run folder.
 
@@ -59,26 +60,26 @@ def run_tissue(
             threads=run.threads,
         )
 
-    def compute(current: Recording) -> TissueRun:
-        arrays, state = current.last_state(), None
-        if arrays is not None:
-            with current.restoring():
-                state = TissueState.from_arrays(arrays)
-        return simulate_tissue(
+    record = replace(
+        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
+    )
+    with RunFolder.open(folder, record, store, fresh=fresh) as run:
+        if run.is_finished:
+            return run.record
+        with run.restoring() as arrays:
+            state = None if arrays is None else TissueState.from_arrays(arrays)
+        result = simulate_tissue(
             problem,
             cells,
             recipe.tissue,
             reference=references,
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
-            checkpoint=lambda state: current.checkpoint(state.to_arrays()),
+            checkpoint=lambda state: run.checkpoint(state.to_arrays()),
             checkpoint_interval=CHECKPOINT_INTERVAL,
             resume=state,
         )
-
-    record = replace(
-        new_record(recipe, "tissue"), initialisation="none", solver="leapfrog", seed=None
-    )
-    return record_run(folder, record, compute, store, fresh=fresh)
+        run.finish(result)
+    return run.record
 
 
 def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:

@@ -36,7 +36,7 @@ from surrofe2.workflow.calibrate import (
     shaping_truths,
 )
 from surrofe2.workflow.generate import counts_of
-from surrofe2.workflow.run_lifecycle import Report, Stage, silent
+from surrofe2.workflow.progress import Report, Stage, no_stage
 from surrofe2.workflow.samples import SampleSource
 
 STRESSES = ("xx", "xy", "yx", "yy")
@@ -70,7 +70,7 @@ def train_surrogate(
     fresh: bool = False,
     add: Sequence[Path] = (),
     range: SamplingRange | None = None,
-    stage: Stage = silent,
+    stage: Stage = no_stage,
 ) -> Trained:
     """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
 

@@ -19,7 +19,7 @@ from surrofe2.store.store import locked_folder, write_columns
 from surrofe2.stress_law import describe
 from surrofe2.workflow.cell_fields import cell_numbers, read_motion, recipes_of
 from surrofe2.workflow.laws import true_law
-from surrofe2.workflow.run_lifecycle import Report, untold
+from surrofe2.workflow.progress import Report, no_report
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def _law_at(record: RunRecord, motion: StoredFields, element: int) -> tuple[str,
     return name, true_law(recipe)
 
 
-def write_zoom(found: Zoom, out: str | Path, report: Report = untold) -> None:
+def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None:
     """Write zoom.png, zoom.csv and fields.xdmf for ParaView.
 
     Args:

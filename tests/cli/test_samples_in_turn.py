@@ -16,8 +16,8 @@ from surrofe2.store.samples import read_data_set, stored_count
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.workflow.generate import generate_data_set, wanted_count
+from surrofe2.workflow.progress import no_stage
 from surrofe2.workflow.refinement import refine_surrogate
-from surrofe2.workflow.run_lifecycle import silent
 from surrofe2.workflow.train import has_stalled, train_surrogate
 
 MET, NEVER = 1e3, 1e-12
@@ -55,7 +55,7 @@ def stages():
 
     def stage(what, total, unit):
         shown.append((what, total))
-        return silent(what, total, unit)
+        return no_stage(what, total, unit)
 
     return stage, shown
 

@@ -16,7 +16,7 @@ from surrofe2 import CachedLaw, LoadCase, MacroSettings, RveLaw, TrainingSetting
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.macro.simulation import simulate
 from surrofe2.surrogate.training import train
-from surrofe2.workflow.saved_run import save_run
+from surrofe2.workflow.run_outputs import save_run
 from tests.laws import CELL, SoftLaw, lattice_samples
 
 
