@@ -169,7 +169,7 @@ def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(invoke, recipe_p
                      "a rve run")  # fmt: skip
     refused = invoke(*command)
     assert refused.exit_code == 1
-    assert refused.stderr.startswith(f"error: {path}: no state of this run (macro state: ")
+    assert refused.stderr.startswith(f"error: {path}: no state of this run (state of a run: ")
     assert invoke(*command, "--fresh").exit_code == 0
 
 
