@@ -14,7 +14,6 @@ from benchmarks.setting import Array, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.system import System, make_system
 from surrofe2.problem.problem import bar
 from surrofe2.report.figures import Curve, Panel, write_figure
@@ -77,8 +76,6 @@ def _seconds(system: System, law: StressLaw, steps: int) -> Array:
         begin = perf_counter()
         for y in states:
             now = equations.evaluate(0.0, y)
-            if not isinstance(now, Evaluation):
-                raise RuntimeError(f"the motion cannot be followed: {now.message}")
         equations.accept(now)
         taken.append((perf_counter() - begin) / STAGES)
     if equations.tally.effort.get("fallbacks"):

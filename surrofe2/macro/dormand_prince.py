@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
+from surrofe2.macro.evaluation import Evaluation, Switched
 from surrofe2.macro.time_stepping import NO_MEMORY, StepControl, StepResult
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class DormandPrince:
             limits the step, which the error of y does not see.
     """
 
-    rhs: Callable[[float, Array], Evaluation | NoStress | Switched]
+    rhs: Callable[[float, Array], Evaluation]
     absolute_tolerance: float
     relative_tolerance: float
     mass: Any = None
@@ -75,7 +75,7 @@ class DormandPrince:
 
     def step(
         self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
-    ) -> StepResult | NoStress | Switched:
+    ) -> StepResult:
         """The step from `start` to time t.
 
         Its work is what the method itself would find were the work two more components of y
@@ -88,13 +88,9 @@ class DormandPrince:
             y = start.y + h * (WEIGHTS[number] @ rates[:number])
             at = start.t + TIMES[number] * h if number < STAGES - 2 else t
             trial = self.rhs(at, y)
-            if not isinstance(trial, Evaluation):
-                return trial
             rates[number], powers[number] = trial.rate, trial.powers
             residuals.append(trial.residual)
         now = self.rhs(t, start.y + h * (WEIGHTS[-1] @ rates[:-1]))
-        if not isinstance(now, Evaluation):
-            return now
         rates[-1], powers[-1] = now.rate, now.powers
         residuals.append(now.residual)
         allowed = self._allowed(np.maximum(abs(start.y), abs(now.y)))
@@ -111,15 +107,13 @@ class DormandPrince:
             memory=NO_MEMORY,
         )
 
-    def first_length(self, start: Evaluation, t_end: float) -> float | NoStress | Switched:
+    def first_length(self, start: Evaluation, t_end: float) -> float:
         """Hairer, Nørsett and Wanner 1993, Solving Ordinary Differential Equations I, II.4."""
         allowed = self._allowed(abs(start.y))
         size, speed = _root_mean_square(start.y / allowed), _root_mean_square(start.rate / allowed)
         short = 1e-6 if min(size, speed) < 1e-5 else 0.01 * size / speed
         short = min(short, t_end - start.t)
         ahead = self.rhs(start.t + short, start.y + short * start.rate)
-        if not isinstance(ahead, Evaluation):
-            return ahead
         fastest = max(speed, _root_mean_square((ahead.rate - start.rate) / allowed) / short)
         length = max(1e-6, 1e-3 * short) if fastest <= 1e-15 else (0.01 / fastest) ** 0.2
         return min(100.0 * short, length, t_end - start.t)

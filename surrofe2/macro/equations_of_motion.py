@@ -82,46 +82,51 @@ class EquationsOfMotion:
         self.piece = piece
         self.within = 0.5 * float(self.corners[piece] + self.corners[piece + 1])
 
-    def evaluate(
-        self, t: float, y: Array, *, tangents: bool = False
-    ) -> Evaluation | NoStress | Switched:
-        """Stress, forces and rate at (t, y); the law's tangents where asked for."""
+    def evaluate(self, t: float, y: Array, *, tangents: bool = False) -> Evaluation:
+        """Stress, forces and rate at (t, y); the law's tangents where asked for.
+
+        Raises:
+            NoStress: a point has none. Switched: a point left its branch of the law.
+        """
         self.tally.counts["right_hand_sides"] += 1
         u, v = self.system.spread(y, t, self.within)
         F, F_dot, J = deformation_gradient(self.discretisation, self.system.from_mesh(u), v)
         if not J.min() > 0.0:
             point = int(np.argmin(J > 0.0))
             reason = f"det F = {J[point]:.6g}; the element is inverted there"
-            return self.no_stress(t, point, F, reason)
+            raise self.no_stress(t, point, F, reason)
         response = self._ask(F, F_dot, tangents)
         self.tally.counts["stress_calls"] += 1
         self.tally.counts["stress_points"] += len(F)
         if response.status.any():
-            return self._failed(t, F, response.status, response.reasons)
+            raise self._failed(t, F, response.status, response.reasons)
         if response.switched is not None:
-            return Switched(y, response.switched)
+            raise Switched(y, response.switched)
         now = self._evaluation(t, y, (u, v), F, F_dot, response)
         if not np.isfinite(now.internal).all():
             bad = ~np.isfinite(response.stress).all(axis=(1, 2))
-            return self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
+            raise self.no_stress(t, int(np.argmax(bad)), F, describe(Status.NOT_FINITE))
         surface = self.system.surface
         if surface is not None and not np.isfinite(now.powers[-3]):
             told = surface.refusal(self.discretisation.nodes, u, v)
-            return NoStress(f"{self.clock.format(t)}, {told}")
+            raise NoStress(f"{self.clock.format(t)}, {told}")
         return now
 
-    def accept(self, now: Evaluation) -> Evaluation | NoStress:
-        """Let the law commit its answer: the evaluation by which the next step begins."""
+    def accept(self, now: Evaluation) -> Evaluation:
+        """Let the law commit its answer: the evaluation by which the next step begins.
+
+        Raises:
+            NoStress: the law does not accept a point.
+        """
         self.is_committing = True
         started = clock()
         acceptance = self.law.accept(now.F, now.F_dot, now.response)
         self.tally.law_seconds += clock() - started
         return self._begin(now, acceptance)
 
-    def begin(self, t: float, y: Array) -> Evaluation | NoStress | Switched:
-        """The evaluation by which the first step begins, accepted by the law."""
-        start = self.evaluate(t, y)
-        return self.accept(start) if isinstance(start, Evaluation) else start
+    def begin(self, t: float, y: Array) -> Evaluation:
+        """The evaluation by which the first step begins, accepted by the law; raises as both."""
+        return self.accept(self.evaluate(t, y))
 
     def resume(self, t: float, y: Array, stress: Array, law_state: Any) -> Evaluation:
         """The evaluation by which a step begins, of the stress that an earlier call found there.
@@ -135,7 +140,7 @@ class EquationsOfMotion:
         self._start = self._evaluation(t, y, (u, v), F, F_dot, response)
         return self._start
 
-    def cross_corner(self, now: Evaluation) -> tuple[Evaluation | NoStress, Array]:
+    def cross_corner(self, now: Evaluation) -> tuple[Evaluation, Array]:
         """The evaluation by which the next piece of the amplitudes begins, and the work of a jump
         of prescribed velocities.
         """
@@ -146,16 +151,18 @@ class EquationsOfMotion:
         if np.array_equal(motion[1], now.v):
             self._start = self._evaluation(now.t, y, motion, now.F, now.F_dot, self._start.response)
             return self._start, work
-        found = self.evaluate(now.t, y)
-        while isinstance(found, Switched):
-            restarted = self.restart_step(found.points)
-            if isinstance(restarted, NoStress):
-                return restarted, work
-            found = self.evaluate(now.t, y)
-        return (found if isinstance(found, NoStress) else self.accept(found)), work
+        while True:
+            try:
+                return self.begin(now.t, y), work
+            except Switched as switched:
+                self.restart_step(switched.points)
 
-    def restart_step(self, points: NDArray[np.int8]) -> Evaluation | NoStress:
-        """The start of the step under way with these points on another branch of the law."""
+    def restart_step(self, points: NDArray[np.int8]) -> Evaluation:
+        """The start of the step under way with these points on another branch of the law.
+
+        Raises:
+            NoStress: a point has none there.
+        """
         start, law = self._start, cast(SwitchingLaw, self.law)
         response = replace(start.response, state=self.law_state)
         started = clock()
@@ -207,10 +214,10 @@ class EquationsOfMotion:
         point = self.discretisation.point_near(node) if node < len(self.discretisation.nodes) else 0
         return self.no_stress(now.t, point, now.F, reason)
 
-    def _begin(self, at: Evaluation, acceptance: Acceptance) -> Evaluation | NoStress:
+    def _begin(self, at: Evaluation, acceptance: Acceptance) -> Evaluation:
         """Commit what the law said of an evaluation."""
         if acceptance.status.any():
-            return self._failed(at.t, at.F, acceptance.status)
+            raise self._failed(at.t, at.F, acceptance.status)
         self.law_state = acceptance.state
         left = acceptance.left_bifurcation
         if left is not None:

@@ -40,10 +40,10 @@ class Rest:
         F, stress: (n_points, 2, 2) deformation gradient; Cauchy stress, µN/µm.
         stiffness, damping: (m, m) of the free unknowns, as of `Assembly.tangents`.
         forces: (k, 2) forces on the tissue, of `System.force_names`, µN.
-        path: (steps + 1, 3) factor and displacement of the first watched point at each load step,
-            from factor 0 on.
-        acts: (steps + 1, k + 3, n, 2) displacement there, internal force, the k other forces of
-            the system and the reaction.
+        rows: (steps + 1, k + 6) at each load step, from factor 0 on: factor, displacement of the
+            first watched point, energy stored in contact, works of the internal force, the k other
+            forces and the reaction.
+        acts: (k + 2, n, 2) these forces at the last of them, µN.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
         counts: load steps, halvings, Newton iterations.
         next_step: factor of the next load step.
@@ -60,7 +60,7 @@ class Rest:
     stiffness: Matrix
     damping: Matrix
     forces: Array
-    path: Array
+    rows: Array
     acts: Array
     residuals: tuple[float, ...]
     counts: dict[str, int]
@@ -85,6 +85,11 @@ class Rest:
         """(2 n_nodes,) displacement as a nodal vector of `basis`, µm."""
         return self.u[: len(self.system.discretisation.nodes)].ravel()
 
+    @property
+    def path(self) -> Array:
+        """(steps + 1, 3) factor and displacement of the first watched point, µm."""
+        return self.rows[:, :3]
+
     def to_arrays(self) -> dict[str, Array]:
         """What `find_rest` goes on from, but for the law's state."""
         numbers = {"factor": self.factor, "next_step": self.next_step, **self.counts}
@@ -93,7 +98,7 @@ class Rest:
         drags = {f"drag {name}": drag for name, drag in self.drags.items()}
         if self.system.rest is not None:
             tensors["rest"] = self.system.rest
-        return arrays | tensors | {"path": self.path, "acts": self.acts} | drags
+        return arrays | tensors | {"rows": self.rows, "acts": self.acts} | drags
 
     @property
     def energies(self) -> dict[str, Array]:
@@ -101,14 +106,13 @@ class Rest:
         the path, by the trapezoidal rule (second order in the load step), `contact` and `contact
         dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
         """
-        system, u = self.system, self.acts[:, 0]
-        internal, *others, motion = works_along(u, self.acts[:, 1:]).T
+        system = self.system
+        stored, internal, *others, motion = self.rows[:, 3:].T
         works = {force.name: work for force, work in zip(system.forces, others, strict=True)}
         if system.moving:
             works["motion"] = motion
         contact = {}
         if system.contacts:
-            stored = np.array([sum(each.energy(at) for each in system.contacts) for at in u])
             done = np.sum([works[each.name] for each in system.contacts], axis=0)
             contact = {"contact": stored, "contact dissipated": stored[0] - stored - done}
         balance = np.sum([*works.values()], axis=0) - internal
@@ -121,18 +125,6 @@ class Rest:
         return watched
 
 
-def works_along(u: Array, forces: Array) -> Array:
-    """(s, k) works ∫ f · du, pJ, from the first of s load steps to each, by the trapezoidal rule.
-
-    Forces without a sum do no work together.
-
-    Args:
-        u: (s, n, 2) µm. forces: (s, k, n, 2) µN.
-    """
-    done = np.einsum("skni,sni->sk", 0.5 * (forces[1:] + forces[:-1]), np.diff(u, axis=0))
-    return np.concatenate([np.zeros((1, forces.shape[1])), np.cumsum(done, axis=0)])
-
-
 @dataclass(frozen=True, slots=True)
 class Newton:
     """Newton's method for the equilibrium of a system at a factor of its loads."""
@@ -141,41 +133,46 @@ class Newton:
     assembly: Assembly
     settings: MacroSettings
 
-    def rest_at(self, factor: float, u: Array, last: Rest | None = None) -> Rest | NoStress:
+    def rest_at(self, factor: float, u: Array, last: Rest | None = None) -> Rest:
         """The equilibrium at `factor` by Newton from u, after the last; the law commits it.
 
         Newton begins anew as long as points leave their branch of the law.
-        """
-        found = self.balanced(factor, u)
-        while isinstance(found, Switched):
-            restarted = self.equations.restart_step(found.points)
-            found = restarted if isinstance(restarted, NoStress) else self.balanced(factor, u)
-        if isinstance(found, NoStress):
-            return found
-        self.equations.tally.counts["load_steps"] += factor != 0.0
-        now, reaction = found[0], self.equations.reaction(found[0])
-        here = np.append(factor, self.equations.system.at_watched_points(now.u)[0])[None]
-        acts = np.stack([now.u, now.internal, *now.forces, reaction])[None]
-        if last is not None:
-            here, acts = np.concatenate([last.path, here]), np.concatenate([last.acts, acts])
-        return self._rest(*found, here, acts)
 
-    def known(self, there: Mapping[str, Array], law_state: Any) -> Rest | NoStress | Switched:
-        """An equilibrium that was found before, as of `Rest.to_arrays`."""
+        Raises:
+            NoStress: there is none.
+        """
+        while True:
+            try:
+                now, residuals, slopes = self.balanced(factor, u)
+                break
+            except Switched as switched:
+                self.equations.restart_step(switched.points)
+        self.equations.tally.counts["load_steps"] += factor != 0.0
+        system = self.equations.system
+        acts = np.stack([now.internal, *now.forces, self.equations.reaction(now)])
+        works, before = np.zeros(len(acts)), np.empty((0, len(acts) + 4))
+        if last is not None:
+            # Mean force times displacement: of second order in the load step.
+            step = np.einsum("kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u)
+            works, before = last.rows[-1, 4:] + step, last.rows
+        stored = sum(each.energy(now.u) for each in system.contacts)
+        row = np.concatenate([[factor], system.at_watched_points(now.u)[0], [stored], works])
+        return self._rest(now, residuals, slopes, np.vstack([before, row]), acts)
+
+    def known(self, there: Mapping[str, Array], law_state: Any) -> Rest:
+        """An equilibrium that was found before, as of `Rest.to_arrays`; raises as `evaluate`."""
         equations, factor = self.equations, float(there["factor"])
         u = equations.system.pick(there["u"])
         y = np.concatenate([u, np.zeros(u.size)])
         start = equations.resume(factor, y, there["stress"], law_state)
         again = equations.evaluate(factor, y, tangents=True)
-        if not isinstance(again, Evaluation):
-            return again
         for name in _COUNTS:
             equations.tally.counts[name] = int(there[name])
         slopes = self.assembly.tangents(again)
-        return self._rest(start, [], slopes, there["path"], there["acts"])
+        return self._rest(start, [], slopes, there["rows"], there["acts"])
 
     def _rest(
-        self, now: Evaluation, residuals: list[float], slopes: Slopes, path: Array, acts: Array
+        self, now: Evaluation, residuals: list[float], slopes: Slopes, rows: Array, acts: Array
     ) -> Rest:
         equations = self.equations
         return Rest(
@@ -187,7 +184,7 @@ class Newton:
             stiffness=slopes[0],
             damping=slopes[1],
             forces=equations.system.resultants(now.forces, equations.reaction(now)),
-            path=path,
+            rows=rows,
             acts=acts,
             residuals=tuple(residuals),
             counts=self.counts(),
@@ -212,62 +209,60 @@ class Newton:
     def counts(self) -> dict[str, int]:
         return {name: self.equations.tally.counts[name] for name in _COUNTS}
 
-    def balanced(
-        self, factor: float, u: Array
-    ) -> tuple[Evaluation, list[float], Slopes] | NoStress | Switched:
+    def balanced(self, factor: float, u: Array) -> tuple[Evaluation, list[float], Slopes]:
         """The equilibrium on one branch of the law, the residuals on the way to it, and K and C.
 
         Newton goes on where the equilibrium of the tissue has lost that of a point.
+
+        Raises:
+            NoStress: there is none. Switched: points left the branch.
         """
         y = np.concatenate([u, np.zeros(u.size)])
         residuals: list[float] = []
         while True:
             now = self.equations.evaluate(factor, y, tangents=True)
-            while isinstance(now, Evaluation):
+            while True:
                 slopes = self.assembly.tangents(now)
                 residuals.append(self.relative_residual(now, slopes[0]))
                 if residuals[-1] <= self.settings.newton_tolerance:
                     break
                 now = self.corrected(now, slopes[0], last=len(residuals) > MAX_ITERATIONS)
-            else:
-                return now
             start = self.equations.accept(now)
-            if isinstance(start, NoStress):
-                return start
             if start is now or start.response.left_bifurcation is None:
                 return now, residuals, slopes
             y = now.y
 
-    def corrected(
-        self, now: Evaluation, K: Matrix, *, last: bool
-    ) -> Evaluation | NoStress | Switched:
+    def corrected(self, now: Evaluation, K: Matrix, *, last: bool) -> Evaluation:
         """Newton's correction, halved until the residual is smaller and every point has a stress.
 
         Args:
             K: derivative of the residual.
             last: that there were corrections enough.
+
+        Raises:
+            NoStress: no correction does. Switched: points left their branch of the law.
         """
         equations, residual = self.equations, -now.residual
         if last:
             reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
-            return equations.out_of_balance(now, residual, reason)
+            raise equations.out_of_balance(now, residual, reason)
         equations.tally.counts["factorisations"] += 1
         solve = factorised(K)
         if solve is None:
-            return equations.out_of_balance(now, residual, "the stiffness is singular")
+            raise equations.out_of_balance(now, residual, "the stiffness is singular")
         correction = np.append(solve(residual), np.zeros(residual.size))
         size = np.linalg.norm(residual)
         fraction, reason = 1.0, "the line search found no smaller residual"
         while fraction >= _LEAST_FRACTION:
-            trial = equations.evaluate(now.t, now.y - fraction * correction, tangents=True)
-            if isinstance(trial, Switched):
-                return trial
-            if isinstance(trial, NoStress):
-                reason = trial.message
-            elif np.linalg.norm(trial.residual) <= (1.0 - _DECREASE * fraction) * size:
-                return trial
+            try:
+                trial = equations.evaluate(now.t, now.y - fraction * correction, tangents=True)
+            except NoStress as failure:
+                reason = str(failure)
+            else:
+                if np.linalg.norm(trial.residual) <= (1.0 - _DECREASE * fraction) * size:
+                    return trial
             fraction *= 0.5
-        return equations.out_of_balance(now, residual, reason)
+        raise equations.out_of_balance(now, residual, reason)
 
     def relative_residual(self, now: Evaluation, K: Matrix) -> float:
         """Largest residual relative to the largest of internal force, other forces, those at

@@ -51,27 +51,21 @@ class Evaluation:
         return self.rate[self.y.size // 2 :]
 
 
-@dataclass(frozen=True, slots=True)
-class NoStress:
+class NoStress(Exception):  # noqa: N818 - of a trial state; whoever tries another catches it
     """There is no stress at some point: whoever tried the state must take a shorter step.
 
-    Attributes:
-        message: which point, where, when, its F, and why.
+    Its text says which point, where, when, its F, and why.
     """
 
-    message: str
 
-
-@dataclass(frozen=True, slots=True)
-class Switched:
+class Switched(Exception):  # noqa: N818 - as above
     """Points left their branch of the law within a step: the step must be restarted.
 
     Attributes:
         y: (2 m,) state at which they were found.
         points: (n_points,) int8, as of `StressResponse.switched`.
-        message: says so.
     """
 
-    y: Array
-    points: NDArray[np.int8]
-    message: str = "points left their branch of the law"
+    def __init__(self, y: Array, points: NDArray[np.int8]) -> None:
+        super().__init__("points left their branch of the law")
+        self.y, self.points = y, points

@@ -25,7 +25,7 @@ import scipy  # scipy.sparse is loaded where a step is implicit
 from numpy.typing import NDArray
 
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
+from surrofe2.macro.evaluation import Evaluation, Switched
 from surrofe2.macro.forces import Matrix
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix
@@ -128,7 +128,7 @@ class GeneralisedAlpha:
 
     def step(
         self, start: Evaluation, memory: Array, t: float, found: Switched | None = None
-    ) -> StepResult | NoStress | Switched:
+    ) -> StepResult:
         """The step from `start` to time t; its works are those of `_works`."""
         h, past = t - start.t, _Past.of(start, memory)
         # The algorithmic acceleration, its lag brought from the last step's to this one's; at the
@@ -144,8 +144,6 @@ class GeneralisedAlpha:
             before = past.rate[past.rate.size // 2 :]
             guess = a + h / past.h * (start.acceleration - before)
         solved = self.solve(start, a, guess, t)
-        if not isinstance(solved, Solved):
-            return solved
         end = solved.now
         return StepResult(
             start=start,
@@ -157,13 +155,14 @@ class GeneralisedAlpha:
             memory=np.concatenate([[h], solved.a, start.rate, end.rate]),
         )
 
-    def solve(
-        self, start: Evaluation, a: Array, guess: Array, t: float
-    ) -> Solved | NoStress | Switched:
+    def solve(self, start: Evaluation, a: Array, guess: Array, t: float) -> Solved:
         """The step to time t from `start` with algorithmic acceleration a.
 
         Args:
             guess: (m,) acceleration at the end that Newton begins with.
+
+        Raises:
+            NoStress: a point has none, or Newton does not converge. Switched: as of `evaluate`.
         """
         w, equations, h = self.weights, self._equations, t - start.t
         u, v = np.split(start.y, 2)
@@ -174,8 +173,6 @@ class GeneralisedAlpha:
         while True:
             y = np.concatenate([u_known + h**2 * w.beta * a_end, v_known + h * w.gamma * a_end])
             now = equations.evaluate(t, y, tangents=True)
-            if not isinstance(now, Evaluation):
-                return now
             inertia = (1.0 - w.alpha_m) * (self._mass @ a_end)
             residual = before + inertia - (1.0 - w.alpha_f) * now.residual
             if solve is None:
@@ -188,10 +185,10 @@ class GeneralisedAlpha:
                 solve, floor = self._factorised(now, h)
             if len(residuals) > MAX_ITERATIONS and not converged:
                 reason = f"Newton near this point: no convergence in {MAX_ITERATIONS} iterations"
-                return equations.out_of_balance(now, residual, reason)
+                raise equations.out_of_balance(now, residual, reason)
             if solve is None:
                 reason = "Newton near this point: the matrix is singular"
-                return equations.out_of_balance(now, residual, reason)
+                raise equations.out_of_balance(now, residual, reason)
             if converged:
                 return Solved(now, a_end, residual, tuple(residuals), solve)
             a_end = a_end - solve(residual)

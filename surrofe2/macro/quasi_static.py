@@ -76,20 +76,20 @@ def find_rest(
         system = system.from_rest(resume["rest"])
     equations.system = system
     newton = Newton(equations, make_assembly(system), settings)
-    found: Rest | NoStress | Switched
-    if resume is None:
-        step, met = factor / load_steps, NO_EXTREMES
-        newton = newton.gripping(np.zeros((system.n_rows, 2)), {})
-        found = newton.rest_at(0.0, np.zeros(system.free.size))
-    else:
-        if resume["u"].shape != (system.n_rows, 2):
-            raise MismatchError("resume: the mesh is not that of the state; start anew")
-        step, met = float(resume["next_step"]), resume["extremes"]
-        drags = {each.name: resume[f"drag {each.name}"] for each in system.contacts}
-        newton = newton.gripping(resume["u"], drags)
-        found = newton.known(resume, law_state)
-    if not isinstance(found, Rest):
-        raise SimulationError(f"the load cannot start: {found.message}")
+    try:
+        if resume is None:
+            step, met = factor / load_steps, NO_EXTREMES
+            newton = newton.gripping(np.zeros((system.n_rows, 2)), {})
+            found = newton.rest_at(0.0, np.zeros(system.free.size))
+        else:
+            if resume["u"].shape != (system.n_rows, 2):
+                raise MismatchError("resume: the mesh is not that of the state; start anew")
+            step, met = float(resume["next_step"]), resume["extremes"]
+            drags = {each.name: resume[f"drag {each.name}"] for each in system.contacts}
+            newton = newton.gripping(resume["u"], drags)
+            found = newton.known(resume, law_state)
+    except (NoStress, Switched) as failure:
+        raise SimulationError(f"the load cannot start: {failure}") from failure
     rest, failed = _on_the_way(found, met, step), False
     if reached is not None and resume is None:
         reached(rest)
@@ -97,16 +97,17 @@ def find_rest(
         left = factor - rest.factor
         target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
         newton = newton.gripping(rest.u, rest.drags)
-        found = newton.rest_at(target, system.pick(rest.u), rest)
-        if isinstance(found, NoStress):
+        try:
+            found = newton.rest_at(target, system.pick(rest.u), rest)
+        except NoStress as failure:
             equations.tally.counts["halvings"] += 1
             step, failed = 0.5 * (target - rest.factor), True
             # Counted from the first length: near a limit load every second step would succeed.
             if abs(step) < abs(factor) / load_steps * 0.5**MAX_HALVINGS:
                 raise SimulationError(
-                    f"no load step succeeds after {MAX_HALVINGS} halvings: {found.message}",
+                    f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}",
                     partial=rest,
-                )
+                ) from failure
             continue
         step, failed = min(step if failed else 2.0 * step, factor / load_steps, key=abs), False
         rest = _on_the_way(found, rest.extremes, step)
@@ -145,15 +146,13 @@ def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tal
     u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
     while share < 1.0:
         equations.system = system.with_share(share + step)
-        found = Newton(equations, replace(assembly, system=equations.system), settings).rest_at(
-            0.0, system.pick(u)
-        )
-        if isinstance(found, Rest):
-            u, share = found.u, share + step
-            continue
-        step *= 0.5
-        if step < _SMALLEST_SHARE:
-            raise SimulationError(f"no rest under the surface tension: {found.message}")
+        newton = Newton(equations, replace(assembly, system=equations.system), settings)
+        try:
+            u, share = newton.rest_at(0.0, system.pick(u)).u, share + step
+        except NoStress as failure:
+            step *= 0.5
+            if step < _SMALLEST_SHARE:
+                raise SimulationError(f"no rest under the surface tension: {failure}") from failure
     away = np.zeros((len(problem.bodies), 2))
     return Settled(np.concatenate([u, away]), equations.law_state)
 

@@ -20,6 +20,7 @@ from surrofe2.macro.chunks import Chunks
 from surrofe2.macro.discretisation import displacement_basis
 from surrofe2.macro.dormand_prince import DormandPrince
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.evaluation import NoStress, Switched
 from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
@@ -283,7 +284,11 @@ def _make_stepper(
     method, tally, end = make_method(equations, settings), equations.tally, recorder.end
     if resume is None:
         y, work = equations.system.start(equations.within)
-        stepper = Stepper(equations, method, settings, end, equations.begin(0.0, y))
+        try:
+            start = equations.begin(0.0, y)
+        except (NoStress, Switched) as failure:
+            raise SimulationError(f"the run cannot start: {failure}") from failure
+        stepper = Stepper(equations, method, settings, end, start)
         recorder.begin(stepper, work)
         return stepper
     tally.counts, tally.effort = Counter(resume.counts), Counter(resume.effort)

@@ -114,17 +114,20 @@ class Method(Protocol):
     def control(self) -> StepControl:
         """How it chooses its steps."""
 
-    def first_length(self, start: Evaluation, t_end: float) -> float | NoStress | Switched:
-        """Length of the first step, µs."""
+    def first_length(self, start: Evaluation, t_end: float) -> float:
+        """Length of the first step, µs; raises as `step`."""
 
     def step(
         self, start: Evaluation, memory: Array, t: float, found: Switched | None
-    ) -> StepResult | NoStress | Switched:
+    ) -> StepResult:
         """The step from `start` to time t.
 
         Args:
             memory: what the step before left for this one; empty at the start.
             found: where the same step was restarted before; a guess of its end.
+
+        Raises:
+            NoStress, Switched: as of `EquationsOfMotion.evaluate`, on the way.
         """
 
 
@@ -136,7 +139,7 @@ class Stepper:
         next_length: proposed for the next step, µs; by the method if it is not given.
 
     Raises:
-        SimulationError: there is no stress where it starts.
+        SimulationError: there is no stress near where it starts.
     """
 
     def __init__(
@@ -145,15 +148,13 @@ class Stepper:
         method: Method,
         settings: MacroSettings,
         t_end: float,
-        start: Evaluation | NoStress | Switched,
+        start: Evaluation,
         next_length: float | None = None,
         memory: Array = NO_MEMORY,
     ) -> None:
         self._equations, self._method = equations, method
         self._largest = min(settings.largest_step, equations.system.problem.resolved_by)
         self._t_end = t_end
-        if not isinstance(start, Evaluation):
-            raise SimulationError(f"the run cannot start: {start.message}")
         self.now, self.memory = start, memory
         self._work_before: Array | float = 0.0
         self.next_length = next_length or self._first_length("the run cannot start")
@@ -175,13 +176,23 @@ class Stepper:
         while True:
             t = self._target()
             length = t - self.now.t
-            trial = self._method.step(self.now, self.memory, t, found)
-            found, failure = None, None
-            if isinstance(trial, Switched):
-                found, failure = trial, self._restart(trial)
-            elif isinstance(trial, NoStress):
-                failure = trial
-            elif trial.error > 1.0:
+            try:
+                trial = self._tried(t, found)
+                start = self._equations.accept(trial.end) if trial.error <= 1.0 else None
+            except Switched as switched:
+                found = switched
+                continue
+            except NoStress as failure:
+                counts["failed_trials"] += 1
+                if halvings == MAX_HALVINGS:
+                    raise SimulationError(
+                        f"no time step succeeds after {MAX_HALVINGS} halvings: {failure}"
+                    ) from failure
+                halvings, rejected, found = halvings + 1, False, None
+                self.next_length = 0.5 * length
+                continue
+            found = None
+            if start is None:
                 counts["rejected_steps"] += 1
                 rejected, self.next_length = True, length * control.ratio(trial.error)
                 if self.next_length < _SMALLEST * self._t_end:
@@ -189,28 +200,25 @@ class Stepper:
                         f"time integration stopped at t = {self.now.t:.6g} µs: the error "
                         "asks for steps below rounding; loosen the tolerances"
                     )
-            else:
-                start = self._equations.accept(trial.end)
-                if isinstance(start, Evaluation):
-                    counts["steps"] += 1
-                    ratio = control.ratio(trial.error, may_grow=not rejected)
-                    # After a failure do not grow straight back into it.
-                    wanted = length * (min(ratio, 1.0) if halvings else ratio)
-                    # A step cut short to meet the end says nothing against the longer one.
-                    longest = max(wanted, self.next_length if t == self._end() else 0.0)
-                    self.next_length = min(self._largest, longest)
-                    self.now, self.memory = start, trial.memory
-                    work, self._work_before = self._work_before, 0.0
-                    return replace(trial, work_before=work)
-                failure = start
-            if failure is not None:
-                counts["failed_trials"] += 1
-                if halvings == MAX_HALVINGS:
-                    raise SimulationError(
-                        f"no time step succeeds after {MAX_HALVINGS} halvings: {failure.message}"
-                    )
-                halvings, rejected, found = halvings + 1, False, None
-                self.next_length = 0.5 * length
+                continue
+            counts["steps"] += 1
+            ratio = control.ratio(trial.error, may_grow=not rejected)
+            # After a failure do not grow straight back into it.
+            wanted = length * (min(ratio, 1.0) if halvings else ratio)
+            # A step cut short to meet the end says nothing against the longer one.
+            longest = max(wanted, self.next_length if t == self._end() else 0.0)
+            self.next_length = min(self._largest, longest)
+            self.now, self.memory = start, trial.memory
+            work, self._work_before = self._work_before, 0.0
+            return replace(trial, work_before=work)
+
+    def _tried(self, t: float, found: Switched | None) -> StepResult:
+        """The step to t; where points switch, it is restarted with them and raises `Switched`."""
+        try:
+            return self._method.step(self.now, self.memory, t, found)
+        except Switched as switched:
+            self.now = self._equations.restart_step(switched.points)
+            raise
 
     def _target(self) -> float:
         """Time to step to."""
@@ -227,25 +235,25 @@ class Stepper:
 
     def _cross_corner(self) -> None:
         """Begin anew on the other side of a corner of an amplitude."""
-        start, self._work_before = self._equations.cross_corner(self.now)
-        if isinstance(start, NoStress):
-            raise SimulationError(f"the load jumps where there is no stress: {start.message}")
-        self.now, self.memory = start, NO_MEMORY
+        try:
+            self.now, self._work_before = self._equations.cross_corner(self.now)
+        except NoStress as failure:
+            raise SimulationError(
+                f"the load jumps where there is no stress: {failure}"
+            ) from failure
+        self.memory = NO_MEMORY
         self.next_length = self._first_length("the run cannot go on at a corner of the load")
 
-    def _first_length(self, failure: str) -> float:
-        """Length of a first step by the method; `failure` is said where there is none."""
-        length = self._method.first_length(self.now, self._end())
-        while isinstance(length, Switched):
-            length = self._restart(length) or self._method.first_length(self.now, self._end())
-        if isinstance(length, NoStress):
-            raise SimulationError(f"{failure}: {length.message}")
-        return min(length, self._largest)
-
-    def _restart(self, found: Switched) -> NoStress | None:
-        """Begin the step under way on the branches that points switched to."""
-        start = self._equations.restart_step(found.points)
-        if isinstance(start, NoStress):
-            return start
-        self.now = start
-        return None
+    def _first_length(self, problem: str) -> float:
+        """Length of a first step by the method; `problem` begins the message where it has none."""
+        while True:
+            try:
+                return min(self._method.first_length(self.now, self._end()), self._largest)
+            except Switched as switched:
+                points = switched.points
+            except NoStress as failure:
+                raise SimulationError(f"{problem}: {failure}") from failure
+            try:
+                self.now = self._equations.restart_step(points)
+            except NoStress as failure:
+                raise SimulationError(f"{problem}: {failure}") from failure

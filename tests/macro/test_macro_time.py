@@ -100,7 +100,7 @@ def cached(request):
     wanted = SamplingRange(stretch=(1.0 - strain, 1.0 + strain), shear=strain, rate=0.015)
     samples = sample_stress(rve, wanted, 1024)
     surrogate = train(samples, TrainingSettings(iterations=200))
-    paths = CalibrationSettings(walks=0, states=100, runs=0)
+    paths = CalibrationSettings(walks=100, runs=0)
     return CachedLaw(calibrate(surrogate, samples, rve, paths), rve)
 
 
