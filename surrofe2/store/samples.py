@@ -117,79 +117,81 @@ class DataSetHeader(Origin):
         }
 
 
-class SampleRows:
-    """Rows of the columns of a file, taken in parts: each whole or not at all."""
+class SampleWriter:
+    """A file of samples in the making: rows are taken in parts, each whole or not at all."""
 
-    def __init__(self, kind: Kind, rows: Arrays | None = None) -> None:
-        self._kind, self._parts = kind, [rows] if rows else []
+    def __init__(self, path: Path, kind: Kind, header: Origin, rows: Arrays | None = None) -> None:
+        self.path, self.kind, self.header = path, kind, header
+        self._parts = [rows] if rows else []
+        self._is_stored = bool(rows)
 
-    def __len__(self) -> int:
+    @property
+    def completed(self) -> int:
+        """How many rows there are."""
         return sum(len(part["F"]) for part in self._parts)
 
-    def append(self, **rows: Any) -> None:
+    def take(self, **rows: Any) -> None:
         """Take the next rows by column."""
-        columns = self._kind.columns
+        columns = self.kind.columns
         self._parts.append({name: np.array(v, columns[name].kind) for name, v in rows.items()})
+        self._is_stored = False
 
-    def arrays(self) -> Arrays:
+    def to_arrays(self) -> Arrays:
         """All rows, one array for each column; empty ones before there are any."""
         if not self._parts:
-            columns = self._kind.columns.items()
-            return {
-                k: np.empty((0, 2, 2)[: len(c.shape)], c.kind) for k, c in columns if not c.optional
-            }
+            of = {name: each for name, each in self.kind.columns.items() if not each.optional}
+            return {k: np.empty((0, 2, 2)[: len(c.shape)], c.kind) for k, c in of.items()}
         if len(self._parts) > 1:
             names = self._parts[0]
             whole = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
             self._parts = [whole]
         return self._parts[0]
 
+    def write(self, arrays: Arrays | None = None, **entries: Any) -> None:
+        """Write all rows so far, and these arrays and entries of the header, if it is due."""
+        if not self._is_stored:
+            rows = self.to_arrays()
+            write(self.path, self.kind, self.header.entries() | entries, rows | (arrays or {}))
+            self._is_stored = True
 
-class DataSetWriter:
+
+class DataSetWriter(SampleWriter):
     """A data set in the making: rows are appended in order, then it is finished."""
+
+    header: DataSetHeader
 
     def __init__(
         self, path: Path, header: DataSetHeader, rows: Arrays, is_finished: bool, before: float
     ) -> None:
-        self.path, self.header, self.is_finished = path, header, is_finished
-        self.meter = Meter(before)
-        self._rows = SampleRows(DATA_SET, rows)
+        super().__init__(path, DATA_SET, header, rows)
+        self.is_finished, self.meter = is_finished, Meter(before)
         self._clock = CheckpointClock(INTERVAL)
-        self._is_stored = bool(rows)
-
-    @property
-    def completed(self) -> int:
-        """How many rows there are."""
-        return len(self._rows)
 
     def append(self, F: Array, F_dot: Array, answer: StressResponse) -> None:
         """Take the next n rows, F and Ḟ (n, 2, 2); with tangents if the data set holds them."""
-        left, slopes = answer.left_bifurcation, {}
+        rows: dict[str, Any] = {"stress": answer.stress, "status": answer.status}
+        left = answer.left_bifurcation
+        rows[LEFT] = np.zeros(len(F)) if left is None else left
         if answer.tangents is not None and self.header.tangents:
-            slopes = {
-                "P_by_F": answer.tangents.P_by_F,
-                "P_by_F_dot": answer.tangents.P_by_F_dot,
-            }
-        rows = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status}
-        self._is_stored = False
-        self._rows.append(**rows, **{LEFT: np.zeros(len(F)) if left is None else left}, **slopes)
+            rows |= zip(TANGENTS, (answer.tangents.P_by_F, answer.tangents.P_by_F_dot), strict=True)
+        self.take(F=F, F_dot=F_dot, **rows)
         if self._clock.is_due():
             self._clock.write(self.store)
 
     def left_count(self) -> int:
         """How many rows so far have a stress, but of an RVE that left a bifurcation."""
-        rows = self._rows.arrays()
+        rows = self.to_arrays()
         return int((rows[LEFT].astype(bool) & (rows["status"] == 0)).sum())
 
     def status_counts(self) -> dict[int, int]:
         """How many rows so far have each status code."""
-        codes, counts = np.unique(self._rows.arrays()["status"], return_counts=True)
+        codes, counts = np.unique(self.to_arrays()["status"], return_counts=True)
         return {int(code): int(n) for code, n in zip(codes, counts, strict=True)}
 
-    def store(self) -> None:
+    def store(self, status: str = "writing", arrays: Arrays | None = None, **more: Any) -> None:
         """Write the rows that there are, to go on from."""
-        if not self._is_stored:
-            self._write("writing")
+        known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
+        self.write(attached(self.header.reference) | (arrays or {}), **known, **more)
 
     def finish(self) -> StressSamples:
         """Write all rows, the list of those that failed and the fingerprint; as read back.
@@ -197,27 +199,21 @@ class DataSetWriter:
         Raises:
             InputError: rows are missing.
         """
-        missing = self.header.count - self.completed
+        of = self.header
+        missing = of.count - self.completed
         if missing:
             raise InputError(f"{self.path}: {missing} samples are missing; it cannot be finished")
         if not self.is_finished:
-            self._write("finished")
+            rows, entries = self.to_arrays(), of.entries()
+            failed = np.flatnonzero(rows["status"])
+            reasons = np.array([describe(code) for code in rows["status"][failed]], object)
+            whose = of.cell, entries["initialisation"], of.range, of.seed
+            found = _samples(rows, *whose, entries.get("rest_length")).fingerprint
+            self._is_stored = False  # if so, as one that is not finished
+            lists = {"failed/index": failed, "failed/reason": reasons}
+            self.store("finished", lists, fingerprint=found)
             self.is_finished = True
         return read_data_set(self.path)
-
-    def _write(self, status: str) -> None:
-        rows, entries = self._rows.arrays(), self.header.entries()
-        arrays = rows | attached(self.header.reference)
-        entries |= {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
-        if status == "finished":
-            failed = np.flatnonzero(rows["status"])
-            reasons = [describe(code) for code in rows["status"][failed]]
-            arrays |= {"failed/index": failed, "failed/reason": np.array(reasons, object)}
-            of, length = self.header, entries.get("rest_length")
-            whose = of.cell, entries["initialisation"], of.range, of.seed, length
-            entries["fingerprint"] = _samples(rows, *whose).fingerprint
-        write(self.path, DATA_SET, entries, arrays)
-        self._is_stored = True
 
 
 @contextmanager
@@ -332,36 +328,28 @@ class Harvest:
     initialisation: str
 
 
-class HarvestWriter:
+class HarvestWriter(SampleWriter):
     """Takes answers as `CachedLaw(on_true_answer=…)` gives them; `flush` writes the file again."""
 
     def __init__(self, path: Path, origin: Origin) -> None:
-        self.path, self.origin = path, origin
-        self._rows = SampleRows(HARVEST)
-        self._is_stored = True
+        super().__init__(path, HARVEST, origin)
+        self._is_stored = True  # there is no file without answers
 
     def __call__(
         self, F: Array, F_dot: Array, stress: Array, status: NDArray[np.int8], why: NDArray[np.int8]
     ) -> None:
         """Take answers, (n, 2, 2) and (n,)."""
-        self._rows.append(F=F, F_dot=F_dot, stress=stress, status=status, why=why)
-        self._is_stored = self._is_stored and not len(F)
-
-    def to_arrays(self) -> Arrays:
-        """All answers so far, for `restore`."""
-        return self._rows.arrays()
+        if len(F):
+            self.take(F=F, F_dot=F_dot, stress=stress, status=status, why=why)
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Hold these answers and no others."""
-        self._rows = SampleRows(HARVEST, {name: arrays[name] for name in HARVEST.columns})
-        self._is_stored = not len(self._rows)
+        """Hold these answers, of `to_arrays`, and no others."""
+        self._parts = [{name: arrays[name] for name in HARVEST.columns}]
+        self._is_stored = not self.completed
 
     def flush(self, seconds: float = 0.0) -> None:
         """Write all answers so far, and the seconds that they took."""
-        if not self._is_stored:
-            entries = {**self.origin.entries(), "seconds": seconds}
-            write(self.path, HARVEST, entries, self._rows.arrays())
-            self._is_stored = True
+        self.write(seconds=seconds)
 
 
 def read_harvest(path: str | Path) -> Harvest:

@@ -1,4 +1,4 @@
-"""Surrogates and interrupted trainings in safetensors files: arrays, and JSON in the metadata.
+"""Surrogates in safetensors files, arrays with JSON in the metadata; interrupted trainings in HDF5.
 
 The metadata hold a SHA-256 of the whole file, in which its own digits are zeros, so that a flipped
 bit anywhere is seen when the file is read. Nothing in a file is ever executed.
@@ -25,7 +25,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_value
-from surrofe2.store.hdf5 import Kind
+from surrofe2.store.hdf5 import Kind, reading, write
 from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
@@ -42,7 +42,7 @@ from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 SURROGATE = Kind("surrogate", 6)  # 1 and 2: by torch; 4: energy form, half-spaces; 5: no alpha
-TRAINING = Kind("unfinished training", 5)
+TRAINING = Kind("unfinished training", 6)
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
 _ANEW = "train again with: surrofe2 train RECIPE --fresh"
 _FOREIGN = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -76,7 +76,7 @@ def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
         "calibration": law.calibration,
         "seconds": law.seconds,
     }
-    _write(path, SURROGATE, content, tensors)
+    _write(path, content, tensors)
 
 
 def read_surrogate(path: str | Path) -> SurrogateLaw:
@@ -86,7 +86,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
         FileError: missing, truncated, foreign, altered, or of an older version.
     """
     path = Path(path)
-    content, tensors = _read(path, SURROGATE)
+    content, tensors = _read(path)
     try:
         cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
@@ -157,27 +157,6 @@ def _calibration(content: Mapping[str, Any]) -> Calibration:
     return Calibration(**{**content, **known})
 
 
-def write_training(
-    path: Path,
-    identity: Mapping[str, str],
-    iterations: int,
-    arrays: Mapping[str, NDArray[Any]],
-    seconds: float = 0.0,
-) -> None:
-    """Write an interrupted training, see `surrogate.training.TrainingState`, and its time."""
-    content = {"identity": dict(identity), "iterations": iterations, "seconds": seconds}
-    _write(path, TRAINING, content, dict(arrays))
-
-
-def training_seconds(path: Path) -> float:
-    """Seconds of an interrupted training; a FileError where it cannot be read."""
-    content, _ = _read(path, TRAINING)
-    try:
-        return float(content["seconds"])
-    except (KeyError, ValueError, TypeError):
-        raise FileError(f"{path}: seconds: missing or damaged; {_ANEW}") from None
-
-
 def content_fingerprint(path: Path) -> str:
     """16 hexadecimal digits of all in a file but the seconds that it took.
 
@@ -194,17 +173,26 @@ def content_fingerprint(path: Path) -> str:
     return hashlib.sha256(text + arrays).hexdigest()[:16]
 
 
+def write_training(
+    path: Path,
+    identity: Mapping[str, str],
+    iterations: int,
+    arrays: Tensors,
+    seconds: float = 0.0,
+) -> None:
+    """Write an interrupted training, see `surrogate.training.TrainingState`, and its time."""
+    header = {"identity": identity, "iterations": iterations, "seconds": seconds}
+    write(path, TRAINING, header, arrays)
+
+
 def read_training(path: Path) -> tuple[dict[str, str], int, Tensors]:
     """(identity, iterations, arrays) of an interrupted training, or a FileError."""
-    content, tensors = _read(path, TRAINING)
-    identity, iterations = content.get("identity"), content.get("iterations")
-    if not isinstance(identity, dict) or type(iterations) is not int or iterations < 0:
-        raise FileError(f"{path}: identity, iterations: missing or damaged; {_ANEW}")
-    return identity, iterations, tensors
+    with reading(path, TRAINING) as stored:
+        return stored.table("identity"), int(stored.number("iterations")), stored.all_arrays()
 
 
-def _write(path: Path, kind: Kind, content: Mapping[str, Any], tensors: Tensors) -> None:
-    head = {SEAL: NO_DIGEST, "schema": kind.schema, "schema_version": kind.version}
+def _write(path: Path, content: Mapping[str, Any], tensors: Tensors) -> None:
+    head = {SEAL: NO_DIGEST, "schema": SURROGATE.schema, "schema_version": SURROGATE.version}
     text = json.dumps(plain(content) | head, ensure_ascii=False)
     arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
     write_bytes(path, sealed(save(arrays, metadata={"surrofe2": text})))
@@ -220,25 +208,24 @@ def _head_of(stored: bytes) -> tuple[dict[str, Any], dict[str, Any], bytes]:
     return head, content, stored[8 + length :]
 
 
-def _read(path: Path, kind: Kind) -> tuple[dict[str, Any], Tensors]:
+def _read(path: Path) -> tuple[dict[str, Any], Tensors]:
     stored = read_bytes(path)
     if stored.startswith(_ZIP):
         raise FileError(f"{path}: a surrogate of an older surrofe2, stored by torch; {_ANEW}")
     if SEAL.encode() not in stored:
-        raise FileError(f"{path}: not a surrofe2 {kind.name}, or truncated; {_ANEW}")
+        raise FileError(f"{path}: not a surrofe2 surrogate, or truncated; {_ANEW}")
     try:
         check_seal(path, stored)
-    except FileError as error:
-        raise FileError(f"{error}; {_ANEW}") from None
-    try:
         _, content, _ = _head_of(stored)
         tensors = load(stored)
+    except FileError as error:
+        raise FileError(f"{error}; {_ANEW}") from None
     except (SafetensorError, *_FOREIGN):
-        raise FileError(f"{path}: not a surrofe2 {kind.name}; {_ANEW}") from None
+        raise FileError(f"{path}: not a surrofe2 surrogate; {_ANEW}") from None
     schema, version = content.get("schema"), content.get("schema_version")
-    if schema != kind.schema or version != kind.version:
+    if (schema, version) != (SURROGATE.schema, SURROGATE.version):
         raise FileError(
-            f"{path}: {schema} {version}; this surrofe2 reads {kind.schema} {kind.version} as "
-            f"{kind.name}; {_ANEW}"
+            f"{path}: {schema} {version}; this surrofe2 reads {SURROGATE.schema} "
+            f"{SURROGATE.version}; {_ANEW}"
         )
     return content, tensors

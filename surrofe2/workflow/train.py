@@ -19,7 +19,6 @@ from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file,
 from surrofe2.store.surrogates import (
     read_surrogate,
     read_training,
-    training_seconds,
     write_surrogate,
     write_training,
 )
@@ -138,7 +137,7 @@ def is_trained(recipe: Recipe) -> bool:
 
 def unfinished_training(recipe: Recipe) -> Path:
     """What a training leaves to go on from; where it is there, no surrogate is finished."""
-    return recipe.training_path().with_suffix(".unfinished.safetensors")
+    return recipe.training_path().with_suffix(".unfinished.h5")
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +159,7 @@ def _read_unfinished(path: Path) -> _Begun:
     identity, iterations, arrays = read_training(path)
     before, *bounds = arrays.pop(_BOUNDS, np.array([math.inf])).tolist()
     state = TrainingState(identity, iterations, arrays)
-    return _Begun(state, training_seconds(path), before, tuple(bounds))
+    return _Begun(state, read_seconds(path) or 0.0, before, tuple(bounds))
 
 
 def _train(

@@ -82,7 +82,7 @@ def test_interrupted_and_continued(invoke, recipe_path, surrogate_path, monkeypa
     assert stopped.stderr.splitlines()[-1] == (
         f"interrupted: the iterations so far are kept; go on with: surrofe2 train {recipe_path}"
     )
-    unfinished = surrogate_path.with_suffix(".unfinished.safetensors")
+    unfinished = surrogate_path.with_suffix(".unfinished.h5")
     assert unfinished.exists()
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
@@ -95,7 +95,7 @@ def test_a_new_training_that_ends_at_once_goes_on(
     invoke, recipe_path, changed_recipe, surrogate_path, monkeypatch
 ):
     """The command that it names works, though what is there is of other settings."""
-    unfinished = surrogate_path.with_suffix(".unfinished.safetensors")
+    unfinished = surrogate_path.with_suffix(".unfinished.h5")
     assert invoke("train", recipe_path).exit_code == 0
     unfinished.write_bytes(b"of another training")
     changed_recipe("hidden = [4]", "hidden = [5]")

@@ -101,7 +101,7 @@ def asked_surrogate(path):
 
 def training(folder):
     identity, arrays = {"data": "0123"}, {"network.a": np.ones(3)}
-    write_training(folder / "begun.safetensors", identity, 7, arrays)
+    write_training(folder / "training.h5", identity, 7, arrays)
 
 
 def checkpoint(folder):
@@ -147,7 +147,7 @@ KINDS = {
     "harvest.h5": (harvest, read_harvest),
     "table.h5": (table, asked_table),
     "law.safetensors": (surrogate, asked_surrogate),
-    "begun.safetensors": (training, read_training),
+    "training.h5": (training, read_training),
     "checkpoint.h5": (checkpoint, lambda path: read_checkpoint(path, "a rve run")),
     "fields.h5": (fields, lambda path: read_motion(path.parent)),
     "run.json": (record, asked_record),

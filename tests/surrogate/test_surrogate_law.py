@@ -110,7 +110,7 @@ def test_foreign_files(tmp_path):
 
 def test_an_unfinished_training_is_no_surrogate(tmp_path):
     write_training(tmp_path / "a.safetensors", {"data_fingerprint": "1"}, 20, {"a": np.zeros(3)})
-    assert_refused(tmp_path / "a.safetensors", "unfinished-training 5; this surrofe2 reads")
+    assert_refused(tmp_path / "a.safetensors", "not a surrofe2 surrogate; train again")
 
 
 def test_a_surrogate_of_an_older_schema_says_what_to_do(file, monkeypatch):

@@ -135,7 +135,7 @@ def test_interrupted_training_carries_on_as_if_it_had_not_been(few, tmp_path):
     assert figures[1][2]["loss"] < figures[0][2]["loss"] < 1.0
     assert [state.iterations for state in states] == [20, 20]
 
-    path = tmp_path / "unfinished.safetensors"
+    path = tmp_path / "unfinished.h5"
     write_training(path, states[-1].identity, states[-1].iterations, states[-1].arrays)
     state = TrainingState(*read_training(path))
     F, F_dot = sample(WELL_INSIDE, 20, seed=0)

@@ -35,11 +35,11 @@ def differentiate(network, inputs):
 
 def read_parts(path):
     """(content, tensors) of a surrogate's file."""
-    return surrogates._read(path, surrogates.SURROGATE)
+    return surrogates._read(path)
 
 
 def write_parts(path, content, tensors):
     """A file of these parts, with the right SHA-256."""
     own = ("sha256", "schema", "schema_version")
     content = {key: value for key, value in content.items() if key not in own}
-    surrogates._write(path, surrogates.SURROGATE, content, tensors)
+    surrogates._write(path, content, tensors)
