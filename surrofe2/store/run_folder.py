@@ -70,7 +70,7 @@ _SECTIONS = ("cell", "rve", "load", "mesh", *_NAMED_ENTRIES, *_STATED)
 _OF_TRAINING = ("range", "samples", "training")
 """Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
-CURVE_HEADER = "t_us,u_x_um,u_y_um"
+CURVE_HEADER = ("t_us", "u_x_um", "u_y_um")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,21 +178,17 @@ class StoredRun(ViewedRun):
         """Displacement of every watched point by name."""
         first = next(iter(self.record.problem.get("watched", {})), "watched point")
         found = {first: self.curve}
-        names, columns = read_columns(self.folder / "curve.csv")
-        for k in range(3, len(names), 2):
-            name = names[k].partition("_um ")[2]
-            found[name] = DisplacementCurve(self.curve.t, columns[:, k : k + 2])
+        columns = [*read_columns(self.folder / "curve.csv").items()][3:]
+        for (name, u_x), (_, u_y) in zip(columns[::2], columns[1::2], strict=False):
+            u = np.stack([u_x, u_y], axis=1)
+            found[name.partition("_um ")[2]] = DisplacementCurve(self.curve.t, u)
         return found
 
     @property
     def energies(self) -> dict[str, np.ndarray]:
         """(m,) energies in pJ by name; none without their file."""
-        path = self.folder / "energies.csv"
-        if not path.exists():
-            return {}
-        names, columns = read_columns(path)
-        values = zip(names[1:], columns.T[1:], strict=True)
-        return {name.removesuffix("_pJ"): column for name, column in values}
+        is_there = (self.folder / "energies.csv").exists()
+        return read_history(self.folder, "energies.csv") if is_there else {}
 
     def facts(self) -> Facts:
         record = self.record
@@ -469,10 +465,10 @@ def write_curve(
         others: by name, at the same times; `curve` itself may be among them.
     """
     more = {name: other for name, other in (others or {}).items() if other is not curve}
-    names = [f"{u}_um {name}" for name in more for u in ("u_x", "u_y")]
-    columns = [column for other in more.values() for column in other.displacement.T]
-    header = [*CURVE_HEADER.split(","), *names]
-    write_columns(folder / "curve.csv", header, [curve.t, *curve.displacement.T, *columns])
+    columns = dict(zip(CURVE_HEADER, (curve.t, *curve.displacement.T), strict=True))
+    for name, other in more.items():
+        columns |= zip((f"u_x_um {name}", f"u_y_um {name}"), other.displacement.T, strict=True)
+    write_columns(folder / "curve.csv", columns)
 
 
 def read_curve(folder: Path) -> DisplacementCurve:
@@ -482,14 +478,12 @@ def read_curve(folder: Path) -> DisplacementCurve:
         FileError: missing or damaged.
     """
     path = folder / "curve.csv"
-    names, table = read_columns(path)
-    whole = ",".join(names[:3]) == CURVE_HEADER and len(table) > 0
-    if not whole or not np.isfinite(table[:, :3]).all() or (np.diff(table[:, 0]) <= 0.0).any():
-        raise FileError(f"{path}: not a table of {CURVE_HEADER}")
-    return DisplacementCurve(table[:, 0], table[:, 1:3])
-
-
-HISTORY_UNITS = {"force": "uN"}  # by a column's first word; of the others µm
+    columns = [*read_columns(path).items()][:3]
+    table = np.array([values for _, values in columns])
+    whole = tuple(name for name, _ in columns) == CURVE_HEADER and table.size > 0
+    if not whole or not np.isfinite(table).all() or (np.diff(table[0]) <= 0.0).any():
+        raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
+    return DisplacementCurve(table[0], table[1:].T)
 
 
 def write_history(
@@ -499,32 +493,27 @@ def write_history(
 
     clock: the name of t; a rest has the factor of the load in its place.
     """
-    names = [f"{name}_{HISTORY_UNITS.get(name.split()[0], 'um')}" for name in history]
-    write_columns(folder / "history.csv", [clock, *names], [t, *history.values()])
-
-
-def read_history(folder: Path) -> dict[str, np.ndarray]:
-    """Read history.csv; the names are without units.
-
-    Raises:
-        FileError: missing or damaged.
-    """
-    names, table = read_columns(folder / "history.csv")
-    columns = zip(names[1:], table.T[1:], strict=True)
-    return {name.rpartition("_")[0]: column for name, column in columns}
+    units = {name: "uN" if name.split()[0] == "force" else "um" for name in history}
+    named = {f"{name}_{units[name]}": values for name, values in history.items()}
+    write_columns(folder / "history.csv", {clock: t, **named})
 
 
 def write_energies(
     folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray], clock: str = "t_us"
 ) -> None:
     """Write energies.csv: each energy (m,) in pJ over t (m,) in µs; clock as of `write_history`."""
-    header = [clock, *(f"{name}_pJ" for name in energies)]
-    write_columns(folder / "energies.csv", header, [t, *energies.values()])
+    named = {f"{name}_pJ": values for name, values in energies.items()}
+    write_columns(folder / "energies.csv", {clock: t, **named})
 
 
-def write_load_path(folder: Path, path: np.ndarray) -> None:
-    """Write path.csv: factor of the load, displacement of the watched point in µm; (m, 3)."""
-    write_columns(folder / "path.csv", ["factor", "u_x_um", "u_y_um"], list(path.T))
+def read_history(folder: Path, file: str = "history.csv") -> dict[str, np.ndarray]:
+    """Read history.csv, or energies.csv; the names are without units.
+
+    Raises:
+        FileError: missing or damaged.
+    """
+    columns = [*read_columns(folder / file).items()][1:]
+    return {name.rpartition("_")[0]: column for name, column in columns}
 
 
 def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:

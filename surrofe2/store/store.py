@@ -194,17 +194,18 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def write_columns(path: Path, header: list[str], columns: list[np.ndarray]) -> None:
-    """Write columns (m,) and their names as CSV."""
+def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns (m,) by their headings as CSV."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(header)
-    table.writerows([repr(float(value)) for value in row] for row in zip(*columns, strict=True))
+    table.writerow(columns)
+    rows = zip(*columns.values(), strict=True)
+    table.writerows([repr(float(value)) for value in row] for row in rows)
     write_text(path, text.getvalue())
 
 
-def read_columns(path: Path) -> tuple[list[str], np.ndarray]:
-    """Names of columns and (m, columns) numbers.
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Columns (m,) by their headings.
 
     Raises:
         FileError: missing or damaged.
@@ -214,7 +215,7 @@ def read_columns(path: Path) -> tuple[list[str], np.ndarray]:
     try:
         names, *rows = csv.reader(content.decode().splitlines() or [""])
         table = np.array([[float(entry) for entry in row] for row in rows])
-        return names, table.reshape(len(rows), len(names))
+        return dict(zip(names, table.reshape(len(rows), len(names)).T, strict=True))
     except (ValueError, csv.Error):
         columns = shortened(",".join(names[:3]), 80)
         raise FileError(f"{path}: not a table of {columns or 'names and numbers'}") from None

@@ -50,8 +50,7 @@ def see_runs(folders: Sequence[str | Path]) -> Seen:
 def _see(run: StoredRun) -> SeenRun:
     folder = run.folder
     energies = folder / "energies.csv"
-    names, table = read_columns(energies) if energies.exists() else ([], None)
-    columns = {} if table is None else dict(zip(names, table.T, strict=True))
+    columns = read_columns(energies) if energies.exists() else {}
     has_fields, has_points = ((folder / f"{name}.h5").exists() for name in (FIELDS, POINTS))
     zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
     return SeenRun(

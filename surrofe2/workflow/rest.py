@@ -26,8 +26,8 @@ from surrofe2.store.run_folder import (
     describe_platform,
     write_energies,
     write_history,
-    write_load_path,
 )
+from surrofe2.store.store import write_columns
 from surrofe2.units import time_text
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import kept_reference
@@ -72,7 +72,8 @@ def rest_study(
         assert found is not None
         journal = found[1]
         frames = Frames(**journal.part("frames"))
-        write_load_path(folder, last.path)
+        path = dict(zip(("factor", "u_x_um", "u_y_um"), last.path.T, strict=True))
+        write_columns(folder / "path.csv", path)
         write_history(folder, last.path[:, 0], _by_name(last, journal["forces"]), "factor")
         write_energies(folder, last.path[:, 0], last.energies, "factor")
         space = last.system.discretisation

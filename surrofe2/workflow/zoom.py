@@ -100,5 +100,5 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
         report(0.1, "picture")
         write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
         report(0.5, "tables and fields")
-        write_columns(out / "zoom.csv", list(columns), list(columns.values()))
+        write_columns(out / "zoom.csv", columns)
         write_rve_fields(out, found.seen, found.t)

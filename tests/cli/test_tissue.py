@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 from surrofe2.cli import app
 from surrofe2.recipe import load_recipe
 from surrofe2.store.run_folder import read_curve, read_history, read_record
-from surrofe2.store.store import read_columns
 from tests.cli.finished_run import TISSUE_FILES
 
 
@@ -216,10 +215,7 @@ def test_all_conditions_and_bodies_of_a_recipe_act_on_a_tissue(stated, folder):
     )  # fmt: skip
     done = invoke(recipe, "--out", folder)
     assert done.exit_code == 0, done.output
-    history, (names, table) = read_history(folder), read_columns(folder / "energies.csv")
-    energies = {
-        name.removesuffix("_pJ"): column for name, column in zip(names, table.T, strict=True)
-    }
+    history, energies = read_history(folder), read_history(folder, "energies.csv")
     assert history["force gas x"][0] == pytest.approx(-3.0 * 50.0)
     assert history["force plate y"][-1] < -5.0
     for name in ("base", "gas", "motion", "contact", "contact dissipated"):

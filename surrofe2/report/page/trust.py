@@ -155,7 +155,9 @@ def _worst(of: str, audit: Mapping[str, Any], risks: str) -> str:
         text += f", so with 95 % confidence at most {share:.2g} % of all answers are"
     if not isinstance(worst, Mapping):
         return paragraph(f"{text}.{risks}")
+    risk = worst.get("risk")  # runs of earlier versions have a bound instead
+    where = "" if risk is None else f", where the risk was {risk:.3g}"
     return paragraph(
-        f"{text}; the worst error is {worst['error']:.3g} µN/µm, where the risk was "
-        f"{worst['risk']:.3g} (step {worst['step']}, point {worst['point']}).{risks}"
+        f"{text}; the worst error is {worst['error']:.3g} µN/µm{where} "
+        f"(step {worst['step']}, point {worst['point']}).{risks}"
     )
