@@ -90,14 +90,19 @@ class RegionalLaw(Viewed):
             reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
             for name, value in answer.effort.items():
                 effort[name] = effort.get(name, 0) + int(value)
+        slopes = None
+        if tangents:
+            given = [cast(Tangents, answer.tangents) for answer in answers]
+            by_F, by_rate = [each.P_by_F for each in given], [each.P_by_F_dot for each in given]
+            slopes = Tangents(self._whole(by_F), self._whole(by_rate))
         return StressResponse(
-            stress=self._gathered([answer.stress for answer in answers]),
-            status=self._gathered([answer.status for answer in answers]),
+            stress=self._whole([answer.stress for answer in answers]),
+            status=self._whole([answer.status for answer in answers]),
             state=tuple(answer.state for answer in answers),
             effort=effort,
-            tangents=self._tangents(answers) if tangents else None,
-            switched=self._where_any([answer.switched for answer in answers], np.int8),
-            left_bifurcation=self._where_any([each.left_bifurcation for each in answers], bool),
+            tangents=slopes,
+            switched=self._whole([answer.switched for answer in answers]),
+            left_bifurcation=self._whole([answer.left_bifurcation for answer in answers]),
             reasons=reasons,
             sources=self._sources([answer.sources for answer in answers]),
         )
@@ -113,8 +118,8 @@ class RegionalLaw(Viewed):
         def tell() -> Sources:
             parts = [each() for each in telling]
             return Sources(
-                self._gathered([part.source for part in parts]),
-                self._gathered([part.risk for part in parts]),
+                self._whole([part.source for part in parts]),
+                self._whole([part.risk for part in parts]),
             )
 
         return tell
@@ -191,31 +196,18 @@ class RegionalLaw(Viewed):
         pairs = zip(said, parts, strict=True)
         stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
         return Acceptance(
-            status=self._gathered([answer.status for answer in said]),
+            status=self._whole([answer.status for answer in said]),
             state=tuple(answer.state for answer in said),
-            stress=self._gathered(stresses) if changed else None,
-            left_bifurcation=self._where_any([a.left_bifurcation for a in said], bool),
+            stress=self._whole(stresses) if changed else None,
+            left_bifurcation=self._whole([answer.left_bifurcation for answer in said]),
         )
 
-    def _tangents(self, answers: Sequence[StressResponse]) -> Tangents:
-        given = [cast(Tangents, answer.tangents) for answer in answers]
-        return Tangents(
-            self._gathered([each.P_by_F for each in given]),
-            self._gathered([each.P_by_F_dot for each in given]),
-        )
-
-    def _gathered(self, values: Sequence[NDArray]) -> NDArray:
-        """(n, …) from the values of each law's points."""
-        whole = np.empty((self.density.size, *values[0].shape[1:]), values[0].dtype)
-        for (_, own), value in zip(self._parts, values, strict=True):
-            whole[own] = value
-        return whole
-
-    def _where_any(self, values: Sequence[NDArray | None], kind: Any) -> NDArray | None:
-        """(n,) marks of those laws that gave some; None if none did."""
-        if all(value is None for value in values):
+    def _whole(self, values: Sequence[NDArray | None]) -> Any:
+        """(n, …) from the values of each law's points, 0 where one gave none; None if none did."""
+        given = next((value for value in values if value is not None), None)
+        if given is None:
             return None
-        whole = np.zeros(self.density.size, kind)
+        whole = np.zeros((self.density.size, *given.shape[1:]), given.dtype)
         for (_, own), value in zip(self._parts, values, strict=True):
             if value is not None:
                 whole[own] = value

@@ -29,7 +29,6 @@ ACCELERATION = "µm/µs²"
 FORCE = "µN"
 STIFFNESS = "µN/µm"
 STRESS = "µN/µm"
-DENSITY = "ng/µm²"
 ENERGY = "pJ"
 RATE = "1/µs"
 VISCOSITY = "µN µs/µm"  # the same as ng/µs

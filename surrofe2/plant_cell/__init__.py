@@ -2,6 +2,5 @@
 
 In reading order: `tessellation`, `parameters`, `arrangement`, `reference_state` (where particles
 are); `tiles`, `block_pattern` (how arrays and matrices lie); `pair_lists` (who interacts with
-whom); `wall`, `contact`, `fluid`, `sph_kernel` (pair laws); `forces`, `jacobian`,
-`force_derivatives`.
+whom); `pair_laws`; `forces`, `jacobian`, `force_derivatives`.
 """

@@ -28,7 +28,6 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import (
     add_pair,
     central_elastic,
@@ -38,7 +37,11 @@ from surrofe2.plant_cell.forces import (
     pair_at,
 )
 from surrofe2.plant_cell.jacobian import add_at, central_gradient
-from surrofe2.plant_cell.sph_kernel import spline_bend
+from surrofe2.plant_cell.pair_laws import (
+    fluid_coefficients,
+    fluid_volume_slopes,
+    spline_bend,
+)
 from surrofe2.plant_cell.tiles import outer_constants
 from surrofe2.simd import TILE, load, store
 

@@ -13,17 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.contact import (
+from surrofe2.plant_cell.pair_laws import (
     contact_bend,
     contact_elastic,
     contact_energy,
     contact_force,
     contact_slopes,
+    fluid_coefficients,
+    spline,
+    spline_slope,
+    wall_energy,
+    wall_force,
 )
-from surrofe2.plant_cell.fluid import fluid_coefficients
-from surrofe2.plant_cell.sph_kernel import spline, spline_slope
 from surrofe2.plant_cell.tiles import central_pairs, outer_constants
-from surrofe2.plant_cell.wall import wall_energy, wall_force
 from surrofe2.simd import TILE, inverse_root, load, spread, store
 
 

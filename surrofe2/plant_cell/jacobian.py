@@ -19,9 +19,12 @@ from __future__ import annotations
 import numpy as np
 
 from surrofe2.compilation import kernel, pair_law
-from surrofe2.plant_cell.fluid import fluid_coefficients, fluid_volume_slopes
 from surrofe2.plant_cell.forces import central_slopes, difference, fluid_specific_volume, pair_at
-from surrofe2.plant_cell.sph_kernel import spline_bend
+from surrofe2.plant_cell.pair_laws import (
+    fluid_coefficients,
+    fluid_volume_slopes,
+    spline_bend,
+)
 from surrofe2.plant_cell.tiles import central_pairs
 from surrofe2.simd import TILE, load, spread, store
 

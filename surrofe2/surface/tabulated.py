@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 from numpy.typing import NDArray
 
 from surrofe2.compilation import kernel
@@ -117,16 +118,11 @@ def tabulate_surface(
     law: SlabLaw,
     stretch: tuple[float, float],
     rate: float,
-    *,
-    tolerance: float = TOLERANCE,
-    seed: int = 1,
 ) -> TabulatedSurface:
-    """The table of a slab's law over a range.
+    """The table of a slab's law over a range, within `TOLERANCE` at `CHECKS` random points.
 
     Args:
         stretch: (low, high) of λ. rate: bound on |λ̇|, 1/µs.
-        tolerance: largest error over the spread of the tension, at `CHECKS` random points.
-        seed: of these.
 
     Raises:
         InputError: a range without extent, a slab without an answer in it, or an answer that no
@@ -138,7 +134,7 @@ def tabulate_surface(
             f"surface: stretch ({low:g}, {high:g}), rate {rate:g}; low must be positive and below "
             "high, the rate positive"
         )
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     checks = rng.uniform((low, -rate), (high, rate), (CHECKS, 2)).T
     wanted = _tensions(law, *checks)
     spread = float(np.ptp(wanted))
@@ -156,28 +152,21 @@ def tabulate_surface(
             spread,
         )
         table = replace(table, error=_largest_error(table, checks, wanted))
-        if table.error <= tolerance * spread:
-            return _trimmed(table, checks, wanted, _KEPT * tolerance * spread)
+        if table.error <= TOLERANCE * spread:
+            return _trimmed(table, checks, wanted, _KEPT * TOLERANCE * spread)
     raise InputError(
-        f"surface: no table is within {tolerance:g} of the tension's spread, the last one within "
+        f"surface: no table is within {TOLERANCE:g} of the tension's spread, the last one within "
         f"{table.error / spread:.2g}; narrow the range of stretch ({low:g}, {high:g})"
     )
 
 
 def _coefficients(law: SlabLaw, stretch: tuple[float, float], rate: float, p: int, q: int) -> Array:
     """(p, q) from the slab's answers at the roots of T_p and T_q."""
-    (low, high), (x, along), (y, across) = stretch, _roots(p), _roots(q)
+    (low, high), x, y = stretch, chebpts1(p), chebpts1(q)
     nodes = np.meshgrid(low + 0.5 * (high - low) * (x + 1.0), rate * y, indexing="ij")
     tension = _tensions(law, *(each.ravel() for each in nodes)).reshape(p, q)
-    return np.asarray(along @ tension @ across.T)
-
-
-def _roots(count: int) -> tuple[Array, Array]:
-    """(n,) roots of T_n, and (n, n) what makes coefficients of values there."""
-    angle = np.pi * (np.arange(count) + 0.5) / count
-    transform = 2.0 / count * np.cos(np.arange(count)[:, None] * angle)
-    transform[0] *= 0.5
-    return np.cos(angle), transform
+    by_x = np.linalg.solve(chebvander(x, p - 1), tension)
+    return np.ascontiguousarray(np.linalg.solve(chebvander(y, q - 1), by_x.T).T)
 
 
 def _tensions(law: SlabLaw, stretch: Array, rate: Array) -> Array:

@@ -79,13 +79,7 @@ def calibrate(
     """
 
     def runs(count: int, seed: int) -> Iterator[list[State]]:
-        coarse = _coarse(macro)
-        cases: Iterable[Problem | LoadCase]
-        if isinstance(problem, Problem):
-            cases = varied_problems(problem, count, seed)
-        else:
-            cases = random_loads(problem or LoadCase(), count, seed)
-        return (_states_met(each, surrogate, coarse, seed) for each in cases)
+        return _met_in_runs(surrogate, problem or LoadCase(), _coarse(macro), count, seed)
 
     law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
     settings = settings or CalibrationSettings()
@@ -191,9 +185,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
     macro = _coarse(recipe.macro)
     if recipe.stated is None:
         macro = replace(macro, integrator="explicit")
-        for load in random_loads(recipe.bar_load(), count, seed):
-            yield _states_met(load, surrogate, macro, seed)
-        return
+        return _met_in_runs(surrogate, recipe.bar_load(), macro, count, seed)
     problem, whole = _coarse_problem(recipe), recipe.whole()
     others = {
         name: laws.quadratic_law(part)
@@ -206,8 +198,7 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
             whole, problem.mesh, lambda part: others.get(part.cell_name or "", watched)
         )
 
-    for each in varied_problems(problem, count, seed):
-        yield _states_met(each, surrogate, macro, seed, tissue)
+    return _met_in_runs(surrogate, problem, macro, count, seed, tissue)
 
 
 def _coarse(macro: MacroSettings) -> MacroSettings:
@@ -228,28 +219,36 @@ def _coarse_problem(recipe: Recipe) -> Problem:
     return whole.problem()
 
 
-def _states_met(
-    load: LoadCase | Problem,
+def _met_in_runs(
     surrogate: StressLaw,
+    problem: LoadCase | Problem,
     macro: MacroSettings,
+    count: int,
     seed: int,
     tissue: Callable[[StressLaw], StressLaw] = lambda watched: watched,
-) -> list[State]:
-    """(F, F_dot) at some of the surrogate's points at the steps of a run, while in its range.
+) -> Iterator[list[State]]:
+    """(F, F_dot) at some of the surrogate's points at the steps of each run of a problem under
+    other loads, while in its range.
 
     Args:
-        seed: chooses the points, `RUN_POINTS` of them where there are more.
+        seed: of the loads and the points, `RUN_POINTS` of them where there are more.
         tissue: the law of all points, by that of the surrogate's.
     """
-    met: list[State] = []
+    cases: Iterable[Problem | LoadCase]
+    if isinstance(problem, Problem):
+        cases = varied_problems(problem, count, seed)
+    else:
+        cases = random_loads(problem, count, seed)
+    for each in cases:
+        met: list[State] = []
 
-    def note(F: Array, F_dot: Array) -> None:
-        points = np.random.default_rng(seed).permutation(len(F))[:RUN_POINTS]
-        met.append((F[points], F_dot[points]))
+        def note(F: Array, F_dot: Array, met: list[State] = met) -> None:
+            points = np.random.default_rng(seed).permutation(len(F))[:RUN_POINTS]
+            met.append((F[points], F_dot[points]))
 
-    with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
-        simulate(load, tissue(WatchedLaw(surrogate, note)), macro)
-    return met
+        with suppress(SimulationError):  # a load beyond the surrogate's range ends the path
+            simulate(each, tissue(WatchedLaw(surrogate, note)), macro)
+        yield met
 
 
 def _unbounded(surrogate: SurrogateLaw) -> str:

@@ -167,7 +167,7 @@ def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invo
     assert invoke("train", recipe_path).exit_code == 0
     surrogate = read_surrogate(recipe.training_path())
     load = replace(recipe.load, body_force=(0.0, -50.0))
-    met = calibrating._states_met(load, surrogate, recipe.macro, 1)
+    (met,) = calibrating._met_in_runs(surrogate, load, recipe.macro, 1, 1)
     assert all(surrogate.in_range(F, F_dot).all() for F, F_dot in met)
     assert len(met) > 2
     with pytest.raises(

@@ -6,7 +6,11 @@ from numba import njit
 from scipy.integrate import quad
 
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
-from surrofe2.plant_cell.sph_kernel import spline, spline_curvature, spline_slope
+from surrofe2.plant_cell.pair_laws import (
+    spline,
+    spline_curvature,
+    spline_slope,
+)
 from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.simd import TILE, load, store
 from tests.plant_cell.lanes_of_states import Patch

@@ -1,0 +1,142 @@
+"""Pair laws: walls, contacts, fluid, and the kernel by which the fluid is smoothed.
+
+Force on i, with r = x_j − x_i, n = r/|r|, w = v_j − v_i:
+
+- Walls, spring and dashpot between bonded neighbours (eq. 1): f = [k_w (|r| − l₀) + γ n·w] n. The
+  paper prints γ x·v, which critical damping contradicts, with the sign of x_i − x_j.
+- Contacts of wall particles with fluid and with walls not bonded to them (eq. 2; docs/theory.md
+  (2)), zero beyond x₀; the factor 1 − (r/x₀)⁶ is ours, for the printed dashpot jumps there::
+
+      f = −[λ (|r|⁻⁶ − x₀⁻⁶) − c(|r|) n·w] n
+      c(r) = 2 √(6 λ m_wall / r⁷) (1 − (r/x₀)⁶) · damping ratio
+
+- Fluid by smoothed particle hydrodynamics (eqs. 5 to 9): density by summation over the fluid of the
+  same plant cell, the particle itself included, pressure p = c_s² ρ without a reference density::
+
+      f = m² (W′/|r|) [c_s² (1/ρ_i + 1/ρ_j) r − 2µ/(ρ_i ρ_j) w]
+
+  The viscous part (Morris form) is not central: it makes torque. The elastic part is the gradient
+  of Σ m c_s² ln ρ_i.
+- The kernel is the cubic spline (eq. 5, σ = 10/7π), without a branch: with q₊ = max(q, 0) and
+  s = r/h, W = σ/h² [(2 − s)₊³/4 − (1 − s)₊³].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surrofe2.compilation import pair_law
+from surrofe2.simd import inverse_root, where_less
+
+SIGMA = 10.0 / (7.0 * np.pi)
+
+
+@pair_law
+def wall_force(length, rate, c):
+    """Tension [µN] of a bond of length |r| (µm) that stretches at n·w = `rate` (µm/µs)."""
+    return c.wall_stiffness * (length - c.rest_length) + c.wall_damping * rate
+
+
+@pair_law
+def wall_energy(length, c):
+    """Stored energy of a bond, pJ."""
+    stretch = length - c.rest_length
+    return 0.5 * c.wall_stiffness * stretch * stretch
+
+
+@pair_law
+def contact_force(length, inverse, rate, c):
+    """Tension [µN] at |r| = `length`, its reciprocal `inverse`, n·w = `rate`; µm, µm/µs."""
+    inverse_3 = inverse * inverse * inverse
+    inverse_6 = inverse_3 * inverse_3
+    beyond = 1.0 / c.cutoff**6
+    cube = length * length * length
+    damping = c.contact_damping * inverse_3 * inverse_root(length) * (1.0 - cube * cube * beyond)
+    tension = damping * rate - c.repulsion * (inverse_6 - beyond)
+    return where_less(length, c.cutoff, tension, 0.0)
+
+
+@pair_law
+def contact_slopes(length, inverse, rate, c):
+    """(∂t/∂|r|, ∂t/∂(n·w)) of the tension."""
+    inverse_3 = inverse * inverse * inverse
+    cube = length * length * length
+    fade = cube * cube * (1.0 / c.cutoff**6)
+    critical = c.contact_damping * inverse_3 * inverse_root(length)
+    damping = critical * (1.0 - fade)
+    damping_slope = critical * inverse * (-3.5 * (1.0 - fade) - 6.0 * fade)
+    slope = damping_slope * rate + 6.0 * c.repulsion * inverse_3 * inverse_3 * inverse
+    inside_slope = where_less(length, c.cutoff, slope, 0.0)
+    return inside_slope, where_less(length, c.cutoff, damping, 0.0)
+
+
+@pair_law
+def contact_elastic(length, inverse, c):
+    """Tension without the dashpot, and its slope ∂t/∂|r|."""
+    inverse_3 = inverse * inverse * inverse
+    inverse_6 = inverse_3 * inverse_3
+    tension = c.repulsion * (1.0 / c.cutoff**6 - inverse_6)
+    slope = 6.0 * c.repulsion * inverse_6 * inverse
+    return where_less(length, c.cutoff, tension, 0.0), where_less(length, c.cutoff, slope, 0.0)
+
+
+@pair_law
+def contact_bend(length, inverse, c):
+    """∂²t/∂|r|² without the dashpot."""
+    inverse_4 = inverse * inverse * inverse * inverse
+    bend = -42.0 * c.repulsion * inverse_4 * inverse_4
+    return where_less(length, c.cutoff, bend, 0.0)
+
+
+@pair_law
+def contact_energy(length, inverse, c):
+    """Stored energy of a contact, pJ: λ [r⁻⁵/5 + r x₀⁻⁶ − 6/5 x₀⁻⁵]."""
+    inverse_5 = inverse * inverse * inverse * inverse * inverse
+    energy = c.repulsion * (0.2 * inverse_5 + length * (1.0 / c.cutoff**6) - 1.2 / c.cutoff**5)
+    return where_less(length, c.cutoff, energy, 0.0)
+
+
+@pair_law
+def fluid_coefficients(slope_over_length, volume_i, volume_j, c):
+    """(a, b) of f = a r + b w, with volume = 1/ρ in µm²/ng and slope_over_length = W′/|r|."""
+    weight = c.fluid_mass * c.fluid_mass * slope_over_length
+    pressure = weight * c.sound_speed_squared * (volume_i + volume_j)
+    viscous = -2.0 * weight * c.viscosity * volume_i * volume_j
+    return pressure, viscous
+
+
+@pair_law
+def fluid_volume_slopes(slope_over_length, other_volume, c):
+    """∂(a, b)/∂(1/ρ_i) at fixed positions, with other_volume = 1/ρ_j."""
+    weight = c.fluid_mass * c.fluid_mass * slope_over_length
+    return weight * c.sound_speed_squared, -2.0 * weight * c.viscosity * other_volume
+
+
+@pair_law
+def spline(s, h):
+    """W in 1/µm² at s = r/h; lanes."""
+    outer = where_less(s, 2.0, 2.0 - s, 0.0)
+    inner = where_less(s, 1.0, 1.0 - s, 0.0)
+    return SIGMA / (h * h) * (0.25 * outer * outer * outer - inner * inner * inner)
+
+
+@pair_law
+def spline_slope(s, h):
+    """dW/dr in 1/µm³."""
+    outer = where_less(s, 2.0, 2.0 - s, 0.0)
+    inner = where_less(s, 1.0, 1.0 - s, 0.0)
+    return SIGMA / (h * h * h) * (3.0 * inner * inner - 0.75 * outer * outer)
+
+
+@pair_law
+def spline_curvature(s, h):
+    """d²W/dr² in 1/µm⁴."""
+    outer = where_less(s, 2.0, 2.0 - s, 0.0)
+    inner = where_less(s, 1.0, 1.0 - s, 0.0)
+    return SIGMA / (h * h * h * h) * (1.5 * outer - 6.0 * inner)
+
+
+@pair_law
+def spline_bend(slope_over_length, length, inverse, h):
+    """d(W′/|r|)/d|r| in 1/µm⁵, of W′/|r|, |r| and 1/|r|."""
+    return (spline_curvature(length * (1.0 / h), h) - slope_over_length) * inverse
