@@ -16,7 +16,7 @@ from importlib.metadata import version
 from io import BytesIO
 from itertools import count
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import h5py
 import numpy as np
@@ -308,23 +308,11 @@ def read_checkpoint(path: Path, of: str) -> dict[str, NDArray[Any]]:
         return stored.all_arrays()
 
 
-class Answers(Protocol):
-    """Answers of RVEs that were read from a file."""
-
-    @property
-    def cell(self) -> CellParameters:
-        """Of which plant cells."""
-
-    @property
-    def initialisation(self) -> str:
-        """How their RVEs were initialised."""
-
-
 def check_same_rve(
     made: str,
     advice: str,
     path: Path,
-    there: Answers,
+    there: Any,
     cell: CellParameters,
     initialisation: str,
     *,
@@ -334,6 +322,7 @@ def check_same_rve(
 
     Args:
         made: the message between the path and what the answers are for.
+        there: answers that were read, with their `cell` and `initialisation`.
         advice: the message's end; "{}" stands for "these parameters" or "this initialisation".
         cell, initialisation: wanted.
         wall: whether the outer wall, which is not of the RVE, counts too.

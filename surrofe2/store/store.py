@@ -24,7 +24,7 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from pathlib import Path
@@ -325,22 +325,18 @@ def file_lock(path: Path) -> Path:
     return path.with_name(f".{path.name}.lock")
 
 
-@contextmanager
-def locked_folder(folder: Path) -> Iterator[None]:
+def locked_folder(folder: Path) -> AbstractContextManager[None]:
     """Only this call writes into a folder, which is made where it is missing.
 
     Raises:
         FileError: another call does, which the message names, or the folder is not writable.
     """
-    with _locked(folder_lock(folder), folder):
-        yield
+    return _locked(folder_lock(folder), folder)
 
 
-@contextmanager
-def locked_file(path: Path) -> Iterator[None]:
+def locked_file(path: Path) -> AbstractContextManager[None]:
     """As `locked_folder`, of one file."""
-    with _locked(file_lock(path), path):
-        yield
+    return _locked(file_lock(path), path)
 
 
 @contextmanager

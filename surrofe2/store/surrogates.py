@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_value
-from surrofe2.store.hdf5 import Kind, reading, write
+from surrofe2.store.hdf5 import Kind, check_same_rve, reading, write
 from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
@@ -43,6 +44,14 @@ from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 SURROGATE = Kind("surrogate", 6)  # 1 and 2: by torch; 4: energy form, half-spaces; 5: no alpha
 TRAINING = Kind("unfinished training", 6)
+_TEXTS = {
+    "version": str,
+    "initialisation": str,
+    "data_fingerprint": str,
+    "rest_length": float | None,
+}
+_SECTIONS = {"cell": CellParameters, "range": SamplingRange, "settings": TrainingSettings}
+_STRESSES = ("xx", "xy", "yx", "yy")
 _UNITS = {"stress": units.STRESS, "rate": units.RATE, "rest_length": units.LENGTH}
 _ANEW = "train again with: surrofe2 train RECIPE --fresh"
 _FOREIGN = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -53,30 +62,20 @@ Tensors = dict[str, NDArray[Any]]
 
 def write_surrogate(law: SurrogateLaw, path: str | Path) -> None:
     """Write a surrogate, whole or not at all; a FileError where that fails."""
-    path = Path(path)
     domain = {} if law.domain is None else asdict(law.domain)
     square = domain.pop("square", None)
     tensors = within("network", law.network.tensors) | within("domain", domain)
     if law.reference is not None:
         tensors |= within("reference", law.reference.to_arrays())
-    n = law.network
     content = {
-        "version": law.version,
+        **{name: getattr(law, name) for name in (*_TEXTS, *_SECTIONS, "errors", "seconds")},
         "units": _UNITS,
-        "network": {"symmetry": n.symmetry, "degree": n.degree},
-        "settings": law.settings,
-        "range": law.range,
-        "cell": law.cell,
         "cell_fingerprint": law.cell.fingerprint,
-        "initialisation": law.initialisation,
-        "rest_length": law.rest_length,
-        "data_fingerprint": law.data_fingerprint,
-        "errors": law.errors,
+        "network": {"symmetry": law.network.symmetry, "degree": law.network.degree},
         "domain": {"square": square} if domain else None,
         "calibration": law.calibration,
-        "seconds": law.seconds,
     }
-    _write(path, content, tensors)
+    _write(Path(path), content, tensors)
 
 
 def read_surrogate(path: str | Path) -> SurrogateLaw:
@@ -88,59 +87,35 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
     path = Path(path)
     content, tensors = _read(path)
     try:
-        cell = CellParameters(**content["cell"])
         domain, calibration = content["domain"], content["calibration"]
         reference = part_of(tensors, "reference")
         for name, values in tensors.items():
             if not np.isfinite(values).all():
                 raise ValueError(f"{name}: not finite")
+        errors = content["errors"]  # figures by component; none of a surrogate without training
+        for figure in ("spread", "rms", "worst") if errors else ():
+            for component in _STRESSES:
+                if not isinstance(errors[figure][component], int | float):
+                    raise TypeError(f"errors.{figure}.{component}")
         law = SurrogateLaw(
+            **{name: check_value(name, content[name], kind, {}) for name, kind in _TEXTS.items()},
+            **{name: kind(**content[name]) for name, kind in _SECTIONS.items()},
             network=NetworkParameters(**content["network"], tensors=part_of(tensors, "network")),
-            cell=cell,
-            initialisation=content["initialisation"],
-            range=SamplingRange(**content["range"]),
-            settings=TrainingSettings(**content["settings"]),
-            errors=content["errors"],
-            data_fingerprint=content["data_fingerprint"],
-            rest_length=content["rest_length"],
-            version=content["version"],
+            errors=errors,
             domain=domain and Domain(square=domain["square"], **part_of(tensors, "domain")),
             calibration=calibration and _calibration(calibration),
             reference=ReferenceState.from_arrays(reference) if reference else None,
             seconds={name: float(each) for name, each in content["seconds"].items()},
         )
-        fingerprint = content["cell_fingerprint"]
-        for name, kind in _TEXTS.items():
-            check_value(name, content[name], kind, {})
-        _check_errors(law.errors)
+        known, cell = content["cell_fingerprint"], law.cell.fingerprint
+        if cell != known:
+            raise ValueError(f"its cell parameters give fingerprint {cell}, not {known}")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FileError(
             f"{path}: a surrofe2 surrogate with missing or damaged entries "
             f"({shortened(str(error), 80)}); {_ANEW}"
         ) from None
-    if cell.fingerprint != fingerprint:
-        raise FileError(
-            f"{path}: its cell parameters give fingerprint {cell.fingerprint}, but it was "
-            f"trained for {fingerprint}; {_ANEW}"
-        )
     return law
-
-
-_STRESSES = ("xx", "xy", "yx", "yy")
-_TEXTS = {
-    "initialisation": str,
-    "data_fingerprint": str,
-    "version": str,
-    "rest_length": float | None,
-}
-
-
-def _check_errors(errors: Mapping[str, Any]) -> None:
-    """Figures by component; none of a surrogate that was not trained."""
-    for name in ("spread", "rms", "worst") if errors else ():
-        for component in _STRESSES:
-            if not isinstance(errors[name][component], int | float):
-                raise TypeError(f"errors.{name}.{component}")
 
 
 def _calibration(content: Mapping[str, Any]) -> Calibration:
@@ -148,13 +123,9 @@ def _calibration(content: Mapping[str, Any]) -> Calibration:
         kind: {**figures, "quantile": float(figures["quantile"])}
         for kind, figures in content["kinds"].items()
     }
-    known = {
-        "scale": np.array(content["scale"]),
-        "near": np.array(content["near"]),
-        "quantile": float(content["quantile"]),
-        "kinds": kinds,
-    }
-    return Calibration(**{**content, **known})
+    arrays = {name: np.array(content[name]) for name in ("scale", "near")}
+    quantile = float(content["quantile"])  # "inf" where there is no bound
+    return Calibration(**{**content, **arrays, "quantile": quantile, "kinds": kinds})
 
 
 def content_fingerprint(path: Path) -> str:
@@ -229,3 +200,7 @@ def _read(path: Path) -> tuple[dict[str, Any], Tensors]:
             f"{SURROGATE.version}; {_ANEW}"
         )
     return content, tensors
+
+
+check_surrogate = partial(check_same_rve, "trained", "train a surrogate for {}", wall=True)
+"""Refuse one of other plant cells: path, surrogate, and the cell and initialisation wanted."""

@@ -17,7 +17,7 @@ from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
 from surrofe2.costs import Meter
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.errors import FileError, InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.ranks.distributed_law import shared
@@ -32,7 +32,7 @@ from surrofe2.store.reference_states import (
     write_reference,
 )
 from surrofe2.store.store import digest
-from surrofe2.store.surrogates import content_fingerprint, read_surrogate
+from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
 from surrofe2.store.tables import check_table, read_table
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
@@ -137,7 +137,7 @@ def choose_law(
         "errors": surrogate.errors,
         "seconds": dict(surrogate.seconds),
     }
-    check_surrogate(recipe, surrogate, path)
+    check_surrogate(path, surrogate, recipe.cell, recipe.rve.initialisation)
     if kind == "surrogate":
         return ChosenLaw(surrogate, record)
     rve = shared(true_law(recipe, surrogate))
@@ -177,27 +177,6 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     seconds = {str(path): read_seconds(path) for path in tables}
     made = {"seconds": {} if None in seconds.values() else seconds}
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
-
-
-def check_surrogate(recipe: Recipe, surrogate: Any, path: Path) -> None:
-    """Refuse a surrogate of another plant cell or initialisation.
-
-    Raises:
-        MismatchError: naming what differs.
-    """
-    if surrogate.cell != recipe.cell:
-        here, there = recipe.cell.to_dict(), surrogate.cell.to_dict()
-        name = next(key for key in here if here[key] != there[key])
-        of = "the recipe" if recipe.cell_name is None else f"[{recipe.cell_section}]"
-        raise MismatchError(
-            f"{path}: trained for cell.{name} = {there[name]}, {of} has {here[name]}; "
-            "train a surrogate for this recipe"
-        )
-    if surrogate.initialisation != recipe.rve.initialisation:
-        raise MismatchError(
-            f"{path}: trained for initialisation {surrogate.initialisation}, the run has "
-            f"{recipe.rve.initialisation}; train a surrogate for this recipe"
-        )
 
 
 def open_study(path: Path, threads: int | None) -> Recipe:

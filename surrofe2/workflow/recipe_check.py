@@ -12,8 +12,7 @@ from typing import Any
 from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.recipe import Recipe, load_recipe, make_recipe
 from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
-from surrofe2.store.surrogates import read_surrogate
-from surrofe2.workflow.laws import check_surrogate
+from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.workflow.samples import check_data
 
 _MOST_ROUNDS = 50
@@ -114,7 +113,8 @@ def _check_kept(part: Recipe) -> None:
         with suppress(InputError):  # it is not finished, and goes on
             check_data(part, read_data_set(data), data)
     if trained.exists():
-        check_surrogate(part, read_surrogate(trained), trained)
+        found = read_surrogate(trained)
+        check_surrogate(trained, found, part.cell, part.rve.initialisation)
 
 
 def _refusal(check: Callable[[], Any]) -> list[str]:

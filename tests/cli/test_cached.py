@@ -81,10 +81,10 @@ def test_a_surrogate_of_another_cell_or_initialisation_or_none(
 
     path = recipe_path.parent / "cells.safetensors"
     found = told("cached", "--initialisation", "elastic")
-    assert "initialisation constrained-runs, the run has elastic; train" in found
+    assert "initialisation constrained-runs, not elastic; train" in found
     changed_recipe('preset = "printed"', "viscosity = 0.2")
     for law in ("surrogate", "cached"):
-        assert "trained for cell.viscosity = 0.1, the recipe has 0.2; train" in told(law)
+        assert "trained for cell.viscosity = 0.1, not 0.2; train" in told(law)
     path.unlink()
     assert told("cached") == "cannot be read: No such file or directory\n"
 

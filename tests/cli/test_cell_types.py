@@ -356,7 +356,7 @@ def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, mo
     (tmp_path / "flesh.safetensors").write_bytes((tmp_path / "skin.safetensors").read_bytes())
     refused = run("other")
     assert refused.exit_code == 1
-    told = "flesh.safetensors: trained for cell.fluid_particle_mass = 2.7, [cells.flesh] has 0.27; "
+    told = "flesh.safetensors: trained for cell.fluid_particle_mass = 2.7, not 0.27; "
     assert told in refused.stderr
 
 
