@@ -153,15 +153,6 @@ def _cluster(address: str) -> Iterator[Any]:
             yield executor
 
 
-@dataclass(slots=True)
-class _Sent:
-    """A call on its way."""
-
-    call: Call
-    future: Future[Any]
-    attempt: int = 1
-
-
 def in_pieces(
     work: Work, items: range, unit: int, executor: Any = None
 ) -> Iterator[tuple[int, int, Any]]:
@@ -201,35 +192,34 @@ def results_of(calls: Iterable[Call], executor: Any, most: int = MANY) -> Iterat
     Raises:
         SimulationError: a call lost its worker several times.
     """
-    waiting, sent = iter(calls), deque[_Sent]()
+    waiting, sent, attempt = iter(calls), deque[tuple[Call, Future[Any]]](), 1
+
+    def submitted(call: Call) -> tuple[Call, Future[Any]]:
+        return call, executor.submit(call[1], *call[2])
+
     while True:
         while len(sent) < most and (call := next(waiting, None)) is not None:
-            sent.append(_Sent(call, executor.submit(call[1], *call[2])))
+            sent.append(submitted(call))
         if not sent:
             return
+        call, first = sent[0]
         try:
-            result = sent[0].future.result()
+            result = first.result()
         except BrokenExecutor as error:
-            _send_again(sent, executor, error)
+            log.warning("a worker was lost; what it had is done again")
+            if attempt == ATTEMPTS:
+                raise SimulationError(
+                    f"{call[0]}: their worker was lost {ATTEMPTS} times ({error}); is there enough "
+                    "memory for each of the workers?"
+                ) from None
+            attempt += 1
+            sent = deque(submitted(call) if _is_lost(at) else (call, at) for call, at in sent)
             continue
+        attempt = 1
         sent.popleft()
         yield result
 
 
-def _send_again(sent: deque[_Sent], executor: Any, error: BrokenExecutor) -> None:
-    """Send the calls again that were lost with a worker."""
-    log.warning("a worker was lost; what it had is done again")
-    for each in sent:
-        lost = each.future.cancelled() or (
-            each.future.done() and isinstance(each.future.exception(), BrokenExecutor)
-        )
-        if not lost:
-            continue
-        name, work, arguments = each.call
-        if each.attempt == ATTEMPTS:
-            raise SimulationError(
-                f"{name}: their worker was lost {ATTEMPTS} times ({error}); is there enough memory "
-                "for each of the workers?"
-            ) from None
-        each.future = executor.submit(work, *arguments)
-        each.attempt += 1
+def _is_lost(call: Future[Any]) -> bool:
+    """Whether a call went with its worker."""
+    return call.cancelled() or (call.done() and isinstance(call.exception(), BrokenExecutor))
