@@ -65,8 +65,7 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
     """Sizes and arrays of a surrogate, as its kernels read them."""
     network, bounds = law.arrays, law.bound_arrays
     sizes = {
-        "MADE": len(network.made),
-        "FOURS": len(network.begins) - 1,
+        "PRODUCTS": len(network.products),
         "INVARIANTS": len(network.invariants),
         "TERMS": len(network.terms),
         "LAYERS": len(network.sizes),
@@ -83,11 +82,10 @@ def _tables(law: SurrogateLaw) -> Iterator[str]:
         "input_factor": network.input_factor,
         "output_factor": network.output_factor,
         "at_rest": network.at_rest,
-        "made": network.made,
-        "heads": network.heads,
+        "products": network.products,
         "begins": network.begins,
-        "tails": network.tails,
-        "tail_coefficients": network.tail_coefficients,
+        "monomials": network.monomials,
+        "coefficients": network.coefficients,
         "invariants": network.invariants,
         "terms": network.terms,
         "powers": network.powers,

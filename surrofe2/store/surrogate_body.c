@@ -59,19 +59,13 @@ static int forward(dual *units, int n)
 
 static void add_polynomial(dual *x, dual *y, int n)
 {
-    dual rows[ONE + 1 + MADE + 1], inner, whole;
+    dual rows[ONE + 1 + PRODUCTS + 1];
     memcpy(rows, x, (ONE + 1) * sizeof(dual));
-    for (int k = 0; k < MADE; k++)
-        multiply(rows[made[k][0]], rows[made[k][1]], rows[ONE + 1 + k], n);
-    for (int four = 0; four < FOURS; four++)
-        for (int j = 0; j < 4; j++) {
-            const int *head = heads[4 * four + j];
-            memset(inner, 0, sizeof inner);
-            for (int k = begins[four]; k < begins[four + 1]; k++)
-                add_times(tail_coefficients[k][j], rows[tails[k]], inner, n);
-            multiply(inner, rows[head[0]], whole, n);
-            add_times(1.0, whole, y[head[1]], n);
-        }
+    for (int k = 0; k < PRODUCTS; k++)
+        multiply(rows[products[k][0]], rows[products[k][1]], rows[ONE + 1 + k], n);
+    for (int j = 0; j < COMPONENTS; j++)
+        for (int k = begins[j]; k < begins[j + 1]; k++)
+            add_times(coefficients[k], rows[monomials[k]], y[j], n);
 }
 
 /* x^p / sqrt(BEND^2 + x^2), which tells states near rest apart */

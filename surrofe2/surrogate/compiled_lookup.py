@@ -26,7 +26,7 @@ from surrofe2.surrogate.compiled_frame import (
     set_stress,
     take_rotation_out,
 )
-from surrofe2.surrogate.compiled_network import evaluate_network, make_room, set_polynomial_slopes
+from surrofe2.surrogate.compiled_network import evaluate_network, make_room
 from surrofe2.surrogate.domain import Domain, boundary_table
 from surrofe2.surrogate.error_bound import (
     COMPRESSION,
@@ -175,7 +175,7 @@ def lookup_part(  # type: ignore[no-untyped-def]
         take_rotation_out(frame)
         set_inside(frame, network.bounds)
         scale_inputs(frame, network.input_factor, room.x)
-        evaluate_network(network, room)
+        evaluate_network(network, network, room)
         set_stress(room.y, frame)
         _write_stress(start, frame, answer)
         _apply_risk(start, frame, bounds, limit, rows, answer.status, answer.risk)
@@ -293,8 +293,7 @@ def _slopes(F, F_dot, network, slope_polynomial, P, slopes):  # type: ignore[no-
         read_points(start, F, F_dot, frame)
         take_rotation_out(frame)
         scale_inputs(frame, network.input_factor, room.x)
-        set_polynomial_slopes(slope_polynomial, room)
-        evaluate_network(network, room)
+        evaluate_network(network, slope_polynomial, room)
         for p in range(min(BLOCK, F.shape[0] - start)):
             t, lane = p // TILE, p % TILE
             for c in range(4):

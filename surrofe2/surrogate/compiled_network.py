@@ -15,7 +15,7 @@ from surrofe2.compilation import kernel
 from surrofe2.simd import TILE, fill_tanh, inverse_root, load, spread, store
 from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES
 from surrofe2.surrogate.features import BEND, STRETCH
-from surrofe2.surrogate.polynomial import ROWS, add_polynomial
+from surrofe2.surrogate.polynomial import ROWS, set_polynomial
 from surrofe2.tensors import INPUTS
 
 COMPONENTS = 4
@@ -43,35 +43,26 @@ def make_room(arrays, slope_polynomial, inputs):  # type: ignore[no-untyped-def]
 
     slope_polynomial: where there are no slopes, the arrays once more.
     """
-    made = max(arrays.made.shape[0], slope_polynomial.made.shape[0])
+    products = max(arrays.products.shape[0], slope_polynomial.products.shape[0])
     units = arrays.sizes.sum()
     return Room(
         np.empty((INPUTS + 1, TILES, TILE)),
         np.empty((COMPONENTS, TILES, TILE)),
         np.empty((inputs, COMPONENTS, TILES, TILE)),
-        np.empty((ROWS + made, 2, TILE)),
+        np.empty((ROWS + products, 2, TILE)),
         np.empty((units, TILES, TILE)),
         np.empty((inputs, units, TILES, TILE)),
     )
 
 
 @kernel
-def evaluate_network(arrays, room):  # type: ignore[no-untyped-def]
-    """The components of P̂, y, and their slopes by scaled inputs, from x.
-
-    The slopes begin with those of the polynomial, see `set_polynomial_slopes`.
-    """
-    room.y[:] = 0.0
+def evaluate_network(arrays, slope_polynomial, room):  # type: ignore[no-untyped-def]
+    """The components of P̂, y, and their slopes by scaled inputs, from x; see `make_room`."""
+    set_polynomial(room.x, arrays, room.products, room.y)
+    if room.y_slopes.shape[0]:
+        flat = room.y_slopes.reshape(INPUTS * COMPONENTS, TILES, TILE)
+        set_polynomial(room.x, slope_polynomial, room.products, flat)
     _add_terms(arrays, room, evaluate_factors(arrays, room))
-    add_polynomial(room.x, arrays, room.products, room.y)
-
-
-@kernel
-def set_polynomial_slopes(slope_polynomial, room):  # type: ignore[no-untyped-def]
-    """Set the slopes of y to those of the polynomial."""
-    room.y_slopes[:] = 0.0
-    flat = room.y_slopes.reshape(INPUTS * COMPONENTS, TILES, TILE)
-    add_polynomial(room.x, slope_polynomial, room.products, flat)
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -93,7 +93,7 @@ class NetworkArrays(NamedTuple):
             range, by the rounding of the range test wider than the range.
         input_factor: (7,) 1/input scale; output_factor: (4,).
         at_rest: (terms,) what the factors are at rest, 0 unless they are subtracted.
-        made, heads, begins, tails, tail_coefficients: `polynomial.Polynomial` of the baseline.
+        products, begins, monomials, coefficients: `polynomial.Polynomial` of the baseline.
         invariants: (i, 3) int64 factors; terms: (t, 4) int64 factors and component.
         powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
         sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
@@ -104,11 +104,10 @@ class NetworkArrays(NamedTuple):
     input_factor: Array
     output_factor: Array
     at_rest: Array
-    made: NDArray[np.int64]
-    heads: NDArray[np.int64]
+    products: NDArray[np.int64]
     begins: NDArray[np.int64]
-    tails: NDArray[np.int64]
-    tail_coefficients: Array
+    monomials: NDArray[np.int64]
+    coefficients: Array
     invariants: NDArray[np.int64]
     terms: NDArray[np.int64]
     powers: NDArray[np.int64]
@@ -128,7 +127,7 @@ class NetworkArrays(NamedTuple):
             input_factor=1.0 / given["input_scale"],
             output_factor=given["output_scale"],
             at_rest=np.zeros(len(features.terms)),
-            **_polynomial(_monomials(network))._asdict(),
+            **make_polynomial(_monomials(network), COMPONENTS)._asdict(),
             invariants=np.array([_three(product) for product in features.invariants]),
             terms=np.array([(*_three(product), k) for product, k in features.terms]),
             powers=np.array(features.powers),
@@ -151,11 +150,12 @@ class NetworkArrays(NamedTuple):
 
 def slope_polynomial(network: NetworkParameters) -> Polynomial:
     """The slopes of a network's baseline, component `COMPONENTS` × input + component."""
-    return _polynomial(
+    slopes = (
         ((left, COMPONENTS * variable + component), value * number)
         for (product, component), value in _monomials(network)
         for variable, number, left in differentiated(product)
     )
+    return make_polynomial(slopes, COMPONENTS * INPUTS)
 
 
 def sizes_at_rest(network: NetworkParameters) -> Array:
@@ -175,11 +175,6 @@ def _monomials(network: NetworkParameters) -> list[tuple[tuple[Product, int], fl
     """Product, component and coefficient of the baseline."""
     coefficients = network.tensors["coefficients"].tolist()
     return list(zip(network.features.monomials, coefficients, strict=True))
-
-
-def _polynomial(monomials: Iterable[tuple[tuple[Product, int], float]]) -> Polynomial:
-    listed = list(monomials)
-    return make_polynomial([key for key, _ in listed], np.array([value for _, value in listed]))
 
 
 def _pack_layers(layers: Layers) -> tuple[NDArray[np.int64], Array, Array]:
