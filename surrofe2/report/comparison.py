@@ -11,13 +11,7 @@ import numpy as np
 from surrofe2.costs import Balance
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.report.tables import Quantity, Table, percent
-from surrofe2.run.displacement_curve import (
-    CurveDifference,
-    DisplacementCurve,
-    ForceDifference,
-    difference,
-    force_difference,
-)
+from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
 from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, presets_of
 from surrofe2.store.store import flat
 
@@ -45,7 +39,7 @@ class ComparedRun:
     counts: Mapping[str, int]
     speed_up: Mapping[str, float | None]
     cache: Mapping[str, Any] = field(default_factory=dict)
-    forces: Mapping[str, ForceDifference] = field(default_factory=dict)
+    forces: Mapping[str, CurveDifference] = field(default_factory=dict)
     balance: Balance | None = None
 
 
@@ -65,32 +59,12 @@ QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ComparedForce:
-    """A force resultant of a run against that of the reference."""
-
-    run: str
-    name: str
-    difference: ForceDifference
-
-    def share(self, apart: float) -> float | None:
-        """A difference as a share of the reference's largest; None where that is zero."""
-        return apart / self.difference.scale if self.difference.scale else None
-
-
-FORCE_QUANTITIES: tuple[Quantity[ComparedForce], ...] = (
-    Quantity("run", "", "", lambda force: force.run),
-    Quantity("force", "", "", lambda force: force.name),
-    Quantity("largest", "µN", ".4g", lambda force: force.difference.scale),
-    Quantity(
-        "largest difference",
-        "",
-        percent(".3g"),
-        lambda force: force.share(force.difference.largest),
-    ),
-    Quantity(
-        "of largest", "", percent("+.2g"), lambda force: force.share(force.difference.of_largest)
-    ),
+FORCE_QUANTITIES: tuple[Quantity[Mapping[str, Any]], ...] = (
+    Quantity("run", "", ""),
+    Quantity("force", "", ""),
+    Quantity("largest", "µN", ".4g"),
+    Quantity("largest difference", "", percent(".3g")),
+    Quantity("of largest", "", percent("+.2g")),
 )
 
 
@@ -109,13 +83,14 @@ class Comparison:
         return Table(QUANTITIES, (self.reference_run, *self.runs))
 
     @property
-    def force_table(self) -> Table[ComparedForce]:
+    def force_table(self) -> Table[Mapping[str, Any]]:
         """Of the forces of supports, surface loads and rigid bodies on the tissue."""
-        rows = [
-            ComparedForce(run.name, name, force)
-            for run in self.runs
-            for name, force in run.forces.items()
-        ]
+        rows = []
+        for run in self.runs:
+            for name, force in run.forces.items():
+                row = {"run": run.name, "force": name, "largest": force.scale}
+                relative = {"largest difference": force.largest, "of largest": force.of_largest}
+                rows.append(row | relative if force.scale else row)
         return Table(FORCE_QUANTITIES, rows)
 
     def to_dict(self) -> dict[str, Any]:
@@ -180,12 +155,14 @@ def force_curves(run: StoredRun) -> dict[str, DisplacementCurve]:
 
 def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     """Difference and speed-up of a run against another of its load case."""
-    there = force_curves(reference)
+    there, apart = force_curves(reference), difference(run.curve, reference.curve)
+    if not apart.scale:
+        raise InputError(f"{reference.folder}: the watched point does not move; nothing to compare")
     return ComparedRun(
         name=run.folder.name,
         law=run.record.law,
         preset=presets_of(run.record.recipe),
-        difference=difference(run.curve, reference.curve),
+        difference=apart,
         wall_time=run.record.wall_time["total"],
         counts=run.record.counts,
         speed_up={
@@ -193,7 +170,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
         },
         cache=run.record.cache or {},
         forces={
-            name: force_difference(force, there[name])
+            name: difference(force, there[name])
             for name, force in force_curves(run).items()
             if name in there
         },

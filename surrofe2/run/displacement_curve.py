@@ -36,71 +36,41 @@ class DisplacementCurve:
 
 @dataclass(frozen=True, slots=True)
 class CurveDifference:
-    """Difference of two curves, relative to the largest displacement of the reference.
+    """Difference of two curves, relative to the largest of the reference; as it is where that is 0.
 
     Attributes:
-        of_largest: of the largest displacements, whenever they are reached.
+        of_largest: largest vector less that of the reference, whenever they are reached.
+        scale: largest of the reference, µm, or µN of forces.
     """
 
     largest: float
     rms: float
     at_time: float
     of_largest: float
-
-
-@dataclass(frozen=True, slots=True)
-class ForceDifference:
-    """Largest distance of two forces over time, µN, and the largest of the reference.
-
-    Attributes:
-        of_largest: largest force less that of the reference, whenever they are reached, µN.
-    """
-
-    largest: float
     scale: float
-    at_time: float
-    of_largest: float
 
 
 def difference(curve: DisplacementCurve, reference: DisplacementCurve) -> CurveDifference:
     """How far `curve` is from `reference` at the reference's times they both cover.
 
-    Displacement vectors are compared by their Euclidean distance; `curve` is interpolated
-    linearly where its times differ.
-
-    Raises:
-        InputError: they have no common time, or the reference does not move.
-    """
-    t, distance, scale, of_largest = _distances(curve, reference)
-    if scale == 0.0:
-        raise InputError("displacement curves: the reference does not move; nothing to compare to")
-    return CurveDifference(
-        largest=float(distance.max() / scale),
-        rms=float(np.sqrt(np.mean(distance**2)) / scale),
-        at_time=float(t[distance.argmax()]),
-        of_largest=of_largest / scale,
-    )
-
-
-def force_difference(curve: DisplacementCurve, reference: DisplacementCurve) -> ForceDifference:
-    """The same of forces in µN in the place of displacements; both may be zero.
+    Vectors are compared by their Euclidean distance; `curve` is interpolated linearly where its
+    times differ.
 
     Raises:
         InputError: they have no common time.
     """
-    t, distance, scale, of_largest = _distances(curve, reference)
-    return ForceDifference(float(distance.max()), scale, float(t[distance.argmax()]), of_largest)
-
-
-def _distances(
-    curve: DisplacementCurve, reference: DisplacementCurve
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
-    """Common times, distances there, the largest of the reference, and what `curve` has more."""
     within = (reference.t >= curve.t[0]) & (reference.t <= curve.t[-1])
     if not within.any():
         raise InputError("displacement curves: no common time; they must overlap")
-    t = reference.t[within]
-    there = reference.displacement[within]
+    t, there = reference.t[within], reference.displacement[within]
     here = np.stack([np.interp(t, curve.t, curve.displacement[:, k]) for k in range(2)], axis=1)
+    distance = np.linalg.norm(here - there, axis=1)
     scale, largest = (float(np.linalg.norm(values, axis=1).max()) for values in (there, here))
-    return t, np.linalg.norm(here - there, axis=1), scale, largest - scale
+    unit = scale or 1.0
+    return CurveDifference(
+        largest=float(distance.max() / unit),
+        rms=float(np.sqrt(np.mean(distance**2)) / unit),
+        at_time=float(t[distance.argmax()]),
+        of_largest=(largest - scale) / unit,
+        scale=scale,
+    )
