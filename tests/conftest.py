@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
+from collections import Counter
+
+import numba
 import numpy as np
 import pytest
 
@@ -42,6 +47,34 @@ watched = [100.0, 50.0]
 [macro]
 elements = [2, 2]
 """
+
+
+FIRST = ("test_against_twin", "test_site")
+NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells", "test_pipeline",
+        "test_memory", "test_bar")  # fmt: skip
+"""Files that take long though they have few tests, or compile the kernels of RVEs, each others."""
+
+
+def pytest_configure(config):
+    """Of several workers each has its share of the cores, and takes files in the order below."""
+    config.option.loadscopereorder = False
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS // workers))
+
+
+def pytest_collection_modifyitems(items):
+    """One worker begins to compile the kernels of RVEs while the others test what has none."""
+    sizes = Counter(item.path for item in items)
+    solving = re.compile(r"\brve\b|Rve|CliRunner|[Tt]issue")
+
+    def place(path):
+        for rank, files in ((0, FIRST), (2, NEXT)):
+            if path.stem in files:
+                return rank, files.index(path.stem)
+        return 3 if solving.search(path.read_text(encoding="utf-8")) else 1, -sizes[path]
+
+    places = {path: (*place(path), str(path)) for path in sizes}
+    items.sort(key=lambda item: places[item.path])
 
 
 @pytest.fixture(autouse=True)

@@ -100,8 +100,8 @@ def first_arguments(command, recipe, folder):
 def test_a_signal_ends_a_command(long_recipe, tmp_path, command):
     number = signal.SIGINT if command == "run" else signal.SIGTERM
     arguments = first_arguments(command, long_recipe, tmp_path)
-    again, _ = struck(start(arguments, tmp_path), number, 3.0, tmp_path)
-    struck(start(again or arguments, tmp_path), number, 2.5, tmp_path)
+    again, _ = struck(start(arguments, tmp_path), number, 2.0, tmp_path)
+    struck(start(again or arguments, tmp_path), number, 1.5, tmp_path)
 
 
 @pytest.mark.slow
