@@ -15,7 +15,6 @@ from benchmarks.timing import all_cores
 from surrofe2 import LoadCase, StressLaw
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.system import System, make_system
-from surrofe2.problem.problem import bar
 from surrofe2.report.figures import Curve, Panel, write_figure
 
 TITLE = "Cost over the number of points"
@@ -55,7 +54,7 @@ def run(setting: Setting) -> list[Row]:
         "true FE²": rve(PRESET),
         "cached FE²": setting.cached(PRESET, tolerance=np.inf),
     }
-    bars = [make_system(bar(LoadCase(), (n, n)), rve(PRESET).density) for n in sizes]
+    bars = [make_system(LoadCase(elements=(n, n)), rve(PRESET).density) for n in sizes]
     points = np.array([float(system.discretisation.n_points) for system in bars])
     steps = setting.pick(8, 3)
     costs = [
@@ -85,7 +84,7 @@ def _seconds(system: System, law: StressLaw, steps: int) -> Array:
 
 def _shape(system: System) -> Array:
     """(m,) bent bar whose free side moves by 1 µm: −(x/W)² down, fibres turned along."""
-    x, y = system.discretisation.nodes.T / LoadCase().width
+    x, y = system.discretisation.nodes.T / 400.0
     return system.pick(np.stack([2.0 * x * (y - 0.5), -(x**2)], axis=1))
 
 

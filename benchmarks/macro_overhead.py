@@ -15,7 +15,6 @@ from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import System, make_system
-from surrofe2.problem.problem import bar
 from surrofe2.stress_law import Acceptance, StressResponse
 
 TITLE = "A right-hand side but for its stress law"
@@ -52,7 +51,7 @@ def run(setting: Setting) -> list[Row]:
 
 
 def _overhead(setting: Setting, n: int, name: str, limit: float, *, per_point: bool) -> Row:
-    system = make_system(bar(LoadCase(), (n, n)), DENSITY)
+    system = make_system(LoadCase(elements=(n, n)), DENSITY)
     points = system.discretisation.n_points
     law = ReadyLaw(points)
     equations = EquationsOfMotion(system, law)

@@ -31,9 +31,9 @@ def main() -> None:
 
     recipe = load_recipe(given.recipe)
     chosen = choose_law(recipe, given.law, given.surrogate)
-    settings = MacroSettings(elements=(given.elements, given.elements))
-    load = replace(recipe.load, duration=given.duration)
-    done = simulate(load, chosen.law, settings)
+    mesh = replace(recipe.stated.mesh, elements=(given.elements, given.elements))
+    problem = replace(recipe, stated=replace(recipe.stated, mesh=mesh)).problem()
+    done = simulate(replace(problem, duration=given.duration), chosen.law, MacroSettings())
     print(
         json.dumps(
             {

@@ -48,11 +48,11 @@ def _measured(given: argparse.Namespace, driver: Driver | None) -> dict[str, Any
     law: Any = RveLaw(CellParameters.preset("printed"))
     if driver is not None:
         law = distributed(law, driver)
-    settings = MacroSettings(elements=(given.elements, given.elements))
-    simulate(LoadCase(duration=given.duration / 20.0), law, settings)
+    elements, settings = (given.elements, given.elements), MacroSettings()
+    simulate(LoadCase(duration=given.duration / 20.0, elements=elements), law, settings)
     if driver is not None:
         driver.reset_counts()
-    run = simulate(LoadCase(duration=given.duration), law, settings)
+    run = simulate(LoadCase(duration=given.duration, elements=elements), law, settings)
     return {
         **run.wall_time,
         "stresses": run.counts["stress_points"] + run.counts["dissipation_points"],

@@ -24,6 +24,7 @@ from surrofe2.cache import CacheSettings, StressTable
 from surrofe2.cache.protocols import Surrogate
 from surrofe2.errors import SimulationError
 from surrofe2.macro import MacroRun
+from surrofe2.problem import Problem
 from surrofe2.run.displacement_curve import difference
 from surrofe2.sampling import SamplingRange, sample
 from surrofe2.store.store import write_json, write_text
@@ -45,7 +46,7 @@ class Case:
     """
 
     name: str
-    load: LoadCase
+    load: Problem
     macro: MacroSettings = MacroSettings()  # noqa: RUF009 - frozen
     hits: float = 0.95
     of_all: bool = False
@@ -55,25 +56,24 @@ class Case:
 def cases(preset: str, duration: float) -> tuple[Case, ...]:
     """The bars that a surrogate of the default recipe is tried on, each for so long at most."""
     borne = BORNE[preset]
-    usual = LoadCase(duration=duration)
-    x, y = usual.body_force
+    usual = {"duration": duration}
+    x, y = 0.0, -0.2
     push = tuple((t * duration, a) for t, a in ((0.0, 0.0), (0.1, 1.0), (0.4, 1.0), (0.6, -1.0)))
     return (
-        Case("default bar", usual, hits=0.99),
-        Case("twice the body force", replace(usual, body_force=(2.0 * x, 2.0 * y))),
+        Case("default bar", LoadCase(**usual), hits=0.99),
+        Case("twice the body force", LoadCase(**usual, body_force=(2.0 * x, 2.0 * y))),
         Case(
             f"three times the body force, {borne:g} µs",
-            replace(usual, body_force=(3.0 * x, 3.0 * y), duration=min(duration, borne)),
+            LoadCase(body_force=(3.0 * x, 3.0 * y), duration=min(duration, borne)),
         ),
         Case(
             "500 × 300 µm, 10 × 6 elements",
-            replace(usual, width=500.0, height=300.0, watched=(500.0, 150.0)),
-            MacroSettings(elements=(10, 6)),
+            LoadCase(**usual, width=500.0, height=300.0, watched=(500.0, 150.0), elements=(10, 6)),
         ),
         *(
             Case(
                 "pulled along x" + (f", {factor:g} of the load" if factor < 1.0 else ""),
-                replace(usual, body_force=(-factor * y, 0.0)),
+                LoadCase(**usual, body_force=(-factor * y, 0.0)),
                 MacroSettings(absolute_tolerance=1e-5 * factor),
                 hits=0.99,
                 trained=True,
@@ -83,7 +83,7 @@ def cases(preset: str, duration: float) -> tuple[Case, ...]:
         *(
             Case(
                 "pushed along x" + (f", {factor:g} times the load" if factor > 1.0 else ""),
-                replace(usual, body_force=(factor * y, 0.0)),
+                LoadCase(**usual, body_force=(factor * y, 0.0)),
                 hits=0.99,
                 trained=True,
             )
@@ -91,7 +91,7 @@ def cases(preset: str, duration: float) -> tuple[Case, ...]:
         ),
         Case(
             "sideways push that reverses",
-            replace(usual, body_force=(0.2, -0.1), amplitude=push),
+            LoadCase(**usual, body_force=(0.2, -0.1), amplitude=push),
         ),
     )
 

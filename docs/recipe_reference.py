@@ -37,6 +37,8 @@ NOTES = {
     "range": "The section is needed by `generate`, `train` and cached runs. It must hold what a "
     "run meets; `surrofe2 check` proposes it.",
     "load": "The paper's bar. A recipe has either this section or `[mesh]` and its companions.",
+    "macro": "`elements`, two integers, `[4, 4]` by default, are those of the bar of [load] in x "
+    "and in y.",
     "surface": '`on` is a list of boundaries, or `"free"` (default): all outer sides that no '
     "condition and no body names. Without the section free sides have no law of their own.",
 }

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         read_surrogate as read_surrogate,
         write_surrogate as write_surrogate,
     )
-    from surrofe2.load_case import LoadCase as LoadCase
+    from surrofe2.problem.bar import LoadCase as LoadCase
     from surrofe2.problem.conditions import (
         BodyForce as BodyForce,
         Fixed as Fixed,

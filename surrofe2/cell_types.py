@@ -16,9 +16,11 @@ from surrofe2.errors import InputError, quoted
 from surrofe2.macro.discretisation import points_by_region
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import region
+from surrofe2.problem.problem import Problem
 from surrofe2.sampling import SamplingRange
 from surrofe2.settings import check_settings, check_value, from_table, setting
 from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tissue.conditions import inside_region
 
 T = TypeVar("T")
 Index = NDArray[np.int64]
@@ -179,3 +181,36 @@ def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str
         if not elements.size:
             raise InputError(f"cells.{name}.regions: {REST}; the other cells fill the whole mesh")
     return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
+
+
+def kinds_of_cells(
+    problem: Problem, types: Mapping[str, CellType], counts: tuple[int, int]
+) -> Index:
+    """(n, m) which of the types each plant cell of a full tissue is, by where its middle lies.
+
+    Raises:
+        InputError: a plant cell is of none, or of two.
+    """
+    known, side = problem.mesh.subdomains or {}, next(iter(types.values())).cell.cell_side
+    kind = np.full(counts, -1)
+
+    def at(where: NDArray[np.bool_]) -> str:
+        x, y = side * (np.argwhere(where)[0] + 0.5)
+        return f"({x:g}, {y:g}) µm"
+
+    for k, (name, each) in enumerate(types.items()):
+        for part in (part for part in each.regions if part in known):
+            inside = inside_region(problem, part, counts, side)
+            twice = inside & (kind >= 0) & (kind != k)
+            if twice.any():
+                raise InputError(
+                    f"cells.{name}.regions: {part}; the plant cell at {at(twice)} is of another "
+                    "type, too"
+                )
+            kind[inside] = k
+    rest = [k for k, each in enumerate(types.values()) if REST in each.regions]
+    if rest and REST not in known:
+        kind[kind < 0] = rest[0]
+    if (kind < 0).any():
+        raise InputError(f"cells: none fills the plant cell at {at(kind < 0)}; give it a type")
+    return kind

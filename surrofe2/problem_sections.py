@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os.path
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +18,16 @@ import skfem
 
 from surrofe2.errors import FileError, InputError, quoted
 from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import BodyForce, Condition, Foundation, Pressure, Traction
+from surrofe2.problem.entries import (
+    Point,
+    body_of,
+    condition_of,
+    entries_of_part,
+    parts_of,
+    sections_of,
+)
 from surrofe2.problem.mesh import (
     boundary,
     check_mesh,
@@ -31,14 +40,6 @@ from surrofe2.problem.mesh import (
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.regions import Part
 from surrofe2.problem.rigid_bodies import RigidBody
-from surrofe2.problem_entries import (
-    Point,
-    body_of,
-    condition_of,
-    entries_of,
-    entries_of_part,
-    parts_of,
-)
 from surrofe2.settings import check_settings, check_value, from_table, setting
 from surrofe2.store.meshes import read_mesh
 from surrofe2.store.store import reported
@@ -99,6 +100,7 @@ class StatedProblem:
 
     Attributes:
         sha256: of the mesh file.
+        section: that states its extent, "mesh" or "load".
     """
 
     mesh: MeshSettings
@@ -109,6 +111,7 @@ class StatedProblem:
     watched: Mapping[str, Point]
     time: TimeSettings
     sha256: str | None
+    section: str = "mesh"
 
     def problem(self, folder: Path) -> Problem:
         """The problem; its files lie relative to `folder`.
@@ -137,6 +140,8 @@ class StatedProblem:
             duration=self.time.duration,
             output_interval=self.time.output_interval or self.time.duration,
             watched=self.watched,
+            boundaries=self.boundaries,
+            regions=self.regions,
         )
 
     def _mesh(self, folder: Path) -> skfem.Mesh:
@@ -168,19 +173,6 @@ class StatedProblem:
         return {"mesh": mesh, **acts, "time": asdict(self.time)}
 
 
-def sections_of(
-    conditions: tuple[Condition, ...], bodies: tuple[RigidBody, ...], watched: Mapping[str, Point]
-) -> dict[str, dict[str, Any]]:
-    """What acts on a tissue and what is watched, as a recipe has it."""
-    return {
-        "conditions": {
-            label(each): {"kind": each.kind(), **entries_of(each)} for each in conditions
-        },
-        "bodies": {body.name: entries_of(body) for body in bodies},
-        "watch": dict(watched),
-    }
-
-
 def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
     """The mesh of a file whose lengths are in µm ("µm", "um"), mm or m.
 
@@ -195,13 +187,30 @@ def load_mesh(path: str | Path, length_unit: str = "µm") -> skfem.Mesh:
         raise InputError(f"{Path(path).name}: {error}") from None
 
 
-def stated_problem(table: Mapping[str, Any], folder: Path) -> StatedProblem:
-    """The problem of a recipe's tables.
+def stated_problem(
+    table: Mapping[str, Any], folder: Path, elements: tuple[int, int]
+) -> StatedProblem:
+    """The problem of a recipe's tables; without any of `SECTIONS`, the bar of [load].
+
+    Args:
+        elements: of the bar, in x and in y.
 
     Raises:
         InputError: naming the entry that is not what it must be.
         FileError: there is no such mesh file.
     """
+    sections = [name for name in SECTIONS if name in table]
+    if sections and "load" in table:
+        raise InputError(
+            f"load: [load] states the paper's bar, [{sections[0]}] another problem; leave one out"
+        )
+    if sections:
+        return _stated(table, folder)
+    load = from_table("load", LoadSettings, table.get("load", {}))
+    return replace(_stated(load.sections(elements), folder), section="load")
+
+
+def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem:
     for name in SECTIONS:
         lists = (list, dict) if name == "conditions" else dict
         if not isinstance(table.get(name, {}), lists):

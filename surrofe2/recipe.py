@@ -11,10 +11,10 @@ import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import numpy as np
 import skfem
@@ -23,18 +23,18 @@ from numpy.typing import NDArray
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.cell_types import CellType, SampleSettings, cell_types, points_of_cells
 from surrofe2.errors import FileError, InputError, quoted, shortened
-from surrofe2.load_case import LoadCase
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import FREE
 from surrofe2.problem.mesh import boundary
-from surrofe2.problem.problem import Problem, bar
+from surrofe2.problem.problem import Problem
 from surrofe2.problem_sections import SECTIONS as PROBLEM_SECTIONS
 from surrofe2.problem_sections import StatedProblem, stated_problem
 from surrofe2.recipe_entries import with_changes
 from surrofe2.rve.settings import RveSettings
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_value, from_table, hints_of, unknown
+from surrofe2.settings import check_value, from_table, unknown
 from surrofe2.store.store import plain
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
@@ -50,8 +50,7 @@ class Recipe:
     """Everything a study needs. `path` is the recipe's file, against which its files resolve.
 
     Attributes:
-        load: the paper's bar; None where the recipe states another problem.
-        stated: that problem.
+        stated: the problem.
         types: cells by name, of a recipe with [cells.NAME]; its `cell` is the first of them.
         cell_name: whose the recipe is, where it is a part of one with several: its `siblings`,
             itself among them.
@@ -65,14 +64,13 @@ class Recipe:
     samples: SampleSettings
     training: TrainingSettings
     calibration: CalibrationSettings
-    load: LoadCase | None
+    stated: StatedProblem
     macro: MacroSettings
     tissue: TissueSettings
     table: TableSettings
     surface: SurfaceSettings | None = None
     cache: CacheSettings = field(default_factory=CacheSettings)
     training_file: str | None = None
-    stated: StatedProblem | None = None
     types: Mapping[str, CellType] = field(default_factory=dict)
     cell_name: str | None = None
     siblings: Mapping[str, CellType] = field(default_factory=dict)
@@ -174,10 +172,7 @@ class Recipe:
             InputError: the mesh is none, or has not what the recipe names.
         """
         with self.named(FileError, InputError):
-            if self.stated is None:
-                problem = bar(self.bar_load(), self.macro.elements)
-            else:
-                problem = self.stated.problem(self.path.parent)
+            problem = self.stated.problem(self.path.parent)
             if self.types:
                 self.points_of_cells(problem.mesh)
             if self.surface is not None and self.surface.on != FREE:
@@ -185,22 +180,10 @@ class Recipe:
                     boundary(problem.mesh, name, "surface.on")
             return problem
 
-    def bar_load(self) -> LoadCase:
-        """The load of the paper's bar, for what computes no other problem.
-
-        Raises:
-            InputError: the recipe states another problem.
-        """
-        if self.load is None:
-            raise InputError(
-                f"{self.path.name}: load: missing; this command needs the bar of a section [load]"
-            )
-        return self.load
-
     @property
     def duration(self) -> float:
         """Length of the run, µs."""
-        return self.bar_load().duration if self.stated is None else self.stated.time.duration
+        return self.stated.time.duration
 
     def data_path(self) -> Path:
         """Where the data set lies."""
@@ -234,36 +217,42 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        entries = asdict(replace(self, stated=None, types={}, siblings={}))
-        sections = {name: entries[name] for name in SECTIONS if entries[name] is not None}
+        entries = asdict(replace(self, types={}, siblings={}))
+        sections = {name: entries[name] for name in SECTIONS if entries.get(name) is not None}
         sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
         sections["training"]["file"] = self.training_file
         if self.types:
             del sections["cell"]
             sections["cells"] = {name: each.to_dict() for name, each in self.types.items()}
-        if self.stated is not None:
-            sections |= self.stated.to_dict()
-        plainly: dict[str, Any] = plain({"recipe": self.path.name, **sections})
+        plainly: dict[str, Any] = plain(
+            {"recipe": self.path.name, **sections, **self.stated.to_dict()}
+        )
         return plainly
 
 
 SECTIONS: dict[str, type] = {
-    name: kind
-    for name, hint in hints_of(Recipe).items()
-    for kind in (get_args(hint) or (hint,))
-    if name not in ("types", "siblings")
-    and isinstance(kind, type)
-    and is_dataclass(kind)
-    and kind is not StatedProblem
+    "cell": CellParameters,
+    "rve": RveSettings,
+    "range": SamplingRange,
+    "samples": SampleSettings,
+    "training": TrainingSettings,
+    "calibration": CalibrationSettings,
+    "load": LoadSettings,
+    "macro": MacroSettings,
+    "tissue": TissueSettings,
+    "table": TableSettings,
+    "surface": SurfaceSettings,
+    "cache": CacheSettings,
 }
-"""The fields of a recipe that are settings, by name."""
+"""Sections of settings by name; others state a problem, or several cells."""
 _NOT_NEEDED = ("range", "surface")
 """Sections that a recipe may do without; each other one has a default for all it must have."""
-_EXTRA_KEYS: dict[str, tuple[str, Any, Any]] = {
-    "cell": ("preset", str, "printed"),
-    "training": ("file", str | None, None),
+_EXTRA_KEYS: dict[str, tuple[str, Any, Any, dict[str, Any]]] = {
+    "cell": ("preset", str, "printed", {}),
+    "training": ("file", str | None, None, {}),
+    "macro": ("elements", tuple[int, int], (4, 4), {"least": 1}),
 }
-"""Keys besides the fields of the sections: name, type and default."""
+"""Keys besides the fields of the sections: name, type, default and bounds."""
 
 
 def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType({})) -> Recipe:
@@ -302,26 +291,24 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             raise InputError(unknown(name, name, "section", known))
         if name in SECTIONS and not isinstance(section, dict):
             raise InputError(f"{name}: {quoted(section)}; it must be a section [{name}]")
-    stated, types = _stated(table, path.parent), cell_types(table)
     given = {name: dict(table.get(name, {})) for name in SECTIONS}
     extras: dict[str, Any] = {}
-    for section, (key, kind, default) in _EXTRA_KEYS.items():
+    for section, (key, kind, default, bounds) in _EXTRA_KEYS.items():
         value = given[section].pop(key, default)
-        extras[section] = check_value(f"{section}.{key}", value, kind, {})
+        extras[section] = check_value(f"{section}.{key}", value, kind, bounds)
+    stated, types = stated_problem(table, path.parent, extras["macro"]), cell_types(table)
+    _check_homes(table)
     made: dict[str, Any] = {
         name: from_table(name, kind, given[name], _EXTRA_KEYS.get(name, ())[:1])
         for name, kind in SECTIONS.items()
-        if name in table or name not in _NOT_NEEDED
+        if name != "load" and (name in table or name not in _NOT_NEEDED)
     }
     preset = extras["cell"]
     made["cell"] = CellParameters.preset(preset, **given["cell"])
     if types:
         first = next(iter(types.values()))
         preset, made["cell"], made["types"] = first.preset, first.cell, types
-    if stated is not None:
-        made["load"], frames = None, stated.time.frames
-        wanted = {"elements": stated.mesh.elements, "frames": frames}
-        made["macro"] = changed(made["macro"], **wanted)
+    made["macro"] = changed(made["macro"], frames=stated.time.frames)
     return Recipe(path=path, preset=preset, training_file=extras["training"], stated=stated, **made)
 
 
@@ -331,17 +318,10 @@ def changed(settings: T, **given: Any) -> T:
     return replace(settings, **wanted)  # type: ignore[type-var]
 
 
-def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem | None:
-    """The problem that a recipe states; None where it is the bar of [load]."""
-    sections = [name for name in PROBLEM_SECTIONS if name in table]
-    if not sections:
-        return None
-    if "load" in table:
-        raise InputError(
-            f"load: [load] states the paper's bar, [{sections[0]}] another problem; leave one out"
-        )
-    for key in ("elements", "frames"):
-        if key in table.get("macro", {}) and (key == "elements" or key in table.get("time", {})):
-            home = "mesh" if key == "elements" else "time"
+def _check_homes(table: Mapping[str, Any]) -> None:
+    """Refuse keys of [macro] that another section of the recipe has."""
+    homes = {"elements": "mesh" if set(PROBLEM_SECTIONS) & table.keys() else ""}
+    homes["frames"] = "time" if "frames" in table.get("time", {}) else ""
+    for key, home in homes.items():
+        if home and key in table.get("macro", {}):
             raise InputError(f"macro.{key}: {quoted(table['macro'][key])}; it stands in [{home}]")
-    return stated_problem(table, folder)

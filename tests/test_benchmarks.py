@@ -17,7 +17,7 @@ from surrofe2.cache import CacheSettings
 from tests.laws import Learnt, Truth
 
 ROOT = Path(__file__).parents[1]
-SMALL = MacroSettings(elements=(2, 2))
+SMALL = MacroSettings()
 
 
 def test_a_failing_benchmark_does_not_stop_the_others(monkeypatch, tmp_path, capsys):
@@ -56,7 +56,7 @@ def test_trust_compares_every_accepted_answer_with_the_tolerance(error, kept):
         Truth(),
         CacheSettings(tolerance=1e-3, audit=1.0),
     )
-    load = LoadCase(width=60.0, height=40.0, watched=(60.0, 20.0), duration=2.0)
+    load = LoadCase(width=60.0, height=40.0, watched=(60.0, 20.0), duration=2.0, elements=(2, 2))
     case = trust.Case("tiny", load, SMALL)
     rows, report = trust.measure("a tiny bar", law, case)
     assert report["audit"]["audited"] == report["accepted"]["hits"] > 0

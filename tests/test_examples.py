@@ -17,7 +17,6 @@ from surrofe2.problem.amplitude import Constant, Sine
 from surrofe2.recipe import load_recipe
 from surrofe2.tissue import TissueSettings, simulate_tissue
 from surrofe2.tissue.simulation import make_conditions
-from surrofe2.tissue_problem import problem_of_tissue
 from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
@@ -147,16 +146,16 @@ def test_recipes_with_bodies_run_on_the_full_tissue(name):
         watched={"top": (0.0, height)},
         time=replace(stated.time, duration=time * stated.time.duration, output_interval=0.1),
     )
-    problem = problem_of_tissue(replace(recipe, stated=small))
+    problem = replace(recipe, stated=small).problem()
     reference = RveLaw(recipe.cell).reference
     run = simulate_tissue(problem, recipe.cell, TissueSettings(frames=2), reference=reference)
     scale = max(
         run.energies["kinetic"][0], run.energies["contact"].max(), run.energies["elastic"].max()
     )
     assert abs(run.energies["balance"]).max() < 2e-3 * scale
-    names = [each.name for each in (*problem.supports, *problem.bodies)]
-    total = np.stack([sum(run.history[f"force {one} {axis}"] for one in names) for axis in "xy"], 1)
     conditions = make_conditions(problem, recipe.cell, reference)
+    names = [each.name for each in (*conditions.supports, *problem.bodies)]
+    total = np.stack([sum(run.history[f"force {one} {axis}"] for one in names) for axis in "xy"], 1)
     mass = conditions.tissue.mass.reshape(-1)[conditions.tissue.where]
     gained = mass @ (run.frames.velocity[-1] - run.frames.velocity[0])
     impulse = 0.1 * (total.sum(axis=0) - 0.5 * (total[0] + total[-1]))

@@ -82,7 +82,7 @@ def test_the_page_s_example_in_a_short_form(tmp_path, monkeypatch, caplog):
 def test_a_saved_run_is_the_one_that_the_command_writes(recipe, tmp_path):
     law = RveLaw(recipe.cell, recipe.rve)
     run_study(recipe, "rve", tmp_path / "command")
-    save_run(simulate(recipe.load, law, recipe.macro), tmp_path / "python")
+    save_run(simulate(recipe.problem(), law, recipe.macro), tmp_path / "python")
     for name in ("curve.csv", "history.csv", "energies.csv", "fields.xdmf"):
         texts = [(tmp_path / of / name).read_text() for of in ("command", "python")]
         assert texts[0] == texts[1]
@@ -94,7 +94,8 @@ def test_a_saved_run_is_the_one_that_the_command_writes(recipe, tmp_path):
         assert all(np.array_equal(a[name], b[name]) for name in a)
     records = [read_record(tmp_path / of) for of in ("command", "python")]
     compared = [record.compared() for record in records]
-    for name in compared[1]:
+    stated = [name for name in compared[1] if not name.startswith("mesh.")]  # by its arrays
+    for name in stated:
         assert compared[1][name] == compared[0][name], name
     counts = [record.counts for record in records]
     assert counts[0] == counts[1]
@@ -103,7 +104,8 @@ def test_a_saved_run_is_the_one_that_the_command_writes(recipe, tmp_path):
     assert result.runs[0].difference.largest == 0.0
     with pytest.raises(MismatchError, match=r"duration: this call has 3\.0, what is there 4\.0"):
         save_run(
-            simulate(replace(recipe.load, duration=3.0), law, recipe.macro), tmp_path / "python"
+            simulate(replace(recipe.problem(), duration=3.0), law, recipe.macro),
+            tmp_path / "python",
         )
 
 
@@ -156,9 +158,11 @@ def test_a_law_for_each_region_is_saved_with_its_cells(tmp_path):
 
 
 def test_a_run_that_fails_is_saved_as_failed(tmp_path):
-    load = LoadCase(width=100.0, height=100.0, watched=(100.0, 50.0), duration=30.0)
+    load = LoadCase(
+        width=100.0, height=100.0, watched=(100.0, 50.0), elements=(2, 2), duration=30.0
+    )
     with pytest.raises(SimulationError) as stopped:
-        simulate(load, SoftLaw(fails_above=1.005), MacroSettings(elements=(2, 2)))
+        simulate(load, SoftLaw(fails_above=1.005), MacroSettings())
     assert save_run(stopped.value.partial, tmp_path).status == "failed"
     with pytest.raises(InputError, match="the run is failed"):
         read_run(tmp_path)

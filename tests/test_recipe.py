@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.errors import FileError, InputError
-from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe import load_recipe, make_recipe
 
@@ -31,11 +31,12 @@ def test_shipped_recipes_load(path):
 def test_shipped_recipes_are_the_paper_s_bar():
     shipped = {path.stem: load_recipe(path) for path in RECIPES}
     printed = shipped["bending-bar"]
-    assert printed.load == LoadCase()
+    assert printed.stated == make_recipe({}).stated
     assert printed.cell == CellParameters.preset("printed")
     assert shipped["bending-bar-water"].cell == CellParameters.preset("water")
     triple = shipped["bending-bar-triple-load"]
-    assert triple.load.body_force == pytest.approx((0.0, 3 * printed.load.body_force[1]))
+    weights = [each.stated.conditions[-1].acceleration for each in (printed, triple)]
+    assert weights[1] == pytest.approx((0.0, 3 * weights[0][1]))
     assert triple.data_path() == printed.data_path()
     assert triple.training_path() == printed.training_path()
 
@@ -48,7 +49,7 @@ def test_single_constants_change_a_preset():
         }
     )
     assert recipe.cell == CellParameters.preset("water", wall_stiffness=1000.0)
-    assert recipe.load == LoadCase()
+    assert recipe.problem().conditions == LoadCase().conditions
 
 
 def test_files_are_relative_to_the_recipe(recipe, recipe_path):

@@ -24,7 +24,7 @@ def surrogate():
 
 def test_every_object_is_one_short_line(surrogate):
     law = RveLaw(CELL)
-    run = simulate(LoadCase(duration=1.0), TrueLattice(), MacroSettings(elements=(1, 1)))
+    run = simulate(LoadCase(duration=1.0, elements=(1, 1)), TrueLattice(), MacroSettings())
     samples = lattice_samples(100)
     expected = {
         law: "<RveLaw: 1 square cell ",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.problem import Surface
+from surrofe2.problem import BodyForce, Surface
 from surrofe2.recipe import Recipe, make_recipe
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.report.figures import Curve, Panel
@@ -27,7 +27,7 @@ from surrofe2.store.store import read_kept, write_kept
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.tissue import simulate_tissue
-from surrofe2.tissue_problem import cells_of, problem_of_tissue
+from surrofe2.workflow.tissue import tissue_of
 from validation.damped_fit import DampedFit, first_minimum, fit_damped_modes
 
 Array = NDArray[np.float64]
@@ -100,9 +100,9 @@ class Case:
         recipe, begin = self.recipe, perf_counter()
         references = {name: RveLaw(part.cell).reference for name, part in recipe.parts().items()}
         if self.method == TISSUE:
-            tissue = problem_of_tissue(recipe)
+            tissue, cells, kind = tissue_of(recipe)
             run: Any = simulate_tissue(
-                tissue, cells_of(recipe), recipe.tissue, reference=list(references.values())
+                tissue, cells, recipe.tissue, reference=list(references.values()), kind=kind
             )
             return self._run(run)
         problem = recipe.problem()
@@ -118,9 +118,9 @@ class Case:
             return self._run(simulate(problem, law, recipe.macro))
         begin = perf_counter()
         rest = find_rest(problem, law, recipe.macro, factor=0.0)
-        load = recipe.bar_load()
-        t = load.output_times()
-        u = small_oscillations(rest, t, load.body_force)
+        t, load = problem.output_times(), problem.conditions[-1]
+        assert isinstance(load, BodyForce)
+        u = small_oscillations(rest, t, load.acceleration)
         return Run(self, t, u[:, self.axis], perf_counter() - begin)
 
     def _run(self, run: Any) -> Run:

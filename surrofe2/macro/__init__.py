@@ -2,7 +2,7 @@
 
 Reading order: settings;
 discretisation, internal_force (space); forces, contact, free_sides, surface_patches,
-surface_elements, supports, mass, system (what acts on it), posed; equations_of_motion,
+surface_elements, mass, system (what acts on it); equations_of_motion,
 time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); history,
 simulation (a run). Without time: equilibrium, quasi_static, modes.
 """

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Tally
 from surrofe2.macro.equilibrium import Newton, Rest
 from surrofe2.macro.evaluation import NoStress, Switched
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.posed import as_problem, system_of
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
+from surrofe2.macro.system import system_of
 from surrofe2.macro.tangents import make_assembly
 from surrofe2.problem.problem import Problem
 from surrofe2.stress_law import StressLaw, require_tangents
@@ -28,7 +27,7 @@ _SMALLEST_SHARE = 1.0 / 16.0
 
 
 def find_rest(
-    problem: Problem | LoadCase,
+    problem: Problem,
     law: StressLaw,
     settings: MacroSettings = SECTION_6_2,
     *,
@@ -66,7 +65,6 @@ def find_rest(
         raise InputError(f"factor: {factor}; it must be finite")
     if load_steps < 1:
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
-    problem = as_problem(problem, settings)
     system = system_of(problem, law, proportional=True)
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
     if problem.surface is not None and resume is None:

@@ -1,4 +1,4 @@
-"""Settings of a macro run: mesh, time integration, tolerances, what is recorded."""
+"""Settings of a macro run: time integration, tolerances, what is recorded."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from surrofe2.units import TIME
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MacroSettings:
-    """Mesh, tolerances and what is kept; the defaults are those of section 6.2."""
+    """Tolerances and what is kept; the defaults are those of section 6.2."""
 
-    elements: tuple[int, int] = setting((4, 4), "number of elements in x and in y", least=1)
     absolute_tolerance: float = setting(
         1e-5,
         "absolute error allowed in a step, for displacement and velocity",

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from surrofe2.compilation import clock
 from surrofe2.errors import MismatchError, SimulationError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro.chunks import Chunks
 from surrofe2.macro.discretisation import displacement_basis
 from surrofe2.macro.dormand_prince import DormandPrince
@@ -25,10 +24,9 @@ from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
-from surrofe2.macro.posed import as_problem, system_of
 from surrofe2.macro.quasi_static import settle
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.system import PARTS, System
+from surrofe2.macro.system import PARTS, System, system_of
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.problem.problem import Problem
@@ -98,7 +96,7 @@ class MacroRun(ViewedRun):
     effort: dict[str, int]
     threads: int
     finished: bool
-    problem: Problem | LoadCase
+    problem: Problem
     law: StressLaw
     settings: MacroSettings
 
@@ -131,7 +129,7 @@ class MacroRun(ViewedRun):
     @property
     def basis(self) -> skfem.Basis:
         """scikit-fem's basis of displacements, made at every call."""
-        return displacement_basis(as_problem(self.problem, self.settings).mesh)
+        return displacement_basis(self.problem.mesh)
 
     def displacement(self, frame: int = -1) -> Array:
         """(2 n_nodes,) displacement of a frame as a nodal vector of `basis`, µm.
@@ -150,7 +148,7 @@ class MacroRun(ViewedRun):
 
 
 def simulate(
-    problem: Problem | LoadCase,
+    problem: Problem,
     law: StressLaw,
     settings: MacroSettings = SECTION_6_2,
     *,
@@ -167,10 +165,9 @@ def simulate(
     stress, or whose end the law does not accept, is tried again at half the length.
 
     Args:
-        problem: the tissue and what acts on it; a `LoadCase` is the clamped bar of section 6.2 on
-            `settings.elements` elements.
+        problem: the tissue and what acts on it.
         law: any stress law; its density times the area is the mass.
-        settings: mesh of a bar, tolerances, what is kept.
+        settings: tolerances, what is kept.
         progress: called with (t, duration) in µs after every step.
         checkpoint: called with the state of the run when `checkpoint_interval` seconds have
             passed since it last was, or more where that took long, and upon an interrupt, which
@@ -190,7 +187,7 @@ def simulate(
         MismatchError: `resume` is of another run.
     """
     check_interval(checkpoint_interval)
-    given, problem = (problem, law, settings), as_problem(problem, settings)
+    given = problem, law, settings
     system = system_of(problem, law)
     for contact in system.contacts:
         contact.check_start()
@@ -251,7 +248,7 @@ class _Recorded:
 
     recorder: Recorder
     system: System
-    given: tuple[Problem | LoadCase, StressLaw, MacroSettings]
+    given: tuple[Problem, StressLaw, MacroSettings]
 
     @property
     def may_be_kept(self) -> bool:
@@ -300,7 +297,7 @@ def _make_stepper(
 def _make_run(
     system: System,
     state: MacroState,
-    given: tuple[Problem | LoadCase, StressLaw, MacroSettings],
+    given: tuple[Problem, StressLaw, MacroSettings],
     finished: bool,
 ) -> MacroRun:
     """The results that `state` holds of what was `given` to `simulate`."""

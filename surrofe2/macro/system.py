@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
 from surrofe2.macro.contact import Contact, make_contact
-from surrofe2.macro.discretisation import Discretisation, make_discretisation
+from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
 from surrofe2.macro.mass import make_mass, mass_solver, tissue_mass
-from surrofe2.macro.supports import Support, make_supports
 from surrofe2.macro.surface_elements import SurfaceForce, make_surface
+from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.conditions import InitialVelocity
 from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
 from surrofe2.problem.problem import SURFACE, Problem, label
+from surrofe2.problem.supports import Support, supports_of, without_overlap
+from surrofe2.stress_law import StressLaw
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -240,6 +242,27 @@ def _digest(contents: list[Array | Index | str]) -> list[int]:
     return list(digest.digest())
 
 
+def system_of(problem: Problem, law: StressLaw, *, proportional: bool = False) -> System:
+    """The system of a problem with the law's density and, where bodies touch it, its modulus."""
+    if not problem.bodies:
+        return make_system(problem, law.density, proportional=proportional)
+    modulus = _modulus(law, n_points_of(problem.mesh))
+    return make_system(problem, law.density, modulus=modulus, proportional=proportional)
+
+
+def _modulus(law: StressLaw, n_points: int) -> float:
+    """Largest modulus of uniaxial strain at rest of any point, µN/µm."""
+    strain, largest = 1e-4, 0.0
+    still = np.zeros((n_points, 2, 2))
+    for k in (0, 1):
+        F = np.tile(np.eye(2), (n_points, 1, 1))
+        before = law.respond(F, still).stress[:, k, k]
+        F[:, k, k] += strain
+        after = law.respond(F, still).stress[:, k, k]
+        largest = max(largest, float(np.nanmax(after - before)) / strain)
+    return largest
+
+
 def make_system(
     problem: Problem,
     density: Array | float,
@@ -269,7 +292,7 @@ def make_system(
         return sum((each.mass(share, n_nodes) for each in surface), tissue)
 
     mass = make_mass(problem, mass_of(np.ones(mesh.nelements)))
-    supports = make_supports(problem, proportional)
+    supports = _supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
     if not free.size:
@@ -303,9 +326,23 @@ def make_system(
     )
 
 
+def _supports(problem: Problem, proportional: bool) -> tuple[Support, ...]:
+    """Those of the conditions and of bodies without mass; `proportional` as of `make_system`."""
+    mesh = problem.mesh
+    found = supports_of(problem, lambda each: nodes_on(mesh, each.on, f"{each.kind()}.on"))
+    for k, body in enumerate(problem.bodies):
+        if body.mass is None:
+            unknowns = 2 * (mesh.p.shape[1] + k) + np.arange(2)
+            values = np.array(body.displacement)
+            found.append(Support(f"{body.name} position", unknowns, values, body.amplitude))
+    if proportional:
+        found = [replace(each, amplitude=Proportional()) for each in found]
+    return without_overlap(found, mesh.p.T)
+
+
 def _boundary_weights(problem: Problem) -> dict[str, Array]:
     mesh = problem.mesh
-    names = [name for name in mesh.boundaries or {} if name in set(problem.places())]
+    names = problem.acted_boundaries()
     loads = {name: traction_load(mesh, boundary(mesh, name), (1.0, 1.0))[:, 0] for name in names}
     return {name: load / load.sum() for name, load in loads.items()}
 

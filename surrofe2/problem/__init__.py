@@ -1,7 +1,8 @@
 """What is computed, for finite elements and for a full tissue of particles alike.
 
 Reading order: regions (of the plane), mesh; amplitude (factors in time), contact_law, rigid_bodies;
-conditions (what holds and loads a tissue), problem (all of it).
+conditions (what holds and loads a tissue), problem (all of it), supports (what is held, each
+component once); entries (of a recipe, and back), bar (of the paper).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 from surrofe2.public_names import public_names
 
 if TYPE_CHECKING:
+    from surrofe2.problem.bar import LoadCase
     from surrofe2.problem.conditions import (
         BodyForce,
         Fixed,

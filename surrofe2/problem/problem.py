@@ -6,24 +6,23 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, quoted
-from surrofe2.load_case import LoadCase, output_times
-from surrofe2.problem.amplitude import ONE, Amplitude, Constant, Table
+from surrofe2.problem.amplitude import Amplitude, Constant
 from surrofe2.problem.conditions import (
-    BodyForce,
     Condition,
     DrivenCondition,
-    Fixed,
     InitialVelocity,
     PrescribedMotion,
     Surface,
 )
-from surrofe2.problem.mesh import check_mesh, extent, rectangle
+from surrofe2.problem.mesh import check_mesh, extent, with_boundaries, with_regions
+from surrofe2.problem.regions import Part
 from surrofe2.problem.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
@@ -50,8 +49,11 @@ class Problem:
         output_interval: time between rows of the results, µs.
         watched: reference positions whose displacement is recorded, µm, by name; the first is
             the one of the displacement curve. The tissue's middle if there is none.
+        boundaries, regions: more of them, by name the part of the plane that holds the ends of
+            outer sides, or centres of elements; of a full tissue wall particles, or middles of
+            plant cells.
         surface: free sides with a surface law, under which the tissue comes to rest before the
-            run; displacements count from there. None: there are none.
+            run; displacements count from there. None: there are none. A full tissue needs none.
 
     Raises:
         InputError: as of `check_mesh`; two things have one name, or a number is out of range.
@@ -63,10 +65,30 @@ class Problem:
     duration: float = 250.0
     output_interval: float = 0.5
     watched: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    boundaries: Mapping[str, Part] = field(default_factory=dict)
+    regions: Mapping[str, Part] = field(default_factory=dict)
     surface: Surface | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mesh", check_mesh(self.mesh))
+        mesh = with_boundaries(check_mesh(self.mesh), **self.boundaries)
+        object.__setattr__(self, "mesh", with_regions(mesh, **self.regions))
+        self._check_times()
+        _check_all(Condition, self.conditions)
+        _check_all(RigidBody, self.bodies)
+        if not isinstance(self.surface, Surface | None):
+            raise InputError(f"problem.surface: {quoted(self.surface)}; it must be a Surface")
+        for amplitude in self.amplitudes():
+            if not isinstance(amplitude, Amplitude):
+                raise InputError(
+                    f"problem: amplitude: {quoted(amplitude)}; it must be an Amplitude, as Table"
+                )
+        self._check_names()
+        if not self.watched:
+            middle = 0.5 * np.add(*extent(self.mesh))
+            x, y = self.mesh.p[:, abs(self.mesh.p.T - middle).sum(axis=1).argmin()]
+            object.__setattr__(self, "watched", {"middle": (float(x), float(y))})
+
+    def _check_times(self) -> None:
         for name, value in (("duration", self.duration), ("output_interval", self.output_interval)):
             if not 0.0 < value < np.inf:
                 raise InputError(f"problem.{name}: {value}; it must be positive and finite (µs)")
@@ -75,18 +97,11 @@ class Problem:
                 f"problem.output_interval: {self.output_interval} µs; it must be at least "
                 f"{self.duration / MOST_ROWS:g} µs, a millionth of the duration"
             )
-        for each, kind in ((self.conditions, Condition), (self.bodies, RigidBody)):
-            given = each if isinstance(each, tuple | list) else (each,)
-            wrong = next((one for one in given if not isinstance(one, kind)), None)
-            if wrong is not None or given is not each:
-                told = each if wrong is None else wrong
-                raise InputError(
-                    f"problem: {quoted(told)}; there must be a tuple of {kind.__name__}"
-                )
-        if not isinstance(self.surface, Surface | None):
-            raise InputError(f"problem.surface: {quoted(self.surface)}; it must be a Surface")
-        names = [*map(label, self.conditions), *(body.name for body in self.bodies)]
-        for name, number in Counter(names).items():
+
+    def _check_names(self) -> None:
+        """Results tell conditions, bodies and energies apart by name, velocities by their place."""
+        names = Counter([*map(label, self.conditions), *(body.name for body in self.bodies)])
+        for name, number in names.items():
             if number > 1:
                 raise InputError(f"problem: {number} conditions are called {name}; name them apart")
             if name in TAKEN:
@@ -96,15 +111,6 @@ class Problem:
             if number > 1:
                 where = place or "the whole mesh"
                 raise InputError(f"problem: {number} initial velocities on {where}; give one")
-        for amplitude in self.amplitudes():
-            if not isinstance(amplitude, Amplitude):
-                raise InputError(
-                    f"problem: amplitude: {quoted(amplitude)}; it must be an Amplitude, as Table"
-                )
-        if not self.watched:
-            middle = 0.5 * np.add(*extent(self.mesh))
-            x, y = self.mesh.p[:, abs(self.mesh.p.T - middle).sum(axis=1).argmin()]
-            object.__setattr__(self, "watched", {"middle": (float(x), float(y))})
 
     def amplitudes(self) -> Iterator[Amplitude]:
         """Those of all conditions and bodies."""
@@ -148,10 +154,14 @@ class Problem:
                     "act before the end, or be left out"
                 )
 
-    def places(self) -> Iterator[str | None]:
-        """Boundaries and regions that conditions and bodies act on."""
-        yield from (condition.on for condition in self.conditions)
-        yield from (body.on for body in self.bodies)
+    def places(self) -> set[str | None]:
+        """Boundaries and regions that conditions and bodies act on; None: everywhere."""
+        return {each.on for each in self.conditions} | {body.on for body in self.bodies}
+
+    def acted_boundaries(self) -> list[str]:
+        """Boundaries that conditions and bodies act on, in the order of the mesh."""
+        places = self.places()
+        return [name for name in self.mesh.boundaries or {} if name in places]
 
     def corners(self) -> Array:
         """(m,) times in µs at which a step must end, from 0 to the end of the run."""
@@ -166,7 +176,9 @@ class Problem:
 
     def output_times(self) -> Array:
         """(m,) times in µs at which results are kept: multiples of the interval, and the end."""
-        return output_times(self.duration, self.output_interval)
+        count = int(np.floor(self.duration / self.output_interval * (1.0 + 1e-12)))
+        times: Array = self.output_interval * np.arange(count + 1.0)
+        return times if np.isclose(times[-1], self.duration) else np.append(times, self.duration)
 
 
 def label(condition: Condition) -> str:
@@ -176,14 +188,9 @@ def label(condition: Condition) -> str:
     return f"{condition.kind()} {condition.on}" if condition.on else condition.kind()
 
 
-def bar(load_case: LoadCase, elements: tuple[int, int]) -> Problem:
-    """A rectangle, clamped along its left side, under a body force: the bar of section 6.2."""
-    amplitude = Table(points=load_case.amplitude) if load_case.amplitude else ONE
-    load = BodyForce(name="load", acceleration=load_case.body_force, amplitude=amplitude)
-    return Problem(
-        mesh=rectangle(load_case.width, load_case.height, elements),
-        conditions=(Fixed(on="left", name="clamp"), load),
-        duration=load_case.duration,
-        output_interval=load_case.output_interval,
-        watched={"point": load_case.watched},
-    )
+def _check_all(kind: type, given: Any) -> None:
+    """Refuse what is no tuple of `kind`, as a single condition is not."""
+    is_many = isinstance(given, tuple | list)
+    for one in given if is_many else (given,):
+        if not (is_many and isinstance(one, kind)):
+            raise InputError(f"problem: {quoted(one)}; there must be a tuple of {kind.__name__}")

@@ -134,7 +134,7 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
 
 def _load_of(run: StoredRun) -> dict[str, Any]:
     """All that a run's problem states, by dotted names, but the mesh it is computed on."""
-    recipe, of = run.record.recipe, ("load", "conditions", "bodies", "watch", "time")
+    recipe, of = run.record.recipe, ("conditions", "bodies", "watch", "time")
     stated = flat({name: recipe[name] for name in of if name in recipe})
     stated.pop("time.frames", None)
     return stated

@@ -102,10 +102,7 @@ def comparison_title(runs: Sequence[StoredRun]) -> str:
 
 def watched_title(run: StoredRun) -> str:
     """The first watched point by its position, and its name where it has one."""
-    recipe = run.record.recipe
-    watched = run.record.problem.get("watched", {})
-    if not watched and "load" in recipe:
-        watched = {"point": recipe["load"].get("watched")}
+    watched = run.record.problem.get("watched") or run.record.recipe.get("watch", {})
     for name, at in watched.items():
         if at:
             own = "" if name == "point" else f" “{name}”"
@@ -176,17 +173,14 @@ def coarse_histogram(histogram: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarr
 
 def problem_title(recipe: Mapping[str, Any]) -> str:
     """What a run computes, in a line: the bar, or the mesh and all that acts on it."""
-    if "load" in recipe:
-        load = recipe["load"]
-        g_x, g_y = (f"{g:g}".replace("-", "−") for g in load["body_force"])
-        size = f"{load['width']:g} × {load['height']:g} µm tissue"
-        return f"{size}, body force ({g_x}, {g_y}) µm/µs², {_elements(recipe)} elements"
-    mesh = recipe["mesh"]
+    mesh, conditions, bodies = recipe["mesh"], recipe["conditions"], recipe["bodies"]
+    acting = [*conditions, *bodies]
+    if mesh.get("file"):
+        return f"{mesh['file']}: {', '.join(acting)}"
     number = mesh["elements"]  # one number where the mesh was made in Python
-    number = number if isinstance(number, int) else _elements(recipe)
-    of = mesh["file"] or f"{mesh['width']:g} × {mesh['height']:g} µm, {number} elements"
-    return f"{of}: {', '.join([*recipe['conditions'], *recipe['bodies']])}"
-
-
-def _elements(recipe: Mapping[str, Any]) -> str:
-    return "{} × {}".format(*recipe["macro"]["elements"])
+    elements = f"{number if isinstance(number, int) else '{} × {}'.format(*number)} elements"
+    of = f"{mesh['width']:g} × {mesh['height']:g} µm"
+    if acting == ["clamp", "load"] and "acceleration" in conditions["load"]:
+        g_x, g_y = (f"{g:g}".replace("-", "−") for g in conditions["load"]["acceleration"])
+        return f"{of} tissue, body force ({g_x}, {g_y}) µm/µs², {elements}"
+    return f"{of}, {elements}: {', '.join(acting)}"

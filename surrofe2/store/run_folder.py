@@ -30,6 +30,7 @@ from surrofe2.errors import (
     quoted,
     shortened,
 )
+from surrofe2.problem.bar import LoadSettings
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.settings import check_value, hints_of
@@ -66,7 +67,7 @@ FILES = (
 _NAMED_ENTRIES = ("cells", "conditions", "bodies", "watch")
 """Sections of a recipe in which users name what there is."""
 _STATED = ("time", "macro", "tissue", "rest", "surface")
-_SECTIONS = ("cell", "rve", "load", "mesh", *_NAMED_ENTRIES, *_STATED)
+_SECTIONS = ("cell", "rve", "mesh", *_NAMED_ENTRIES, *_STATED)
 _OF_TRAINING = ("range", "samples", "training")
 """Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
@@ -134,8 +135,7 @@ class RunRecord:
     @property
     def duration(self) -> float:
         """Length of the run, µs."""
-        of = "load" if "load" in self.recipe else "time"
-        return float(self.recipe[of]["duration"])
+        return float(self.recipe["time"]["duration"])
 
     def compared(self) -> dict[str, Any]:
         """Everything the numbers depend on, by the names a recipe uses."""
@@ -434,12 +434,22 @@ def read_record(folder: Path) -> RunRecord:
     if found != SCHEMA_VERSION or not known.issuperset(stored):
         raise FileError(f"{path}: run schema {found}; this surrofe2 reads {SCHEMA_VERSION}")
     try:
-        record = RunRecord(**stored)
+        record = RunRecord(**stored | {"recipe": _without_load(stored["recipe"])})
         _check_entries(record)
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         told = shortened(str(error), 80)
         raise FileError(f"{path}: not a whole record of a surrofe2 run: {told}") from None
     return record
+
+
+def _without_load(recipe: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The recipe of a run; earlier versions kept the bar as its sections [load] and [macro]."""
+    if "load" not in recipe:
+        return recipe
+    elements = recipe["macro"]["elements"]
+    macro = {key: value for key, value in recipe["macro"].items() if key != "elements"}
+    others = {name: section for name, section in recipe.items() if name != "load"}
+    return others | plain({"macro": macro, **LoadSettings(**recipe["load"]).sections(elements)})
 
 
 def _check_entries(record: RunRecord) -> None:

@@ -1,6 +1,6 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
-Reading order: settings, problem (what happens), layout (which particles there are), pair_kinds and
+Reading order: settings, layout (which particles there are), pair_kinds and
 pair_lists (who interacts), mixture (several types of plant cells), acting (prescribed motion, the
 outline), contact (rigid bodies), kernels, dynamics (particles in motion), conditions (a problem
 made particles), relaxation (at rest without load), history, simulation (a run).
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from surrofe2.tissue.dynamics import TissueDynamics
     from surrofe2.tissue.history import ParticleFrames, TissueRun, TissueState
     from surrofe2.tissue.layout import Tissue, make_mixed_tissue, make_tissue
-    from surrofe2.tissue.problem import TissueProblem
     from surrofe2.tissue.relaxation import relax
     from surrofe2.tissue.settings import TissueSettings
     from surrofe2.tissue.simulation import simulate_tissue

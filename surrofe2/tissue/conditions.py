@@ -5,23 +5,35 @@ A boundary is the wall particles along the outline whose places on the grid of w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError
+from surrofe2.problem.amplitude import ONE, Amplitude
+from surrofe2.problem.conditions import (
+    BodyForce,
+    Condition,
+    Foundation,
+    InitialVelocity,
+    Pressure,
+    Traction,
+)
+from surrofe2.problem.mesh import boundary, region
+from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
+from surrofe2.problem.supports import Support, supports_of, without_overlap
 from surrofe2.simd import TILE
 from surrofe2.tissue.acting import NO_DRIVE, Drive, Edges
 from surrofe2.tissue.contact import CIRCLE, CORNER, NO_PLATES, PLANE, Plates
 from surrofe2.tissue.layout import Tissue, shares
 from surrofe2.tissue.pair_lists import bonded_particles
-from surrofe2.tissue.problem import Foundation, Load, Part, Pressure, TissueProblem, middles_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+_LOADS = (BodyForce, Traction, Pressure, Foundation)
 _NONE = np.zeros(0, dtype=np.int64)
 STIFFNESS, SMOOTHING, SLIP = 4.0, 0.002, 1e-3
 """Of contact: by the wall stiffness over a spring's length, eight times what the wall along a
@@ -39,12 +51,15 @@ class Conditions:
         InputError: a boundary has no particles, or two supports take one component differently.
     """
 
-    problem: TissueProblem
+    problem: Problem
     tissue: Tissue
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        found = np.flatnonzero(self._outer & self._held_by(self.problem.boundaries[name]))
+        found = np.flatnonzero(self._outer)
+        points = self.tissue.outline[found]
+        part = self.problem.boundaries.get(name)
+        found = found[self._on_sides(name, points) if part is None else part.holds(points)]
         if not found.size:
             raise InputError(f"boundary {name}: it holds no wall particle of the outline")
         return found
@@ -58,65 +73,85 @@ class Conditions:
         ends: Array = np.bincount(pairs.ravel(), minlength=len(inside)).astype(np.float64)
         return half * ends[self.boundary(name)]
 
-    def supported(self, name: str) -> Index:
+    def places(self, condition: Condition) -> Index:
         """Numbers of the particles of a boundary or a region, increasing."""
-        if name in self.problem.boundaries:
-            return self.boundary(name)
-        return np.flatnonzero(self._part_of(name) > 0.0)
+        if condition.on in (self.problem.mesh.boundaries or {}):
+            return self.boundary(str(condition.on))
+        return np.flatnonzero(self._part_of(condition) > 0.0)
+
+    @cached_property
+    def supports(self) -> tuple[Support, ...]:
+        """Components of particles that are held or moved, those along x first."""
+        found = []
+        for support in supports_of(self.problem, self.places):
+            order = np.argsort(support.unknowns % 2, kind="stable")
+            found.append(
+                replace(support, unknowns=support.unknowns[order], largest=support.largest[order])
+            )
+        return without_overlap(found, self.tissue.outline, "particle")
 
     @property
     def held(self) -> NDArray[np.bool_]:
         """(particles, 2) components that supports take."""
-        held = np.zeros((self.tissue.particles, 2), dtype=np.bool_)
-        for support in self.problem.supports:
-            held[self.supported(support.on)] |= np.array(support.components)
-        return held
+        held = np.zeros(2 * self.tissue.particles, dtype=np.bool_)
+        for support in self.supports:
+            held[support.unknowns] = True
+        return held.reshape(-1, 2)
 
-    def components(self) -> list[tuple[Index, Index]]:
-        """Of each support the particles and axes of its components, each owned by one support.
+    @property
+    def moving(self) -> list[Support]:
+        """Supports that move."""
+        return [support for support in self.supports if support.largest.any()]
 
-        Raises:
-            InputError: two supports move one component differently.
-        """
-        owner: dict[tuple[int, int], tuple[str, float, object]] = {}
-        found = []
-        for support in self.problem.supports:
-            mine = []
-            for axis in (0, 1):
-                for i in self.supported(support.on) if support.components[axis] else ():
-                    claim = support.name, support.displacement[axis], support.amplitude
-                    other = owner.setdefault((int(i), axis), claim)
-                    if other is claim:
-                        mine.append((int(i), axis))
-                    elif other[1:] != claim[1:] and (other[1] or claim[1]):
-                        x, y = self.tissue.outline[i]
-                        raise InputError(
-                            f"{support.name}: component {'xy'[axis]} of the particle at "
-                            f"({x:.6g}, {y:.6g}) µm; {other[0]} prescribes it otherwise"
-                        )
-            both = np.array(mine, dtype=np.int64).reshape(-1, 2)
-            found.append((both[:, 0], both[:, 1]))
+    @property
+    def motions(self) -> list[Amplitude]:
+        """Amplitudes of supports that move, then of bodies that do."""
+        bodies = [body.amplitude for body in self.problem.bodies if body.moves]
+        return [support.amplitude for support in self.moving] + bodies
+
+    @property
+    def loads(self) -> list[BodyForce | Traction | Pressure | Foundation]:
+        """Conditions that exert forces, supports aside."""
+        return [each for each in self.problem.conditions if isinstance(each, _LOADS)]
+
+    @property
+    def load_amplitudes(self) -> list[Amplitude]:
+        """Of the loads; a foundation is always there."""
+        return [ONE if isinstance(each, Foundation) else each.amplitude for each in self.loads]
+
+    @property
+    def acting(self) -> list[str]:
+        """Names of all that exerts a force: supports, loads, bodies."""
+        found = [each.name for each in self.supports] + [label(each) for each in self.loads]
+        return found + [each.name for each in self.problem.bodies]
+
+    def dead_loads(self) -> Array:
+        """(loads, particles, 2) µN at amplitude 1; one of nothing where there is none."""
+        mass = self.tissue.mass.reshape(-1)[self.tissue.where]
+        found = np.zeros((max(1, len(self.loads)), self.tissue.particles, 2))
+        for n, load in enumerate(self.loads):
+            if isinstance(load, BodyForce):
+                found[n] = (self._part_of(load) * mass)[:, None] * np.array(load.acceleration)
+            elif isinstance(load, Traction):
+                lengths = self.lengths(load.on)[:, None]
+                found[n, self.boundary(load.on)] = lengths * np.array(load.traction)
         return found
 
-    def loads(self) -> Array:
-        """(loads, particles, 2) µN at amplitude 1; one of nothing where there is none."""
-        found = [self._load(each) for each in self.problem.loads]
-        return np.array(found) if found else np.zeros((1, self.tissue.particles, 2))
-
     def drive(self) -> Drive:
-        """Motion of the supports that move, numbered as in `TissueProblem.motions`."""
-        rows, mass = [], self.tissue.mass.reshape(-1)[self.tissue.where]
-        moving = [each for each in self.problem.supports if each.moves]
-        for support, (i, axis) in zip(self.problem.supports, self.components(), strict=True):
-            if support.moves:
-                motion = np.full(len(i), moving.index(support))
-                rows.append((i, axis, motion, np.array(support.displacement)[axis]))
-        if not rows:
+        """Motion of the supports that move, numbered as in `motions`."""
+        if not self.moving:
             return NO_DRIVE._replace(work=np.zeros(1))
-        i, axis, motion, largest = (np.concatenate(column) for column in zip(*rows, strict=True))
+        i, axis = np.divmod(np.concatenate([each.unknowns for each in self.moving]), 2)
+        sizes = [len(each.unknowns) for each in self.moving]
         tile, own, lane = self._address(i).T
-        at = np.stack([tile, axis, own, lane], axis=1)
-        return Drive(at, motion, largest, mass[i], np.zeros(len(i)), np.zeros(1))
+        return Drive(
+            at=np.stack([tile, axis, own, lane], axis=1),
+            motion=np.repeat(np.arange(len(sizes)), sizes),
+            largest=np.concatenate([each.largest for each in self.moving]),
+            mass=self.tissue.mass.reshape(-1)[self.tissue.where][i],
+            before=np.zeros(len(i)),
+            work=np.zeros(1),
+        )
 
     def plates(self, offset: Array) -> Plates:
         """The bodies at t = 0, before they move.
@@ -130,7 +165,7 @@ class Conditions:
         touching = [self.boundary(body.on) for body in bodies]
         everyone = np.concatenate(touching)
         moves = np.array([body.moves for body in bodies])
-        first = sum(support.moves for support in self.problem.supports)
+        first = len(self.moving)
         kinds, outlines = zip(*(_outline(body.name, body.shape) for body in bodies), strict=True)
         return Plates(
             starts=np.cumsum([0, *map(len, touching)]),
@@ -196,7 +231,7 @@ class Conditions:
             total[:, self.boundary(body.on)] += law * lengths
             if body.mass is not None:
                 total += law * lengths.sum() / body.mass * mass
-        for base in self.problem.loads:
+        for base in self.loads:
             if isinstance(base, Foundation):
                 law = np.array([[base.stiffness], [base.damping]])
                 total[:, self.boundary(base.on)] += law * self.lengths(base.on)
@@ -205,7 +240,7 @@ class Conditions:
 
     def edges(self, relaxed: Array, offset: Array) -> Edges:
         """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm."""
-        loads = self.problem.loads
+        loads = self.loads
         pairs, sizes, numbers = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], [_NONE]
         points, springs, owners = [_NONE], [np.zeros((0, 4))], [_NONE]
         for n, load in enumerate(loads):
@@ -217,8 +252,8 @@ class Conditions:
             elif isinstance(load, Foundation):
                 i, lengths = self.boundary(load.on), self.lengths(load.on)
                 points.append(i)
-                both = [size * float(c) for size in (load.stiffness, load.damping)
-                        for c in load.components]  # fmt: skip
+                both = [size * float(axis in load.components)
+                        for size in (load.stiffness, load.damping) for axis in "xy"]  # fmt: skip
                 springs.append(np.outer(lengths, both))
                 owners.append(np.full(len(i), n))
         bonded, based = np.concatenate(pairs).ravel(), np.concatenate(points)
@@ -241,32 +276,20 @@ class Conditions:
     def velocity(self) -> Array:
         """(particles, 2) at t = 0, µm/µs, of what moves freely."""
         v = np.zeros((self.tissue.particles, 2))
-        for on, velocity in self.problem.velocities:
-            boundary = on in self.problem.boundaries
-            v[self.boundary(str(on)) if boundary else self._part_of(on) > 0.0] = velocity
+        for condition in self.problem.conditions:
+            if isinstance(condition, InitialVelocity):
+                v[self.places(condition)] = condition.velocity
         v[self.held] = 0.0
         return v
 
-    def _load(self, load: Load | Pressure | Foundation) -> Array:
-        if not isinstance(load, Load):
-            return np.zeros((self.tissue.particles, 2))
-        if not any(load.traction):
-            mass = self.tissue.mass.reshape(-1)[self.tissue.where]
-            return (self._part_of(load.on) * mass)[:, None] * np.array(load.acceleration)
-        found = np.zeros((self.tissue.particles, 2))
-        on = str(load.on)
-        found[self.boundary(on)] = self.lengths(on)[:, None] * np.array(load.traction)
-        return found
-
-    def _part_of(self, region: str | None) -> Array:
-        """(particles,) part of each that belongs to plant cells of a region; of None, all."""
-        tissue = self.tissue
-        if region is None:
+    def _part_of(self, condition: Condition) -> Array:
+        """(particles,) part of each that belongs to plant cells of a region; without one, all."""
+        tissue, name = self.tissue, condition.on
+        if name is None:
             return np.ones(tissue.particles)
-        middles = middles_of(tissue.cells, tissue.cell.cell_side)
-        inside = self.problem.regions[region].holds(middles).reshape(tissue.cells)
+        inside = inside_region(self.problem, name, tissue.cells, tissue.cell.cell_side)
         if not inside.any():
-            raise InputError(f"region {region}: it holds the middle of no plant cell")
+            raise InputError(f"region {name}: it holds the middle of no plant cell")
         mine, whole = (
             shares(tissue.cell, filled, tissue.column, tissue.row)
             for filled in (inside, np.ones(tissue.cells, dtype=np.bool_))
@@ -280,10 +303,15 @@ class Conditions:
         row, lane = np.divmod(self.tissue.where[i], TILE)
         return np.ascontiguousarray(np.stack([*np.divmod(row, self.tissue.own), lane], axis=1))
 
-    def _held_by(self, part: Part) -> NDArray[np.bool_]:
-        held = np.zeros(self.tissue.particles, dtype=np.bool_)
-        held[self._outer] = part.holds(self.tissue.outline[self._outer])
-        return held
+    def _on_sides(self, name: str, points: Array) -> NDArray[np.bool_]:
+        """(k,) whether points (k, 2) lie on a side of the mesh's boundary."""
+        mesh = self.problem.mesh
+        begin, end = mesh.p.T[mesh.facets[:, boundary(mesh, name)]]
+        along, away = end - begin, points[:, None] - begin
+        place = np.clip((away * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
+        off: Array = abs(away - place[..., None] * along).max(axis=2).min(axis=1)
+        near: NDArray[np.bool_] = off < 1e-6
+        return near
 
     def _sides(self, name: str) -> Index:
         """(k, 2) particles of the bonds along a boundary, the tissue on their left."""
@@ -318,6 +346,18 @@ class Conditions:
     def _bonds(self) -> Index:
         """(b, 2) bonded particles."""
         return bonded_particles(self.tissue)
+
+
+def inside_region(
+    problem: Problem, name: str, cells: tuple[int, int], side: float
+) -> NDArray[np.bool_]:
+    """(n, m) which plant cells of a side in µm have their middle in a region."""
+    corners: Array = np.indices(cells).reshape(2, -1).T.astype(np.float64)
+    middles, part = side * (corners + 0.5), problem.regions.get(name)
+    if part is not None:
+        return part.holds(middles).reshape(cells)
+    found = problem.mesh.element_finder()(*middles.T)
+    return np.isin(found, region(problem.mesh, name)).reshape(cells)
 
 
 def _outline(name: str, shape: Shape) -> tuple[int, tuple[float, ...]]:

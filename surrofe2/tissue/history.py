@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.compilation import clock
+from surrofe2.problem.problem import label
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import Journal, RunState, curves_of, history_of, named_columns
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.pair_lists import bonded_particles
-from surrofe2.tissue.problem import TissueProblem
 from surrofe2.tissue.settings import TissueSettings
 
 Array = NDArray[np.float64]
@@ -118,15 +118,16 @@ _WORKS = ("bodies", "motion", "contact dissipated", "dissipated")
 """What `Recorder.record` is told besides the works of loads."""
 
 
-def columns_of(problem: TissueProblem) -> list[str]:
+def columns_of(conditions: Conditions) -> list[str]:
     """What a row of the history holds: vectors by component, then numbers."""
+    problem = conditions.problem
     vectors = [f"displacement {name}" for name in problem.watched]
-    vectors += [f"mean displacement {name}" for name in problem.places()]
-    vectors += [f"force {name}" for name in problem.acting]
+    vectors += [f"mean displacement {name}" for name in problem.acted_boundaries()]
+    vectors += [f"force {name}" for name in conditions.acting]
     vectors += [f"position {body.name}" for body in problem.bodies]
     both = [f"{name} {axis}" for name in vectors for axis in "xy"]
     depths = [f"penetration {body.name}" for body in problem.bodies]
-    works = [*(each.name for each in problem.loads), *_WORKS]
+    works = [*(label(each) for each in conditions.loads), *_WORKS]
     energies = ["kinetic", "elastic", "contact", *works]
     return [*both, *depths, *(f"energy {name}" for name in energies)]
 
@@ -152,9 +153,9 @@ class Recorder:
             int(np.hypot(*(start - np.array(at)).T).argmin()) for at in problem.watched.values()
         ]
         self._means = [
-            (conditions.boundary(name), conditions.lengths(name)) for name in problem.places()
+            (conditions.boundary(name), conditions.lengths(name))
+            for name in problem.acted_boundaries()
         ]
-        self._supports = conditions.components()
         self._created = clock()
         self._state: TissueState
 
@@ -166,8 +167,8 @@ class Recorder:
         self._started = clock()
         dynamics.counts.clear()
         elastic = dynamics.elastic_energy()
-        resting = self._forces(0.0, np.zeros(len(self._conditions.problem.loads)))
-        works = np.zeros(len(self._conditions.problem.loads) + len(_WORKS))
+        resting = self._forces(0.0, np.zeros(len(self._conditions.loads)))
+        works = np.zeros(len(self._conditions.loads) + len(_WORKS))
         works[-3] = dynamics.start(velocity, rates)
         v = dynamics.v
         state = TissueState(
@@ -266,23 +267,24 @@ class Recorder:
 
     def _factors(self, t: float) -> Array:
         """(loads,) amplitudes."""
-        return np.array([each.amplitude.at(t, t)[0] for each in self._conditions.problem.loads])
+        return np.array([each.at(t, t)[0] for each in self._conditions.load_amplitudes])
 
     def _forces(self, t: float, factors: Array) -> Array:
         """(k, 2) resultants on the tissue of supports, loads and bodies at the last forces, µN.
 
         Supports give what their particles need: M a − forces − loads.
         """
-        dynamics, problem = self._dynamics, self._conditions.problem
+        dynamics = self._dynamics
         needed, pulled = -dynamics.f, dynamics.edges.total.copy()
         for n, factor in enumerate(factors):
             pull = factor * dynamics.loads[n]
             needed -= pull
             pulled[n] += pull.sum(axis=0)
         found = []
-        for support, (i, axis) in zip(problem.supports, self._supports, strict=True):
-            second = support.amplitude.at(t, t)[2] * np.array(support.displacement)
-            force = needed[i, axis] + dynamics.mass[i] * second[axis]
+        for support in self._conditions.supports:
+            i, axis = np.divmod(support.unknowns, 2)
+            second = support.amplitude.at(t, t)[2] * support.largest
+            force = needed[i, axis] + dynamics.mass[i] * second
             found.append(np.bincount(axis, force, 2))
         return np.array([*found, *pulled, *dynamics.plates.force])
 
@@ -290,7 +292,7 @@ class Recorder:
         """The results so far."""
         state, tissue = self._state, self._dynamics.tissue
         problem = self._conditions.problem
-        columns = named_columns(columns_of(problem), state.journal["rows"])
+        columns = named_columns(columns_of(self._conditions), state.journal["rows"])
         curves = curves_of(self._t[: state.rows], columns)
         own = [name for name in columns if name.startswith("energy ")]
         energies = {name.removeprefix("energy "): columns[name] for name in own}
@@ -302,7 +304,7 @@ class Recorder:
         energies = {"kinetic": energies["kinetic"], "internal": internal, **energies}
         if not any(body.mass is not None for body in problem.bodies):
             del energies["bodies"]
-        if not problem.motions:
+        if not self._conditions.motions:
             del energies["motion"]
         if not problem.bodies:
             del energies["contact"], energies["contact dissipated"]

@@ -27,20 +27,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.load_case import LoadCase
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.problem.mesh import extent
+from surrofe2.problem.problem import Problem
 from surrofe2.run.loop import carry_out, check_interval
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.history import Recorder, TissueRun, TissueState, columns_of
-from surrofe2.tissue.layout import Tissue, make_mixed_tissue
-from surrofe2.tissue.problem import TissueProblem, as_problem
+from surrofe2.tissue.layout import make_mixed_tissue
 from surrofe2.tissue.relaxation import relax
 from surrofe2.tissue.settings import TissueSettings
 from surrofe2.tissue.stable_step import LONGEST, rounded_step, safe_step, stable_step
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Cells = CellParameters | Sequence[CellParameters]
 References = ReferenceState | Sequence[ReferenceState]
 
@@ -48,11 +49,12 @@ DEFAULTS = TissueSettings()
 
 
 def simulate_tissue(
-    problem: TissueProblem | LoadCase,
+    problem: Problem,
     cell: Cells,
     settings: TissueSettings = DEFAULTS,
     *,
     reference: References,
+    kind: Index | None = None,
     progress: Callable[[float, float], None] | None = None,
     checkpoint: Callable[[TissueState], None] | None = None,
     checkpoint_interval: float = 30.0,
@@ -63,10 +65,12 @@ def simulate_tissue(
     The tissue is first relaxed without load; displacements count from there.
 
     Args:
-        problem: the tissue's extent, a whole number of plant cells, what happens to it, the
-            duration and what is watched: the particles nearest to the watched points.
-        cell: the plant cell that the tissue is made of, or those of `TissueProblem.kind`.
+        problem: on a rectangle [0, width] × [0, height] of whole plant cells; its elements do not
+            matter. A boundary is the wall particles on its sides, a region the plant cells whose
+            middles it holds, a watched point the nearest particle.
+        cell: the plant cell that the tissue is made of, or several of one size.
         reference: its reference state, as the RVE law of the same cell has it, or theirs.
+        kind: (n, m) which of several each plant cell is.
         progress: called with (t, duration) in µs at every output time.
         checkpoint: called at output times with the state of the run when `checkpoint_interval`
             seconds have passed since it last was, and upon an interrupt, which then goes its way.
@@ -81,13 +85,12 @@ def simulate_tissue(
         MismatchError: `resume` is of another run, `reference` of another cell.
     """
     check_interval(checkpoint_interval)
-    conditions = make_conditions(problem, cell, reference)
-    problem, tissue = conditions.problem, conditions.tissue
+    conditions = make_conditions(problem, cell, reference, kind)
     bears = step_at_rest(conditions, cell, reference)
     settings = with_step(settings, bears)
-    check_motions(problem)
+    problem.check_course()
     dynamics = held_and_loaded(conditions, settings)
-    numbers = identity(problem, tissue, settings)
+    numbers = identity(conditions, settings)
     recorder = Recorder(conditions, settings, dynamics, numbers)
     if resume is None:
         if progress is not None:
@@ -99,13 +102,13 @@ def simulate_tissue(
         )
     meet_bodies(dynamics, conditions, dynamics.x if resume is None else resume.relaxed)
     if resume is None:
-        rates = [each.at(0.0, 0.0)[1] for each in problem.motions]
+        rates = [each.at(0.0, 0.0)[1] for each in conditions.motions]
         recorder.begin(conditions.velocity(), np.array(rates))
     else:
         recorder.restore(resume)
     try:
         return carry_out(
-            _steps(recorder, dynamics, problem, settings),
+            _steps(recorder, dynamics, conditions, settings),
             recorder,
             problem.duration,
             progress=progress,
@@ -118,24 +121,23 @@ def simulate_tissue(
 
 
 def _steps(
-    recorder: Recorder, dynamics: TissueDynamics, problem: TissueProblem, settings: TissueSettings
+    recorder: Recorder, dynamics: TissueDynamics, conditions: Conditions, settings: TissueSettings
 ) -> Iterator[float]:
     """From one output time to the next, to the end of the run."""
-    times = problem.output_times().tolist()
+    times = conditions.problem.output_times().tolist()
     for start, end in pairwise(times[recorder.rows - 1 :]):
-        recorder.record(*advance(dynamics, problem, settings, start, end))
+        recorder.record(*advance(dynamics, conditions, settings, start, end))
         yield end
 
 
 def make_conditions(
-    given: TissueProblem | LoadCase, cell: Cells, reference: References
+    problem: Problem, cell: Cells, reference: References, kind: Index | None = None
 ) -> Conditions:
     """A problem on the particles of its tissue; arguments as of `simulate_tissue`."""
-    problem = as_problem(given)
     types = [cell] if isinstance(cell, CellParameters) else cell
     references = [reference] if isinstance(reference, ReferenceState) else reference
     cells = cells_that_fill(problem, types[0])
-    kind = np.zeros(cells, dtype=np.int64) if problem.kind is None else problem.kind
+    kind = np.zeros(cells, dtype=np.int64) if kind is None else kind
     if kind.shape != cells or not 0 <= kind.min() <= kind.max() < len(types):
         raise InputError(
             f"tissue: kinds {kind.shape} up to {kind.max()}; it has {cells[0]} × {cells[1]} plant "
@@ -183,7 +185,7 @@ def _about_step(settings: TissueSettings, limit: float) -> str:
 
 
 def cells_that_fill(
-    problem: TissueProblem | LoadCase, cell: CellParameters, section: str = "load"
+    problem: Problem, cell: CellParameters, section: str = "mesh"
 ) -> tuple[int, int]:
     """Plant cells in x and y.
 
@@ -191,40 +193,26 @@ def cells_that_fill(
         section: of the recipe that states the extent.
 
     Raises:
-        InputError: no whole number of them fills the rectangle.
+        InputError: no whole number of them fills the mesh, or it is no rectangle.
     """
+    mesh, (low, high) = problem.mesh, extent(problem.mesh)
+    ends = mesh.p[:, mesh.facets[:, mesh.boundary_facets()]]
+    on_a_side = [(abs(ends.T - side) < 1e-9 * high.max()).all(axis=1) for side in (0.0 * low, high)]
+    if abs(low).max() > 1e-9 * high.max() or not np.any(on_a_side, axis=(0, 2)).all():
+        raise InputError("mesh: a full tissue needs a rectangle [0, width] × [0, height]")
     counts = []
-    for name, extent in (("width", problem.width), ("height", problem.height)):
-        count = round(extent / cell.cell_side)
-        if count < 1 or abs(count * cell.cell_side - extent) > 1e-9 * extent:
-            low = int(extent / cell.cell_side)
-            near = " or ".join(f"{n * cell.cell_side:g}" for n in (low, low + 1) if n)
+    for name, length in zip(("width", "height"), high.tolist(), strict=True):
+        count = round(length / cell.cell_side)
+        if count < 1 or abs(count * cell.cell_side - length) > 1e-9 * length:
+            few = int(length / cell.cell_side)
+            near = " or ".join(f"{n * cell.cell_side:g}" for n in (few, few + 1) if n)
             hint = ": change it or give --cells N M" if section == "load" else f": take {near}"
             raise InputError(
-                f"{section}.{name}: {extent:g}; a tissue needs a whole number of plant cells of "
+                f"{section}.{name}: {length:g}; a tissue needs a whole number of plant cells of "
                 f"{cell.cell_side:g} µm{hint}"
             )
         counts.append(count)
     return counts[0], counts[1]
-
-
-def check_motions(problem: TissueProblem) -> None:
-    """Refuse prescribed motion that does not begin at rest where the tissue is.
-
-    Raises:
-        InputError: naming the support or body.
-    """
-    named = [each.name for each in problem.supports if each.moves]
-    named += [each.name for each in problem.moved_bodies]
-    for name, amplitude in zip(named, problem.motions, strict=True):
-        for t in (0.0, *amplitude.corners()):
-            before, after = (amplitude.at(t, t + side)[0] for side in (-1e-9, 1e-9))
-            jump = after if t <= 0.0 else after - before
-            if abs(jump) > 1e-9 and t < problem.duration:
-                raise InputError(
-                    f"{name}.amplitude: jumps by {jump:g} at t = {max(t, 0.0):g} µs; a prescribed "
-                    "motion must begin at 0 and not jump"
-                )
 
 
 def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueDynamics:
@@ -233,7 +221,7 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
         conditions.tissue,
         skin=settings.skin,
         held=conditions.held,
-        load=conditions.loads(),
+        load=conditions.dead_loads(),
         drive=conditions.drive(),
     )
 
@@ -247,7 +235,7 @@ def meet_bodies(dynamics: TissueDynamics, conditions: Conditions, relaxed: Array
 
 def advance(
     dynamics: TissueDynamics,
-    problem: TissueProblem,
+    conditions: Conditions,
     settings: TissueSettings,
     start: float,
     end: float,
@@ -266,7 +254,7 @@ def advance(
     kicks, drifts = np.full(count + 1, step), np.full(count + 1, step)
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
-    loads, motions = [each.amplitude for each in problem.loads], problem.motions
+    loads, motions = conditions.load_amplitudes, conditions.motions
     drive, plates, edges = dynamics.drive, dynamics.plates, dynamics.edges
     works = np.zeros(len(loads) + 4)
     for each in (drive, plates, edges):
@@ -293,8 +281,14 @@ def advance(
     return samples * count, works
 
 
-def identity(problem: TissueProblem, tissue: Tissue, settings: TissueSettings) -> Array:
+def identity(conditions: Conditions, settings: TissueSettings) -> Array:
     """Numbers that two runs share if one may go on where the other stopped."""
-    told = repr((replace(problem, kind=None), tissue.types, settings, columns_of(problem)))
-    told += repr([tissue.mass.tobytes(), tissue.kind.tobytes()])
-    return np.array(list(hashlib.sha256(told.encode()).digest()), dtype=np.float64)
+    problem, tissue = conditions.problem, conditions.tissue
+    stated = problem.conditions, problem.bodies, problem.duration, problem.output_interval
+    digest = hashlib.sha256(repr((stated, tissue.types, settings)).encode())
+    digest.update(repr([*columns_of(conditions), *problem.watched.items()]).encode())
+    sides = [conditions.boundary(name) for name in problem.acted_boundaries()]
+    found = conditions.held, conditions.dead_loads(), conditions.velocity()
+    for array in (tissue.mass, tissue.kind, *sides, *found):
+        digest.update(array.tobytes())
+    return np.array(list(digest.digest()), dtype=np.float64)

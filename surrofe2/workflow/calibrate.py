@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.errors import InputError, SimulationError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.settings import SECTION_6_2
 from surrofe2.problem import Problem
+from surrofe2.problem.bar import LoadCase
 from surrofe2.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.stress_law import StressLaw
@@ -57,7 +57,7 @@ def calibrate(
     law: StressLaw | None = None,
     settings: CalibrationSettings | None = None,
     *,
-    problem: Problem | LoadCase | None = None,
+    problem: Problem | None = None,
     macro: MacroSettings = SECTION_6_2,
     report: Report = no_report,
 ) -> SurrogateLaw:
@@ -71,7 +71,7 @@ def calibrate(
         law: the full model; None: the RVEs of the samples.
         settings: how many paths of which kind.
         problem: whose runs under other loads are paths too; None: the paper's bar.
-        macro: settings of these runs. A bar has 2 × 2 elements at most.
+        macro: settings of these runs; the paper's bar has 2 × 2 elements.
         report: called with the fraction that is done, up to 1, and a remark.
 
     Raises:
@@ -79,7 +79,11 @@ def calibrate(
     """
 
     def runs(count: int, seed: int) -> Iterator[list[State]]:
-        return _met_in_runs(surrogate, problem or LoadCase(), _coarse(macro), count, seed)
+        if problem is None:
+            cases = random_loads(LoadCase(elements=(RUN_ELEMENTS, RUN_ELEMENTS)), count, seed)
+        else:
+            cases = varied_problems(problem, count, seed)
+        return _met_in_runs(surrogate, cases, macro, seed)
 
     law = law or RveLaw(samples.cell, initialisation=samples.initialisation)
     settings = settings or CalibrationSettings()
@@ -182,11 +186,11 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
 
     Points of other cells follow the quadratic law of their RVE at rest.
     """
-    macro = _coarse(recipe.macro)
-    if recipe.stated is None:
+    problem, whole, macro = _coarse_problem(recipe), recipe.whole(), recipe.macro
+    cases = varied_problems(problem, count, seed)
+    if recipe.stated.section == "load":
+        cases = random_loads(problem, count, seed)
         macro = replace(macro, integrator="explicit")
-        return _met_in_runs(surrogate, recipe.bar_load(), macro, count, seed)
-    problem, whole = _coarse_problem(recipe), recipe.whole()
     others = {
         name: laws.quadratic_law(part)
         for name, part in whole.parts().items()
@@ -198,19 +202,13 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
             whole, problem.mesh, lambda part: others.get(part.cell_name or "", watched)
         )
 
-    return _met_in_runs(surrogate, problem, macro, count, seed, tissue)
-
-
-def _coarse(macro: MacroSettings) -> MacroSettings:
-    along, across = (min(n, RUN_ELEMENTS) for n in macro.elements)
-    return replace(macro, elements=(along, across), frames=2, record_dissipation=False)
+    return _met_in_runs(surrogate, cases, macro, seed, tissue)
 
 
 def _coarse_problem(recipe: Recipe) -> Problem:
     """The recipe's problem on a coarser mesh, where that is a rectangle of one cell and has all it
     names."""
     whole, stated = recipe.whole(), recipe.stated
-    assert stated is not None
     if stated.mesh.elements is not None and not whole.types:
         along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
         mesh = replace(stated.mesh, elements=(along, across))
@@ -221,24 +219,19 @@ def _coarse_problem(recipe: Recipe) -> Problem:
 
 def _met_in_runs(
     surrogate: StressLaw,
-    problem: LoadCase | Problem,
+    cases: Iterable[Problem],
     macro: MacroSettings,
-    count: int,
     seed: int,
     tissue: Callable[[StressLaw], StressLaw] = lambda watched: watched,
 ) -> Iterator[list[State]]:
-    """(F, F_dot) at some of the surrogate's points at the steps of each run of a problem under
-    other loads, while in its range.
+    """(F, F_dot) at some of the surrogate's points at the steps of each run, while in its
+    range.
 
     Args:
-        seed: of the loads and the points, `RUN_POINTS` of them where there are more.
+        seed: chooses the points, `RUN_POINTS` of them where there are more.
         tissue: the law of all points, by that of the surrogate's.
     """
-    cases: Iterable[Problem | LoadCase]
-    if isinstance(problem, Problem):
-        cases = varied_problems(problem, count, seed)
-    else:
-        cases = random_loads(problem, count, seed)
+    macro = replace(macro, frames=2, record_dissipation=False)
     for each in cases:
         met: list[State] = []
 

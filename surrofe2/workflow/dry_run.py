@@ -119,13 +119,10 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
 
 def _coarser(recipe: Recipe) -> Recipe | None:
     """The recipe on a quarter of the elements; None where the mesh is no rectangle to be halved."""
-    stated = recipe.stated
-    elements = recipe.macro.elements if stated is None else stated.mesh.elements
+    stated, elements = recipe.stated, recipe.stated.mesh.elements
     if elements is None or recipe.types or max(elements) <= _COARSEST:
         return None
     fewer = (max(1, elements[0] // 2), max(1, elements[1] // 2))
-    if stated is None:
-        return replace(recipe, macro=replace(recipe.macro, elements=fewer))
     other = replace(recipe, stated=replace(stated, mesh=replace(stated.mesh, elements=fewer)))
     try:
         other.problem()

@@ -19,17 +19,15 @@ from numpy.typing import NDArray
 from surrofe2.cache import CachedLaw, StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroRun
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.internal_force import deformation_gradient
-from surrofe2.macro.simulation import as_problem
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
 from surrofe2.problem import Problem
+from surrofe2.problem.entries import sections_of
 from surrofe2.problem.mesh import element_nodes, extent
 from surrofe2.problem.problem import label
-from surrofe2.problem_sections import sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe import Recipe
@@ -181,9 +179,7 @@ def write_results(folder: Path, run: MacroRun) -> None:
     write_energies(folder, run.curve.t, run.energies)
     cell = cell_of_elements(run.law, len(run.elements))
     write_fields(folder, run.nodes, run.elements, run.frames, cell)
-    write_points(
-        folder, make_discretisation(as_problem(run.problem, run.settings).mesh), run.frames
-    )
+    write_points(folder, make_discretisation(run.problem.mesh), run.frames)
     decisions = decisions_of(run.law)
     if decisions is not None:
         write_events(folder, decisions)
@@ -298,7 +294,7 @@ def _record_of(run: MacroRun) -> RunRecord:
         solver=joined(each["rve"].get("solver", "none") for each in found.values()),
         cell_fingerprint=" ".join(each["fingerprint"] for each in found.values()),
         surrogate=surrogate_record(learnt),
-        problem=problem_record(as_problem(run.problem, run.settings)),
+        problem=problem_record(run.problem),
         **describe_origin(),
     )
 
@@ -338,10 +334,8 @@ def _cell_entries(cell: CellParameters) -> dict[str, Any]:
     return {"cell": {"preset": preset, **cell.to_dict()}, "fingerprint": cell.fingerprint}
 
 
-def _stated_problem(problem: Problem | LoadCase) -> dict[str, Any]:
+def _stated_problem(problem: Problem) -> dict[str, Any]:
     """A problem as a recipe has it, its mesh by extent, number of elements and digest."""
-    if isinstance(problem, LoadCase):
-        return {"load": asdict(problem)}
     low, high = extent(problem.mesh)
     digest = hashlib.sha256()
     for part in (problem.mesh.p.T, element_nodes(problem.mesh)):

@@ -5,8 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.cell_types import kinds_of_cells
 from surrofe2.compilation import seconds_compiling
 from surrofe2.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem import Problem
 from surrofe2.recipe import Recipe
 from surrofe2.store.fields import write_particle_fields
 from surrofe2.store.run_folder import (
@@ -18,12 +24,32 @@ from surrofe2.store.run_folder import (
     write_history,
 )
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
-from surrofe2.tissue.simulation import make_conditions, step_at_rest, with_step
-from surrofe2.tissue_problem import cells_of, problem_of_tissue
+from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
 from surrofe2.units import time_text
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.run_outputs import new_record
+
+
+def tissue_of(
+    recipe: Recipe,
+) -> tuple[Problem, list[CellParameters], NDArray[np.int64] | None]:
+    """The problem of a recipe, its plant cells, and of several which each plant cell is (n, m).
+
+    Raises:
+        InputError: naming what a tissue of particles does not take.
+    """
+    problem, stated = recipe.problem(), recipe.stated
+    with recipe.named(InputError):
+        if stated.mesh.file is not None:
+            raise InputError(
+                f"mesh.file: {stated.mesh.file!r}; a full tissue needs a rectangle: mesh.width and "
+                "mesh.height"
+            )
+        problem.check_course()
+        counts = cells_that_fill(problem, recipe.cell, stated.section)
+        kind = kinds_of_cells(problem, recipe.types, counts) if recipe.types else None
+    return problem, [part.cell for part in recipe.parts().values()], kind
 
 
 def run_tissue(
@@ -41,9 +67,9 @@ def run_tissue(
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
     """
-    problem, cells = problem_of_tissue(recipe), cells_of(recipe)
+    problem, cells, kind = tissue_of(recipe)
     references = [kept_reference(part) for part in recipe.parts().values()]
-    conditions = make_conditions(problem, cells, references)
+    conditions = make_conditions(problem, cells, references, kind)
     bears = step_at_rest(conditions, cells, references)
     recipe = replace(recipe, tissue=with_step(recipe.tissue, bears))
     before = seconds_compiling()
@@ -73,6 +99,7 @@ def run_tissue(
             cells,
             recipe.tissue,
             reference=references,
+            kind=kind,
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
             checkpoint=lambda state: run.checkpoint(state.to_arrays()),
             checkpoint_interval=CHECKPOINT_INTERVAL,
@@ -88,18 +115,23 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
     Raises:
         InputError: less than one in a direction, or the recipe states a problem other than the bar.
     """
-    if recipe.stated is not None:
+    stated, side = recipe.stated, recipe.cell.cell_side
+    if stated.section != "load":
         raise InputError(
             f"--cells: {cells[0]} {cells[1]}; {recipe.path.name} has its extent in [mesh]: change "
             "that"
         )
     if min(cells) < 1:
         raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
-    load, side = recipe.bar_load(), recipe.cell.cell_side
+    assert stated.mesh.width is not None
+    assert stated.mesh.height is not None
     width, height = cells[0] * side, cells[1] * side
-    watched = load.watched[0] * width / load.width, load.watched[1] * height / load.height
-    changed = replace(load, width=width, height=height, watched=watched)
-    return replace(recipe, load=changed)
+    mesh = replace(stated.mesh, width=width, height=height)
+    watched = {
+        name: (x * width / stated.mesh.width, y * height / stated.mesh.height)
+        for name, (x, y) in stated.watched.items()
+    }
+    return replace(recipe, stated=replace(stated, mesh=mesh, watched=watched))
 
 
 def tissue_summary(record: RunRecord) -> str:

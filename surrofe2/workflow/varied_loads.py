@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.load_case import LoadCase
 from surrofe2.problem import Problem
-from surrofe2.problem.amplitude import Amplitude, Value
-from surrofe2.problem.conditions import Condition, DrivenCondition, InitialVelocity
+from surrofe2.problem.amplitude import Amplitude, Table, Value
+from surrofe2.problem.conditions import BodyForce, Condition, DrivenCondition, InitialVelocity
 from surrofe2.problem.rigid_bodies import RigidBody
 
 FACTOR = (0.25, 1.5)
@@ -25,25 +24,25 @@ LOAD_FACTOR, LOAD_TIMES, LONGEST_RUN = (0.25, 3.0), 4, 25.0
 bar)."""
 
 
-def random_loads(load: LoadCase, count: int, seed: int) -> Iterator[LoadCase]:
+def random_loads(problem: Problem, count: int, seed: int) -> Iterator[Problem]:
     """The bar under body forces of any direction that come, go and reverse, of up to 25 µs.
 
-    Their modulus is a quarter to three times that of `load`, uniform; its factor runs linearly
+    Their modulus is a quarter to three times that of its own, uniform; its factor runs linearly
     through values uniform in [−1, 1], the first of them at once.
     """
     rng = np.random.default_rng(seed)
-    modulus = float(np.hypot(*load.body_force))
-    duration = min(load.duration, LONGEST_RUN)
+    *others, load = problem.conditions
+    assert isinstance(load, BodyForce)
+    modulus = float(np.hypot(*load.acceleration))
+    duration = min(problem.duration, LONGEST_RUN)
     times = np.linspace(0.0, duration, LOAD_TIMES)
     for _ in np.arange(count):
         angle, factor = rng.uniform(-np.pi, np.pi), rng.uniform(*LOAD_FACTOR)
         force = modulus * factor * np.array([np.cos(angle), np.sin(angle)])
+        course = Table(points=tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist()))
+        varied = replace(load, acceleration=tuple(force.tolist()), amplitude=course)
         yield replace(
-            load,
-            body_force=tuple(force.tolist()),
-            amplitude=tuple((t, rng.uniform(-1.0, 1.0)) for t in times.tolist()),
-            duration=duration,
-            output_interval=duration,
+            problem, conditions=(*others, varied), duration=duration, output_interval=duration
         )
 
 

@@ -4,18 +4,19 @@ from dataclasses import replace
 
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, MacroState, simulate
 from surrofe2.sampling import SamplingRange
 from tests.laws import Learnt, Truth, shear_error
 from tests.test_going_on import assert_equal
 
 LOAD_CASE = LoadCase(
-    width=100.0, height=100.0, body_force=(0.0, -0.1), watched=(100.0, 50.0), duration=20.0,
+    width=100.0, height=100.0, body_force=(0.0, -0.1), watched=(100.0, 50.0), elements=(2, 2),
+    duration=20.0,
     output_interval=1.0,
 )  # fmt: skip
-SETTINGS = MacroSettings(elements=(2, 2))
+SETTINGS = MacroSettings()
 RANGE = SamplingRange(stretch=(0.92, 1.08), shear=0.08, rate=0.01)
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.trust import AUDITS, VIOLATIONS
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.regional_law import RegionalLaw
 from surrofe2.run.displacement_curve import difference
@@ -15,9 +15,14 @@ from tests.cache.standing import Kept
 from tests.laws import Learnt, Truth, shear_error
 
 LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), duration=12.0, output_interval=0.5
+    width=60.0,
+    height=40.0,
+    watched=(60.0, 20.0),
+    elements=(4, 3),
+    duration=12.0,
+    output_interval=0.5,
 )
-SETTINGS = MacroSettings(elements=(4, 3), frames=5)
+SETTINGS = MacroSettings(frames=5)
 ALLOWED = 0.1
 """µN/µm: a hundredth of the spread of `Learnt`."""
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import surrofe2
+from surrofe2 import LoadCase
 from surrofe2.cache import CacheSettings
 from surrofe2.cache.trust import WRONG
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.stress_law import SURROGATE, Status
 from tests.laws import Learnt, Truth
@@ -32,8 +32,8 @@ def test_sources_and_risks_of_an_answer():
 
 
 def test_frames_keep_the_largest_of_each_element():
-    load = LoadCase(duration=20.0, body_force=(0.0, -0.2))
-    frames = simulate(load, make_law(), MacroSettings(elements=(4, 2), frames=6)).frames
+    load = LoadCase(duration=20.0, body_force=(0.0, -0.2), elements=(4, 2))
+    frames = simulate(load, make_law(), MacroSettings(frames=6)).frames
     assert frames.source.shape == frames.risk.shape == (len(frames.t), 8)
     assert (frames.source[0] == SURROGATE).all()
     hit = frames.source == SURROGATE
@@ -47,5 +47,5 @@ def test_frames_keep_the_largest_of_each_element():
 
 
 def test_a_law_that_does_not_tell():
-    frames = simulate(LoadCase(duration=1.0), Truth(), MacroSettings(elements=(2, 1))).frames
+    frames = simulate(LoadCase(duration=1.0, elements=(2, 1)), Truth(), MacroSettings()).frames
     assert frames.source.shape == frames.risk.shape == (len(frames.t), 0)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.branches import extrapolate
 from surrofe2.errors import InputError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import Stepper
@@ -16,9 +16,14 @@ from tests.laws import Learnt, Truth, shear_error
 from tests.macro.bars import equations_of_bar
 
 LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), duration=12.0, output_interval=0.25
+    width=60.0,
+    height=40.0,
+    watched=(60.0, 20.0),
+    elements=(2, 3),
+    duration=12.0,
+    output_interval=0.25,
 )
-SETTINGS = MacroSettings(elements=(2, 3), frames=5)
+SETTINGS = MacroSettings(frames=5)
 TOLERANCE = 0.01  # of a spread of 10: 0.1 µN/µm
 
 
@@ -153,7 +158,7 @@ def test_a_repeated_step_has_the_length_of_the_first_trial():
     cached = CachedLaw(surrogate, Truth(), CacheSettings(audit=0.0))
     steps, lengths = [], []
     for law in (Truth(), cached):
-        equations = equations_of_bar(LOAD_CASE, (2, 3), law)
+        equations = equations_of_bar(LOAD_CASE, law)
         loose = replace(SETTINGS, absolute_tolerance=1e3)
         y = np.zeros(2 * equations.system.free.size)
         method = make_method(equations, loose)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.branches import CachedState
 from surrofe2.cache.trust import (
@@ -18,14 +19,18 @@ from surrofe2.cache.trust import (
     stands,
     wrong_at_most,
 )
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from tests.laws import Learnt, Truth, shear_error
 
 LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.5
+    width=60.0,
+    height=40.0,
+    watched=(60.0, 20.0),
+    elements=(4, 3),
+    duration=6.0,
+    output_interval=0.5,
 )
-SETTINGS = MacroSettings(elements=(4, 3), frames=5)
+SETTINGS = MacroSettings(frames=5)
 
 
 def sound_bound(F, F_dot):

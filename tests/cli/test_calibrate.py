@@ -7,9 +7,8 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from surrofe2 import simulate
+from surrofe2 import LoadCase, simulate
 from surrofe2.errors import SimulationError
-from surrofe2.load_case import LoadCase
 from surrofe2.problem.amplitude import Pulse, Ramp, Sine
 from surrofe2.recipe import load_recipe
 from surrofe2.store.samples import read_data_set
@@ -20,6 +19,7 @@ from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.workflow import calibrate as calibrating
 from surrofe2.workflow.varied_loads import FACTOR, PACE, Varied, random_loads, varied_problems
 from tests.laws import SoftLaw
+from tests.macro.bars import with_load
 
 AT_REST = np.eye(2)[None], np.zeros((1, 2, 2))
 
@@ -166,8 +166,8 @@ def test_a_true_law_that_fails_everywhere_leaves_no_bound(
 def test_runs_whose_load_is_too_much_end_where_they_leave_the_range(recipe, invoke, recipe_path):
     assert invoke("train", recipe_path).exit_code == 0
     surrogate = read_surrogate(recipe.training_path())
-    load = replace(recipe.load, body_force=(0.0, -50.0))
-    (met,) = calibrating._met_in_runs(surrogate, load, recipe.macro, 1, 1)
+    load = with_load(recipe.problem(), acceleration=(0.0, -50.0))
+    (met,) = calibrating._met_in_runs(surrogate, [load], recipe.macro, 1)
     assert all(surrogate.in_range(F, F_dot).all() for F, F_dot in met)
     assert len(met) > 2
     with pytest.raises(
@@ -330,12 +330,14 @@ def test_a_cell_sees_its_own_points_among_the_others(stated, recipe_path, monkey
 def test_loads_push_everywhere_and_reverse():
     load = LoadCase()
     loads = list(random_loads(load, 200, seed=5))
-    forces = np.array([one.body_force for one in loads])
+    forces = np.array([one.conditions[-1].acceleration for one in loads])
     modulus = np.hypot(*forces.T)
     assert 0.05 <= modulus.min() < 0.07
     assert 0.55 < modulus.max() <= 0.6
     assert (np.sign(forces).std(axis=0) > 0.9).all()
-    factors = np.array([[factor for _, factor in one.amplitude] for one in loads])
+    factors = np.array(
+        [[factor for _, factor in one.conditions[-1].amplitude.points] for one in loads]
+    )
     assert (factors.min(axis=1) < 0.0).mean() > 0.8
     assert {one.duration for one in loads} == {25.0}
 

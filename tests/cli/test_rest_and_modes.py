@@ -27,7 +27,7 @@ def test_rest_writes_its_load_path_and_fields(recipe, recipe_path, tmp_path):
     done = call("rest", recipe_path, "--out", out, "--load-steps", 4)
     assert done.exit_code == 0, done.output
     law = RveLaw(recipe.cell, recipe.rve)
-    expected = find_rest(recipe.load, law, recipe.macro, load_steps=4)
+    expected = find_rest(recipe.problem(), law, recipe.macro, load_steps=4)
     lines = (out / "path.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "factor,u_x_um,u_y_um"
     table = np.array([[float(entry) for entry in line.split(",")] for line in lines[1:]])
@@ -158,7 +158,7 @@ def test_modes_about_both_states(recipe, recipe_path, tmp_path):
     law = RveLaw(recipe.cell, initialisation="elastic")
     for state, factor in (("unloaded", 0.0), ("loaded", 1.0)):
         numbers = record["states"][state]["elastic"]
-        modes = find_modes(find_rest(recipe.load, law, recipe.macro, factor=factor), 2)
+        modes = find_modes(find_rest(recipe.problem(), law, recipe.macro, factor=factor), 2)
         np.testing.assert_allclose(numbers["period"], modes.periods, rtol=1e-6)
         np.testing.assert_allclose(numbers["decrement"], modes.decrements, rtol=1e-4)
         assert f"{modes.periods[0]:.3f}" in done.stdout

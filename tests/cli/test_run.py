@@ -45,7 +45,7 @@ def test_run_folder(invoke, recipe_path, folder, recipe):
     low, high = stored["met"]["stretch"]
     assert 0.9 < low <= 1.0 <= high < 1.1
     curve = read_curve(folder)
-    np.testing.assert_array_equal(curve.t, recipe.load.output_times())
+    np.testing.assert_array_equal(curve.t, recipe.problem().output_times())
     assert curve.displacement[-1, 1] < 0.0
     assert done.stdout.startswith(f"{folder}: 4 µs by rve in ")
 
@@ -105,7 +105,10 @@ def test_another_run_is_refused(invoke, recipe_path, changed_recipe, folder):
     for options, told in (
         (["--integrator", "implicit"], "macro.integrator: this call has implicit, what is there "),
         (["--initialisation", "elastic"], "rve.initialisation: this call has elastic, what is "),
-        ([], "load.body_force: this call has [0.0, -0.2], what is there [0.0, -0.1]; change it "),
+        (
+            [],
+            "conditions.load.acceleration: this call has [0.0, -0.2], what is there [0.0, -0.1]; ",
+        ),
     ):
         if not options:
             changed_recipe("-0.1]", "-0.2]")
@@ -194,7 +197,8 @@ class CompilingLaw(SoftLaw):
 
 def test_the_clock_of_a_run_stands_while_kernels_are_compiled(recipe, folder, monkeypatch):
     """A longer first call would count in full by any other clock."""
-    short = replace(recipe, load=replace(recipe.load, duration=0.2))
+    time = replace(recipe.stated.time, duration=0.2, output_interval=0.2)
+    short = replace(recipe, stated=replace(recipe.stated, time=time))
     monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
     run_study(short, "rve", folder / "warm")
     law = CompilingLaw()

@@ -41,7 +41,7 @@ def test_run_folder(short, folder):
     assert stored["counts"]["steps"] == 500
     assert stored["counts"]["particles"] == 4 * 16 + 117
     curve = read_curve(folder)
-    np.testing.assert_array_equal(curve.t, load_recipe(short).load.output_times())
+    np.testing.assert_array_equal(curve.t, load_recipe(short).problem().output_times())
     assert curve.displacement[-1, 1] < -0.01
     header = (folder / "energies.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header == "t_us,kinetic_pJ,internal_pJ,elastic_pJ,load_pJ,dissipated_pJ,balance_pJ"
@@ -59,8 +59,8 @@ def test_run_folder(short, folder):
 def test_cells_and_step_replace_the_recipe_s(short, folder):
     assert invoke(short, "--out", folder, "--cells", 1, 2, "--micro-step", 1e-3).exit_code == 0
     record = read_record(folder)
-    assert (record.recipe["load"]["width"], record.recipe["load"]["height"]) == (25.0, 50.0)
-    assert record.recipe["load"]["watched"] == [25.0, 25.0]
+    assert (record.recipe["mesh"]["width"], record.recipe["mesh"]["height"]) == (25.0, 50.0)
+    assert record.recipe["watch"]["point"] == [25.0, 25.0]
     assert record.counts["steps"] == 1000
 
 

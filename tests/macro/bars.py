@@ -6,32 +6,35 @@ from dataclasses import replace
 
 import numpy as np
 
-from surrofe2.load_case import LoadCase
+from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.system import make_system
-from surrofe2.problem.problem import bar
 
-LOAD_CASE = LoadCase(
-    width=60.0, height=40.0, watched=(60.0, 20.0), duration=6.0, output_interval=0.25
-)
-SETTINGS = MacroSettings(elements=(2, 3), frames=13)
-PLATE = LoadCase(width=30.0, height=20.0, watched=(30.0, 10.0), body_force=(0.3, -0.2))
-
-
-def bar_system(load_case, elements, density=0.08):
-    return make_system(bar(load_case, elements), density)
+BAR = {
+    "width": 60.0, "height": 40.0, "watched": (60.0, 20.0), "elements": (2, 3), "duration": 6.0,
+    "output_interval": 0.25,
+}  # fmt: skip
+LOAD_CASE = LoadCase(**BAR)
+SETTINGS = MacroSettings(frames=13)
+PLATE = {"width": 30.0, "height": 20.0, "watched": (30.0, 10.0), "body_force": (0.3, -0.2)}
 
 
-def equations_of_bar(load_case, elements, law):
-    return EquationsOfMotion(bar_system(load_case, elements, law.density), law)
+def with_load(problem, **changes):
+    """The bar with another body force."""
+    clamp, load = problem.conditions
+    return replace(problem, conditions=(clamp, replace(load, **changes)))
 
 
-def distorted_bar(rng, elements=(5, 4), density=0.08, load_case=PLATE):
+def equations_of_bar(problem, law):
+    return EquationsOfMotion(make_system(problem, law.density), law)
+
+
+def distorted_bar(rng, elements=(5, 4), density=0.08, load=PLATE):
     """Inner nodes moved at random: elements that are no rectangles."""
-    problem = bar(load_case, elements)
+    problem = LoadCase(**load, elements=elements)
     x = problem.mesh.p.T
-    size = [load_case.width, load_case.height]
+    size = [load["width"], load["height"]]
     inner = ((x > 0.0) & (x < size)).all(axis=1)
     moved = x + inner[:, None] * rng.uniform(-0.8, 0.8, x.shape)
     return make_system(replace(problem, mesh=replace(problem.mesh, doflocs=moved.T)), density)

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.load_case import LoadCase
+from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.internal_force import internal_force
 from surrofe2.stress_law import Acceptance, Tangents
 from tests.laws import KelvinVoigt
 
-LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.0)
-SETTINGS = MacroSettings(elements=(2, 2), newton_tolerance=1e-10)
+LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.0, elements=(2, 2))
+SETTINGS = MacroSettings(newton_tolerance=1e-10)
 
 
 class Softens(KelvinVoigt):

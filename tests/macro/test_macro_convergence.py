@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.load_case import LoadCase
+from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from tests.laws import Fibres, KelvinVoigt
 
@@ -25,14 +25,15 @@ def wave(t, length, law, g, terms=400):
 def test_longitudinal_wave_converges_with_the_square_of_the_element_size():
     """Consistent mass, linear in x: second order."""
     law = Fibres(modulus=100.0, viscosity=40.0)
-    load_case = LoadCase(
-        width=100.0, height=10.0, body_force=(0.1, 0.0), watched=(100.0, 5.0), duration=16.0
-    )
-    errors = []
+    length, errors = 100.0, []
     for n in (4, 8, 16):
-        settings = MacroSettings(elements=(n, 2), absolute_tolerance=1e-8, relative_tolerance=1e-8)
+        load_case = LoadCase(
+            width=length, height=10.0, body_force=(0.1, 0.0), watched=(length, 5.0), duration=16.0,
+            elements=(n, 2),
+        )  # fmt: skip
+        settings = MacroSettings(absolute_tolerance=1e-8, relative_tolerance=1e-8)
         curve = simulate(load_case, law, settings).curve
-        exact = wave(curve.t, load_case.width, law, 0.1)
+        exact = wave(curve.t, length, law, 0.1)
         errors.append(abs(curve.displacement[:, 0] - exact).max() / abs(exact).max())
         assert abs(curve.displacement[:, 1]).max() < 1e-10
     rates = np.log2(np.divide(errors[:-1], errors[1:]))
@@ -41,10 +42,10 @@ def test_longitudinal_wave_converges_with_the_square_of_the_element_size():
 
 
 def lost_at_fixed_step(step):
-    load_case = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=6.4)
-    settings = MacroSettings(
-        elements=(2, 2), absolute_tolerance=1e3, relative_tolerance=1e3, largest_step=step
+    load_case = LoadCase(
+        width=60.0, height=60.0, watched=(60.0, 30.0), duration=6.4, elements=(2, 2)
     )
+    settings = MacroSettings(absolute_tolerance=1e3, relative_tolerance=1e3, largest_step=step)
     run = simulate(load_case, KelvinVoigt(), settings)
     return abs(run.energies["numerical"][-1]) / run.energies["kinetic"].max()
 
@@ -57,12 +58,12 @@ def test_what_the_method_dissipates_is_of_fifth_order_in_the_step():
 
 
 def test_what_the_method_dissipates_follows_the_tolerance_and_the_balance_closes():
-    load_case = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=20.0)
+    load_case = LoadCase(
+        width=60.0, height=60.0, watched=(60.0, 30.0), duration=20.0, elements=(2, 2)
+    )
     errors = []
     for tolerance in (1e-3, 1e-5, 1e-7):
-        settings = MacroSettings(
-            elements=(2, 2), absolute_tolerance=1e-2 * tolerance, relative_tolerance=tolerance
-        )
+        settings = MacroSettings(absolute_tolerance=1e-2 * tolerance, relative_tolerance=tolerance)
         energies = simulate(load_case, KelvinVoigt(), settings).energies
         errors.append(abs(energies["numerical"]).max() / energies["load"].max())
         assert abs(energies["balance"]).max() < 1e-12 * energies["load"].max()

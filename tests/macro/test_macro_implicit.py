@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase, Table
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Weights
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from tests.laws import DryFriction, Fibres, KelvinVoigt
-from tests.macro.bars import equations_of_bar
+from tests.macro.bars import equations_of_bar, with_load
 
-LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8)
-IMPLICIT = MacroSettings(elements=(2, 2), integrator="implicit")
-TIGHT = MacroSettings(elements=(2, 2), absolute_tolerance=1e-9, relative_tolerance=1e-9)
+LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.8, elements=(2, 2))
+IMPLICIT = MacroSettings(integrator="implicit")
+TIGHT = MacroSettings(absolute_tolerance=1e-9, relative_tolerance=1e-9)
 
 
 def at_fixed_step(h, law, **settings):
@@ -82,8 +82,8 @@ def test_error_follows_the_tolerance():
 def test_newton_converges_quadratically():
     """A long step under a load a hundred times the usual: residuals square, r₊ ≤ c r²."""
     law = KelvinVoigt()
-    hundredfold = replace(LOAD_CASE, amplitude=((0.0, 100.0),))
-    equations = equations_of_bar(hundredfold, (2, 2), law)
+    hundredfold = with_load(LOAD_CASE, amplitude=Table(points=((0.0, 100.0),)))
+    equations = equations_of_bar(hundredfold, law)
     method = GeneralisedAlpha(equations, replace(IMPLICIT, newton_tolerance=1e-12))
     start = equations.evaluate(0.0, np.zeros(2 * equations.system.free.size))
     a = start.acceleration
@@ -123,10 +123,10 @@ def oscillation_left(h, spectral_radius):
     element of fibres: ½ m v² + ½ k (u − f/k)², with m, k, f as in test_macro_known_answers."""
     law = Fibres(modulus=100.0, viscosity=0.0)
     load_case = LoadCase(
-        width=30.0, height=20.0, body_force=(0.05, 0.0), watched=(30.0, 4.0), duration=10.0,
-        output_interval=10.0,
+        width=30.0, height=20.0, body_force=(0.05, 0.0), elements=(1, 1), watched=(30.0, 4.0),
+        duration=10.0, output_interval=10.0,
     )  # fmt: skip
-    settings = replace(IMPLICIT, elements=(1, 1), relative_tolerance=1e6, largest_step=h)
+    settings = replace(IMPLICIT, relative_tolerance=1e6, largest_step=h)
     run = simulate(load_case, law, replace(settings, spectral_radius=spectral_radius))
     stiffness, load = law.modulus * 20.0 / 30.0, law.density * 0.05 * 30.0 * 20.0 / 2.0
     static = load / stiffness
@@ -174,7 +174,7 @@ def test_law_without_tangents_is_named():
 @pytest.mark.slow
 def test_bar_of_rves_moves_as_the_explicit_run_says():
     law = RveLaw(CellParameters.preset("water"), initialisation="slow-manifold")
-    load_case = LoadCase(duration=15.0)
-    explicit = simulate(load_case, law, MacroSettings(elements=(2, 2)))
-    implicit = simulate(load_case, law, MacroSettings(elements=(2, 2), integrator="implicit"))
+    load_case = LoadCase(duration=15.0, elements=(2, 2))
+    explicit = simulate(load_case, law, MacroSettings())
+    implicit = simulate(load_case, law, MacroSettings(integrator="implicit"))
     assert difference(implicit, explicit) < 1e-2

@@ -1,10 +1,9 @@
 """Space alone: kernels against plain twins, patch test, balances, symmetries."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import widen_extremes
 from surrofe2.macro.internal_force import (
@@ -20,7 +19,7 @@ from surrofe2.macro.tangents import mass_matrix
 from surrofe2.problem import Problem
 from surrofe2.tensors import det
 from tests.laws import KelvinVoigt
-from tests.macro.bars import PLATE, bar_system, distorted_bar, random_state, state_vector
+from tests.macro.bars import PLATE, distorted_bar, random_state, state_vector
 from tests.macro.meshes import KINDS, plate
 
 
@@ -135,7 +134,7 @@ def test_extremes_kernel_agrees_with_its_twin(rng):
 
 def test_kernels_keep_nan(rng):
     """What comes in as NaN must not leave as a number that passes for a deformation."""
-    bar = bar_system(PLATE, (2, 2)).discretisation
+    bar = make_system(LoadCase(**PLATE, elements=(2, 2)), 0.08).discretisation
     u, v = unheld_state(bar, rng)
     u[0, 0] = np.nan
     F, _, J = deformation_gradient(bar, u, v)
@@ -158,7 +157,7 @@ def test_patch_of_distorted_elements_carries_a_homogeneous_deformation(rng):
 
     # J σ F⁻ᵀ with ∇N summed over the side's nodes gives the traction resultant.
     P = J[0] * stress[0] @ np.linalg.inv(expected_F).T
-    width, height = PLATE.width, PLATE.height
+    width, height = PLATE["width"], PLATE["height"]
     scale = abs(P).max() * height
     inner = (bar.nodes > 0.0).all(axis=1) & (bar.nodes < [width, height]).all(axis=1)
     np.testing.assert_allclose(force[inner], 0.0, atol=1e-13 * scale)
@@ -180,7 +179,7 @@ def test_rotating_unheld_body_feels_no_force(rng):
     v = spin * x @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     F, F_dot, _ = deformation_gradient(bar, x - bar.nodes, v)
     force = internal_force(bar, F, law.respond(F, F_dot).stress)
-    assert abs(force).max() < 1e-12 * law.shear_modulus * PLATE.height
+    assert abs(force).max() < 1e-12 * law.shear_modulus * PLATE["height"]
     # The same motion does make a force where the law minds: it is not zero for lack of stress.
     F, F_dot, _ = deformation_gradient(bar, 1.1 * x - bar.nodes, v)
     assert abs(internal_force(bar, F, law.respond(F, F_dot).stress)).max() > 1.0
@@ -205,8 +204,8 @@ def test_forces_of_unheld_body_balance_and_their_virial_is_the_stress(rng):
 def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     """v·M a + Σ dev σ : L dv + Σ tr(σ)/2 tr L dv = load·v, dev at Gauss points, tr at centres."""
     rng = np.random.default_rng(seed)
-    law, load_case = KelvinVoigt(), replace(PLATE, amplitude=((0.0, 0.7),))
-    system = distorted_bar(rng, load_case=load_case)
+    law, load_case = KelvinVoigt(), PLATE | {"amplitude": ((0.0, 0.7),)}
+    system = distorted_bar(rng, load=load_case)
     bar = system.discretisation
     u, v = random_state(system, rng)
     now = EquationsOfMotion(system, law).evaluate(0.0, state_vector(system, u, v))
@@ -231,17 +230,17 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
 def test_mass_and_load_are_consistent(rng):
     """½ v·M v for v = x is ρ H W³/6 exactly, and load·v for v = x is ρ g H W²/2."""
     bar = distorted_bar(rng, density=0.11)
-    width, height = PLATE.width, PLATE.height
+    width, height = PLATE["width"], PLATE["height"]
     x = bar.discretisation.nodes[:, 0]
     assert 0.5 * x @ bar.mass @ x == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
-    expected = 0.11 * np.array(PLATE.body_force) * height * width**2 / 2.0
+    expected = 0.11 * np.array(PLATE["body_force"]) * height * width**2 / 2.0
     np.testing.assert_allclose(x @ bar.forces[0].largest, expected, rtol=1e-12)
     field = rng.normal(size=bar.free.size)
     np.testing.assert_allclose(mass_matrix(bar) @ bar.solve_mass(field), field, atol=1e-12)
 
 
 def test_watched_point_between_nodes_is_interpolated(rng):
-    bar = bar_system(replace(PLATE, watched=(13.0, 7.3)), (5, 3))
+    bar = make_system(LoadCase(**PLATE | {"watched": (13.0, 7.3)}, elements=(5, 3)), 0.08)
     x, y = bar.discretisation.nodes.T
     field = np.stack([2.0 * x + 0.3 * x * y, -x * y], axis=1)
     expected = [2.0 * 13.0 + 0.3 * 13.0 * 7.3, -13.0 * 7.3]

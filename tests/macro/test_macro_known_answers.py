@@ -9,15 +9,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.load_case import LoadCase
+from surrofe2 import LoadCase, Table
 from surrofe2.macro import MacroSettings, simulate
 from tests.laws import DryFriction, Fibres
+from tests.macro.bars import with_load
 
 W, H, G = 30.0, 20.0, 0.05
 ONE_ELEMENT = LoadCase(
-    width=W, height=H, body_force=(G, 0.0), watched=(W, 4.0), duration=12.0, output_interval=0.1
+    width=W,
+    height=H,
+    body_force=(G, 0.0),
+    watched=(W, 4.0),
+    elements=(1, 1),
+    duration=12.0,
+    output_interval=0.1,
 )
-FINE = MacroSettings(elements=(1, 1), absolute_tolerance=1e-10, relative_tolerance=1e-9)
+FINE = MacroSettings(absolute_tolerance=1e-10, relative_tolerance=1e-9)
 LAW = Fibres(modulus=100.0, viscosity=20.0)
 
 
@@ -86,7 +93,10 @@ def test_dissipated_energy_is_of_second_order_in_the_samples():
 
 def test_load_follows_its_amplitude():
     """Twice the amplitude, twice the displacement; and none before it sets in."""
-    late = replace(ONE_ELEMENT, amplitude=((0.0, 0.0), (2.0, 0.0), (2.001, 2.0)), duration=8.0)
+    late = replace(
+        with_load(ONE_ELEMENT, amplitude=Table(points=((0.0, 0.0), (2.0, 0.0), (2.001, 2.0)))),
+        duration=8.0,
+    )
     settings = replace(FINE, largest_step=0.05)
     curve = simulate(late, LAW, settings).curve
     assert abs(curve.displacement[curve.t < 2.0]).max() == 0.0
@@ -103,8 +113,8 @@ def test_dry_friction_takes_its_energy_once():
     all, gives another answer. The kinks leave an error of the order of the step.
     """
     law = DryFriction()
-    settings = MacroSettings(elements=(1, 1), largest_step=0.005)
-    run = simulate(replace(ONE_ELEMENT, body_force=(6.0 * G, 0.0)), law, settings)
+    settings = MacroSettings(largest_step=0.005)
+    run = simulate(with_load(ONE_ELEMENT, acceleration=(6.0 * G, 0.0)), law, settings)
     drive = law.density * 6.0 * G * W / 2.0
     # ½ E ε² − (drive − limit) ε − limit²/(2 spring) = 0
     b = drive - law.limit
@@ -125,7 +135,7 @@ def test_state_given_to_the_law_is_that_of_the_last_accepted_step():
         return respond(F, F_dot, state)
 
     law.respond = listening
-    simulate(replace(ONE_ELEMENT, duration=3.0), law, MacroSettings(elements=(1, 1)))
+    simulate(replace(ONE_ELEMENT, duration=3.0), law, MacroSettings())
     assert seen[0] == (None, 0)
     assert all(state is law.committed[steps - 1] for state, steps in seen[1:])
     assert len(law.committed) > 5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from surrofe2.load_case import LoadCase
+from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, find_modes, find_rest, modes
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
@@ -19,7 +19,7 @@ TAU = 0.05
 PROPORTIONAL = KelvinVoigt(
     shear_modulus=60.0, lame=80.0, shear_viscosity=60.0 * TAU, bulk_viscosity=140.0 * TAU
 )
-SETTINGS = MacroSettings(elements=(4, 4))
+SETTINGS = MacroSettings()
 
 
 def test_proportional_damping():
@@ -49,8 +49,8 @@ def test_proportional_damping():
 def test_longitudinal_modes_of_a_bar():
     """Without lateral contraction and as long as it is slender: ω = (j + ½) π c/W, c² = E/ρ."""
     law = KelvinVoigt(shear_modulus=60.0, lame=0.0, shear_viscosity=0.0, bulk_viscosity=0.0)
-    slender = LoadCase(width=100.0, height=1.0, watched=(100.0, 0.5))
-    rest = find_rest(slender, law, MacroSettings(elements=(32, 1)), factor=0.0)
+    slender = LoadCase(width=100.0, height=1.0, watched=(100.0, 0.5), elements=(32, 1))
+    rest = find_rest(slender, law, SETTINGS, factor=0.0)
     found = find_modes(rest, 60)
     along = abs(found.shapes[:, :, 0]).max(axis=1) > 0.99
     across = abs(found.shapes[:, :, 1]).max(axis=1) < 0.05

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.errors import SimulationError
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, Rest, find_rest, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import (
@@ -24,8 +24,8 @@ from surrofe2.stress_law import Status
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import plate, sides_of
 
-LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0))
-SETTINGS = MacroSettings(elements=(2, 2), newton_tolerance=1e-10)
+LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), elements=(2, 2))
+SETTINGS = MacroSettings(newton_tolerance=1e-10)
 
 
 def test_singular_stiffness_is_a_sentence():
@@ -37,7 +37,7 @@ def test_singular_stiffness_is_a_sentence():
 def test_overdamped_motion_comes_to_the_same_rest():
     law = KelvinVoigt(shear_viscosity=200.0, bulk_viscosity=200.0)
     rest = find_rest(LOAD_CASE, law, SETTINGS)
-    settings = MacroSettings(elements=(2, 2), integrator="implicit")
+    settings = MacroSettings(integrator="implicit")
     end = simulate(replace(LOAD_CASE, duration=400.0), law, settings).curve.displacement[-1]
     np.testing.assert_allclose(rest.watched, end, rtol=1e-4)
 

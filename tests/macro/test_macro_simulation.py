@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from skfem.helpers import grad
 
+from surrofe2 import LoadCase
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, MacroState, simulate
 from surrofe2.macro.discretisation import make_discretisation
@@ -15,9 +16,8 @@ from surrofe2.macro.internal_force import (
     element_mean_F,
     element_mean_stress,
 )
-from surrofe2.macro.posed import as_problem
 from tests.laws import KelvinVoigt
-from tests.macro.bars import LOAD_CASE, SETTINGS
+from tests.macro.bars import BAR, LOAD_CASE, SETTINGS
 
 
 class Stop(KeyboardInterrupt):
@@ -98,7 +98,7 @@ def test_checkpoint_of_another_run_is_refused(change, name):
     states = []
     simulate(LOAD_CASE, KelvinVoigt(), SETTINGS, checkpoint=states.append, checkpoint_interval=0.0)
     with pytest.raises(MismatchError, match=f"resume: {name}: not that"):
-        simulate(replace(LOAD_CASE, **change), KelvinVoigt(), SETTINGS, resume=states[-2])
+        simulate(LoadCase(**BAR | change), KelvinVoigt(), SETTINGS, resume=states[-2])
 
 
 def test_incomplete_checkpoint_is_refused():
@@ -112,7 +112,7 @@ def test_incomplete_checkpoint_is_refused():
 
 
 def test_points_of_frames_have_the_mean_that_their_elements_have():
-    problem = as_problem(LOAD_CASE, SETTINGS)
+    problem = LOAD_CASE
     frames = simulate(problem, KelvinVoigt(), SETTINGS).frames
     space, at = make_discretisation(problem.mesh), np.isin(frames.t, frames.point_t)
     assert frames.point_t.tolist() == [*frames.t[:-1:POINTS_EVERY], frames.t[-1]]
@@ -188,7 +188,6 @@ def test_last_output_time_survives_rounding():
 @pytest.mark.parametrize(
     "change",
     [
-        {"elements": (4, 0)},
         {"absolute_tolerance": 0.0},
         {"relative_tolerance": float("nan")},
         {"largest_step": 0.0},
@@ -228,5 +227,5 @@ def test_scikit_fem_evaluates_what_a_run_gives_back():
     F = np.eye(2)[:, :, None, None] + grad(basis.interpolate(u))
     mean = np.einsum("ijeq,eq->eij", F, basis.dx) / basis.dx.sum(axis=1)[:, None, None]
     np.testing.assert_allclose(mean, run.frames.F[-1], rtol=0, atol=1e-12)
-    at = basis.probes(np.array([LOAD_CASE.watched]).T) @ u
+    at = basis.probes(np.array([*LOAD_CASE.watched.values()]).T) @ u
     np.testing.assert_allclose(at, run.curve.displacement[-1], rtol=0, atol=1e-12)

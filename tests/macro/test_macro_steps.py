@@ -14,7 +14,7 @@ from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import NO_MEMORY, Stepper
 from surrofe2.stress_law import Status
 from tests.laws import Failing, KelvinVoigt
-from tests.macro.bars import LOAD_CASE, SETTINGS, equations_of_bar
+from tests.macro.bars import LOAD_CASE, SETTINGS, equations_of_bar, with_load
 
 
 class Refusing(KelvinVoigt):
@@ -40,7 +40,7 @@ class Refusing(KelvinVoigt):
 
 
 def stepper_of(law, integrator="explicit", first_step=0.4):
-    equations = equations_of_bar(LOAD_CASE, (2, 3), law)
+    equations = equations_of_bar(LOAD_CASE, law)
     y = np.zeros(2 * equations.system.free.size)
     loose = replace(SETTINGS, integrator=integrator, absolute_tolerance=1e3, relative_tolerance=1e6)
     method = make_method(equations, loose)
@@ -142,7 +142,7 @@ def test_inverted_element_is_a_failed_trial():
     soft = KelvinVoigt(shear_modulus=1e-3, lame=1e-3, shear_viscosity=0.0, bulk_viscosity=0.0)
     settings = replace(SETTINGS, absolute_tolerance=1e6, relative_tolerance=1e6)
     with pytest.raises(SimulationError, match=r"det F = -.*inverted"):
-        simulate(replace(LOAD_CASE, body_force=(-3.0, 0.0)), soft, settings)
+        simulate(with_load(LOAD_CASE, acceleration=(-3.0, 0.0)), soft, settings)
 
 
 def test_stress_that_is_not_finite_is_a_failed_trial():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.load_case import LoadCase
+from surrofe2 import LoadCase
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import (
@@ -13,7 +13,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Fixed, Problem
 from surrofe2.rve import RveLaw, RveSettings
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
-from tests.macro.bars import bar_system, distorted_bar, random_state
+from tests.macro.bars import distorted_bar, random_state
 from tests.macro.meshes import plate
 
 
@@ -70,8 +70,8 @@ def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisati
         CellParameters.preset("printed"),
         RveSettings(initialisation=initialisation, tolerance=1e-10),
     )
-    load_case = LoadCase(width=50.0, height=50.0, watched=(50.0, 25.0))
-    bar = bar_system(load_case, (2, 1), law.density)
+    load_case = LoadCase(width=50.0, height=50.0, watched=(50.0, 25.0), elements=(2, 1))
+    bar = make_system(load_case, law.density)
     u, v = random_state(bar, rng, 0.4)
     v *= 0.2
     tangents, answer = exact(bar, law, u, v)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,12 +95,14 @@ def test_a_tissue_has_no_rve_solves_to_compare(make_run):
 
 def test_other_load_case_is_refused(make_run):
     a, b = make_run("a", "rve", 0.0, 1.0, 1), make_run("b", "cached", 0.0, 1.0, 1)
-    load = {**b.record.recipe["load"], "body_force": [0.0, -0.4]}
-    b = replace(b, record=replace(b.record, recipe={**b.record.recipe, "load": load}))
+    load = deepcopy(b.record.recipe["conditions"])
+    load["load"]["acceleration"] = [0.0, -0.4]
+    b = replace(b, record=replace(b.record, recipe={**b.record.recipe, "conditions": load}))
     with pytest.raises(MismatchError) as caught:
         compare([a, b])
     assert str(caught.value) == (
-        "b: load.body_force is [0.0, -0.4], in a [0.0, -0.1]; compare runs of one load case"
+        "b: conditions.load.acceleration is [0.0, -0.4], in a [0.0, -0.1]; compare runs of one "
+        "load case"
     )
 
 

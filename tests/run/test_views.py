@@ -29,8 +29,8 @@ def surrogate():
 
 @pytest.fixture(scope="module")
 def run():
-    load = LoadCase(width=100.0, height=100.0, watched=(100.0, 50.0), duration=4.0)
-    return simulate(load, SoftLaw(), MacroSettings(elements=(2, 2)))
+    load = LoadCase(width=100.0, height=100.0, watched=(100.0, 50.0), elements=(2, 2), duration=4.0)
+    return simulate(load, SoftLaw(), MacroSettings())
 
 
 @pytest.fixture

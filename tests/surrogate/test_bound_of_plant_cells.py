@@ -169,7 +169,7 @@ def test_the_bar_is_accepted(study):
     seen = []
     watched = WatchedLaw(study.surrogate, lambda *state: seen.append(np.copy(state)))
     recipe = study.recipe
-    load = replace(recipe.load, duration=min(recipe.load.duration, study.states / 80.0))
+    load = replace(recipe.problem(), duration=min(recipe.duration, study.states / 80.0))
     simulate(load, watched, recipe.macro)
     F, F_dot = (np.concatenate([state[part] for state in seen[::4]]) for part in (0, 1))
     error, _, accepted = study.errors(F, F_dot, study.tolerance)

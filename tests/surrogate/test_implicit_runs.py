@@ -5,19 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw
 from surrofe2.cache.settings import CacheSettings
-from surrofe2.load_case import LoadCase
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.sampling import SamplingRange
 from surrofe2.stress_law import Status
 from tests.laws import CELL, TrueLattice, Untaught, tangents_by_differences
 
 LOAD_CASE = LoadCase(
-    width=60.0, height=60.0, body_force=(0.0, -0.2), watched=(60.0, 30.0), duration=6.0,
+    width=60.0, height=60.0, body_force=(0.0, -0.2), watched=(60.0, 30.0), elements=(2, 2),
+    duration=6.0,
     output_interval=0.5,
 )  # fmt: skip
-EXPLICIT = MacroSettings(elements=(2, 2), absolute_tolerance=1e-8, relative_tolerance=1e-6)
+EXPLICIT = MacroSettings(absolute_tolerance=1e-8, relative_tolerance=1e-6)
 IMPLICIT = replace(
     EXPLICIT, integrator="implicit", absolute_tolerance=1e-7, relative_tolerance=1e-5
 )

@@ -8,10 +8,11 @@ import numba
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase, Table
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.load_case import LoadCase
 from surrofe2.tissue import TissueDynamics, TissueSettings, relax, simulate_tissue
 from surrofe2.tissue.simulation import held_and_loaded, make_conditions
+from tests.macro.bars import with_load
 from tests.tissue.twin import TissueTwin
 
 LOAD_CASE = LoadCase(
@@ -56,7 +57,9 @@ def test_order_of_displacement_and_of_energy_balance(reference, preset, changes,
 
 def test_a_load_that_comes_and_goes_between_two_samples_of_the_energy_does_work(reference):
     cell, at_rest = reference("printed")
-    blow = replace(LOAD_CASE, amplitude=((0.0, 0.0), (0.02, 1.0), (0.04, 0.0), (1.0, 0.0)))
+    blow = with_load(
+        LOAD_CASE, amplitude=Table(points=((0.0, 0.0), (0.02, 1.0), (0.04, 0.0), (1.0, 0.0)))
+    )
     settings = TissueSettings(micro_step=1e-3, frames=2, energy_steps=50)
     energies = simulate_tissue(blow, cell, settings, reference=at_rest).energies
     assert energies["kinetic"].max() > 0.0
@@ -169,8 +172,8 @@ def test_relaxed_tissue_shrinks_where_its_boundary_is_free(reference):
 @pytest.mark.parametrize(("name", "extent"), [("width", 60.0), ("height", 20.0)])
 def test_wrong_extent_is_named(reference, name, extent):
     cell, at_rest = reference("printed")
-    load_case = replace(LOAD_CASE, watched=(0.0, 0.0), **{name: extent})
-    with pytest.raises(InputError, match=rf"^load.{name}: {extent:g}; a tissue needs a whole num"):
+    load_case = LoadCase(**{"width": 50.0, "height": 25.0, "watched": (0.0, 0.0), name: extent})
+    with pytest.raises(InputError, match=rf"^mesh.{name}: {extent:g}; a tissue needs a whole num"):
         simulate_tissue(load_case, cell, reference=at_rest)
 
 

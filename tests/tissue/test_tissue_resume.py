@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
+from surrofe2 import LoadCase
 from surrofe2.errors import InputError, MismatchError
-from surrofe2.load_case import LoadCase
 from surrofe2.tissue import TissueSettings, TissueState, simulate_tissue
+from tests.macro.bars import with_load
 
 LOAD_CASE = LoadCase(
     width=50.0, height=50.0, watched=(50.0, 25.0), body_force=(0.5, -2.0), duration=3.0,
@@ -73,7 +73,7 @@ def test_checkpoints_come_with_every_output_time_when_asked(whole, simulate):
 
 def test_checkpoint_of_another_run_is_refused(simulate):
     state = stopped_at(simulate, 0.5)
-    other = replace(LOAD_CASE, body_force=(0.5, -1.0))
+    other = with_load(LOAD_CASE, acceleration=(0.5, -1.0))
     with pytest.raises(MismatchError, match=r"resume: .* are not those of the checkpoint"):
         simulate(other, resume=state)
     arrays = state.to_arrays()

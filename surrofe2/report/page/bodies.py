@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.problem.entries import body_of
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, Shape
-from surrofe2.problem_entries import body_of
 from surrofe2.report.page.seen import SeenRun
 
 Array = NDArray[np.float64]

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+from copy import deepcopy
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -199,12 +200,13 @@ def test_a_run_of_before_whose_worst_answer_has_no_risk_is_shown(runs, tmp_path)
 
 def test_runs_of_other_loads_are_shown_but_not_compared(runs, tmp_path):
     record = read_record(runs[1])
-    load = {**record.recipe["load"], "body_force": [0.0, -0.4]}
-    write_record(runs[1], replace(record, recipe={**record.recipe, "load": load}))
+    load = deepcopy(record.recipe["conditions"])
+    load["load"]["acceleration"] = [0.0, -0.4]
+    write_record(runs[1], replace(record, recipe={**record.recipe, "conditions": load}))
     text = write_report(runs, tmp_path / "two.html").read_text(encoding="utf-8")
     words = " ".join(Whole(text).words)
     assert "Not compared: " in words
-    assert "load.body_force" in words
+    assert "conditions.load.acceleration" in words
 
 
 def test_no_folder_is_refused(tmp_path):

@@ -1,4 +1,4 @@
-"""Entries of a recipe that state parts of a mesh, conditions, amplitudes and rigid bodies."""
+"""Regions, conditions, amplitudes and rigid bodies from the entries of a recipe, and back."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 from surrofe2.errors import InputError, quoted
 from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
 from surrofe2.problem.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
+from surrofe2.problem.problem import label
 from surrofe2.problem.regions import Box, Disc, HalfPlane, Part
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
 from surrofe2.settings import check_value, from_table, unknown
@@ -163,6 +164,19 @@ def entries_of(stated: Condition | RigidBody) -> dict[str, Any]:
         del plain["shape"]
         plain[shape.pop("kind")] = shape
     return plain
+
+
+def sections_of(
+    conditions: tuple[Condition, ...], bodies: tuple[RigidBody, ...], watched: Mapping[str, Point]
+) -> dict[str, dict[str, Any]]:
+    """What acts on a tissue and what is watched, as a recipe has it."""
+    return {
+        "conditions": {
+            label(each): {"kind": each.kind(), **entries_of(each)} for each in conditions
+        },
+        "bodies": {body.name: entries_of(body) for body in bodies},
+        "watch": dict(watched),
+    }
 
 
 def _with_kind(stated: Any, kinds: Mapping[str, type]) -> dict[str, Any]:

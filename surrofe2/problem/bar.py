@@ -1,0 +1,88 @@
+"""The bar of the paper's section 6.2, which section [load] of a recipe states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surrofe2.errors import InputError
+from surrofe2.problem.amplitude import ONE, Table
+from surrofe2.problem.conditions import BodyForce, Condition, Fixed
+from surrofe2.problem.entries import sections_of
+from surrofe2.problem.mesh import rectangle
+from surrofe2.problem.problem import Problem
+from surrofe2.settings import check_settings, setting
+from surrofe2.units import ACCELERATION, LENGTH, NONE, TIME
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadSettings:
+    """A rectangle of tissue, clamped along its left side, pulled by a body force, at rest at t = 0.
+
+    The defaults are the bending bar of the paper's section 6.2.
+    """
+
+    width: float = setting(400.0, "extent in x", LENGTH, above=0.0)
+    height: float = setting(400.0, "extent in y", LENGTH, above=0.0)
+    body_force: tuple[float, float] = setting(
+        (0.0, -0.2), "body force per mass (g in eq. 58)", ACCELERATION
+    )
+    amplitude: tuple[tuple[float, float], ...] = setting(
+        (), "(time, factor) of the body force, linear between; empty: constant", f"({TIME}, {NONE})"
+    )
+    duration: float = setting(250.0, "length of the run", TIME, above=0.0)
+    watched: tuple[float, float] = setting(
+        (400.0, 200.0), "reference position of the watched point", LENGTH
+    )
+    output_interval: float = setting(0.5, "time between rows of the curve", TIME, above=0.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "load")
+        x, y = self.watched
+        if not (0.0 <= x <= self.width and 0.0 <= y <= self.height):
+            raise InputError(
+                f"load.watched: {self.watched}; it must lie within "
+                f"[0, {self.width}] x [0, {self.height}] µm"
+            )
+        if (np.diff([t for t, _ in self.amplitude]) <= 0.0).any():
+            raise InputError(f"load.amplitude: {self.amplitude}; times must increase")
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The clamp and the load."""
+        amplitude = Table(points=self.amplitude) if self.amplitude else ONE
+        load = BodyForce(name="load", acceleration=self.body_force, amplitude=amplitude)
+        return Fixed(on="left", name="clamp"), load
+
+    def sections(self, elements: tuple[int, int]) -> dict[str, dict[str, Any]]:
+        """The sections of a recipe that state the same problem."""
+        return {
+            "mesh": {"width": self.width, "height": self.height, "elements": elements},
+            **sections_of(self.conditions, (), {"point": self.watched}),
+            "time": {
+                "duration": self.duration,
+                "output_interval": min(self.output_interval, self.duration),
+            },
+        }
+
+
+def LoadCase(*, elements: tuple[int, int] = (4, 4), **load: Any) -> Problem:
+    """The bar as a problem, on a rectangle of so many elements in x and in y.
+
+    Args:
+        load: fields of `LoadSettings`: width, height, body_force, amplitude, duration, watched,
+            output_interval.
+
+    Raises:
+        InputError: naming the field that is out of its bounds.
+    """
+    given = LoadSettings(**load)
+    return Problem(
+        mesh=rectangle(given.width, given.height, elements),
+        conditions=given.conditions,
+        duration=given.duration,
+        output_interval=given.output_interval,
+        watched={"point": given.watched},
+    )
