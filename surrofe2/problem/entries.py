@@ -17,10 +17,7 @@ from surrofe2.units import LENGTH
 
 Point = tuple[float, float]
 _SHAPES: dict[str, type] = {"plane": Plane, "circle": Circle, "corner": Corner}
-_PARTS: dict[str, dict[str, Any]] = {
-    "half_plane": {"through": Point, "normal": Point},
-    "circle": {"centre": Point, "radius": float},
-}
+_PARTS: dict[str, type] = {"half_plane": HalfPlane, "circle": Disc}
 
 
 def parts_of(section: str, table: Any) -> dict[str, Part]:
@@ -44,22 +41,8 @@ def _part(where: str, table: Any) -> Part:
                 f"{where}.box: {list(given)}; it must be [x0, y0, x1, y1], low to high"
             )
         return Box(given[:2], given[2:])
-    where = f"{where}.{kind}"
-    _check_table(where, given)
-    for key in given:
-        if key not in _PARTS[kind]:
-            raise InputError(unknown(f"{where}.{key}", key, "key", _PARTS[kind]))
-    values = []
-    for key, hint in _PARTS[kind].items():
-        if key not in given:
-            raise InputError(f"{where}.{key}: missing; it must be given")
-        bounds = {"above": 0.0} if key == "radius" else {}
-        values.append(check_value(f"{where}.{key}", given[key], hint, {"unit": LENGTH, **bounds}))
-    if kind == "circle":
-        return Disc(*values)
-    if not any(values[1]):
-        raise InputError(f"{where}.normal: {list(values[1])}; it must not be zero")
-    return HalfPlane(*values)
+    part: Part = _within(f"{where}.{kind}", kind, _PARTS[kind], given)
+    return part
 
 
 def condition_of(where: str, table: Any, name: str | None) -> Condition:
@@ -110,7 +93,6 @@ def body_of(name: str, table: Any) -> RigidBody:
     given = dict(table)
     shapes = {key: given.pop(key) for key in _SHAPES if key in given}
     kind, outline = _one_of(where, shapes, tuple(_SHAPES))
-    _check_table(f"{where}.{kind}", outline)
     shape: Shape = _within(f"{where}.{kind}", kind, _SHAPES[kind], outline)
     for key in ("name", "shape"):
         if key in given:
@@ -125,10 +107,11 @@ def body_of(name: str, table: Any) -> RigidBody:
     return from_table(where, RigidBody, {**given, "name": name, "shape": shape}, _SHAPES)
 
 
-def _within(where: str, own: str, kind: type, table: Mapping[str, Any]) -> Any:
+def _within(where: str, own: str, kind: type, table: Any) -> Any:
     """The settings of a table within another; what `own` says of itself is said of `where`."""
+    _check_table(where, table)
     try:
-        return from_table(where, kind, table, [] if kind in _SHAPES.values() else ["kind"])
+        return from_table(where, kind, table, () if own in _SHAPES | _PARTS else ("kind",))
     except InputError as error:
         told = str(error)
         if told.startswith((f"{own}.", f"{own}:")):
@@ -187,11 +170,7 @@ def _with_kind(stated: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
 
 def entries_of_part(part: Part) -> dict[str, Any]:
     """A part as a recipe has it."""
-    match part:
-        case Box():
-            return {"box": [*part.low, *part.high]}
-        case HalfPlane():
-            return {"half_plane": asdict(part)}
-        case Disc():
-            return {"circle": asdict(part)}
-    raise AssertionError(part)
+    if isinstance(part, Box):
+        return {"box": [*part.low, *part.high]}
+    entries = _with_kind(part, _PARTS)
+    return {entries.pop("kind"): entries}

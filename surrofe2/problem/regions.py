@@ -8,6 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.errors import InputError
+from surrofe2.settings import check_settings, setting
+from surrofe2.units import LENGTH
+
 Array = NDArray[np.float64]
 
 
@@ -37,8 +41,13 @@ class Box:
 class HalfPlane:
     """All points p with (p − through)·normal ≥ 0, µm."""
 
-    through: tuple[float, float]
-    normal: tuple[float, float]
+    through: tuple[float, float] = setting(about="a point of its edge", unit=LENGTH)
+    normal: tuple[float, float] = setting(about="pointing into it")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "half_plane")
+        if not any(self.normal):
+            raise InputError(f"half_plane.normal: {list(self.normal)}; it must not be zero")
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         slack = 1e-9 * abs(points).max(initial=1.0)
@@ -50,8 +59,11 @@ class HalfPlane:
 class Disc:
     """All points at most `radius` from the centre, µm."""
 
-    centre: tuple[float, float]
-    radius: float
+    centre: tuple[float, float] = setting(about="its middle", unit=LENGTH)
+    radius: float = setting(about="of its edge", unit=LENGTH, above=0.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "circle")
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         distance = np.linalg.norm(points - np.array(self.centre), axis=1)
