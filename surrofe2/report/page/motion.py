@@ -9,17 +9,30 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.collections import Collection, LineCollection, PolyCollection
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from surrofe2.report.figures import drawn, make_figure
 from surrofe2.report.page.bodies import MARGIN, DrawnBody, bodies_of
-from surrofe2.report.page.colours import LEVELS, SOURCES, STOPS, UNKNOWN, levels_of
 from surrofe2.report.page.html import figure, grid, image, missing, section
 from surrofe2.report.page.seen import VON_MISES, WALL_STRETCH, Seen, SeenRun
 from surrofe2.store.fields import SOURCE_NAME, StoredFields
+from surrofe2.stress_law import SURROGATE, TABLE, Status
 
 Array = NDArray[np.float64]
 
+STOPS = [to_hex(colormaps["viridis"](k / 9)) for k in range(10)]
+"""Viridis, evenly from lowest to highest."""
+LEVELS, UNKNOWN = 254, 255
+"""Numbers are stored as 0 … LEVELS; UNKNOWN is none."""
+SOURCES: dict[int, tuple[str, str]] = {
+    SURROGATE: ("network", "#3b82c4"),
+    TABLE: ("table", "#3aa37f"),
+    Status.OUT_OF_RANGE: ("RVE: out of the domain", "#d9822b"),
+    Status.NOT_FINITE: ("RVE: not finite", "#8c5bb0"),
+    Status.NOT_TRUSTED: ("RVE: risk above the limit", "#c2413b"),
+}
+"""By the codes of `stress_law.Sources`: what people read, and the colour."""
 _BUDGET = 1_200_000
 """Bytes of all animations together, before base64."""
 _SHOWN = 0.08
@@ -202,3 +215,14 @@ def _outline(fields: StoredFields) -> list[int]:
     """Order of an element's nodes along its sides."""
     corners = fields.cells.shape[1]
     return [0, 3, 1, 4, 2, 5] if corners == 6 else [*range(corners)]
+
+
+def levels_of(values: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float, float]:
+    """Values as stored numbers, with the lowest and highest value; NaN is unknown."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    width = high - low or 1.0
+    share = np.clip((np.nan_to_num(values, nan=low) - low) / width, 0.0, 1.0)
+    stored = np.rint(LEVELS * share).astype(np.uint8)
+    stored[~np.isfinite(values)] = UNKNOWN
+    return stored, low, high

@@ -7,8 +7,16 @@ import numpy as np
 from surrofe2.costs import Balance
 from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
 from surrofe2.report.figures import Curve, Panel
-from surrofe2.report.page.charts import bars, chart
-from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table_of
+from surrofe2.report.page.html import (
+    bars,
+    chart,
+    figure,
+    grid,
+    missing,
+    paragraph,
+    section,
+    table_of,
+)
 from surrofe2.report.page.seen import Seen, SeenRun
 from surrofe2.store.fields import F_NAME, STRESS_NAME
 from surrofe2.store.run_folder import made_for

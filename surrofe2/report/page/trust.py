@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from surrofe2.report.comparison_plot import audit_curves, clock_of
 from surrofe2.report.figures import Curve, Panel
-from surrofe2.report.page.charts import chart
-from surrofe2.report.page.colours import SOURCES
-from surrofe2.report.page.html import figure, grid, missing, paragraph, section, table
-from surrofe2.report.page.motion import mesh_picture
+from surrofe2.report.page.html import chart, figure, grid, missing, paragraph, section, table
+from surrofe2.report.page.motion import SOURCES, mesh_picture
 from surrofe2.report.page.seen import Seen, SeenRun
 from surrofe2.store.fields import RISK_NAME, SOURCE_NAME
 from surrofe2.store.run_folder import caches_of
