@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
-import time
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from surrofe2.compilation import compiled
-from surrofe2.costs import Balance, Meter
+from surrofe2.costs import Balance
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.surrogates import content_fingerprint, read_surrogate, write_surrogate
@@ -54,17 +50,6 @@ def test_a_data_set_counts_all_calls_that_made_it(recipe, monkeypatch):
     more = read_seconds(recipe.data_path()) - before
     assert more > 0.0
     assert more == pytest.approx(7.0 * round(more / 7.0))
-
-
-def test_compilation_costs_nothing():
-    @compiled(cache=False)
-    def made(x):
-        return np.sqrt(x) + np.sin(x)
-
-    meter, begin = Meter(), time.perf_counter()
-    assert made(0.25) == pytest.approx(0.5 + math.sin(0.25))
-    taken = time.perf_counter() - begin
-    assert 0.0 <= meter.seconds < 0.5 * taken
 
 
 @pytest.fixture

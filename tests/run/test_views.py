@@ -12,7 +12,15 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from surrofe2 import CachedLaw, LoadCase, MacroSettings, RveLaw, TrainingSettings, read_run
+from surrofe2 import (
+    CachedLaw,
+    LoadCase,
+    MacroSettings,
+    RveLaw,
+    StressResponse,
+    TrainingSettings,
+    read_run,
+)
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.macro.simulation import simulate
 from surrofe2.surrogate.training import train
@@ -105,20 +113,26 @@ def test_what_is_not_installed_is_told(run, monkeypatch, library, method):
         getattr(run, method)()
 
 
-def test_html_is_whole_and_says_what_matters(run, stored, surrogate):
-    law = RveLaw(CELL)
-    samples = lattice_samples(100)
+def test_html_is_whole_and_a_line_says_what_matters(run, stored, surrogate):
+    law, samples = RveLaw(CELL), lattice_samples(100)
+    error = f"{100 * surrogate.errors['rms']['xy']:.2g} % RMS"
     expected = [
-        (run, ["SoftLaw", "4 elements, 9 nodes", "4 µs in", "<polyline"]),
-        (stored, ["saved", "SoftLaw", "<polyline"]),
-        (samples, ['<td style="text-align:left">100</td>', "bifurcation"]),
-        (surrogate, ["error of xy", f"{100 * surrogate.errors['rms']['xy']:.2g} % RMS"]),
-        (law, ["constrained-runs", f"{law.rest_length:.4g} µm"]),
-        (CachedLaw(surrogate, law), ["0.001 of the spread of stress", "by the fallback"]),
-    ]
-    for shown, words in expected:
+        (run, "<MacroRun: 4 elements, ", ["SoftLaw", "4 elements, 9 nodes", "<polyline"]),
+        (stored, "", ["saved", "SoftLaw", "<polyline"]),
+        (samples, "<StressSamples: 100, 0 of them failed; cell ", ["100</td>", "bifurcation"]),
+        (surrogate, "<SurrogateLaw: cell ", ["error of xy", error]),
+        (law, "<RveLaw: 1 square cell ", ["constrained-runs", f"{law.rest_length:.4g} µm"]),
+        (CachedLaw(surrogate, law), "<CachedLaw: 0 hits; <SurrogateLaw: cell ",
+         ["0.001 of the spread of stress", "by the fallback"]),
+    ]  # fmt: skip
+    for shown, line, words in expected:
         text = shown._repr_html_()
         minidom.parseString(text)  # each tag that opens is closed
         for word in words:
             assert word in text, (word, text)
         assert not re.search(r"https?:|<script", text)
+        assert repr(shown).startswith(line)
+        assert "\n" not in repr(shown) or shown is stored
+    curve, answer = run.curve, StressResponse(np.full((2, 2, 2), np.nan), np.int8([0, 1]))
+    assert repr(curve).startswith("<DisplacementCurve: ")
+    assert repr(answer) == "<StressResponse: 2 points, 1 without stress>"
