@@ -51,7 +51,8 @@ def test_each_member_is_a_run_with_changed_entries(grid):
     for row in rows:
         record = read_record(grid.out / row["run"])
         assert record.recipe["cell"]["wall_stiffness"] == row["wall_stiffness"]
-        assert record.recipe["load"]["body_force"] == [0.0, row["body_force_1"]]
+        acceleration = record.recipe["conditions"]["load"]["acceleration"]
+        assert acceleration == [0.0, row["body_force_1"]]
         curve = read_run(grid.out / row["run"]).curve
         largest = np.linalg.norm(curve.displacement, axis=1).max()
         assert row["largest_displacement"] == pytest.approx(largest)
