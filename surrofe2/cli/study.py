@@ -12,7 +12,7 @@ from surrofe2.cli.compare import show_comparison
 from surrofe2.errors import InputError
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run import cache_notes
-from surrofe2.workflow.study import Studied, run_recipe
+from surrofe2.workflow.study import run_recipe
 
 KEPT = "finished steps, the samples and iterations so far and the run's last checkpoint are kept"
 
@@ -55,24 +55,19 @@ def study(
     stated = open_study(recipe, threads)
     folder = out or Path("out") / f"study-{recipe.stem}"
     with console.on_interrupt(KEPT), console.stages() as stage:
-        found = run_recipe(
+        records, comparison = run_recipe(
             stated,
             folder,
-            laws=(law,) if true is not None or without_true else ("rve", law),
-            true=true,
+            (law,) if true is not None or without_true else ("rve", law),
+            true,
             fresh=fresh,
             stage=stage,
             tell=console.print_line,
         )
-    _show(found)
-    console.done(folder, "all steps done")
-
-
-def _show(found: Studied) -> None:
-    """What the runs of a study came to: their comparison, and what their caches say."""
-    if found.comparison is not None:
-        show_comparison(found.comparison)
-    for record in found.records:
+    if comparison is not None:
+        show_comparison(comparison)
+    for record in records:
         for sentence, is_warning in cache_notes(record):
-            if is_warning or found.comparison is None:
+            if is_warning or comparison is None:
                 (console.print_warning if is_warning else console.print_line)(sentence)
+    console.done(folder, "all steps done")
