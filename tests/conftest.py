@@ -113,6 +113,17 @@ def recipe(recipe_path):
     return load_recipe(recipe_path)
 
 
+@pytest.fixture(scope="session")
+def learnt(tmp_path_factory):
+    """A folder with a data set and a surrogate, as the commands of `tests.commands` need it."""
+    from tests import commands
+
+    folder = tmp_path_factory.mktemp("learnt") / "train"
+    commands.prepare("train", folder, None)
+    commands.execute("train", folder)
+    return folder
+
+
 @pytest.fixture
 def unwritable(tmp_path):
     """A folder nobody can write to, not even root: below a regular file."""

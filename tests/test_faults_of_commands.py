@@ -22,15 +22,6 @@ from tests.faults import KINDS, each_fault
 STRIDE = int(os.environ.get("SURROFE2_FAULT_STRIDE", "1"))
 
 
-@pytest.fixture(scope="module")
-def learnt(tmp_path_factory):
-    """A folder with a data set and a surrogate."""
-    folder = tmp_path_factory.mktemp("learnt") / "train"
-    commands.prepare("train", folder, None)
-    commands.execute("train", folder)
-    return folder
-
-
 def check(name, kind, folders, learnt, stride=1):
     """How many faults a command met."""
     whole = folders / "whole"

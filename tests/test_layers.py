@@ -39,11 +39,6 @@ def test_no_files_import_each_other_in_a_circle(trees):
     assert not found, "modules that import each other, under TYPE_CHECKING or in functions too"
 
 
-def test_circles_are_found():
-    graph = {"a": {"b"}, "b": {"c", "d"}, "c": {"a"}, "d": {"e"}, "e": set(), "f": {"a"}}
-    assert circles(graph) == [["a", "b", "c"]]
-
-
 def test_functions_import_nothing_but_what_is_heavy(trees):
     found = {name: set(local_imports(tree)) - set(HEAVY) for name, tree in trees.items()}
     wrong = {name: imports for name, imports in found.items() if imports}

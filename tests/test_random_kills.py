@@ -24,15 +24,6 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
-def learnt(tmp_path_factory):
-    """A folder with a data set and a surrogate."""
-    folder = tmp_path_factory.mktemp("learnt") / "train"
-    commands.prepare("train", folder, None)
-    commands.execute("train", folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def server():
     """Starts processes to kill, without importing anything again."""
     process = subprocess.Popen(

@@ -61,19 +61,6 @@ def test_what_is_a_comment_is_a_default(tmp_path, kind):
     assert load_recipe(path).to_dict() == before
 
 
-def test_keys_have_unit_and_meaning(tmp_path):
-    path = tmp_path / "mine.toml"
-    write_recipe(path, "bar")
-    lines = path.read_text(encoding="utf-8").splitlines()
-    assert (
-        "# cell_side = 25.0                   # side of a square of a plant cell's area, µm"
-        in lines
-    )
-    for line in lines:
-        if " = " in line:
-            assert "# " in line[1:] or lines[lines.index(line) - 1].startswith("# "), line
-
-
 def test_the_bar_is_that_of_the_clone(tmp_path):
     path = tmp_path / "bending-bar.toml"
     write_recipe(path, "bar")

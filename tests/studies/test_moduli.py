@@ -96,10 +96,3 @@ def test_tables():
     headings, texts = table.for_people()
     assert headings[0] == "fluid particles a side"
     assert texts[1][1:-1] == ["–"] * (len(headings) - 2)
-
-
-def test_values_of_the_tables_are_around_those_of_the_cell():
-    for name, (_, usual, _) in CHANGES.items():
-        values = list(usual(CELLS["water"]))
-        assert len(values) >= 4, name
-        assert values == sorted(values)

@@ -41,11 +41,6 @@ def assert_close(found, expected):
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
-def test_components_and_back():
-    T = np.random.default_rng(0).normal(size=(20, 2, 2))
-    np.testing.assert_allclose(from_components(to_components(T)), T, atol=1e-15)
-
-
 def test_inputs_and_outputs_lose_nothing_but_the_rotation(points):
     F, F_dot = points
     inputs, R = to_inputs(F, F_dot)
