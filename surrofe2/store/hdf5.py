@@ -229,12 +229,12 @@ class Stored:
         return value
 
     @property
-    def cell(self) -> CellParameters:
-        """The plant cells that the answers are of."""
+    def whose(self) -> dict[str, Any]:
+        """`cell` and `initialisation` of the RVEs that answered."""
         cell = CellParameters(**self.table("cell"))
         if cell.fingerprint != self.text("cell_fingerprint"):
             raise ValueError("cell: its parameters are not those that the answers are of")
-        return cell
+        return {"cell": cell, "initialisation": self.text("initialisation")}
 
     @property
     def range(self) -> SamplingRange:

@@ -207,11 +207,17 @@ class DataSetWriter(SampleWriter):
             rows, entries = self.to_arrays(), of.entries()
             failed = np.flatnonzero(rows["status"])
             reasons = np.array([describe(code) for code in rows["status"][failed]], object)
-            whose = of.cell, entries["initialisation"], of.range, of.seed
-            found = _samples(rows, *whose, entries.get("rest_length")).fingerprint
+            found = _samples(
+                rows,
+                cell=of.cell,
+                initialisation=entries["initialisation"],
+                range=of.range,
+                seed=of.seed,
+                rest_length=entries.get("rest_length"),
+            )
             self._is_stored = False  # if so, as one that is not finished
             lists = {"failed/index": failed, "failed/reason": reasons}
-            self.store("finished", lists, fingerprint=found)
+            self.store("finished", lists, fingerprint=found.fingerprint)
             self.is_finished = True
         return read_data_set(self.path)
 
@@ -291,28 +297,19 @@ def read_data_set(path: str | Path) -> StressSamples:
                 f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        length = stored.number("rest_length") if "rest_length" in stored.file.attrs else None
-        whose = stored.cell, stored.text("initialisation"), stored.range
-        return _samples(stored.arrays(), *whose, int(stored.number("seed")), length)
+        has_length = "rest_length" in stored.file.attrs
+        return _samples(
+            stored.arrays(),
+            **stored.whose,
+            range=stored.range,
+            seed=int(stored.number("seed")),
+            rest_length=stored.number("rest_length") if has_length else None,
+        )
 
 
-def _samples(
-    rows: Arrays,
-    cell: CellParameters,
-    initialisation: str,
-    range: SamplingRange,
-    seed: int,
-    rest_length: float | None,
-) -> StressSamples:
-    arrays = {**rows, LEFT: rows[LEFT].astype(np.bool_)}
-    return StressSamples(
-        **arrays,
-        cell=cell,
-        initialisation=initialisation,
-        range=range,
-        seed=seed,
-        rest_length=rest_length,
-    )
+def _samples(rows: Arrays, **whose: Any) -> StressSamples:
+    arrays: dict[str, Any] = {**rows, LEFT: rows[LEFT].astype(np.bool_)}
+    return StressSamples(**arrays, **whose)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -360,14 +357,14 @@ def read_harvest(path: str | Path) -> Harvest:
     """
     path = Path(path)
     with reading(path, HARVEST) as stored:
-        arrays, cell, initialisation = stored.arrays(), stored.cell, stored.text("initialisation")
+        arrays, whose = stored.arrays(), stored.whose
     if not np.isfinite(arrays["stress"][arrays["status"] == 0]).all():
         raise FileError(f"{path}: stress: not finite where the status is 0; it is damaged")
     states = np.concatenate([arrays["F"], arrays["F_dot"]], axis=1).reshape(-1, 8)
     _, first = np.unique(states, axis=0, return_index=True)
     first.sort()
-    once = {name: values[first] for name, values in arrays.items()}
-    return Harvest(**once, cell=cell, initialisation=initialisation)
+    once: dict[str, Any] = {name: values[first] for name, values in arrays.items()}
+    return Harvest(**once, **whose)
 
 
 check_harvest = partial(check_same_rve, "harvested", "leave it out")

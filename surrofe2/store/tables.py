@@ -44,10 +44,9 @@ class StoredTable:
 
     Attributes:
         records: see `Records`.
-        tolerance, spread: largest error for which it was grown, and spread of stress, µN/µm.
+        tolerance, stress_spread: largest error for which it was grown, and spread of stress, µN/µm.
         range: by which neighbours of records were placed.
-        recipe: of the run that wrote it, or what it was merged from.
-        seconds: of all runs that it learnt from.
+        recipe: of the run that wrote it.
     """
 
     records: Records
@@ -55,33 +54,23 @@ class StoredTable:
     initialisation: str
     range: SamplingRange
     tolerance: float
-    spread: float
+    stress_spread: float
     recipe: Mapping[str, Any]
-    seconds: float = 0.0
 
 
-def stored(table: StressTable, recipe: Mapping[str, Any], seconds: float = 0.0) -> StoredTable:
-    """What is written of a table."""
-    return StoredTable(
-        records=table.records,
-        cell=table.cell,
-        initialisation=table.initialisation,
-        range=table.range,
-        tolerance=table.tolerance,
-        spread=table.stress_spread,
-        recipe=recipe,
-        seconds=seconds,
-    )
-
-
-def write_table(path: Path, table: StoredTable) -> None:
-    """Write a table, whole or not at all."""
+def write_table(
+    path: Path,
+    table: StressTable | StoredTable,
+    recipe: Mapping[str, Any],
+    seconds: float = 0.0,
+) -> None:
+    """Write a table, whole or not at all; `seconds`: of all runs that it learnt from."""
     header = {
-        **origin(table.cell, table.initialisation, table.recipe),
+        **origin(table.cell, table.initialisation, recipe),
         "range": asdict(table.range),
         "tolerance": table.tolerance,
-        "stress_spread": table.spread,
-        "seconds": table.seconds,
+        "stress_spread": table.stress_spread,
+        "seconds": seconds,
         "inputs": "sum, difference, shear of U - I; sum, difference, shear, spin of R^T F_dot",
     }
     write(path, TABLE, header, table.records._asdict())
@@ -96,18 +85,16 @@ def read_table(path: str | Path) -> StoredTable:
     with reading(Path(path), TABLE) as file:
         table = StoredTable(
             records=Records(**file.arrays()),
-            cell=file.cell,
-            initialisation=file.text("initialisation"),
+            **file.whose,
             range=file.range,
             tolerance=file.number("tolerance"),
-            spread=file.number("stress_spread"),
+            stress_spread=file.number("stress_spread"),
             recipe=file.table("recipe"),
-            seconds=file.number("seconds"),
         )
         for name, values in table.records._asdict().items():
             if not np.isfinite(values).all():
                 raise ValueError(f"{name} is damaged")
-        if not (table.tolerance > 0.0 and table.spread > 0.0):
+        if not (table.tolerance > 0.0 and table.stress_spread > 0.0):
             raise ValueError("tolerance and stress_spread must be positive")
     return table
 
@@ -132,7 +119,7 @@ def read_surface(path: str | Path) -> TabulatedSurface:
     with reading(Path(path), SURFACE) as file:
         coefficients, stretch = file.arrays().values()
         low, high = stretch.tolist()
-        numbers = {name: file.number(name) for name in _NUMBERS}
+        numbers: dict[str, Any] = {name: file.number(name) for name in _NUMBERS}
         if not (np.isfinite(coefficients).all() and min(coefficients.shape) >= 2):
             raise ValueError("coefficients are damaged")
         if not (0.0 < low < high and numbers["rate"] > 0.0):
@@ -140,8 +127,7 @@ def read_surface(path: str | Path) -> TabulatedSurface:
         return TabulatedSurface(
             coefficients=coefficients,
             stretch=(low, high),
-            cell=file.cell,
-            initialisation=file.text("initialisation"),
+            **file.whose,
             **numbers,
         )
 

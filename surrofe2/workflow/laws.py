@@ -94,11 +94,6 @@ class ChosenLaw:
     surrogate: Mapping[str, Any] | None = None
     tables: Mapping[str, StressTable] = field(default_factory=dict)
 
-    @property
-    def seconds(self) -> float:
-        """Of what its tables began with."""
-        return sum(table.seconds for table in self.tables.values())
-
 
 def choose_law(
     recipe: Recipe,
@@ -159,7 +154,7 @@ def make_table(recipe: Recipe, law: Fallback, files: Sequence[Path] = ()) -> Str
     found = [read_table(path) for path in files]
     for path, stored in zip(files, found, strict=True):
         check_table(path, stored, recipe.cell, recipe.rve.initialisation)
-    spread = found[0].spread if found else sampled_spread(law, wanted)
+    spread = found[0].stress_spread if found else sampled_spread(law, wanted)
     tolerance, most = recipe.table.tolerance * spread, recipe.table.most_records
     table = StressTable(law, tolerance, wanted, spread, most_records=most)
     for stored in found:

@@ -34,7 +34,6 @@ from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.run_outputs import (
     RunOutputs,
-    counts_with,
     new_record,
     problem_record,
     with_results,
@@ -81,16 +80,11 @@ def run_study(
     earlier = sum(read_seconds(each) or 0.0 for each in tables)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
-        record = with_results(record, result)
-        seconds = _with_beginning(record.wall_time, chosen.seconds)
-        record = replace(
-            record,
-            wall_time={**seconds, "compilation": seconds_compiling() - before},
-            counts=counts_with(chosen.tables, record.counts),
-        )
-        outputs.store(chosen.tables, earlier + record.wall_time.get("total", 0.0))
+        record = with_results(record, result, chosen.tables)
+        wall = {**record.wall_time, "compilation": seconds_compiling() - before}
+        outputs.store(chosen.tables, earlier + wall.get("total", 0.0))
         write_results(folder, result)
-        return record
+        return replace(record, wall_time=wall)
 
     def checkpoint(state: MacroState) -> None:
         arrays = within("macro", state.to_arrays())
@@ -130,11 +124,6 @@ def run_study(
             raise
         run.finish(result)
     return run.record
-
-
-def _with_beginning(seconds: Mapping[str, float], before: float) -> dict[str, float]:
-    """Seconds of a run, with what its law took before the clock."""
-    return {k: v + before if k in ("total", "law") else v for k, v in seconds.items()}
 
 
 def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.store.samples import HarvestWriter, Origin
 from surrofe2.store.store import locked_folder, plain
-from surrofe2.store.tables import stored, write_table
+from surrofe2.store.tables import write_table
 from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.cell_laws import (
@@ -69,6 +70,7 @@ from surrofe2.workflow.cell_laws import (
 from surrofe2.workflow.surfaces import surface_record
 
 TABLE, HARVEST = "table.h5", "harvest.h5"
+NO_TABLES: Mapping[str, StressTable] = MappingProxyType({})
 
 
 def of_cell(file: str, cell: str) -> str:
@@ -115,23 +117,13 @@ class RunOutputs:
         for writer in self._writers.values():
             writer.flush(seconds)
         for name, table in tables.items():
-            found = stored(table, self.recipe.to_dict(), seconds)
-            write_table(self.folder / of_cell(TABLE, name), found)
+            path = self.folder / of_cell(TABLE, name)
+            write_table(path, table, self.recipe.to_dict(), seconds)
 
 
 def origin_of(recipe: Recipe) -> Origin:
     """Where answers for a recipe come from."""
     return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
-
-
-def counts_with(tables: Mapping[str, StressTable], before: Mapping[str, int]) -> dict[str, int]:
-    """The counts of a run with what became of its tables; their RVE solves are among all."""
-    counts: Counter[str] = Counter()
-    for table in tables.values():
-        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
-        counts.update({"table_records": table.size, **changed})
-    solves = before.get("rve_solves", 0) + counts.get("table_rve_solves", 0)
-    return {**before, **counts, **({"rve_solves": solves} if tables else {})}
 
 
 def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:
@@ -207,29 +199,38 @@ def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
     )
 
 
-def with_results(record: RunRecord, run: MacroRun) -> RunRecord:
-    """The record with what a run, whole or not, met and cost."""
-    driver = driver_at_work()
-    told = replace(record, problem={**record.problem, "penetration": penetrations(run)})
+def with_results(
+    record: RunRecord, run: MacroRun, tables: Mapping[str, StressTable] = NO_TABLES
+) -> RunRecord:
+    """The record with what a run, whole or not, met and cost, and what its tables began with."""
+    driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
+    problem = {**record.problem, "penetration": penetrations(run)}
     cache = cache_report(run.law, whole=run.finished)  # which audits what still waits
+    wall = {k: v + begun if k in ("total", "law") else v for k, v in run.wall_time.items()}
     return replace(
-        with_rest(told, run.rest),
+        with_rest(replace(record, problem=problem), run.rest),
         ranks=None if driver is None else driver.report(),
-        wall_time=run.wall_time,
-        counts=_counts(run, cache),
+        wall_time=wall,
+        counts=_counts(run, cache, tables),
         cache=cache,
         met=run.met.to_dict(),
         threads=run.threads,
     )
 
 
-def _counts(run: MacroRun, cache: Mapping[str, Any] | None) -> dict[str, int]:
-    """What a run counted; audits are RVE solves like others, and by themselves too."""
-    counts = {**run.counts, **run.effort}
+def _counts(
+    run: MacroRun, cache: Mapping[str, Any] | None, tables: Mapping[str, StressTable]
+) -> dict[str, int]:
+    """What a run counted; audits and what tables learn are RVE solves like others, and named."""
+    counts = Counter({**run.counts, **run.effort})
     if cache is not None:
         audits = sum(each["audit"]["audited"] for each in caches_of(cache).values())
-        counts |= {"rve_solves": counts.get("rve_solves", 0) + audits, "audits": audits}
-    return counts
+        counts.update(rve_solves=audits, audits=audits)
+    for table in tables.values():
+        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+        counts.update(table_records=table.size, rve_solves=changed.get("table_rve_solves", 0))
+        counts.update(changed)
+    return dict(counts)
 
 
 def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:

@@ -30,7 +30,7 @@ from surrofe2.store.surrogates import (
     write_surrogate,
     write_training,
 )
-from surrofe2.store.tables import read_table, stored, write_table
+from surrofe2.store.tables import read_table, write_table
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
@@ -69,8 +69,7 @@ def harvest(folder):
 
 
 def table(folder):
-    found = stored(taught(*states(5)), {"recipe": "recipe.toml"})
-    write_table(folder / "table.h5", found)
+    write_table(folder / "table.h5", taught(*states(5)), {"recipe": "recipe.toml"})
 
 
 def asked_table(path):

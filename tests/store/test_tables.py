@@ -14,7 +14,7 @@ from surrofe2.errors import FileError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.hdf5 import writing_hdf5
 from surrofe2.store.samples import HarvestWriter, Origin, check_harvest, read_harvest
-from surrofe2.store.tables import check_table, read_table, stored, write_table
+from surrofe2.store.tables import check_table, read_table, write_table
 from tests.cache.tables import make, states, taught
 
 CELL = CellParameters()
@@ -28,7 +28,7 @@ HEADER = Origin(
 @pytest.fixture
 def table_file(tmp_path):
     path = tmp_path / "table.h5"
-    write_table(path, stored(taught(*states(30)), {"recipe": "recipe.toml"}))
+    write_table(path, taught(*states(30)), {"recipe": "recipe.toml"})
     return path
 
 
@@ -40,7 +40,7 @@ def test_a_table_comes_back_and_answers_the_same(table_file):
     new = states(200, angle=0.1)
     for a, b in zip(table.lookup(*new), again.lookup(*new), strict=True):
         np.testing.assert_array_equal(a, b)
-    assert (there.tolerance, there.spread) == (table.tolerance, table.stress_spread)
+    assert (there.tolerance, there.stress_spread) == (table.tolerance, table.stress_spread)
     assert (there.cell, there.range) == (table.cell, table.range)
     assert there.recipe == {"recipe": "recipe.toml"}
 
@@ -67,7 +67,7 @@ def test_a_damaged_table_is_refused(table_file, what):
         attributes["schema"] = "surrofe2-data-set"
     else:
         attributes["schema_version"] = 99
-    write_table(table_file, replace(there, records=records))
+    write_table(table_file, replace(there, records=records), there.recipe)
     with h5py.File(BytesIO(table_file.read_bytes())) as held, writing_hdf5(table_file) as file:
         for name in held:
             held.copy(name, file)

@@ -116,9 +116,9 @@ def test_an_unfinished_training_is_no_surrogate(tmp_path):
 def test_a_surrogate_of_an_older_schema_says_what_to_do(file, monkeypatch):
     content, tensors = read_parts(file)
     with monkeypatch.context() as older:
-        older.setattr(surrogates, "SURROGATE", replace(surrogates.SURROGATE, version=4))
+        older.setattr(surrogates, "SURROGATE", replace(surrogates.SURROGATE, version=5))
         write_parts(file, content, tensors)
-    assert_refused(file, "surrofe2-surrogate 4; this .* train again with: surrofe2 train RECIPE")
+    assert_refused(file, "surrofe2-surrogate 5; this .* train again with: surrofe2 train RECIPE")
 
 
 def test_a_flipped_bit_anywhere_is_seen(file):
