@@ -264,7 +264,7 @@ class RunFolder:
         partial: what to store where the run ends early and its error carries nothing.
         cache: what a cached law reported of itself at the last checkpoint.
         is_finished: whether run.json says that it is finished, as then it stays.
-        goes_on: whether the run resumes from a checkpoint of an earlier call.
+        resumes: whether the run resumes from a checkpoint of an earlier call.
     """
 
     folder: Path
@@ -273,7 +273,7 @@ class RunFolder:
     partial: Any = None
     cache: Mapping[str, Any] | None = None
     is_finished: bool = False
-    goes_on: bool = False
+    resumes: bool = False
 
     @classmethod
     @contextmanager
@@ -301,7 +301,7 @@ class RunFolder:
                 remove(folder / CHECKPOINT)
                 log.info("%s: finished before; --fresh starts over", folder)
             elif earlier is not None:
-                run.goes_on = True
+                run.resumes = True
                 write_record(folder, record)
             yield run
 
@@ -335,11 +335,11 @@ class RunFolder:
         """
         path = self.folder / CHECKPOINT
         try:
-            yield read_checkpoint(path, self._kind) if self.goes_on else None
+            yield read_checkpoint(path, self._kind) if self.resumes else None
         except (SimulationError, FileError, MismatchError):
             raise
         except Exception as error:
-            if not self.goes_on:
+            if not self.resumes:
                 raise
             why = error if isinstance(error, InputError) else type(error).__name__
             log.debug("%s: no state of this run", path, exc_info=error)
@@ -437,8 +437,8 @@ def read_record(folder: Path) -> RunRecord:
         record = RunRecord(**stored | {"recipe": _without_load(stored["recipe"])})
         _check_entries(record)
     except (TypeError, KeyError, ValueError, OverflowError) as error:
-        told = shortened(str(error), 80)
-        raise FileError(f"{path}: not a whole record of a surrofe2 run: {told}") from None
+        reason = shortened(str(error), 80)
+        raise FileError(f"{path}: not a whole record of a surrofe2 run: {reason}") from None
     return record
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 Report = Callable[[float, str], None]
-"""Is told how much is done and a remark."""
+"""Called with how much is done and a remark."""
 Stage = Callable[[str, float, str], AbstractContextManager[Report]]
 """Begins to display a stage: what is done, how much of it, in which unit."""
 

@@ -59,10 +59,10 @@ def run_study(
     """Run the recipe's problem by the law called `kind` and write the run folder.
 
     Args:
-        surrogates: files by name of the cell, in the place of the recipe's.
+        surrogates: files by name of the cell, instead of the recipe's.
         tables: files of tables to start from; the run's own are written into the folder.
         harvest: whether true answers of a cached run are kept in the folder.
-        report: is told the time reached in µs.
+        report: called with the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.

@@ -62,7 +62,7 @@ def run_tissue(
     """Run the recipe's problem on a tissue of plant cells and write the run folder.
 
     Args:
-        report: is told the time reached in µs.
+        report: called with the time reached in µs.
 
     Raises:
         SimulationError: the run could not be carried on; the folder holds it up to there.
