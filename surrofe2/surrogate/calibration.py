@@ -66,6 +66,18 @@ class Truth:
     stress: Array
     status: NDArray[np.int8]
 
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """(n,) whether no earlier state of the same history is without a stress.
+
+        What follows says nothing: a run has ended there, or its RVE, beyond a bifurcation, answers
+        from there on.
+        """
+        lost = self.status.reshape(len(self.paths.F), -1) != 0
+        before = np.logical_or.accumulate(lost, axis=0)
+        reached: NDArray[np.bool_] = ~np.concatenate([np.zeros_like(lost[:1]), before[:-1]])
+        return reached.ravel()
+
 
 def calibrate(
     law: SurrogateLaw,
@@ -154,10 +166,11 @@ def _above(count: int, alpha: float) -> int:
 def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.bool_]]:
     """(error (n,) in µN/µm, whether the surrogate answers (n,)) at the states of paths.
 
-    The error is infinite where the surrogate answers and the full model has no stress.
+    The error is infinite where the surrogate answers and the full model has no stress. States that
+    a path does not reach are not answered.
     """
     answer, status, _ = law.lookup(*truth.paths.states)
-    inside = status == 0
+    inside = (status == 0) & truth.reached
     error = np.full(len(answer), np.inf)
     known = inside & (truth.status == 0)
     error[known] = stress_error(answer[known], truth.stress[known])
@@ -165,9 +178,10 @@ def errors_along(law: SurrogateLaw, truth: Truth) -> tuple[Array, NDArray[np.boo
 
 
 def _failures(shaping: Sequence[Truth]) -> tuple[Array, Array] | None:
-    """F and F_dot of the states at which the full model has no stress."""
+    """F and F_dot of the first states of paths at which the full model has no stress."""
     lost = [
-        tuple(tensors[truth.status != 0] for tensors in truth.paths.states) for truth in shaping
+        tuple(tensors[truth.reached & (truth.status != 0)] for tensors in truth.paths.states)
+        for truth in shaping
     ]
     F, F_dot = (
         np.concatenate([np.empty((0, 2, 2)), *(pair[part] for pair in lost)]) for part in (0, 1)

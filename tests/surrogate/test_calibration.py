@@ -13,6 +13,7 @@ from surrofe2.stress_law import Status
 from surrofe2.surrogate import calibration
 from surrofe2.surrogate.calibration import (
     Truth,
+    _failures,
     calibrate,
     confidence,
     conformal_quantile,
@@ -245,6 +246,20 @@ def test_failures_within_the_domain_leave_no_bound(law, samples):
     assert found.calibration.quantile == np.inf
     F, F_dot = sample(RANGE, 100, seed=3)
     assert found.lookup(F, F_dot, 1e300)[1].all()
+
+
+def test_a_path_ends_where_the_true_law_has_no_stress(law, samples):
+    """What follows a failure is neither an error nor a failure, wherever it is."""
+    walks = truth(random_walks(RANGE, 120, 20, seed=20))
+    status = np.zeros((20, 120), dtype=np.int8)
+    status[12, 7], status[13:, 7] = 1, 2
+    lost = replace(walks, status=status.ravel())
+    assert lost.reached.reshape(20, 120)[:13].all()
+    assert not lost.reached.reshape(20, 120)[13:, 7].any()
+    error, inside = errors_along(law, lost)
+    assert not inside.reshape(20, 120)[13:, 7].any()
+    F, _ = _failures([lost])
+    np.testing.assert_array_equal(F, walks.paths.F[12, [7]])
 
 
 def test_an_exact_surrogate_has_a_tiny_bound(law, samples):
