@@ -28,11 +28,6 @@ _ITERATIONS = 100
 _SHIFT = 1e-6  # µm, of differences
 
 
-def default_micro_step(cell: CellParameters, reference: ReferenceState) -> float:
-    """`rounded_step` of a tissue of one type of plant cell that touches nothing, µs."""
-    return rounded_step(stable_step(cell, reference))
-
-
 def safe_step(limit: float) -> float:
     """The longest step that a tissue bears in motion too, where it is stable to `limit` at rest."""
     return _SHARE * limit

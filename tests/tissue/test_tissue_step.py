@@ -10,7 +10,7 @@ from surrofe2.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.tissue import TissueSettings, simulate_tissue
-from surrofe2.tissue.stable_step import default_micro_step, stable_step
+from surrofe2.tissue.stable_step import rounded_step, stable_step
 
 
 def run(cell, **settings):
@@ -26,7 +26,7 @@ def run(cell, **settings):
 @pytest.mark.parametrize("preset", ["printed", "water", "apple", "potato"])
 def test_presets_keep_the_step_of_two_nanoseconds(preset):
     cell = CellParameters.preset(preset)
-    assert default_micro_step(cell, RveLaw(cell).reference) == 2e-3
+    assert rounded_step(stable_step(cell, RveLaw(cell).reference)) == 2e-3
 
 
 def test_without_damping_the_limit_is_two_over_the_largest_frequency():
@@ -45,7 +45,7 @@ def test_stiff_walls_get_a_step_that_they_bear(stiffness):
     done = run(cell)
     energies = done.energies
     assert np.abs(energies["balance"]).max() < 1e-3 * np.abs(energies["load"]).max()
-    half = run(cell, micro_step=0.5 * default_micro_step(cell, RveLaw(cell).reference))
+    half = run(cell, micro_step=0.5 * rounded_step(stable_step(cell, RveLaw(cell).reference)))
     way = np.abs(half.curve.displacement).max()
     assert np.abs(done.curve.displacement - half.curve.displacement).max() < 1e-3 * way
 
