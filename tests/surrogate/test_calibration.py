@@ -256,7 +256,7 @@ def test_a_path_ends_where_the_true_law_has_no_stress(law, samples):
     lost = replace(walks, status=status.ravel())
     assert lost.reached.reshape(20, 120)[:13].all()
     assert not lost.reached.reshape(20, 120)[13:, 7].any()
-    error, inside = errors_along(law, lost)
+    _, inside = errors_along(law, lost)
     assert not inside.reshape(20, 120)[13:, 7].any()
     F, _ = _failures([lost])
     np.testing.assert_array_equal(F, walks.paths.F[12, [7]])
