@@ -516,6 +516,13 @@ def write_energies(
     write_columns(folder / "energies.csv", {clock: t, **named})
 
 
+def write_curves(folder: Path, run: Any) -> None:
+    """Write curve.csv, history.csv and energies.csv of a `MacroRun` or a `TissueRun`."""
+    write_curve(folder, run.curve, run.curves)
+    write_history(folder, run.curve.t, run.history)
+    write_energies(folder, run.curve.t, run.energies)
+
+
 def read_history(folder: Path, file: str = "history.csv") -> dict[str, np.ndarray]:
     """Read history.csv, or energies.csv; the names are without units.
 

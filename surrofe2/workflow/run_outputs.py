@@ -50,10 +50,8 @@ from surrofe2.store.run_folder import (
     caches_of,
     describe_origin,
     open_run_folder,
-    write_curve,
-    write_energies,
+    write_curves,
     write_events,
-    write_history,
     write_record,
 )
 from surrofe2.store.samples import HarvestWriter, Origin
@@ -166,9 +164,7 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
 
 def write_results(folder: Path, run: MacroRun) -> None:
     """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
-    write_curve(folder, run.curve, run.curves)
-    write_history(folder, run.curve.t, run.history)
-    write_energies(folder, run.curve.t, run.energies)
+    write_curves(folder, run)
     cell = cell_of_elements(run.law, len(run.elements))
     write_fields(folder, run.nodes, run.elements, run.frames, cell)
     write_points(folder, make_discretisation(run.problem.mesh), run.frames)

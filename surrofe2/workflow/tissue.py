@@ -19,9 +19,7 @@ from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
     RunRecord,
-    write_curve,
-    write_energies,
-    write_history,
+    write_curves,
 )
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
@@ -75,9 +73,7 @@ def run_tissue(
     before = seconds_compiling()
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
-        write_curve(folder, run.curve, run.curves)
-        write_history(folder, run.curve.t, run.history)
-        write_energies(folder, run.curve.t, run.energies)
+        write_curves(folder, run)
         write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
         return replace(
             record,

@@ -77,23 +77,6 @@ def test_a_damaged_table_is_refused(table_file, what):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("kind", ["table", "harvest"])
-def test_every_changed_byte_is_seen(tmp_path, table_file, kind):
-    path, read = table_file, read_table
-    if kind == "harvest":
-        path, read = tmp_path / "harvest.h5", read_harvest
-        writer = HarvestWriter(path, HEADER)
-        writer(*answers(3))
-        writer.flush()
-    content = path.read_bytes()
-    for place in np.random.default_rng(0).integers(len(content), size=200):
-        changed = bytearray(content)
-        changed[place] ^= 1
-        path.write_bytes(changed)
-        with pytest.raises(FileError):
-            read(path)
-
-
 def test_a_table_of_other_parameters_is_refused(table_file):
     there = read_table(table_file)
     with pytest.raises(MismatchError, match=r"a table for cell\.viscosity = 0\.1, not 0\.2"):
