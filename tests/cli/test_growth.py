@@ -160,7 +160,10 @@ def test_rounds_of_another_recipe_are_refused(invoke, leaving_recipe, changed_re
     changed_recipe("-1.0]", "-1.1]")
     refused = invoke("refine", leaving_recipe, "--out", out, law=SoftLaw())
     assert refused.exit_code == 1
-    assert "load.body_force: this call has [0.0, -1.1], what is there [0.0, -1.0]" in refused.stderr
+    assert (
+        "conditions.load.acceleration: this call has [0.0, -1.1], what is there [0.0, -1.0]"
+        in refused.stderr
+    )
 
 
 def test_a_table_begins_with_the_state_at_rest(recipe_path):
