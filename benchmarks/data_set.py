@@ -33,12 +33,12 @@ def run(setting: Setting) -> list[Row]:
 
 
 def _with_tangents(recipe: Recipe, wanted: bool) -> Recipe:
-    return replace(recipe, samples=replace(recipe.samples, tangents=wanted))
+    return recipe.with_cell(samples=replace(recipe.samples, tangents=wanted))
 
 
 def _generate(setting: Setting, preset: str, recipe: Recipe, limit: float) -> Row:
     samples = replace(recipe.samples, count=setting.pick(_COUNT, 2048))
-    recipe = replace(recipe, samples=samples)
+    recipe = recipe.with_cell(samples=samples)
     what = f", tangents too, {recipe.rve.initialisation}" if samples.tangents else ""
     rates = []
     for _ in range(setting.pick(5, 2) + 1):
@@ -60,7 +60,7 @@ def _generate(setting: Setting, preset: str, recipe: Recipe, limit: float) -> Ro
 def _once(recipe: Recipe) -> tuple[float, Generated]:
     with TemporaryDirectory() as folder:
         samples = replace(recipe.samples, file="samples.h5")
-        here = replace(recipe, path=Path(folder) / recipe.path.name, samples=samples)
+        here = replace(recipe, path=Path(folder) / recipe.path.name).with_cell(samples=samples)
         begin = perf_counter()
         made = generate_data_set(here)
         return perf_counter() - begin, made

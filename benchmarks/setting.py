@@ -61,16 +61,13 @@ class Setting:
         name = RECIPES[preset]
         shipped = load_recipe(ROOT / "data" / name)
         if self.quick:
-            shipped = replace(
-                shipped,
+            shipped = shipped.with_cell(
                 samples=replace(shipped.samples, count=2048),
                 training=replace(shipped.training, iterations=60, bound=0.0),
             )
         stem = f"{Path(name).stem}{self.pick('', '-quick')}"
         self.out.mkdir(parents=True, exist_ok=True)
-        return replace(
-            shipped,
-            path=self.out / name,
+        return replace(shipped, path=self.out / name).with_cell(
             samples=replace(shipped.samples, file=f"{stem}.h5"),
             training_file=f"{stem}.safetensors",
         )

@@ -18,7 +18,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import region
 from surrofe2.problem.problem import Problem
 from surrofe2.sampling import SamplingRange
-from surrofe2.settings import check_settings, check_value, from_table, setting
+from surrofe2.settings import check_entries, check_settings, check_value, from_table, setting
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.tissue.conditions import inside_region
 
@@ -27,7 +27,7 @@ Index = NDArray[np.int64]
 
 REST = "rest"
 """As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
-_SHARED = ("range", "samples", "training")
+SECTIONS = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
 _OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
 """Files that cells cannot share."""
@@ -68,7 +68,8 @@ class SampleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellType:
-    """A plant cell, the regions it fills, and how its stress is sampled and learnt."""
+    """A plant cell, the regions it fills (of [cell] none are named: all of them), and how its
+    stress is sampled and learnt."""
 
     preset: str
     cell: CellParameters
@@ -78,22 +79,25 @@ class CellType:
     training: TrainingSettings
     training_file: str | None
 
-    def to_dict(self) -> dict[str, Any]:
-        """As a recipe has it, defaults filled in."""
-        found = {"preset": self.preset, **self.cell.to_dict(), "regions": list(self.regions)}
-        found["samples"] = asdict(self.samples)
-        found["training"] = {**asdict(self.training), "file": self.training_file}
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """The sections of a recipe that state it, defaults filled in."""
+        found = {
+            "cell": {"preset": self.preset, **self.cell.to_dict()},
+            "samples": asdict(self.samples),
+            "training": {**asdict(self.training), "file": self.training_file},
+        }
         return found if self.range is None else found | {"range": asdict(self.range)}
 
 
 def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
-    """The cell types that a recipe's tables state, by name; empty where it has [cell] or neither.
+    """The cell types that a recipe's tables state, by name; that of [cell] is called "".
 
     Raises:
         InputError: naming the entry that is not what it must be.
     """
+    sections = {name: table[name] for name in SECTIONS if name in table}
     if "cells" not in table:
-        return {}
+        return {"": _cell_type(table.get("cell", {}), sections, (), ("preset",))}
     cells = table["cells"]
     if not isinstance(cells, dict) or not cells:
         raise InputError(
@@ -106,14 +110,14 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
         raise InputError(
             "cells: [cells.NAME] fill regions of a mesh; the section [mesh] is missing"
         )
-    shared = {name: table.get(name, {}) for name in _SHARED}
     for section, key in _OWN:
-        if key in shared[section]:
+        if key in sections.get(section, {}):
             raise InputError(
-                f"{section}.{key}: {quoted(shared[section][key])}; each cell has its own: give "
+                f"{section}.{key}: {quoted(sections[section][key])}; each cell has its own: give "
                 f"cells.NAME.{section}.{key}"
             )
-    made = {name: _cell_type(name, entries, shared) for name, entries in cells.items()}
+    _settings(sections)  # what is wrong there is told of no cell
+    made = {name: _named_cell(name, entries, sections) for name, entries in cells.items()}
     for kind, files in (
         ("samples", {name: each.samples.file for name, each in made.items()}),
         ("training", {name: each.training_file for name, each in made.items()}),
@@ -126,39 +130,54 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
     return made
 
 
-def _cell_type(name: str, table: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+def _named_cell(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+    """The cell of a section [cells.NAME]; what its own sections leave out is as in the shared."""
     where = f"cells.{name}"
     if not re.fullmatch(r"[\w-]+", name):
         raise InputError(f"{where}: {quoted(name)}; a name must be of letters, digits, _ and -")
-    if not isinstance(table, dict):
-        raise InputError(f"{where}: {quoted(table)}; it must be a section [{where}]")
-    given = dict(table)
-    for section in _SHARED:
-        if not isinstance(given.get(section, {}), dict):
-            raise InputError(f"{where}.{section}: {quoted(given[section])}; it must be a table")
-    sections = {section: {**shared[section], **given.pop(section, {})} for section in _SHARED}
-    preset = check_value(f"{where}.preset", given.pop("preset", "printed"), str, {})
+    if not isinstance(entries, dict):
+        raise InputError(f"{where}: {quoted(entries)}; it must be a section [{where}]")
+    given, sections = dict(entries), dict[str, Mapping[str, Any]]()
+    for section in SECTIONS:
+        own = given.pop(section, {})
+        if not isinstance(own, dict):
+            raise InputError(f"{where}.{section}: {quoted(own)}; it must be a table")
+        if merged := {**shared.get(section, {}), **own}:
+            sections[section] = merged
     regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})
     if not regions:
         raise InputError(f"{where}.regions: []; it must name a region of the mesh")
-    file = sections["training"].pop("file", None)
     try:
-        from_table("cell", CellParameters, given, ("preset", "regions", *_SHARED))
-        return CellType(
-            preset=preset,
-            cell=CellParameters.preset(preset, **given),
-            regions=regions,
-            range=from_table("range", SamplingRange, sections["range"])
-            if sections["range"]
-            else None,
-            samples=from_table("samples", SampleSettings, sections["samples"]),
-            training=from_table("training", TrainingSettings, sections["training"], ("file",)),
-            training_file=check_value("training.file", file, str | None, {}),
-        )
+        return _cell_type(given, sections, regions, ("preset", "regions", *SECTIONS))
     except InputError as error:
-        told = str(error)
-        own = "cell." if told.startswith("cell.") else ""
-        raise InputError(f"{where}.{told.removeprefix(own)}") from None
+        raise InputError(f"{where}.{str(error).removeprefix('cell.')}") from None
+
+
+def _cell_type(
+    entries: Mapping[str, Any],
+    sections: Mapping[str, Mapping[str, Any]],
+    regions: tuple[str, ...],
+    extras: tuple[str, ...],
+) -> CellType:
+    """A cell of these entries and sections; extras: keys that its section may have besides."""
+    given = dict(entries)
+    preset = check_value("cell.preset", given.pop("preset", "printed"), str, {})
+    check_entries("cell", CellParameters, given, extras)
+    cell = CellParameters.preset(preset, **given)
+    return CellType(preset=preset, cell=cell, regions=regions, **_settings(sections))
+
+
+def _settings(sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Range, samples, training and training_file that sections state."""
+    training = dict(sections.get("training", {}))
+    file = check_value("training.file", training.pop("file", None), str | None, {})
+    wanted = sections.get("range")
+    return {
+        "range": None if wanted is None else from_table("range", SamplingRange, wanted),
+        "samples": from_table("samples", SampleSettings, sections.get("samples", {})),
+        "training": from_table("training", TrainingSettings, training, ("file",)),
+        "training_file": file,
+    }
 
 
 def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
@@ -170,8 +189,8 @@ def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str
     filled, rests = {}, []
     for name, each in types.items():
         known = mesh.subdomains or {}
-        own = [part for part in each.regions if part != REST or REST in known]
-        rests += [name] * (len(own) < len(each.regions))
+        own = [part for part in each.regions if part in known or part != REST]
+        rests += [name] * (not each.regions or len(own) < len(each.regions))
         found = [region(mesh, part, f"cells.{name}.regions") for part in own]
         filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
     left = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
@@ -208,9 +227,9 @@ def kinds_of_cells(
                     "type, too"
                 )
             kind[inside] = k
-    rest = [k for k, each in enumerate(types.values()) if REST in each.regions]
-    if rest and REST not in known:
-        kind[kind < 0] = rest[0]
+    for k, each in enumerate(types.values()):
+        if not each.regions or (REST in each.regions and REST not in known):
+            kind[kind < 0] = k
     if (kind < 0).any():
         raise InputError(f"cells: none fills the plant cell at {at(kind < 0)}; give it a type")
     return kind

@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -50,19 +51,14 @@ class Recipe:
     """Everything a study needs. `path` is the recipe's file, against which its files resolve.
 
     Attributes:
+        cells: by name; that of a section [cell] is called "".
+        part: name of the cell that is meant; None: the only one, or all of several.
         stated: the problem.
-        types: cells by name, of a recipe with [cells.NAME]; its `cell` is the first of them.
-        cell_name: whose the recipe is, where it is a part of one with several: its `siblings`,
-            itself among them.
     """
 
     path: Path
-    preset: str
-    cell: CellParameters
+    cells: Mapping[str, CellType]
     rve: RveSettings
-    range: SamplingRange | None = None
-    samples: SampleSettings
-    training: TrainingSettings
     calibration: CalibrationSettings
     stated: StatedProblem
     macro: MacroSettings
@@ -70,13 +66,10 @@ class Recipe:
     table: TableSettings
     surface: SurfaceSettings | None = None
     cache: CacheSettings = field(default_factory=CacheSettings)
-    training_file: str | None = None
-    types: Mapping[str, CellType] = field(default_factory=dict)
-    cell_name: str | None = None
-    siblings: Mapping[str, CellType] = field(default_factory=dict)
+    part: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
-        """A recipe of one cell for each of [cells.NAME]; of a recipe with [cell], itself by "".
+        """The recipe for each of its cells, or the one that is meant.
 
         Args:
             name: of the only cell wanted.
@@ -84,63 +77,78 @@ class Recipe:
         Raises:
             InputError: there is no cell of that name.
         """
-        if name is not None and name not in self.types:
-            raise InputError(
-                unknown(f"--cell: {quoted(name)}", name, "cell", self.types or ("[cell]",))
-            )
-        names = self.types if name is None else (name,)
-        return {each: self._part(each) for each in names} if names else {"": self}
-
-    def _part(self, name: str) -> Recipe:
-        each = self.types[name]
-        return replace(
-            self,
-            preset=each.preset,
-            cell=each.cell,
-            range=each.range,
-            samples=each.samples,
-            training=each.training,
-            training_file=each.training_file,
-            types={},
-            cell_name=name,
-            siblings=self.types,
-        )
+        if name is not None and name not in {*self.cells} - {""}:
+            known = [each or "[cell]" for each in self.cells]
+            raise InputError(unknown(f"--cell: {quoted(name)}", name, "cell", known))
+        wanted = self.part if name is None else name
+        names = self.cells if wanted is None else (wanted,)
+        return {each: replace(self, part=each) for each in names}
 
     def whole(self) -> Recipe:
-        """The recipe that this is a part of; itself where it is of no other."""
-        if not self.siblings:
-            return self
-        return replace(self, types=self.siblings, siblings={}, cell_name=None)
+        """The recipe for all its cells."""
+        return replace(self, part=None)
 
-    def check_one_cell(self) -> None:
-        """Refuse a recipe of several cells where one is meant.
+    @property
+    def cell_name(self) -> str:
+        """Of the cell that is meant.
 
         Raises:
-            InputError: it has several.
+            InputError: there are several, and none is meant.
         """
-        if self.types:
+        if self.part is None and len(self.cells) > 1:
             raise InputError(
-                f"{self.path.name}: cells: {', '.join(self.types)}; this needs a recipe with one "
+                f"{self.path.name}: cells: {', '.join(self.cells)}; this needs a recipe with one "
                 "[cell]"
             )
+        return next(iter(self.cells)) if self.part is None else self.part
+
+    @property
+    def preset(self) -> str:
+        """Of the cell that is meant; so all these."""
+        return self.cells[self.cell_name].preset
+
+    @property
+    def cell(self) -> CellParameters:
+        """The plant cell itself."""
+        return self.cells[self.cell_name].cell
+
+    @property
+    def range(self) -> SamplingRange | None:
+        """Of (F, Ḟ), in which its stress is sampled and learnt."""
+        return self.cells[self.cell_name].range
+
+    @property
+    def samples(self) -> SampleSettings:
+        """How its stress is sampled."""
+        return self.cells[self.cell_name].samples
+
+    @property
+    def training(self) -> TrainingSettings:
+        """How its stress is learnt."""
+        return self.cells[self.cell_name].training
+
+    @property
+    def training_file(self) -> str | None:
+        """Of its surrogate."""
+        return self.cells[self.cell_name].training_file
+
+    def with_cell(self, **changes: Any) -> Recipe:
+        """The recipe with other settings of the cell that is meant."""
+        name = self.cell_name
+        return replace(self, cells={**self.cells, name: replace(self.cells[name], **changes)})
 
     @property
     def fingerprint(self) -> str:
         """Of the cell, or of all cells in their order."""
         return " ".join(part.cell.fingerprint for part in self.parts().values())
 
-    @property
-    def cell_section(self) -> str:
-        """Where the cell stands in the file."""
-        return "cell" if self.cell_name is None else f"cells.{self.cell_name}"
-
     def points_of_cells(self, mesh: skfem.Mesh) -> dict[str, NDArray[np.int64]]:
-        """Numbers of the points of the mesh that each of several cells fills.
+        """Numbers of the points of the mesh that each cell fills.
 
         Raises:
             InputError: there is no such region, or an element is of no cell or of two.
         """
-        return points_of_cells(mesh, self.types)
+        return points_of_cells(mesh, self.cells)
 
     def sampling_range(self) -> SamplingRange:
         """The range of (F, Ḟ), for what cannot do without.
@@ -149,7 +157,7 @@ class Recipe:
             InputError: the recipe has none.
         """
         if self.range is None:
-            name = self._own("range")
+            name = self.section("range")
             raise InputError(
                 f"{self.path.name}: {name}: missing; this command needs the section [{name}] with "
                 "stretch, shear and rate (1/µs)"
@@ -173,8 +181,7 @@ class Recipe:
         """
         with self.named(FileError, InputError):
             problem = self.stated.problem(self.path.parent)
-            if self.types:
-                self.points_of_cells(problem.mesh)
+            self.points_of_cells(problem.mesh)
             if self.surface is not None and self.surface.on != FREE:
                 for name in self.surface.on:
                     boundary(problem.mesh, name, "surface.on")
@@ -198,38 +205,55 @@ class Recipe:
         return tuple(Path(os.path.normpath(self.path.parent / name)) for name in self.samples.add)
 
     def _path_of(self, section: str, file: str | None, what: str) -> Path:
-        self.check_one_cell()
         if file is None:
             raise InputError(
-                f"{self.path.name}: {self._own(section)}.file: missing; this command needs the "
+                f"{self.path.name}: {self.section(section)}.file: missing; this command needs the "
                 f"file of the {what}, relative to the recipe"
             )
         if "\0" in file or max(len(os.fsencode(part)) for part in file.split("/")) > _LONGEST_NAME:
             raise InputError(
-                f"{self.path.name}: {self._own(section)}.file: {quoted(file)}; no file can be "
+                f"{self.path.name}: {self.section(section)}.file: {quoted(file)}; no file can be "
                 "called so"
             )
         return Path(os.path.normpath(self.path.parent / file))
 
-    def _own(self, section: str) -> str:
-        """Where the section of the cell stands in the file."""
-        return section if self.cell_name is None else f"{self.cell_section}.{section}"
+    def section(self, name: str) -> str:
+        """What a section of the cell that is meant is called in the file."""
+        return f"cells.{self.cell_name}.{name}" if self.cell_name else name
 
     def to_dict(self) -> dict[str, Any]:
-        """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder."""
-        entries = asdict(replace(self, types={}, siblings={}))
-        sections = {name: entries[name] for name in SECTIONS if entries.get(name) is not None}
-        sections["cell"] = {"preset": self.preset, **self.cell.to_dict()}
-        sections["training"]["file"] = self.training_file
-        if self.types:
-            del sections["cell"]
-            sections["cells"] = {name: each.to_dict() for name, each in self.types.items()}
+        """The whole recipe, defaults filled in, as JSON can hold it; no absolute folder.
+
+        Of one cell it has the sections of a [cell], whatever its name.
+        """
+        own = {name: asdict(attrgetter(name)(self)) for name in _SETTINGS if name != "surface"}
+        if self.surface is not None:
+            own["surface"] = asdict(self.surface)
+        if self.part is not None or "" in self.cells:
+            found = self.cells[self.cell_name].to_dict()
+        else:
+            found = {"cells": {name: _entries(each) for name, each in self.cells.items()}}
         plainly: dict[str, Any] = plain(
-            {"recipe": self.path.name, **sections, **self.stated.to_dict()}
+            {"recipe": self.path.name, **found, **own, **self.stated.to_dict()}
         )
         return plainly
 
 
+def _entries(cell: CellType) -> dict[str, Any]:
+    """What a section [cells.NAME] has."""
+    sections = cell.to_dict()
+    return {**sections.pop("cell"), "regions": list(cell.regions), **sections}
+
+
+_SETTINGS: dict[str, type] = {
+    "rve": RveSettings,
+    "calibration": CalibrationSettings,
+    "macro": MacroSettings,
+    "tissue": TissueSettings,
+    "table": TableSettings,
+    "surface": SurfaceSettings,
+    "cache": CacheSettings,
+}
 SECTIONS: dict[str, type] = {
     "cell": CellParameters,
     "rve": RveSettings,
@@ -238,21 +262,9 @@ SECTIONS: dict[str, type] = {
     "training": TrainingSettings,
     "calibration": CalibrationSettings,
     "load": LoadSettings,
-    "macro": MacroSettings,
-    "tissue": TissueSettings,
-    "table": TableSettings,
-    "surface": SurfaceSettings,
-    "cache": CacheSettings,
+    **_SETTINGS,
 }
 """Sections of settings by name; others state a problem, or several cells."""
-_NOT_NEEDED = ("range", "surface")
-"""Sections that a recipe may do without; each other one has a default for all it must have."""
-_EXTRA_KEYS: dict[str, tuple[str, Any, Any, dict[str, Any]]] = {
-    "cell": ("preset", str, "printed", {}),
-    "training": ("file", str | None, None, {}),
-    "macro": ("elements", tuple[int, int], (4, 4), {"least": 1}),
-}
-"""Keys besides the fields of the sections: name, type, default and bounds."""
 
 
 def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType({})) -> Recipe:
@@ -291,25 +303,20 @@ def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> R
             raise InputError(unknown(name, name, "section", known))
         if name in SECTIONS and not isinstance(section, dict):
             raise InputError(f"{name}: {quoted(section)}; it must be a section [{name}]")
-    given = {name: dict(table.get(name, {})) for name in SECTIONS}
-    extras: dict[str, Any] = {}
-    for section, (key, kind, default, bounds) in _EXTRA_KEYS.items():
-        value = given[section].pop(key, default)
-        extras[section] = check_value(f"{section}.{key}", value, kind, bounds)
-    stated, types = stated_problem(table, path.parent, extras["macro"]), cell_types(table)
+    macro = dict(table.get("macro", {}))
+    elements = check_value(
+        "macro.elements", macro.pop("elements", (4, 4)), tuple[int, int], {"least": 1}
+    )
+    stated, cells = stated_problem(table, path.parent, elements), cell_types(table)
     _check_homes(table)
     made: dict[str, Any] = {
-        name: from_table(name, kind, given[name], _EXTRA_KEYS.get(name, ())[:1])
-        for name, kind in SECTIONS.items()
-        if name != "load" and (name in table or name not in _NOT_NEEDED)
+        name: from_table(name, kind, table.get(name, {}))
+        for name, kind in _SETTINGS.items()
+        if name != "macro" and (name in table or name != "surface")
     }
-    preset = extras["cell"]
-    made["cell"] = CellParameters.preset(preset, **given["cell"])
-    if types:
-        first = next(iter(types.values()))
-        preset, made["cell"], made["types"] = first.preset, first.cell, types
-    made["macro"] = changed(made["macro"], frames=stated.time.frames)
-    return Recipe(path=path, preset=preset, training_file=extras["training"], stated=stated, **made)
+    settings = from_table("macro", MacroSettings, macro, ("elements",))
+    made["macro"] = changed(settings, frames=stated.time.frames)
+    return Recipe(path=path, cells=cells, stated=stated, **made)
 
 
 def changed(settings: T, **given: Any) -> T:

@@ -78,8 +78,16 @@ def from_table(
     Raises:
         InputError: naming the entry that is unknown, missing or not what it must be.
     """
-    items = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    hints = hints_of(kind)  # type: ignore[arg-type]
+    check_entries(section, kind, table, extras)
+    return kind(**table)
+
+
+def check_entries(
+    section: str, kind: type, table: Mapping[str, Any], extras: Iterable[str] = ()
+) -> None:
+    """Refuse entries of a section that no settings can be made of, as of `from_table`."""
+    items = {item.name: item for item in fields(kind)}
+    hints = hints_of(kind)
     known = [*items, *extras]
     for key, value in table.items():
         if f"{section}.{key}" in REMOVED:
@@ -94,7 +102,6 @@ def from_table(
             unit = item.metadata.get("unit", NONE)
             told = f"{section}.{item.name}: missing; it must be given"
             raise InputError(told if unit == NONE else f"{told} ({unit})")
-    return kind(**table)
 
 
 def unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:

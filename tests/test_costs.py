@@ -38,7 +38,7 @@ def test_when_a_cache_pays(costs, gain, pays_from, sentence):
 
 
 def test_a_data_set_counts_all_calls_that_made_it(recipe, monkeypatch):
-    recipe = replace(recipe, samples=replace(recipe.samples, count=40))
+    recipe = recipe.with_cell(samples=replace(recipe.samples, count=40))
     law = StoppingLaw(2).of(recipe.cell, recipe.rve)
     with pytest.raises(KeyboardInterrupt):
         generate_data_set(recipe, law, chunk=8)

@@ -197,8 +197,8 @@ def test_strips_with_and_without_skin_rest_as_beams_of_their_layers(tmp_path):
     """Within 2 %: bending and shear of layers glued together."""
     recipe = load_recipe(FOLDER / "skin-over-parenchyma.toml")
     skin, soft = (moduli(part.cell) for part in recipe.parts().values())
-    plain = replace(recipe.types["skin"], cell=recipe.types["parenchyma"].cell)
-    without = replace(recipe, types={**recipe.types, "skin": plain})
+    plain = replace(recipe.cells["skin"], cell=recipe.cells["parenchyma"].cell)
+    without = replace(recipe, cells={**recipe.cells, "skin": plain})
     for study, upper in ((recipe, skin), (without, soft)):
         came_to = rest_study(study, tmp_path / f"{upper[0]:.0f}").met["watched"]
         assert came_to[1] == pytest.approx(-deflection(upper, soft), rel=0.02)

@@ -103,7 +103,7 @@ def recipe(tmp_path):
 
 
 def test_a_data_set_is_the_same_from_one_process_and_from_several(recipe):
-    alone = replace(recipe, samples=replace(recipe.samples, file="alone.h5"))
+    alone = recipe.with_cell(samples=replace(recipe.samples, file="alone.h5"))
     generate_data_set(alone, chunk=64)
     with executor_of(2) as executor:
         made = generate_data_set(recipe, chunk=64, executor=executor)

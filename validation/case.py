@@ -18,7 +18,6 @@ from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import BodyForce, Surface
 from surrofe2.recipe import Recipe, make_recipe
-from surrofe2.regional_law import RegionalLaw
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import NamedCell
 from surrofe2.report.tables import Quantity
@@ -27,6 +26,7 @@ from surrofe2.store.store import read_kept, write_kept
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.tissue import simulate_tissue
+from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.tissue import tissue_of
 from validation.damped_fit import DampedFit, first_minimum, fit_damped_modes
 
@@ -110,7 +110,7 @@ class Case:
             name: RveLaw(part.cell, part.rve, reference=references[name])
             for name, part in recipe.parts().items()
         }
-        law = RegionalLaw(laws, recipe.points_of_cells(problem.mesh)) if recipe.types else laws[""]
+        law = law_by_region(recipe, problem.mesh, lambda part: laws[part.cell_name])
         if self.method == SURFACE:
             skin = surface_of(self.of.cell, rows_across(self.across))
             problem = replace(problem, surface=Surface(law=skin, on=FREE_SIDES))

@@ -53,9 +53,7 @@ class Setting:
         if self.quick:
             samples, training = replace(samples, count=2048), replace(training, iterations=60)
             stem += "-quick"
-        return replace(
-            shipped,
-            path=self.out / name,
+        return replace(shipped, path=self.out / name).with_cell(
             samples=replace(samples, file=f"{stem}.h5"),
             training=training,
             training_file=f"{stem}.safetensors",

@@ -72,7 +72,7 @@ def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
         Quantity("RMS", "", percent(".2g"), lambda name: errors["rms"][name]),
         Quantity("worst", "", percent(".2g"), lambda name: errors["worst"][name]),
     ]
-    of = "" if study.cell_name is None else f" of {study.cell_name}"
+    of = study.cell_name and f" of {study.cell_name}"
     title = f"Held-out errors{of}, {errors['points']} samples"
     console.show_table(title, Table(quantities, STRESSES))
     for line in trained.bound.splitlines():

@@ -36,7 +36,6 @@ class NamedCell:
         if not name.endswith(".toml"):
             return cls(CellParameters.preset(name), name)
         recipe = load_recipe(name)
-        recipe.check_one_cell()
         return cls(recipe.cell, Path(name).stem, "recipe")
 
     def identity(self, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -194,13 +194,11 @@ def _runs(recipe: Recipe, surrogate: SurrogateLaw, count: int, seed: int) -> Ite
     others = {
         name: laws.quadratic_law(part)
         for name, part in whole.parts().items()
-        if name != (recipe.cell_name or "")
+        if name != recipe.cell_name
     }
 
     def tissue(watched: StressLaw) -> StressLaw:
-        return law_by_region(
-            whole, problem.mesh, lambda part: others.get(part.cell_name or "", watched)
-        )
+        return law_by_region(whole, problem.mesh, lambda part: others.get(part.cell_name, watched))
 
     return _met_in_runs(surrogate, cases, macro, seed, tissue)
 
@@ -209,7 +207,7 @@ def _coarse_problem(recipe: Recipe) -> Problem:
     """The recipe's problem on a coarser mesh, where that is a rectangle of one cell and has all it
     names."""
     whole, stated = recipe.whole(), recipe.stated
-    if stated.mesh.elements is not None and not whole.types:
+    if stated.mesh.elements is not None and len(whole.cells) == 1:
         along, across = (min(n, RUN_ELEMENTS) for n in stated.mesh.elements)
         mesh = replace(stated.mesh, elements=(along, across))
         with suppress(InputError):

@@ -52,16 +52,13 @@ def choose_laws(
     Raises:
         MismatchError: a surrogate or a table is of other cell parameters or initialisation.
     """
-    if not recipe.types:
-        return choose_law(recipe, kind, surrogates.get(""), tables, taker(recipe))
     of_cells = _by_cell(recipe, tables, read_table, "--table")
     chosen = {
         name: choose_law(part, kind, surrogates.get(name), of_cells[name], taker(part))
         for name, part in recipe.parts().items()
     }
-    laws = {name: each.law for name, each in chosen.items()}
     return ChosenLaw(
-        RegionalLaw(laws, recipe.points_of_cells(mesh)),
+        law_by_region(recipe, mesh, lambda part: chosen[part.cell_name].law),
         surrogate_record({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
         {name: table for each in chosen.values() for name, table in each.tables.items()},
     )
@@ -74,8 +71,6 @@ def files_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
         InputError: two are for one cell.
         MismatchError: one is for none of the cells.
     """
-    if not recipe.types and len(files) == 1:
-        return {"": files[0]}
     found = _by_cell(recipe, files, read_surrogate, "--surrogate")
     for name, paths in found.items():
         if len(paths) > 1:
@@ -92,6 +87,8 @@ def _by_cell(
 ) -> dict[str, list[Path]]:
     """Files by name of the cells whose parameters and initialisation they have."""
     parts = recipe.parts()
+    if len(parts) == 1:  # whether they are of it is seen where they are taken
+        return {name: [*files] for name in parts}
     found: dict[str, list[Path]] = {name: [] for name in parts}
     for path in files:
         stored = read(path)
@@ -121,10 +118,8 @@ def law_by_region(
     recipe: Recipe, mesh: skfem.Mesh, law_of: Callable[[Recipe], StressLaw]
 ) -> StressLaw:
     """The law of a recipe's cell, or of its cells, each at the points of its regions."""
-    if not recipe.types:
-        return law_of(recipe)
     laws = {name: law_of(part) for name, part in recipe.parts().items()}
-    return RegionalLaw(laws, recipe.points_of_cells(mesh))
+    return laws[""] if "" in laws else RegionalLaw(laws, recipe.points_of_cells(mesh))
 
 
 def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:

@@ -120,7 +120,7 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
 def _coarser(recipe: Recipe) -> Recipe | None:
     """The recipe on a quarter of the elements; None where the mesh is no rectangle to be halved."""
     stated, elements = recipe.stated, recipe.stated.mesh.elements
-    if elements is None or recipe.types or max(elements) <= _COARSEST:
+    if elements is None or len(recipe.cells) > 1 or max(elements) <= _COARSEST:
         return None
     fewer = (max(1, elements[0] // 2), max(1, elements[1] // 2))
     other = replace(recipe, stated=replace(stated, mesh=replace(stated.mesh, elements=fewer)))
@@ -135,7 +135,7 @@ def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
     problem, recorders = recipe.problem(), dict[str, _Recorder]()
 
     def recorded(part: Recipe) -> StressLaw:
-        recorder = recorders[part.cell_name or ""] = _Recorder(laws.quadratic_law(part))
+        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
         return recorder
 
     law = law_by_region(recipe, problem.mesh, recorded)

@@ -130,7 +130,7 @@ def _planned(
                 law=law,
                 values=counting[law],
                 true=true,
-                needs={task.recipe.cell_name or "": Path(task.name) for task in made},
+                needs={task.recipe.cell_name: Path(task.name) for task in made},
             )
             runs.setdefault(task.name, task)
     return surrogates, runs
@@ -148,7 +148,7 @@ def _surrogates(
     for name, part in recipe.parts().items():
         own = base.parts().get(name)
         is_own = own is not None and _learnt(own) == _learnt(part)
-        others = tuple(f"cells.{other}." for other in recipe.types if other != name)
+        others = tuple(f"cells.{other}." for other in recipe.cells if other != name)
         counting = {
             key: value
             for key, value in changes.items()
@@ -158,9 +158,9 @@ def _surrogates(
         here = os.path.relpath(out / stem, base.path.parent)
         data, trained = (part.samples.file, part.training_file) if is_own else (None, None)
         # what calibrates it is the base's problem, whatever else the grid changes
-        part = load_recipe(base.path, counting).parts(name or None)[name]
+        part = load_recipe(base.path, counting).parts()[name]
         samples = replace(part.samples, file=data or f"{here}.h5")
-        part = replace(part, samples=samples, training_file=trained or f"{here}.safetensors")
+        part = part.with_cell(samples=samples, training_file=trained or f"{here}.safetensors")
         if not (is_own and part.training_path().exists()):
             part.sampling_range()
         is_own = is_own and trained is not None

@@ -58,7 +58,6 @@ def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> Ref
     From the cache folder, where the first command puts it, else from the surrogate or from the
     data set, else settled.
     """
-    recipe.check_one_cell()
     cell = recipe.cell
     path = reference_path(cell)
     known = read_reference(path, cell)
@@ -123,7 +122,7 @@ def choose_law(
         rve = shared(true_law(recipe))
         table = make_table(recipe, rve, tables)
         law = CachedLaw(table, rve, recipe.cache, on_true_answer)
-        return ChosenLaw(law, _record_of(tables), {recipe.cell_name or "": table})
+        return ChosenLaw(law, _record_of(tables), {recipe.cell_name: table})
     path = surrogate_file or recipe.training_path()
     surrogate = read_surrogate(path)
     record: dict[str, Any] = {

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -211,7 +211,7 @@ def _surrogate(recipe: Recipe, out: Path, k: int, stage: Stage) -> Trained:
     That of round 0 is the recipe's, made where it is not there. A later one learns from all that
     was sampled since; where nothing was, the last one stays.
     """
-    name = recipe.cell_name or ""
+    name = recipe.cell_name
     file, new, started = (of_cell(each, name) for each in (SURROGATE, _NEW, _STARTED))
     path = out / f"round-{k}" / file
     grown = [out / f"round-{j}" for j in range(k) if (out / f"round-{j}" / started).exists()]
@@ -223,7 +223,7 @@ def _surrogate(recipe: Recipe, out: Path, k: int, stage: Stage) -> Trained:
         last = grown[-1]
         k_trained = int(last.name.removeprefix("round-")) + 1
         trained = train_surrogate(
-            replace(recipe, training_file=str((out / f"round-{k_trained}" / file).resolve())),
+            recipe.with_cell(training_file=str((out / f"round-{k_trained}" / file).resolve())),
             add=[folder / new for folder in grown],
             range=SamplingRange(**read_json(last / started)["range"]),
             stage=lambda what, *rest: stage(f"round {k} {name}: {what}".replace(" :", ":"), *rest),
@@ -243,7 +243,7 @@ def _row(
     stage: Stage,
 ) -> Round:
     """What the run of a round met that its surrogate did not know, and the samples of that."""
-    surrogate, name = trained.surrogate, recipe.cell_name or ""
+    surrogate, name = trained.surrogate, recipe.cell_name
     spread, tolerance = surrogate.stress_spread, recipe.cache.tolerance
     source = folder / "run" / of_cell(HARVEST, name)
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all

@@ -94,7 +94,7 @@ class RunOutputs:
         None where nothing is harvested."""
         if not self._harvest:
             return None
-        cell = part.cell_name or ""
+        cell = part.cell_name
         self._writers[cell] = HarvestWriter(self.folder / of_cell(HARVEST, cell), origin_of(part))
         return self._writers[cell]
 
@@ -133,7 +133,7 @@ def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = N
         initialisation=recipe.rve.initialisation,
         solver=recipe.rve.solver,
         cell_fingerprint=recipe.fingerprint,
-        seed=None if recipe.types else recipe.samples.seed,
+        seed=None if len(recipe.cells) > 1 else recipe.samples.seed,
         surrogate=surrogate,
         **describe_origin(),
     )

@@ -53,7 +53,7 @@ def with_surface(
         name: cell_surface(part, cells_across(problem, part.cell), reference)
         for name, part in recipe.parts().items()
     }
-    if not recipe.types:
+    if "" in laws:
         return replace(problem, surface=Surface(law=laws[""], on=recipe.surface.on))
     share = problem.mesh.nelements
     points = recipe.points_of_cells(problem.mesh)
@@ -102,7 +102,7 @@ def missing_sentence(
     Args:
         reference: gives the settled reference state of a recipe of one cell.
     """
-    if recipe.types or record.law == "tissue" or record.problem.get("surface"):
+    if len(recipe.cells) > 1 or record.law == "tissue" or record.problem.get("surface"):
         return None
     cell, method = recipe.cell, recipe.rve.initialisation
     if not cell.is_one_square:

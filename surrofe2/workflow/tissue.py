@@ -31,13 +31,14 @@ from surrofe2.workflow.run_outputs import new_record
 
 def tissue_of(
     recipe: Recipe,
-) -> tuple[Problem, list[CellParameters], NDArray[np.int64] | None]:
-    """The problem of a recipe, its plant cells, and of several which each plant cell is (n, m).
+) -> tuple[Problem, list[CellParameters], NDArray[np.int64]]:
+    """The problem of a recipe, its plant cells, and which of these each one is (n, m).
 
     Raises:
         InputError: naming what a tissue of particles does not take.
     """
     problem, stated = recipe.problem(), recipe.stated
+    cells = [each.cell for each in recipe.cells.values()]
     with recipe.named(InputError):
         if stated.mesh.file is not None:
             raise InputError(
@@ -45,9 +46,8 @@ def tissue_of(
                 "mesh.height"
             )
         problem.check_course()
-        counts = cells_that_fill(problem, recipe.cell, stated.section)
-        kind = kinds_of_cells(problem, recipe.types, counts) if recipe.types else None
-    return problem, [part.cell for part in recipe.parts().values()], kind
+        counts = cells_that_fill(problem, cells[0], stated.section)
+        return problem, cells, kinds_of_cells(problem, recipe.cells, counts)
 
 
 def run_tissue(
@@ -111,7 +111,7 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
     Raises:
         InputError: less than one in a direction, or the recipe states a problem other than the bar.
     """
-    stated, side = recipe.stated, recipe.cell.cell_side
+    stated = recipe.stated
     if stated.section != "load":
         raise InputError(
             f"--cells: {cells[0]} {cells[1]}; {recipe.path.name} has its extent in [mesh]: change "
@@ -121,7 +121,7 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
         raise InputError(f"--cells: {cells[0]} {cells[1]}; both must be at least 1")
     assert stated.mesh.width is not None
     assert stated.mesh.height is not None
-    width, height = cells[0] * side, cells[1] * side
+    width, height = (count * recipe.cell.cell_side for count in cells)
     mesh = replace(stated.mesh, width=width, height=height)
     watched = {
         name: (x * width / stated.mesh.width, y * height / stated.mesh.height)

@@ -278,12 +278,13 @@ def large_errors(recipe: Recipe, trained: Trained) -> str | None:
     name = max(STRESSES, key=lambda each: rms[each])
     if rms[name] <= LARGE_ERROR:
         return None
-    of = "" if recipe.cell_name is None else f"{recipe.cell_section}."
+    sampled, samples = recipe.section("range"), recipe.section("samples")
     more = "state" if recipe.samples.count is None else "raise"
     return (
         f"{trained.path}: the error of {name} is {100 * rms[name]:.2g} % RMS, from "
-        f"{len(trained.samples.valid.F)} usable samples: narrow {of}range to what `surrofe2 check` "
-        f"proposes, {more} {of}samples.count, or let `surrofe2 refine` sample what the run meets"
+        f"{len(trained.samples.valid.F)} usable samples: narrow {sampled} to what "
+        f"`surrofe2 check` proposes, {more} {samples}.count, or let "
+        "`surrofe2 refine` sample what the run meets"
     )
 
 

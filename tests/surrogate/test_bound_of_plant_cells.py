@@ -47,9 +47,10 @@ class Study:
         self.recipe = recipe = replace(
             recipe,
             rve=replace(recipe.rve, initialisation=initialisation),
+            calibration=calibration,
+        ).with_cell(
             range=range or recipe.range,
             training=replace(recipe.training, iterations=iterations),
-            calibration=calibration,
         )
         self.rve = RveLaw(recipe.cell, recipe.rve)
         F, F_dot = training_points(recipe.range, samples, seed=1)
