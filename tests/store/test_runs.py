@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surrofe2.errors import FileError, InputError
+from surrofe2.recipe import load_recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import (
     open_run_folder,
@@ -101,3 +103,14 @@ def test_damaged_curve(tmp_path, text):
         read_curve(tmp_path)
     path = tmp_path / "curve.csv"
     assert str(caught.value) == f"{path}: not a table of t_us,u_x_um,u_y_um"
+
+
+def test_a_run_of_a_bar_from_earlier_versions_is_the_one_of_today():
+    """Its record has [load] and the elements in [macro]."""
+    data = Path(__file__).parents[2] / "data"
+    earlier, now = read_record(data / "large-bar-true").recipe, load_recipe(data / "large-bar.toml")
+    assert "load" not in earlier
+    for name in ("conditions", "bodies", "watch"):
+        assert earlier[name] == now.to_dict()[name]
+    assert earlier["mesh"]["elements"] == list(now.stated.mesh.elements)
+    assert earlier["time"]["duration"] == now.duration

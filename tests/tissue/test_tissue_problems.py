@@ -19,6 +19,8 @@ from surrofe2.problem import (
     Problem,
     Traction,
     rectangle,
+    with_boundaries,
+    with_regions,
 )
 from surrofe2.problem.amplitude import Ramp, Sine, Table
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
@@ -372,4 +374,36 @@ def test_boundary_without_particles_is_named(reference):
     mesh = rectangle(50.0, 50.0, (50, 1))
     problem = Problem(mesh=mesh, conditions=(), bodies=(upper,), boundaries={"patch": patch})
     with pytest.raises(InputError, match=r"^boundary patch: it holds no wall particle"):
+        run(reference, problem)
+
+
+def test_sides_and_elements_of_a_mesh_pick_what_regions_of_the_plane_do(reference):
+    """A boundary and a region of a mesh alone, against the same ones stated by the plane."""
+    parts = {"corner": Box((-1.0, 25.0), (1.0, 50.0))}, {"core": Box((25.0, 0.0), (50.0, 25.0))}
+    mesh = with_regions(with_boundaries(PRESSED.mesh, **parts[0]), **parts[1])
+    held = Fixed(name="held", on="corner")
+    pull = BodyForce(name="pull", on="core", acceleration=(0.3, 0.1))
+    stated = replace(PRESSED, conditions=(held, pull), bodies=(LOWER,))
+    found = [
+        make_conditions(each, *reference("water"))
+        for each in (
+            replace(stated, mesh=mesh),
+            replace(stated, boundaries=parts[0], regions=parts[1]),
+        )
+    ]
+    assert found[0].held.sum() == 2 * 11
+    np.testing.assert_array_equal(*(each.held for each in found))
+    np.testing.assert_array_equal(*(each.dead_loads() for each in found))
+    assert found[0].dead_loads()[0].sum(axis=0) == pytest.approx(
+        0.25 * found[0].tissue.mass.sum() * np.array([0.3, 0.1])
+    )
+
+
+@pytest.mark.parametrize("move", [(1.0, 0.0), (0.0, 0.0)], ids=["away", "not rectangular"])
+def test_mesh_that_is_no_rectangle_at_the_origin_is_named(reference, move):
+    mesh = rectangle(50.0, 50.0, (2, 2))
+    points = mesh.p + np.array(move)[:, None]
+    points[0, points.argmax(axis=1)[0]] += 0.0 if any(move) else 5.0
+    problem = replace(PRESSED, mesh=replace(mesh, doflocs=points))
+    with pytest.raises(InputError, match=r"^mesh: a full tissue needs a rectangle \[0, width\]"):
         run(reference, problem)
