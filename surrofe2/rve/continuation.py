@@ -1,10 +1,10 @@
 """Far loads: the elastic equilibrium followed in steps, over bifurcations.
 
-See docs/theory.md, stability. The way is straight in F, dashpots off, from where z is known to
+See docs/theory.md, stability. The path is straight in F, dashpots off, from where z is known to
 where it is asked for. A step from one stable equilibrium to the next is halved where Newton's
 method fails, where the state it finds is unstable, or where particles jump. The shortest step that
 still fails has met the end of its branch: from there particles move down the elastic energy to a
-minimum, see `descent`, and the way goes on along that branch.
+minimum, see `descent`, and the path goes on along that branch.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.rve.descent import Landscape, descend
 from surrofe2.rve.near_contacts import NearContacts
-from surrofe2.rve.newton import SEEK, SEEK_LIMIT, newton, solve_tiles
+from surrofe2.rve.newton import SEEK, SEEK_LIMIT, newton
 from surrofe2.rve.particle_state import ASTRAY, Drive, empty_answer
 from surrofe2.rve.unit_cell import UnitCell
 from surrofe2.simd import TILE
@@ -35,7 +35,7 @@ JUMP = 1.0
 FAR = 0.15
 """Largest entry of |U − I| up to which a cold solve may go from F = I in one step."""
 EFFORT, OF_STEP_DOWN = 2700, 10
-"""Newton iterations on the way of a point after which it is given up; a step down counts as ten."""
+"""Newton iterations on the path of a point after which it is given up; a step down counts ten."""
 
 
 def is_far(F: Reals) -> Flags:
@@ -45,11 +45,11 @@ def is_far(F: Reals) -> Flags:
     return pack(np.abs(U - np.eye(2)).max(axis=(1, 2)) > FAR)
 
 
-class Way(NamedTuple):
+class Path(NamedTuple):
     """How far m points have come from F = `start` to F = `end`, (m, 2, 2) each.
 
     z: (m, 2, n) their equilibria there.
-    done: (m,) the part of the way. step: the next step, as such a part.
+    done: (m,) the part of the path. step: the next step, as such a part.
     effort: (m,) what it took, in Newton iterations.
     left: (m,) whether a branch was left.
     """
@@ -63,34 +63,34 @@ class Way(NamedTuple):
     left: Flags
 
     @classmethod
-    def between(cls, start: Reals, end: Reals, z: Reals) -> Way:
+    def between(cls, start: Reals, end: Reals, z: Reals) -> Path:
         """From z (m, 2, n) at F = `start`; a rotation between the two F is made at once."""
         start, count = rotation(end) @ transpose(rotation(start)) @ start, len(z)
         effort, left = np.zeros(count, dtype=np.int_), np.zeros(count, dtype=np.bool_)
-        way = cls(start, end.copy(), z.copy(), np.zeros(count), np.full(count, 0.5), effort, left)
-        return way._replace(step=np.minimum(way.step, way.part_of(LONGEST)))
+        path = cls(start, end.copy(), z.copy(), np.zeros(count), np.full(count, 0.5), effort, left)
+        return path._replace(step=np.minimum(path.step, path.part_of(LONGEST)))
 
     def part_of(self, change: float) -> Reals:
-        """(m,) the part of the way on which F changes by so much, at most 1."""
+        """(m,) the part of the path on which F changes by so much, at most 1."""
         length = np.abs(self.end - self.start).max(axis=(1, 2))
         part: Reals = change / np.maximum(length, change)
         return part
 
-    def take(self, index: Index) -> Way:
+    def take(self, index: Index) -> Path:
         """That of the points `index`."""
-        return Way(
+        return Path(
             self.start[index], self.end[index], self.z[index], self.done[index], self.step[index],
             self.effort[index], self.left[index],
         )  # fmt: skip
 
-    def put(self, index: Index, other: Way) -> None:
+    def put(self, index: Index, other: Path) -> None:
         """Let the points `index` be where those of the `other` are."""
         for mine, new in zip(self, other, strict=True):
             mine[index] = new
 
 
 @dataclass(frozen=True, slots=True)
-class Sought:
+class Equilibria:
     """Elastic equilibria of k points near where they were sought.
 
     Attributes:
@@ -104,18 +104,20 @@ class Sought:
     found: Flags
     stable: Flags
 
-    def take(self, index: Index) -> Sought:
+    def take(self, index: Index) -> Equilibria:
         """Those of the points `index`."""
-        return Sought(self.z[index], self.iterations[index], self.found[index], self.stable[index])
+        return Equilibria(
+            self.z[index], self.iterations[index], self.found[index], self.stable[index]
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Walked:
-    """The end of the way of m points.
+class Followed:
+    """The end of the path of m points.
 
     Attributes:
         arrived: (m,) whether a stable equilibrium was found at the end.
-        unstable: (m,) whether the way ended at an equilibrium with no stable one below it.
+        unstable: (m,) whether the path ended at an equilibrium with no stable one below it.
         newton_solves: how many it took.
     """
 
@@ -124,78 +126,80 @@ class Walked:
     newton_solves: int
 
 
-class Walker:
+class Continuation:
     """Follows equilibria of one unit cell, with its longest list of contacts."""
 
     def __init__(self, unit: UnitCell, tolerance: float) -> None:
         self.constants, self.tolerance = unit.constants, tolerance
         self.contacts = NearContacts(unit.patches[-1].topology, unit.cell.repulsion_cutoff)
 
-    def walk(self, way: Way) -> Walked:
-        """Go on to the end of the way; it is left where the points have come to."""
-        longest, shortest = way.part_of(LONGEST), way.part_of(SHORTEST)
-        arrived, unstable = way.done >= 1.0, np.zeros(len(way.z), dtype=np.bool_)
-        active, solves = np.flatnonzero(~arrived & (way.effort < EFFORT)), 0
+    def follow(self, path: Path) -> Followed:
+        """Go on to the end of the path; it is left where the points have come to."""
+        # `active` numbers points of the path; `stuck` and masks like `good` number the active ones.
+        longest, shortest = path.part_of(LONGEST), path.part_of(SHORTEST)
+        arrived, unstable = path.done >= 1.0, np.zeros(len(path.z), dtype=np.bool_)
+        active, solves = np.flatnonzero(~arrived & (path.effort < EFFORT)), 0
         while len(active):
-            z = way.z[active]
-            F, trial, good = self._next(way, active, shortest[active])
-            part, there = np.minimum(way.done[active] + way.step[active], 1.0), trial.z
+            z = path.z[active]
+            F, trial, good = self._next(path, active, shortest[active])
+            part, there = np.minimum(path.done[active] + path.step[active], 1.0), trial.z
             solves += len(active)
-            at_shortest = way.step[active] <= shortest[active]
+            at_shortest = path.step[active] <= shortest[active]
             stuck = np.flatnonzero(~good & at_shortest)
             if len(stuck):
                 unstable[active[stuck]] = trial.found[stuck]
-                begin, spare = trial.take(stuck), EFFORT - way.effort[active[stuck]]
+                begin, spare = trial.take(stuck), EFFORT - path.effort[active[stuck]]
                 there[stuck], good[stuck], tried = self._leave(F[stuck], z[stuck], begin, spare)
-                way.effort[active[stuck]] += OF_STEP_DOWN * tried
+                path.effort[active[stuck]] += OF_STEP_DOWN * tried
                 solves += len(stuck)
             lost = np.isin(np.arange(len(active)), stuck) & ~good
             ahead = active[good]
-            way.left[ahead] |= np.isin(np.flatnonzero(good), stuck)
-            way.z[ahead], way.done[ahead] = there[good], part[good]
+            path.left[ahead] |= np.isin(np.flatnonzero(good), stuck)
+            path.z[ahead], path.done[ahead] = there[good], part[good]
             arrived[ahead] = part[good] >= 1.0
-            step = way.step[active] * np.where(good, 2.0, 0.5)
-            way.step[active] = np.clip(step, shortest[active], longest[active])
-            active = active[~arrived[active] & ~lost & (way.effort[active] < EFFORT)]
-        return Walked(arrived, unstable & ~arrived, solves)
+            step = path.step[active] * np.where(good, 2.0, 0.5)
+            path.step[active] = np.clip(step, shortest[active], longest[active])
+            active = active[~arrived[active] & ~lost & (path.effort[active] < EFFORT)]
+        return Followed(arrived, unstable & ~arrived, solves)
 
-    def newton(self, F: Reals, z: Reals) -> Sought:
+    def newton(self, F: Reals, z: Reals) -> Equilibria:
         """The elastic equilibrium near z (m, 2, n) by Newton's method."""
         law = self.contacts.within(F, z, ASTRAY * np.linalg.norm(F, axis=(1, 2))), self.constants
         points, z, tensors = len(z), pack(z), pack(F)
         answer, tiles = empty_answer(len(z)), len(z)
         drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(tiles, SEEK, dtype=np.int8)
         unused = np.zeros(tiles, dtype=np.intp)
-        solve_tiles(newton, drive, z, unused, task, *law, self.tolerance, answer)
+        newton(drive, z, unused, task, *law, self.tolerance, answer)
         iterations = unpack(answer.iterations, points)
         found = iterations > 0
         stable = found & unpack(answer.stable, points)
         count = np.where(iterations == -1, SEEK_LIMIT, np.abs(iterations))
-        return Sought(unpack(z, points), count, found, stable)
+        return Equilibria(unpack(z, points), count, found, stable)
 
-    def _next(self, way: Way, active: Index, shortest: Reals) -> tuple[Reals, Sought, Flags]:
+    def _next(self, path: Path, active: Index, shortest: Reals) -> tuple[Reals, Equilibria, Flags]:
         """The next step of the `active` points, halved as often as a tile has room to try at once.
 
         Returns:
             F and what was found there, and whether that is the next equilibrium of the branch;
-            the way's step is the one that was taken, its effort that of all before it, too.
+            the path's step is the one that was taken, its effort that of all before it, too.
         """
+        # a tile solves eight points for the price of one: its free lanes try shorter steps at once
         count, tries = len(active), max(TILE // len(active), 1)
-        step = np.maximum(way.step[active, None] * 0.5 ** np.arange(tries), shortest[:, None])
-        part = np.minimum(way.done[active, None] + step, 1.0)[:, :, None, None]
-        F = (1.0 - part) * way.start[active, None] + part * way.end[active, None]
-        z = np.repeat(way.z[active], tries, axis=0)
+        step = np.maximum(path.step[active, None] * 0.5 ** np.arange(tries), shortest[:, None])
+        part = np.minimum(path.done[active, None] + step, 1.0)[:, :, None, None]
+        F = (1.0 - part) * path.start[active, None] + part * path.end[active, None]
+        z = np.repeat(path.z[active], tries, axis=0)
         trial = self.newton(F.reshape(-1, 2, 2), z)
         good = (trial.stable & ~_jumped(trial.z, z)).reshape(count, tries)
-        effort = way.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
+        effort = path.effort[active, None] + trial.iterations.reshape(count, tries).cumsum(axis=1)
         last = good | (step <= shortest[:, None]) | (effort >= EFFORT)
         last[:, -1] = True
         taken, every = last.argmax(axis=1), np.arange(count)
-        way.step[active], way.effort[active] = step[every, taken], effort[every, taken]
+        path.step[active], path.effort[active] = step[every, taken], effort[every, taken]
         return F[every, taken], trial.take(tries * every + taken), good[every, taken]
 
     def _leave(
-        self, F: Reals, z: Reals, trial: Sought, spare: NDArray[np.int_]
+        self, F: Reals, z: Reals, trial: Equilibria, spare: NDArray[np.int_]
     ) -> tuple[Reals, Flags, NDArray[np.int_]]:
         """z of points in a stable state, whether there is one, and how many steps down it took.
 

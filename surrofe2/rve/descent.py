@@ -218,8 +218,10 @@ def descend(
     """
     z, found, tried = z.copy(), np.zeros(len(z), dtype=np.bool_), np.zeros(len(z), dtype=np.int_)
     limit, energy = np.minimum(np.full(len(z), most), STEPS), np.full(len(z), np.inf)
+    # The first step has no length: it finds energy, forces and Hessian where the descent begins.
     active, step = np.arange(len(z)), np.zeros((len(z), 2 * z.shape[2] - 2))
     while len(active):
+        # Whenever an RVE stops, those that go on are packed into tiles again.
         down = Descent(landscape, active, z[active], energy[active])
         goes_on = np.ones(len(active), dtype=np.bool_)
         while goes_on.all():

@@ -14,7 +14,7 @@ single precision (they only precondition; the residual is double), and the slope
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -32,6 +32,7 @@ from surrofe2.rve.block_lu import (
     solved_columns,
 )
 from surrofe2.rve.particle_state import (
+    Answer,
     Drive,
     answer_of,
     copy_particles,
@@ -49,6 +50,7 @@ from surrofe2.simd import TILE, load, store
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Addresses = NDArray[np.intp]
 
 CHORD_LIMIT, NEWTON_LIMIT, SEEK_LIMIT = 10, 40, 16
 CONTRACTION = 0.5
@@ -218,22 +220,32 @@ def chord_loop(work, drive, is_affine, lu, topology, c, stop, answer):
         correct(lu, work.f, step, iterations, drive.F, work.z, topology)
 
 
-@parallel_kernel
-def chord(drive, z, before, factors, topology, c, tolerance, answer):
+def chord(
+    drive: Drive, z: Array, before: Drive, factors: Addresses, topology: Topology, c: Constants,
+    tolerance: float, answer: Answer,
+) -> None:  # fmt: skip
     """Solve in place from z (tiles, 2, n, TILE), known at `before`, where iterations are 0.
 
     factors (tiles,): addresses of the kept factors, which are read only.
     """
+    if len(z) > 1:
+        _chord_tiles(drive, z, before, factors, topology, c, tolerance, answer)
+    else:  # threads take longer to start than a tile takes
+        one = drive_of(drive, 0), z[0], drive_of(before, 0), factors[0]
+        _chord_tile(*one, topology, c, tolerance, answer_of(answer, 0))
+
+
+@parallel_kernel
+def _chord_tiles(drive, z, before, factors, topology, c, tolerance, answer):
     for t in numba.prange(z.shape[0]):
-        chord_tile(
+        _chord_tile(
             drive_of(drive, t), z[t], drive_of(before, t), factors[t], topology, c, tolerance,
             answer_of(answer, t),
         )  # fmt: skip
 
 
 @kernel
-def chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
-    """`chord` for one tile."""
+def _chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
     if answer.iterations.max() < 0:
         return
     work = make_workspace(topology)
@@ -246,8 +258,10 @@ def chord_tile(drive, z, at, factors, topology, c, tolerance, answer):
             keep_lane(work.z, k, z)
 
 
-@parallel_kernel
-def newton(drive, z, factors, task, topology, c, tolerance, answer):
+def newton(
+    drive: Drive, z: Array, factors: Addresses, task: NDArray[np.int8], topology: Topology,
+    c: Constants, tolerance: float, answer: Answer,
+) -> None:  # fmt: skip
     """What `task` (tiles,) says of each tile, in place; the rest of a skipped tile stays.
 
     - SOLVE: Newton with limited steps from z in the lanes with iterations ≤ 0.
@@ -256,16 +270,24 @@ def newton(drive, z, factors, task, topology, c, tolerance, answer):
     - RENEW: write lu and slopes at z into the blocks whose addresses `factors` (tiles,) holds.
     - CHECK: whether the elastic Hessian at z, dashpots off, is positive definite.
     """
+    if len(z) > 1:
+        _newton_tiles(drive, z, factors, task, topology, c, tolerance, answer)
+    else:  # threads take longer to start than a tile takes
+        one = drive_of(drive, 0), z[0], factors[0], task[0]
+        _newton_tile(*one, topology, c, tolerance, answer_of(answer, 0))
+
+
+@parallel_kernel
+def _newton_tiles(drive, z, factors, task, topology, c, tolerance, answer):
     for t in numba.prange(z.shape[0]):
-        newton_tile(
+        _newton_tile(
             drive_of(drive, t), z[t], factors[t], task[t], topology, c, tolerance,
             answer_of(answer, t),
         )  # fmt: skip
 
 
 @kernel
-def newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
-    """`newton` for one tile."""
+def _newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
     if task == SKIP:
         return
     work, matrices = make_workspace(topology), make_matrices(topology)
@@ -284,25 +306,13 @@ def newton_tile(drive, z, factors, task, topology, c, tolerance, answer):
     check_stable(work, matrices, drive.F, topology, c, answer.stable)
 
 
-def solve_tiles(kernel: Any, *arguments: Any) -> None:
-    """`chord` or `newton`; a single tile without threads, which take longer to start."""
-    if len(arguments[1]) > 1:
-        kernel(*arguments)
-    else:
-        one = chord_tile if kernel is chord else newton_tile
-        first = [
-            drive_of(part, 0) if isinstance(part, Drive) else part[0] for part in arguments[:4]
-        ]
-        one(*first, *arguments[4:7], answer_of(arguments[7], 0))
-
-
 def renew(
     drive: Drive, z: Array, factors: Factors, wanted: Flags, topology: Topology, c: Constants
 ) -> Flags:
     """Write the factors of the `wanted` (tiles,) tiles; (tiles, TILE) whether z is stable."""
     answer = empty_answer(len(z))
     task = np.where(wanted, RENEW, CHECK).astype(np.int8)
-    solve_tiles(newton, drive, z, factors.address, task, topology, c, 0.0, answer)
+    newton(drive, z, factors.address, task, topology, c, 0.0, answer)
     return answer.stable
 
 

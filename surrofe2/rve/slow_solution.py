@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.rve.newton import SKIP, SOLVE, newton, solve_tiles
+from surrofe2.rve.newton import SKIP, SOLVE, newton
 from surrofe2.rve.particle_state import Answer, Drive, empty_answer
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
 from surrofe2.rve.solve import Solution
@@ -80,7 +80,7 @@ class SlowSolution(Solution):
         tiles = np.asarray(wanted.any(axis=1))
         task, z = np.where(tiles, SOLVE, SKIP).astype(np.int8), moving.elastic.copy()
         scratch, tolerance = self.state.factors.renewed(tiles), self.settings.tolerance
-        solve_tiles(newton, self.given, z, scratch.address, task, *self.law, tolerance, answer)
+        newton(self.given, z, scratch.address, task, *self.law, tolerance, answer)
         lanes = wanted[:, None, None, :]
         np.copyto(moving.z, z, where=lanes)
         np.copyto(moving.fluctuation, 0.0, where=lanes)

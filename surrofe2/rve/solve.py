@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate
-from surrofe2.rve.continuation import Walked, Walker, Way, is_far
-from surrofe2.rve.newton import SKIP, SOLVE, chord, newton, solve_tiles
+from surrofe2.rve.continuation import Continuation, Followed, Path, is_far
+from surrofe2.rve.newton import SKIP, SOLVE, chord, newton
 from surrofe2.rve.particle_state import Drive, empty_answer, list_covers, pairs_apart, stress_at
 from surrofe2.rve.rve_state import RveState, with_copies
 from surrofe2.rve.settings import RveSettings
@@ -24,7 +24,7 @@ _NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up
 
 
-Ways = tuple[NDArray[np.intp], Way] | None
+Paths = tuple[NDArray[np.intp], Path] | None
 """Points, and how far they have come."""
 
 
@@ -59,7 +59,7 @@ def solve_rves(
     before: RveState,
     cold: bool,
     level: int = 0,
-    earlier: Ways = None,
+    earlier: Paths = None,
 ) -> Solution:
     """Initialise every RVE; where the list of contacts was too short, again with a longer.
 
@@ -74,7 +74,7 @@ def solve_rves(
     solution = kind(unit, settings, drive, before, cold, level, earlier)
     solution.solve()
     covered = covered_by(unit, level, drive.F, solution.state.z) | solution.lost
-    covered &= ~solution.held_up
+    covered &= ~solution.needs_longer_list
     if covered.all():
         return solution
     if level == len(unit.patches) - 1:
@@ -82,8 +82,8 @@ def solve_rves(
         return solution
     index = np.flatnonzero(~unpack(covered, before.points))
     part_drive = Drive(*(pack(unpack(tensor, before.points)[index]) for tensor in drive))
-    ways = solution.ways_of(index)
-    part = solve_rves(kind, unit, settings, part_drive, before.take(index), cold, level + 1, ways)
+    paths = solution.paths_of(index)
+    part = solve_rves(kind, unit, settings, part_drive, before.take(index), cold, level + 1, paths)
     if len(index) == before.points:
         part.newton_solves += solution.newton_solves
         return part
@@ -98,8 +98,9 @@ class Solution:
         answer: stress, nothing where the status is not OK.
         status: (tiles, TILE) codes of `Status`.
         state: the warm start for the next call.
-        held_up: (tiles, TILE) points whose way ended where a longer list of contacts is needed.
-        lost: (tiles, TILE) points whose way ended without a stress, whatever the list.
+        needs_longer_list: (tiles, TILE) points whose path ended where this list of contacts is too
+            short.
+        lost: (tiles, TILE) points whose path ended without a stress, whatever the list.
         newton_solves: how many points needed Newton's method.
     """
 
@@ -111,17 +112,17 @@ class Solution:
         before: RveState,
         cold: bool,
         level: int,
-        earlier: Ways,
+        earlier: Paths,
     ) -> None:
         self.unit, self.settings, self.initialisation = unit, settings, settings.initialisation
         self.given = drive
         self.drive = Drive(drive.F, dashpot_rate(self.initialisation, drive.rate))
-        self.before, self.cold, self.level, self.ways = before, cold, level, earlier
+        self.before, self.cold, self.level, self.paths = before, cold, level, earlier
         self.law = unit.patches[level].topology, unit.constants
         self.answer = empty_answer(len(drive.F))
         self.status = np.zeros(self.answer.iterations.shape, dtype=np.int8)
-        self.held_up = np.zeros_like(self.status, dtype=np.bool_)
-        self.lost = np.zeros_like(self.held_up)
+        self.needs_longer_list = np.zeros_like(self.status, dtype=np.bool_)
+        self.lost = np.zeros_like(self.needs_longer_list)
         self.newton_solves = 0
         self.state = replace(
             before,
@@ -131,13 +132,13 @@ class Solution:
             is_checked=cold,
         )
 
-    def ways_of(self, index: NDArray[np.intp]) -> Ways:
+    def paths_of(self, index: NDArray[np.intp]) -> Paths:
         """How far the points `index` have come, numbered by their places in it."""
-        if self.ways is None:
+        if self.paths is None:
             return None
-        walked, way = self.ways
-        _, place, row = np.intersect1d(index, walked, return_indices=True)
-        return place, way.take(row)
+        followed, path = self.paths
+        _, place, row = np.intersect1d(index, followed, return_indices=True)
+        return place, path.take(row)
 
     def put(self, index: NDArray[np.intp], part: Solution) -> None:
         """Replace what was found at the points `index`; tangents are then by the longer list."""
@@ -211,15 +212,13 @@ class Solution:
             iterations[np.abs(self.drive.F - before.F).max(axis=(1, 2)) > _NEAR] = -1
         at = Drive(before.F, dashpot_rate(self.initialisation, before.F_dot))
         tolerance = self.settings.tolerance
-        solve_tiles(
-            chord, self.drive, z, at, before.factors.address, *self.law, tolerance, self.answer
-        )
+        chord(self.drive, z, at, before.factors.address, *self.law, tolerance, self.answer)
         if self.cold or (iterations < 0).any():
             self._newton_where_open(z, before.z)
             self.status[(iterations < 0) & (self.status == _OK)] = Status.NOT_CONVERGED
 
     def _newton_where_open(self, z: Array, z_before: Array) -> None:
-        iterations, far = self.answer.iterations, np.zeros_like(self.held_up)
+        iterations, far = self.answer.iterations, np.zeros_like(self.needs_longer_list)
         if self.cold:
             far = is_far(self.drive.F)
         iterations[far] = 1  # not to be solved from here
@@ -227,7 +226,7 @@ class Solution:
         iterations[far] = -1
         astray = (iterations < 0) | (self.status == Status.UNSTABLE)
         if astray.any():
-            self._walk(z, z_before, astray)
+            self._follow(z, z_before, astray)
 
     def _newton(self, z: Array, renewed: bool = False) -> None:
         """Solve where `chord` did not; check stability there, or everywhere with new factors."""
@@ -238,46 +237,48 @@ class Solution:
         task = np.where(tiles, SOLVE, SKIP).astype(np.int8)
         address, tolerance = factors.address, self.settings.tolerance
         self.answer.stable[:] = True
-        solve_tiles(newton, self.drive, z, address, task, *self.law, tolerance, self.answer)
+        newton(self.drive, z, address, task, *self.law, tolerance, self.answer)
         self.status[(failed | renewed) & ~self.answer.stable] = Status.UNSTABLE
         self.state = replace(self.state, factors=factors)
 
-    def _walk(self, z_found: Array, z_before: Array, astray: NDArray[np.bool_]) -> None:
+    def _follow(self, z_found: Array, z_before: Array, astray: NDArray[np.bool_]) -> None:
         """Follow points that Newton's method misses, or finds unstable, from where they were."""
         F, points = self.drive.F, self.before.points
         index = np.flatnonzero(unpack(astray, points))
-        way = Way.between(*(unpack(each, points)[index] for each in (self.before.F, F, z_before)))
-        if self.ways is not None:
-            _, here, there = np.intersect1d(index, self.ways[0], return_indices=True)
-            way.put(here, self.ways[1].take(there))
-        self.ways = index, way
+        path = Path.between(*(unpack(each, points)[index] for each in (self.before.F, F, z_before)))
+        if self.paths is not None:
+            _, here, there = np.intersect1d(index, self.paths[0], return_indices=True)
+            path.put(here, self.paths[1].take(there))
+        self.paths = index, path
         with one_blas_thread():
-            walked = Walker(self.unit, self.settings.tolerance).walk(way)
-        self.newton_solves += walked.newton_solves
-        self._take_over(index, way, walked, z_found)
+            followed = Continuation(self.unit, self.settings.tolerance).follow(path)
+        self.newton_solves += followed.newton_solves
+        self._take_over(index, path, followed, z_found)
         self._at_rate(index, z_found)
 
-    def _take_over(self, index: NDArray[np.intp], way: Way, walked: Walked, z_found: Array) -> None:
+    def _take_over(
+        self, index: NDArray[np.intp], path: Path, followed: Followed, z_found: Array
+    ) -> None:
         """Replace what was found at the points `index`, and the copies that fill up a tile."""
-        arrived = walked.arrived
-        codes = np.where(walked.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
+        arrived = followed.arrived
+        codes = np.where(followed.unstable, Status.UNSTABLE, Status.NOT_CONVERGED)
         points, row = with_copies(index, self.before.points)
         put_points(self.answer.iterations, points, pack(np.where(arrived, 1, -1)[row]))
         put_points(self.status, points, pack(np.where(arrived, _OK, codes)[row]))
         put_points(self.lost, points, pack(~arrived[row]))
-        if way.left.any():
+        if path.left.any():
             left = unpack(self.state.left, self.status.size).copy()
-            left[points] |= way.left[row]
+            left[points] |= path.left[row]
             self.state = replace(self.state, left=pack(left))
         there = np.flatnonzero(arrived)
         if self.level < len(self.unit.patches) - 1:
-            covered = covered_by(self.unit, self.level, pack(way.end), pack(way.z))
+            covered = covered_by(self.unit, self.level, pack(path.end), pack(path.z))
             listed = unpack(covered, len(index))
-            put_points(self.held_up, points, pack((arrived & ~listed)[row]))
+            put_points(self.needs_longer_list, points, pack((arrived & ~listed)[row]))
             there = np.flatnonzero(arrived & listed)
         if not len(there):
             return
-        solved = relax(*self.law, way.z[there], way.end[there], self.settings.tolerance)
+        solved = relax(*self.law, path.z[there], path.end[there], self.settings.tolerance)
         points, row = with_copies(index[there], self.before.points)
         put_points(z_found, points, pack(solved.z[row]))
         put_points(self.answer.stress, points, pack(solved.stress[row]))
@@ -290,10 +291,10 @@ class Solution:
 
         Such a point is as stable as the elastic equilibrium beside it.
         """
-        walked = np.zeros(self.before.points, dtype=np.bool_)
-        walked[index] = True
+        followed = np.zeros(self.before.points, dtype=np.bool_)
+        followed[index] = True
         iterations = self.answer.iterations
-        arrived = pack(walked) & (self.status == _OK) & (iterations > 0)
+        arrived = pack(followed) & (self.status == _OK) & (iterations > 0)
         if arrived.any() and self.drive.rate.any():
             iterations[arrived] = -1
             status = self.status.copy()

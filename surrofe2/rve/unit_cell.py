@@ -24,7 +24,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import Constants, Topology, make_constants, pack, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate_tile
-from surrofe2.rve.newton import SOLVE, newton, renew, solve_tiles
+from surrofe2.rve.newton import SOLVE, newton, renew
 from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, stored_energy
 from surrofe2.rve.rve_state import Factors
 from surrofe2.simd import TILE
@@ -223,7 +223,7 @@ def relax(
     points, z, tensors = len(starts), pack(starts), pack(F)
     factors, answer = Factors.empty(len(z), topology), empty_answer(len(z))
     drive, task = Drive(tensors, np.zeros_like(tensors)), np.full(len(z), SOLVE, dtype=np.int8)
-    solve_tiles(newton, drive, z, factors.address, task, topology, constants, tolerance, answer)
+    newton(drive, z, factors.address, task, topology, constants, tolerance, answer)
     z, iterations = unpack(z, points), unpack(answer.iterations, points)
     found = iterations > 0
     energy = np.where(found, stored_energy(F, z, topology, constants), np.nan)
