@@ -82,8 +82,8 @@ class Tangents:
         return by_F, by_F_dot / J[:, None, None, None, None]
 
 
-SURROGATE, TABLE = 0, 1
-"""Codes of `Sources` besides those of `Status`."""
+SURROGATE, TABLE = int(Status.OK), 7
+"""Codes of `Sources` besides the reasons of `Status` for which an RVE was asked."""
 
 
 @dataclass(frozen=True, slots=True)

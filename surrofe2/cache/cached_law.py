@@ -130,8 +130,7 @@ class CachedLaw(Viewed):
     def reset_counts(self) -> None:
         """Begin as if nothing had been asked: counts, audits and trust."""
         surrogate, own = self.surrogate, self.settings
-        self._spread = surrogate.stress_spread if surrogate.has_bound else None
-        allowed = np.inf if self._spread is None else own.tolerance * float(self._spread)
+        allowed = own.tolerance * surrogate.stress_spread
         self._counts = {**NO_EFFORT, "in_domain": 0, "steps": 0, "switched": 0}
         self._left_range: dict[str, dict[str, float]] = {}
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
@@ -139,13 +138,7 @@ class CachedLaw(Viewed):
         self._window = Window(0.0, 0, self._trust.limit)
         self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None
-        if self._spread is None and np.isfinite(own.tolerance):
-            self._trust.warn(
-                0,
-                "the surrogate knows no bound of its error: its range alone decides, whatever "
-                "the tolerance",
-            )
-        if surrogate.has_bound and not surrogate.is_calibrated and np.isfinite(allowed):
+        if not surrogate.is_calibrated and np.isfinite(allowed):
             self._trust.warn(
                 0,
                 "the surrogate's error was not calibrated, its bound is infinite and RVEs answer "
@@ -159,7 +152,7 @@ class CachedLaw(Viewed):
             "tolerance": {
                 "share": self.settings.tolerance,
                 "relative": self.settings.relative,
-                "spread": self._spread,
+                "spread": self.surrogate.stress_spread,
                 "absolute": self._audit.record.tolerance,
             },
             "accepted": dict(self._counts),

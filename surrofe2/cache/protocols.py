@@ -40,12 +40,8 @@ class Surrogate(Protocol):
         """Spread of the stress, µN/µm: the unit of the user's tolerance."""
 
     @property
-    def has_bound(self) -> bool:
-        """Whether `lookup` knows a risk; else it is 0: the range alone decides, with a warning."""
-
-    @property
     def is_calibrated(self) -> bool:
-        """Whether that risk is known by now; else it is infinite."""
+        """Whether the risk of `lookup` is known by now; else it is infinite."""
 
     @property
     def has_tangents(self) -> bool:

@@ -17,6 +17,7 @@ from surrofe2.errors import FileError
 from surrofe2.rve.particles import Particles
 from surrofe2.store.hdf5 import Kind, Stored, reading_hdf5, store_array, writing
 from surrofe2.store.store import reported, write_text
+from surrofe2.stress_law import TABLE
 
 if TYPE_CHECKING:
     from surrofe2.macro.frames import Frames
@@ -280,6 +281,8 @@ def read_fields(
             whole = [stored.array(f"{what}.{k}", shape, first.dtype) for k in range(len(t))]
             in_plane: tuple[Any, ...] = (..., *(slice(2),) * axes)
             values[what] = np.stack(whole)[in_plane].astype(np.float64)
+        if SOURCE_NAME in values:  # runs of versions up to 0.1.0 call a table 1
+            values[SOURCE_NAME][values[SOURCE_NAME] == 1] = TABLE
         return StoredFields(points[:, :2], cells, t, values)
 
 

@@ -73,7 +73,7 @@ class SurrogateLaw(Viewed):
         arrays, bound_arrays: network, and domain and bound, as its kernels read them.
     """
 
-    has_tangents, has_bound, learns = True, True, False
+    has_tangents, learns = True, False
 
     network: NetworkParameters
     cell: CellParameters

@@ -212,7 +212,6 @@ def test_an_audit_of_other_points_starts_from_the_nearest_of_the_last_batch():
 def test_fallback_and_audit_answers_are_kept_and_learnt():
     kept, learnt = [], []
     surrogate = Surrogate()
-    surrogate.has_bound, surrogate.stress_spread = True, 1e4
     surrogate.learn = lambda *answers: learnt.append(answers)
     from tests.laws import TrueLaw
 

@@ -227,15 +227,6 @@ def test_a_surrogate_of_nan_leaves_all_to_the_fallback():
     assert cached.counts["hits"] == 0
 
 
-def test_a_surrogate_without_a_bound_says_so(caplog):
-    surrogate = Learnt(shear_error(0.0), lambda F, F_dot: np.full(len(F), np.inf))
-    surrogate.has_bound = False
-    with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
-        cached = CachedLaw(surrogate, Truth())
-    assert cached.history()["tolerance"]["absolute"] == np.inf
-    assert "knows no bound" in caplog.text
-
-
 def test_history_goes_on_where_it_was_left():
     cached, report, _ = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
     again = CachedLaw(Learnt(shear_error(0.0), sound_bound), Truth(), cached.settings)

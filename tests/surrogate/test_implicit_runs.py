@@ -27,7 +27,7 @@ IMPLICIT = replace(
 class Unbounded(Untaught):
     """A surrogate that knows no bound of its error: its range alone decides, narrower than met."""
 
-    has_bound, has_tangents = False, True
+    has_tangents, stress_spread = True, np.inf
 
     def __init__(self, law):
         self.cell, self.initialisation, self.density = CELL, law.initialisation, law.density

@@ -62,7 +62,7 @@ class StressTable:
         InputError: the law gives no tangents, or the tolerance is not positive.
     """
 
-    has_tangents, has_bound, learns, is_calibrated = False, True, True, True
+    has_tangents, learns, is_calibrated = False, True, True
 
     def __init__(
         self,

@@ -15,9 +15,10 @@ from surrofe2.report.page.motion import SOURCES, mesh_picture
 from surrofe2.report.page.seen import Seen, SeenRun
 from surrofe2.store.fields import RISK_NAME, SOURCE_NAME
 from surrofe2.store.run_folder import caches_of
-from surrofe2.stress_law import TABLE
+from surrofe2.stress_law import SURROGATE, TABLE
 
 Array = NDArray[np.float64]
+_CACHE = (SURROGATE, TABLE)
 
 
 def fallback_section(seen: Seen) -> str:
@@ -56,7 +57,8 @@ def _over_time_and_mesh(run: SeenRun) -> str:
     fields = run.fields
     assert fields is not None
     source = fields.values[SOURCE_NAME]
-    if (source <= TABLE).all():
+    by_rve = ~np.isin(source, _CACHE)
+    if not by_rve.any():
         return missing(
             f"{run.name}: at none of the {len(fields.t)} stored times did an element fall back."
         )
@@ -67,11 +69,11 @@ def _over_time_and_mesh(run: SeenRun) -> str:
     )
     panel = Panel(clock_of(run.run), "elements (%)", curves, zero=True)
     found = [figure(chart(panel), f"{run.name}: who answered at the stored times")]
-    share = (source > TABLE).mean(axis=0)
+    share = by_rve.mean(axis=0)
     found.append(
         figure(
             mesh_picture(fields, share, 0, ends=(0.0, max(float(share.max()), 1e-9))),
-            f"{run.name}: share of the stored times at which an element had a point on true RVEs, "
+            f"{run.name}: share of the stored times at which an element had a point on RVEs, "
             f"from none (dark) to {100.0 * share.max():.3g} % (bright)",
         )
     )
@@ -139,7 +141,7 @@ def _risks(run: SeenRun) -> str:
     known = run.points or (run.fields.values if run.fields is not None else {})
     if not {RISK_NAME, SOURCE_NAME} <= known.keys():
         return ""
-    risk = known[RISK_NAME][(known[SOURCE_NAME] <= TABLE) & (known[RISK_NAME] > 0.0)]
+    risk = known[RISK_NAME][np.isin(known[SOURCE_NAME], _CACHE) & (known[RISK_NAME] > 0.0)]
     if not risk.size:
         return ""
     return f" The risks of its answers are {risk.min():.2g} to {risk.max():.2g}."
