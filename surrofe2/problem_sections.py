@@ -34,8 +34,6 @@ from surrofe2.problem.mesh import (
     nodes_on,
     rectangle,
     region,
-    with_boundaries,
-    with_regions,
 )
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.regions import Part
@@ -119,7 +117,17 @@ class StatedProblem:
         Raises:
             InputError: the mesh is none, or has not what the sections name.
         """
-        mesh = self._mesh(folder)
+        problem = Problem(
+            mesh=self._mesh(folder),
+            conditions=self.conditions,
+            bodies=self.bodies,
+            duration=self.time.duration,
+            output_interval=self.time.output_interval or self.time.duration,
+            watched=self.watched,
+            boundaries=self.boundaries,
+            regions=self.regions,
+        )
+        mesh, space = problem.mesh, make_discretisation(problem.mesh)
         for condition in self.conditions:
             where = f"conditions.{label(condition)}.on"
             if isinstance(condition, BodyForce):
@@ -130,21 +138,12 @@ class StatedProblem:
                 nodes_on(mesh, condition.on, where)
         for body in self.bodies:
             boundary(mesh, body.on, f"bodies.{body.name}.on")
-        space = make_discretisation(mesh)
         for name, at in self.watched.items():
             space.locate(np.array(at), f"watch.{name}")
-        return Problem(
-            mesh=mesh,
-            conditions=self.conditions,
-            bodies=self.bodies,
-            duration=self.time.duration,
-            output_interval=self.time.output_interval or self.time.duration,
-            watched=self.watched,
-            boundaries=self.boundaries,
-            regions=self.regions,
-        )
+        return problem
 
     def _mesh(self, folder: Path) -> skfem.Mesh:
+        """The mesh with the boundaries and regions that it has by itself."""
         given = self.mesh
         if given.file is not None:
             try:
@@ -162,7 +161,7 @@ class StatedProblem:
         ):
             for name in known.keys() & more.keys():
                 raise InputError(f"mesh.{kind}.{name}: the mesh has one of that name; take another")
-        return with_regions(with_boundaries(mesh, **self.boundaries), **self.regions)
+        return mesh
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """The sections, defaults filled in; conditions by the names that results have."""

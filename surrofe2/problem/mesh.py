@@ -61,6 +61,8 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
     Raises:
         InputError: there is none.
     """
+    if not parts:
+        return mesh
     outer = mesh.boundary_facets()
     sides, named = facet_nodes(mesh, outer), {}
     for name, part in parts.items():
@@ -70,7 +72,7 @@ def with_boundaries(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
                 f"mesh.boundaries.{name}: {part}; it must hold both ends of an outer side"
             )
         named[name] = outer[inside]
-    return mesh.with_boundaries(named) if named else mesh
+    return mesh.with_boundaries(named)
 
 
 def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
@@ -79,13 +81,15 @@ def with_regions(mesh: skfem.Mesh, **parts: Part) -> skfem.Mesh:
     Raises:
         InputError: there is none.
     """
+    if not parts:
+        return mesh
     centres, named = mesh.p.T[element_nodes(mesh)].mean(axis=1), {}
     for name, part in parts.items():
         inside = np.flatnonzero(part.holds(centres))
         if not inside.size:
             raise InputError(f"mesh.regions.{name}: {part}; it must hold the centre of an element")
         named[name] = inside
-    return mesh.with_subdomains(named) if named else mesh
+    return mesh.with_subdomains(named)
 
 
 def element_nodes(mesh: skfem.Mesh) -> Index:
