@@ -59,13 +59,18 @@ static int forward(dual *units, int n)
 
 static void add_polynomial(dual *x, dual *y, int n)
 {
-    dual rows[ONE + 1 + PRODUCTS + 1];
+    dual rows[ONE + 1 + PRODUCTS + 1], inner;
     memcpy(rows, x, (ONE + 1) * sizeof(dual));
     for (int k = 0; k < PRODUCTS; k++)
         multiply(rows[products[k][0]], rows[products[k][1]], rows[ONE + 1 + k], n);
     for (int j = 0; j < COMPONENTS; j++)
-        for (int k = begins[j]; k < begins[j + 1]; k++)
-            add_times(coefficients[k], rows[monomials[k]], y[j], n);
+        for (int group = begins[j]; group < begins[j + 1]; group++) {
+            memset(inner, 0, sizeof inner);
+            for (int k = group_begins[group]; k < group_begins[group + 1]; k++)
+                add_times(coefficients[k], rows[tails[k]], inner, n);
+            multiply(inner, rows[heads[group]], inner, n);
+            add_times(1.0, inner, y[j], n);
+        }
 }
 
 /* x^p / sqrt(BEND^2 + x^2), which tells states near rest apart */

@@ -93,7 +93,8 @@ class NetworkArrays(NamedTuple):
             range, by the rounding of the range test wider than the range.
         input_factor: (7,) 1/input scale; output_factor: (4,).
         at_rest: (terms,) what the factors are at rest, 0 unless they are subtracted.
-        products, begins, monomials, coefficients: `polynomial.Polynomial` of the baseline.
+        products, begins, heads, group_begins, tails, coefficients: `polynomial.Polynomial` of the
+            baseline.
         invariants: (i, 3) int64 factors; terms: (t, 4) int64 factors and component.
         powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
         sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
@@ -106,7 +107,9 @@ class NetworkArrays(NamedTuple):
     at_rest: Array
     products: NDArray[np.int64]
     begins: NDArray[np.int64]
-    monomials: NDArray[np.int64]
+    heads: NDArray[np.int64]
+    group_begins: NDArray[np.int64]
+    tails: NDArray[np.int64]
     coefficients: Array
     invariants: NDArray[np.int64]
     terms: NDArray[np.int64]

@@ -1,7 +1,9 @@
-"""Polynomials of the seven inputs: all products of inputs, then a sum of them for each component.
+"""Polynomials of the seven inputs: a sum over the last input of each monomial.
 
-Each product is an earlier one times an input, so it costs one multiplication. By symmetry most
-products belong to one component, so the sums are over lists and not by a dense layer.
+    y_c = Σ_heads x_head (Σ_tails coefficient · tail)
+
+A monomial's head is the last of its inputs, its tail the product of the others, which is an earlier
+tail times an input: so a tail costs one multiplication, and a monomial one with addition.
 """
 
 from __future__ import annotations
@@ -30,14 +32,17 @@ class Polynomial(NamedTuple):
 
     Attributes:
         products: (m, 2) int64 rows, whose product is the next row.
-        begins: (components + 1,) int64 where each component begins among the monomials.
-        monomials: (t,) int64 row of each, padded to a multiple of four for each component.
-        coefficients: (t,) of the monomials.
+        begins: (components + 1,) int64 first group of each component.
+        heads: (g,) int64 row of the head of each group.
+        group_begins: (g + 1,) int64 first monomial of each group.
+        tails: (t,) int64 row of the tail of each monomial; coefficients: (t,).
     """
 
     products: NDArray[np.int64]
     begins: NDArray[np.int64]
-    monomials: NDArray[np.int64]
+    heads: NDArray[np.int64]
+    group_begins: NDArray[np.int64]
+    tails: NDArray[np.int64]
     coefficients: Array
 
 
@@ -56,17 +61,20 @@ def make_polynomial(
             products.append(pair)
         return rows[product]
 
-    sums: list[dict[int, float]] = [{} for _ in np.arange(components)]
+    groups: list[dict[int, dict[int, float]]] = [{} for _ in np.arange(components)]
     for (product, component), value in monomials:
-        of, k = sums[component], row(product)
-        of[k] = of.get(k, 0.0) + value
-    padded = [[*sorted(of.items()), *[(ONE, 0.0)] * (-len(of) % 4)] for of in sums]
-    listed = np.array([each for of in padded for each in of]).reshape(-1, 2)
+        group = groups[component].setdefault(product[-1] if product else ONE, {})
+        tail = row(product[:-1])
+        group[tail] = group.get(tail, 0.0) + value
+    every = [(head, of[head]) for of in groups for head in sorted(of)]
+    listed = [term for _, group in every for term in sorted(group.items())]
     return Polynomial(
         np.array(products, dtype=np.int64).reshape(-1, 2),
-        np.cumsum([0, *(len(of) for of in padded)], dtype=np.int64),
-        np.ascontiguousarray(listed[:, 0], dtype=np.int64),
-        np.ascontiguousarray(listed[:, 1], dtype=np.float64),
+        np.cumsum([0, *(len(of) for of in groups)], dtype=np.int64),
+        np.array([head for head, _ in every], dtype=np.int64),
+        np.cumsum([0, *(len(group) for _, group in every)], dtype=np.int64),
+        np.array([tail for tail, _ in listed], dtype=np.int64),
+        np.array([value for _, value in listed], dtype=np.float64),
     )
 
 
@@ -76,8 +84,9 @@ def set_polynomial(x, polynomial, rows, y):  # type: ignore[no-untyped-def]
 
     The last row of x are ones. rows: (`ROWS` + m, 2, TILE) room for the products of two tiles.
     """
-    products, begins = polynomial.products, polynomial.begins
-    numbers, coefficients = polynomial.monomials, polynomial.coefficients
+    products, begins, heads = polynomial.products, polynomial.begins, polynomial.heads
+    group_begins, tails = polynomial.group_begins, polynomial.tails
+    coefficients = polynomial.coefficients
     for t in range(0, TILES, 2):
         for k in range(ROWS):
             store(load(x, k, t), rows, k, 0)
@@ -87,19 +96,14 @@ def set_polynomial(x, polynomial, rows, y):  # type: ignore[no-untyped-def]
             store(load(rows, i, 0) * load(rows, j, 0), rows, ROWS + k, 0)
             store(load(rows, i, 1) * load(rows, j, 1), rows, ROWS + k, 1)
         for component in range(begins.shape[0] - 1):
-            # four sums of each tile, none of which waits for another
-            a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
-            e, f, g, h = a, b, c, d
-            for k in range(begins[component], begins[component + 1], 4):
-                first, second = spread(coefficients[k]), spread(coefficients[k + 1])
-                third, fourth = spread(coefficients[k + 2]), spread(coefficients[k + 3])
-                a += first * load(rows, numbers[k], 0)
-                b += second * load(rows, numbers[k + 1], 0)
-                c += third * load(rows, numbers[k + 2], 0)
-                d += fourth * load(rows, numbers[k + 3], 0)
-                e += first * load(rows, numbers[k], 1)
-                f += second * load(rows, numbers[k + 1], 1)
-                g += third * load(rows, numbers[k + 2], 1)
-                h += fourth * load(rows, numbers[k + 3], 1)
-            store((a + b) + (c + d), y, component, t)
-            store((e + f) + (g + h), y, component, t + 1)
+            one, two = spread(0.0), spread(0.0)
+            for group in range(begins[component], begins[component + 1]):
+                a, b = spread(0.0), spread(0.0)
+                for k in range(group_begins[group], group_begins[group + 1]):
+                    coefficient = spread(coefficients[k])
+                    a += coefficient * load(rows, tails[k], 0)
+                    b += coefficient * load(rows, tails[k], 1)
+                one += a * load(rows, heads[group], 0)
+                two += b * load(rows, heads[group], 1)
+            store(one, y, component, t)
+            store(two, y, component, t + 1)
