@@ -239,6 +239,7 @@ def test_runs_of_a_stated_problem_are_its_own_with_other_loads(stated, monkeypat
         assert F.shape[1:] == (2 * 5, 2, 2)
         sideways = F - np.eye(2)
         sideways[..., 0, 0] = 0.0
+        # Explicit steps are as long as stability lets them be: rounding grows to the tolerance.
         assert abs(sideways).max() < 1e-6
         ends.append(F[-1, :, 0, 0].mean() - 1.0)
         assert abs(F_dot).max() > 0.5 * ends[-1] / (20.0 / pace)
