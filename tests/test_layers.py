@@ -5,6 +5,8 @@ The import contract of the layers stands in pyproject.toml.
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -32,6 +34,28 @@ def test_layers_point_one_way():
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_file_is_named_where_its_room_is_described():
+    """In docs/architecture.md and in the first words of the room; none is named that is gone."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    described = {
+        room: set(re.findall(r"`([a-z_0-9]+)`", line))
+        for line in page.splitlines()
+        for room in re.findall(r"^\| `((?:surrofe2|[a-z_]+|[a-z_]+/[a-z]+)/)` \|", line)
+    }
+    package, files = ROOT / "surrofe2", {}
+    for path in package.rglob("*.py"):
+        if not path.stem.startswith("__"):
+            folder = path.parent.relative_to(package).as_posix()
+            room = "surrofe2/" if folder == "." else f"{folder}/"
+            files.setdefault(room, set()).add(path.stem)
+    assert described == files
+    for room, names in files.items():
+        if room != "surrofe2/":
+            source = (package / room / "__init__.py").read_text(encoding="utf-8")
+            words = set(re.findall(r"\w+", ast.get_docstring(ast.parse(source)) or ""))
+            assert not names - words, room
 
 
 def test_no_files_import_each_other_in_a_circle(trees):

@@ -1,5 +1,8 @@
 """The command line: parse, call a workflow, print what came of it.
 
+output (what is said), progress, console and streams serve all commands: new, check, generate,
+train, run, rest, modes, tissue, compare, report, study, grid, zoom, moduli, export and ranks.
+
 `GROUPS` names the commands. The module of a command has its name, or stands in `MODULES`; it is
 imported when the command is called. `surrofe2 --help` takes the first line and the example of each
 command from the source of its module, so it imports nothing heavy.

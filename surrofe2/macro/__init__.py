@@ -1,10 +1,10 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings;
-discretisation, internal_force (space); forces, contact, free_sides, surface_patches,
-surface_elements, mass, system (what acts on it); equations_of_motion,
-time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); history,
-simulation (a run). Without time: equilibrium, quasi_static, modes.
+Reading order: settings; discretisation, internal_force (space); forces, contact, free_sides,
+surface_patches, surface_elements, mass, system (what acts on it); evaluation, equations_of_motion,
+time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); extremes, frames,
+history, chunks (of a law that audits itself), simulation (a run). Without time: equilibrium,
+quasi_static, modes.
 """
 
 from __future__ import annotations

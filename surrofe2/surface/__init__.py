@@ -2,7 +2,7 @@
 
 In reading order: `slab` (plant cells between two free sides), `side_free` (the bulk beside them),
 `bent_slab` (how deep they act), `slab_law` (the surface law: what the slab has beyond the bulk),
-`tabulated` (the same from a table).
+`tabulated` (the same from a table), `cell_surface` (what runs use: both).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Reading order: settings, layout (which particles there are), pair_kinds and
 pair_lists (who interacts), mixture (several types of plant cells), acting (prescribed motion, the
 outline), contact (rigid bodies), kernels, dynamics (particles in motion), conditions (a problem
-made particles), relaxation (at rest without load), history, simulation (a run).
+made particles), relaxation (at rest without load), stable_step, history, simulation (a run).
 """
 
 from __future__ import annotations
