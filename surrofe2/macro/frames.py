@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,10 +89,6 @@ class Frames:
             point_source=_of_points(None if sources is None else sources.source, points),
             point_risk=_of_points(None if sources is None else sources.risk, points),
         )
-
-    def to_series(self) -> dict[str, Array]:
-        """The rows that they add to a `Journal`."""
-        return {f"frames.{item.name}": getattr(self, item.name) for item in fields(self)}
 
 
 def _of_points(values: NDArray | None, kept: bool) -> Array:

@@ -16,7 +16,7 @@ from surrofe2.macro.frames import NOTHING, POINTS_EVERY, Frames
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
-from surrofe2.run.journal import Journal, RunState
+from surrofe2.run.journal import Journal, RunState, frame_series
 
 Array = NDArray[np.float64]
 
@@ -297,4 +297,4 @@ class Recorder:
         motion, due = (now.u, now.v), self._frames_due(now.t)
         kept = (due - 1) % POINTS_EVERY == 0 or now.t >= self.end
         frame = Frames.of(space, now.t, motion, now.F, answer.stress, sources, density, points=kept)
-        return frame.to_series()
+        return frame_series(frame)

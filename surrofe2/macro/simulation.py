@@ -209,7 +209,8 @@ def simulate(
         stepper = _make_stepper(equations, settings, recorder, resume)
         return carry_out(
             _steps(stepper, equations, settings, recorder, resume),
-            _Recorded(recorder, system, given),
+            recorder,
+            lambda finished: _make_run(system, recorder.state(), given, finished),
             problem.duration,
             progress=progress,
             checkpoint=checkpoint,
@@ -240,25 +241,6 @@ def _steps(
             equations.go_to(back.t)
             stepper = _make_stepper(equations, settings, recorder, back)
         yield stepper.now.t
-
-
-@dataclass(frozen=True, slots=True)
-class _Recorded:
-    """What a recorder holds, as `carry_out` asks for it; given: as of `simulate`."""
-
-    recorder: Recorder
-    system: System
-    given: tuple[Problem, StressLaw, MacroSettings]
-
-    @property
-    def may_be_kept(self) -> bool:
-        return self.recorder.may_be_kept
-
-    def checkpoint(self) -> MacroState:
-        return self.recorder.checkpoint()
-
-    def run(self, *, finished: bool) -> MacroRun:
-        return _make_run(self.system, self.recorder.state(), self.given, finished)
 
 
 def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method:

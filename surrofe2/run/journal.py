@@ -126,6 +126,11 @@ def _value(array: NDArray) -> Any:
     return array.item() if np.ndim(array) == 0 else np.array(array, dtype=np.float64)
 
 
+def frame_series(frames: Any) -> dict[str, Array]:
+    """The rows that a dataclass of whole fields at some times adds to a journal."""
+    return {f"frames.{item.name}": getattr(frames, item.name) for item in fields(frames)}
+
+
 def named_columns(names: Iterable[str], rows: Array) -> dict[str, Array]:
     """(m,) columns by name."""
     return dict(zip(names, rows.T, strict=True))

@@ -9,8 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from surrofe2.errors import InputError, SimulationError
 
-State_co = TypeVar("State_co", covariant=True)
-Run_co = TypeVar("Run_co", covariant=True)
+Run = TypeVar("Run")
 
 SHARE = 0.05
 """Of the time of a run, what its checkpoints may take."""
@@ -40,34 +39,33 @@ class CheckpointClock:
             self._due = now + max(self._interval, (1.0 / SHARE - 1.0) * (now - began))
 
 
-class Recorded(Protocol[State_co, Run_co]):
+class Recorder(Protocol):
     """A run as far as it is recorded."""
 
     @property
     def may_be_kept(self) -> bool:
         """Whether a checkpoint may be taken upon an interrupt now."""
 
-    def checkpoint(self) -> State_co:
+    def checkpoint(self) -> Any:
         """What carries the run on, in memory of its own."""
-
-    def run(self, *, finished: bool) -> Run_co:
-        """The results so far."""
 
 
 def carry_out(
     steps: Iterable[float],
-    recorded: Recorded[Any, Run_co],
+    recorder: Recorder,
+    results: Callable[[bool], Run],
     duration: float,
     *,
     progress: Callable[[float, float], None] | None,
     checkpoint: Callable[[Any], None] | None,
     interval: float,
-) -> Run_co:
+) -> Run:
     """Take all `steps`, each of which records itself and gives the time reached in µs.
 
     Args:
+        results: gives those so far, and is told whether the run is finished.
         progress: called with (t, duration) in µs after every step.
-        checkpoint: called with `recorded.checkpoint()` when `interval` seconds have passed since
+        checkpoint: called with `recorder.checkpoint()` when `interval` seconds have passed since
             it last was, or more where that took long, and upon an interrupt, which then goes its
             way.
 
@@ -80,14 +78,14 @@ def carry_out(
             if progress is not None:
                 progress(t, duration)
             if checkpoint is not None and due.is_due():
-                due.write(partial(checkpoint, recorded.checkpoint()))
+                due.write(partial(checkpoint, recorder.checkpoint()))
     except SimulationError as error:
-        raise SimulationError(str(error), partial=recorded.run(finished=False)) from error
+        raise SimulationError(str(error), partial=results(False)) from error
     except KeyboardInterrupt:
-        if checkpoint is not None and recorded.may_be_kept:
-            checkpoint(recorded.checkpoint())
+        if checkpoint is not None and recorder.may_be_kept:
+            checkpoint(recorder.checkpoint())
         raise
-    return recorded.run(finished=True)
+    return results(True)
 
 
 def check_interval(checkpoint_interval: float) -> None:

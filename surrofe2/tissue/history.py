@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from surrofe2.compilation import clock
 from surrofe2.problem.problem import label
 from surrofe2.run.displacement_curve import DisplacementCurve
-from surrofe2.run.journal import Journal, RunState, curves_of, history_of, named_columns
+from surrofe2.run.journal import (
+    Journal,
+    RunState,
+    curves_of,
+    frame_series,
+    history_of,
+    named_columns,
+)
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
@@ -184,7 +191,7 @@ class Recorder:
             relaxation_time=relaxation_time,
         )
         rows = {"rows": self._row(0.0, state, works)[None]}
-        rows |= _frame(0.0, 0.0 * relaxed, v)
+        rows |= frame_series(ParticleFrames(np.zeros(1), 0.0 * relaxed[None], v[None]))
         self._state = replace(state, journal=Journal.of(rows), **self._counted())
 
     def restore(self, state: TissueState) -> None:
@@ -212,7 +219,8 @@ class Recorder:
         found = before.journal["rows"][-1, -len(works) :] + works
         journal = before.journal.written({"rows": self._row(t, before, found)[None]})
         if self._frames_due(t) > self._frames_due(self._t[row - 1]):
-            journal = journal.written(_frame(t, x - before.relaxed, v))
+            frame = ParticleFrames(np.array([t]), (x - before.relaxed)[None], v[None])
+            journal = journal.written(frame_series(frame))
         self._state = replace(
             before,
             x=x,
@@ -288,7 +296,7 @@ class Recorder:
             found.append(np.bincount(axis, force, 2))
         return np.array([*found, *pulled, *dynamics.plates.force])
 
-    def run(self, *, finished: bool) -> TissueRun:
+    def run(self, finished: bool) -> TissueRun:
         """The results so far."""
         state, tissue = self._state, self._dynamics.tissue
         problem = self._conditions.problem
@@ -335,12 +343,3 @@ class Recorder:
 
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_times, t * (1.0 + 1e-12), side="right"))
-
-
-def _frame(t: float, displacement: Array, velocity: Array) -> dict[str, Array]:
-    """The rows of one time that a journal takes."""
-    return {
-        "frames.t": np.array([t]),
-        "frames.displacement": displacement[None],
-        "frames.velocity": velocity[None],
-    }

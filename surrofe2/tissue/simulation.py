@@ -110,6 +110,7 @@ def simulate_tissue(
         return carry_out(
             _steps(recorder, dynamics, conditions, settings),
             recorder,
+            recorder.run,
             problem.duration,
             progress=progress,
             checkpoint=checkpoint,

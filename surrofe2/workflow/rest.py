@@ -16,7 +16,7 @@ from surrofe2.compilation import clock, seconds_compiling
 from surrofe2.errors import InputError
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe import Recipe
-from surrofe2.run.journal import Journal
+from surrofe2.run.journal import Journal, frame_series
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import (
@@ -87,7 +87,7 @@ def rest_study(
 
     def reached(rest: Rest) -> None:
         nonlocal found
-        rows = {"forces": rest.forces[None]} | rest.frame.to_series()
+        rows = {"forces": rest.forces[None]} | frame_series(rest.frame)
         found = rest, Journal.of(rows) if found is None else found[1].written(rows)
         if due.is_due():
             due.write(checkpoint)

@@ -82,7 +82,7 @@ class Recorded:
     def checkpoint(self):
         return tuple(self.steps)
 
-    def run(self, *, finished):
+    def run(self, finished):
         return finished, tuple(self.steps)
 
     def to(self, end, fault=None):
@@ -96,7 +96,7 @@ class Recorded:
 def carried_out(recorded, fault=None):
     told, states = [], []
     found = carry_out(
-        recorded.to(4, fault), recorded, 4.0, interval=0.0,
+        recorded.to(4, fault), recorded, recorded.run, 4.0, interval=0.0,
         progress=lambda t, duration: told.append((t, duration)), checkpoint=states.append,
     )  # fmt: skip
     return found, told, states
@@ -121,7 +121,7 @@ def test_interrupt_leaves_a_checkpoint_where_it_may_be_kept(may_be_kept):
     recorded.may_be_kept = may_be_kept
     with pytest.raises(KeyboardInterrupt):
         carry_out(
-            recorded.to(4, KeyboardInterrupt()), recorded, 4.0, progress=None,
+            recorded.to(4, KeyboardInterrupt()), recorded, recorded.run, 4.0, progress=None,
             checkpoint=states.append, interval=60.0,
         )  # fmt: skip
     assert states == ([(1, 2)] if may_be_kept else [])
