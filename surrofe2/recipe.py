@@ -52,7 +52,7 @@ class Recipe:
 
     Attributes:
         cells: by name; that of a section [cell] is called "".
-        part: name of the cell that is meant; None: the only one, or all of several.
+        part: name of the selected cell; None: the only one, or all of several.
         stated: the problem.
     """
 
@@ -69,7 +69,7 @@ class Recipe:
     part: str | None = None
 
     def parts(self, name: str | None = None) -> dict[str, Recipe]:
-        """The recipe for each of its cells, or the one that is meant.
+        """The recipe for each of its cells, or for the selected one.
 
         Args:
             name: of the only cell wanted.
@@ -90,10 +90,10 @@ class Recipe:
 
     @property
     def cell_name(self) -> str:
-        """Of the cell that is meant.
+        """Of the selected cell, or of the only one.
 
         Raises:
-            InputError: there are several, and none is meant.
+            InputError: there are several, and none is selected.
         """
         if self.part is None and len(self.cells) > 1:
             raise InputError(
@@ -104,7 +104,7 @@ class Recipe:
 
     @property
     def preset(self) -> str:
-        """Of the cell that is meant; so all these."""
+        """Of the selected cell; so all these."""
         return self.cells[self.cell_name].preset
 
     @property
@@ -133,7 +133,7 @@ class Recipe:
         return self.cells[self.cell_name].training_file
 
     def with_cell(self, **changes: Any) -> Recipe:
-        """The recipe with other settings of the cell that is meant."""
+        """The recipe with other settings of the selected cell."""
         name = self.cell_name
         return replace(self, cells={**self.cells, name: replace(self.cells[name], **changes)})
 
@@ -218,7 +218,7 @@ class Recipe:
         return Path(os.path.normpath(self.path.parent / file))
 
     def section(self, name: str) -> str:
-        """What a section of the cell that is meant is called in the file."""
+        """What a section of the selected cell is called in the file."""
         return f"cells.{self.cell_name}.{name}" if self.cell_name else name
 
     def to_dict(self) -> dict[str, Any]:

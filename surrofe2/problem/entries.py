@@ -47,16 +47,8 @@ def _part(where: str, table: Any) -> Part:
 
 def condition_of(where: str, table: Any, name: str | None) -> Condition:
     """A condition of the `name` of its section, or of its own."""
-    _check_table(where, table)
-    given = dict(table)
     kinds = {each.kind(): each for each in CONDITIONS}
-    if "kind" not in given:
-        raise InputError(f"{where}.kind: missing; it must be one of {', '.join(kinds)}")
-    kind = given.pop("kind")
-    if not isinstance(kind, str) or kind not in kinds:
-        raise InputError(
-            unknown(f"{where}.kind: {quoted(kind)}", quoted(kind).strip("'"), "kind", kinds)
-        )
+    kind, given = _of_kind(where, table, kinds)
     if name is not None:
         if "name" in given:
             raise InputError(f"{where}.name: {quoted(given['name'])}; its section names it")
@@ -75,14 +67,7 @@ def _amplitude(where: str, given: Any) -> Amplitude:
         given = {"kind": "table", "points": given}
     if not isinstance(given, dict):
         return Constant(value=check_value(where, given, float, {}))
-    rest = dict(given)
-    kind = rest.pop("kind", None)
-    if kind is None:
-        raise InputError(f"{where}.kind: missing; it must be one of {', '.join(KINDS)}")
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(
-            unknown(f"{where}.kind: {quoted(kind)}", quoted(kind).strip("'"), "kind", KINDS)
-        )
+    kind, rest = _of_kind(where, given, KINDS)
     return _within(where, "amplitude", KINDS[kind], rest)
 
 
@@ -117,6 +102,20 @@ def _within(where: str, own: str, kind: type, table: Any) -> Any:
         if told.startswith((f"{own}.", f"{own}:")):
             told = where + told.removeprefix(own)
         raise InputError(told) from None
+
+
+def _of_kind(where: str, table: Any, kinds: Mapping[str, type]) -> tuple[str, dict[str, Any]]:
+    """The kind that a table states, and its other entries."""
+    _check_table(where, table)
+    others = dict(table)
+    kind = others.pop("kind", None)
+    if kind is None:
+        raise InputError(f"{where}.kind: missing; it must be one of {', '.join(kinds)}")
+    if not isinstance(kind, str) or kind not in kinds:
+        raise InputError(
+            unknown(f"{where}.kind: {quoted(kind)}", quoted(kind).strip("'"), "kind", kinds)
+        )
+    return kind, others
 
 
 def _one_of(where: str, table: Any, known: tuple[str, ...]) -> tuple[str, Any]:
