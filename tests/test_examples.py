@@ -238,7 +238,8 @@ def test_cached_is_true_within_a_thousandth(path, tmp_path):
         run_study(recipe, law, tmp_path / law)
     (run,) = compare_runs([tmp_path / "rve", tmp_path / "cached"], tmp_path / "both").runs
     assert run.difference.largest < 1e-3
-    assert run.counts.get("rve_solves", 0) < 0.02 * run.counts["stress_points"]
+    solves = run.counts.get("rve_solves", 0) - run.counts.get("audits", 0)
+    assert solves < 0.02 * run.counts["stress_points"]
     for body in recipe.stated.bodies:
         force = run.forces[body.name]
         assert force.largest < 1e-3 * force.scale
