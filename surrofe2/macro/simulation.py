@@ -32,7 +32,7 @@ from surrofe2.macro.time_stepping import Method, Stepper
 from surrofe2.problem.problem import Problem
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import curves_of, history_of, named_columns
-from surrofe2.run.loop import carry_out, check_interval
+from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.stress_law import StressLaw
 from surrofe2.threads import one_blas_thread
@@ -186,7 +186,6 @@ def simulate(
             already where the run starts).
         MismatchError: `resume` is of another run.
     """
-    check_interval(checkpoint_interval)
     given = problem, law, settings
     system = system_of(problem, law)
     for contact in system.contacts:

@@ -20,9 +20,14 @@ class CheckpointClock:
 
     Args:
         interval: s between checkpoints at least; 0: one is due whenever it is asked.
+
+    Raises:
+        InputError: the interval is negative or not a number.
     """
 
     def __init__(self, interval: float) -> None:
+        if not interval >= 0.0:
+            raise InputError(f"checkpoint_interval: {interval}; it must be a number of at least 0")
         self._interval = interval
         self._due = monotonic() + interval
 
@@ -86,15 +91,3 @@ def carry_out(
             checkpoint(recorder.checkpoint())
         raise
     return results(True)
-
-
-def check_interval(checkpoint_interval: float) -> None:
-    """Refuse an interval of checkpoints that is negative or not a number.
-
-    Raises:
-        InputError: naming it.
-    """
-    if not checkpoint_interval >= 0.0:
-        raise InputError(
-            f"checkpoint_interval: {checkpoint_interval}; it must be a number of at least 0"
-        )

@@ -31,7 +31,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem.mesh import extent
 from surrofe2.problem.problem import Problem
-from surrofe2.run.loop import carry_out, check_interval
+from surrofe2.run.loop import carry_out
 from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.history import Recorder, TissueRun, TissueState, columns_of
@@ -84,7 +84,6 @@ def simulate_tissue(
             `TissueRun` up to there (None before the loaded run begins).
         MismatchError: `resume` is of another run, `reference` of another cell.
     """
-    check_interval(checkpoint_interval)
     conditions = make_conditions(problem, cell, reference, kind)
     bears = step_at_rest(conditions, cell, reference)
     settings = with_step(settings, bears)

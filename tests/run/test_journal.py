@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.errors import InputError, SimulationError
 from surrofe2.run.journal import Journal, RunState
-from surrofe2.run.loop import carry_out, check_interval
+from surrofe2.run.loop import CheckpointClock, carry_out
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,4 +130,4 @@ def test_interrupt_leaves_a_checkpoint_where_it_may_be_kept(may_be_kept):
 @pytest.mark.parametrize("interval", [-1.0, float("nan")])
 def test_interval_must_be_a_number_of_at_least_zero(interval):
     with pytest.raises(InputError, match=r"checkpoint_interval: .* at least 0"):
-        check_interval(interval)
+        CheckpointClock(interval)
