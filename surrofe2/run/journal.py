@@ -14,8 +14,7 @@ from surrofe2.run.displacement_curve import DisplacementCurve
 
 Array = NDArray[np.float64]
 
-HISTORY = ("mean displacement", "force", "position", "penetration")
-"""Beginnings of the names of columns that are a run's `history`."""
+_HISTORY = ("mean displacement", "force", "position", "penetration")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,5 +146,5 @@ def curves_of(t: Array, columns: Mapping[str, Array]) -> dict[str, DisplacementC
 
 
 def history_of(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Those of boundaries, supports, loads and bodies, which `HISTORY` begins."""
-    return {name: column for name, column in columns.items() if name.startswith(HISTORY)}
+    """Those of boundaries, supports, loads and bodies, whose names `_HISTORY` begins."""
+    return {name: column for name, column in columns.items() if name.startswith(_HISTORY)}
