@@ -49,7 +49,7 @@ class Polynomial(NamedTuple):
 def make_polynomial(
     monomials: Iterable[tuple[tuple[Product, int], float]], components: int
 ) -> Polynomial:
-    """Polynomials from ((sorted product, component), coefficient) of each monomial."""
+    """Polynomials from ((sorted product, component), coefficient) of monomials, each there once."""
     rows: dict[Product, int] = {(k,): k for k in np.arange(INPUTS).tolist()}
     rows[()] = ONE
     products: list[tuple[int, int]] = []
@@ -64,8 +64,7 @@ def make_polynomial(
     groups: list[dict[int, dict[int, float]]] = [{} for _ in np.arange(components)]
     for (product, component), value in monomials:
         group = groups[component].setdefault(product[-1] if product else ONE, {})
-        tail = row(product[:-1])
-        group[tail] = group.get(tail, 0.0) + value
+        group[row(product[:-1])] = value
     every = [(head, of[head]) for of in groups for head in sorted(of)]
     listed = [term for _, group in every for term in sorted(group.items())]
     return Polynomial(

@@ -47,7 +47,7 @@ def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
     """
     if kind not in KINDS:
         raise InputError(unknown(f"--example: {kind!r}", kind, "kind", KINDS))
-    files = {path: _explained(_template(f"{kind}.toml")).replace("NAME", path.stem)}
+    files = {path: _explained(_template(f"{kind}.toml").replace("NAME", path.stem))}
     if kind == "mesh":
         files[path.with_suffix(".msh")] = _template("mesh.msh")
     for each, text in files.items():
