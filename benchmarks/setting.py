@@ -69,7 +69,7 @@ class Setting:
         self.out.mkdir(parents=True, exist_ok=True)
         return replace(shipped, path=self.out / name).with_cell(
             samples=replace(shipped.samples, file=f"{stem}.h5"),
-            training_file=f"{stem}.safetensors",
+            training_file=f"{stem}-surrogate.h5",
         )
 
     def surrogate(self, preset: str) -> SurrogateLaw:

@@ -1,6 +1,6 @@
 /* A surrogate as the material of a finite-element program written in C or Fortran.
  *
- *   surrofe2 export training/bending-bar.safetensors --out bending-bar.c
+ *   surrofe2 export training/bending-bar.h5 --out bending-bar.c
  *   cc -O2 -o umat examples/umat.c bending-bar.c -lm && ./umat
  *
  * `material` is called in the manner of a UMAT: with the deformation gradients at the begin and

@@ -198,7 +198,7 @@ class Recipe:
 
     def training_path(self) -> Path:
         """Where the trained surrogate lies."""
-        return self._path_of("training", self.training_file, "trained surrogate (.safetensors)")
+        return self._path_of("training", self.training_file, "trained surrogate (.h5)")
 
     def added_paths(self) -> tuple[Path, ...]:
         """Harvests that training takes in besides the data set."""

@@ -24,7 +24,6 @@ from surrofe2.recipe import load_recipe
 from surrofe2.report import figures
 from surrofe2.store import samples
 from surrofe2.store.store import SEAL, write_bytes
-from surrofe2.store.surrogates import content_fingerprint
 from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
@@ -118,7 +117,7 @@ def prepare(name, folder, learnt):
     folder.mkdir(parents=True)
     (folder / "recipe.toml").write_text(COMMANDS[name][0], encoding="utf-8")
     if name not in NEED_NO_SURROGATE:
-        for file in ("cells.h5", "cells.safetensors"):
+        for file in ("cells.h5", "cells-surrogate.h5"):
             (folder / file).write_bytes((learnt / file).read_bytes())
 
 
@@ -148,8 +147,6 @@ def _numbers(path):
     if path.suffix == ".json":
         entries = json.loads(path.read_text(encoding="utf-8"))
         return _lasting(entries)
-    if path.suffix == ".safetensors":
-        return content_fingerprint(path)
     return None if path.suffix == ".png" or path.name == "grid.csv" else path.read_bytes()
 
 

@@ -25,7 +25,7 @@ seed = 3
 file = "cells.h5"
 
 [training]
-file = "cells.safetensors"
+file = "cells-surrogate.h5"
 hidden = [4]
 baseline_degree = 2
 iterations = 40

@@ -85,7 +85,7 @@ def test_a_surrogate_knows_what_it_took_and_a_comparison_counts_it(learnt, tmp_p
 def test_the_fingerprint_of_a_surrogate_is_not_of_its_seconds(learnt, tmp_path):
     surrogate = read_surrogate(learnt.training_path())
     wanted = content_fingerprint(learnt.training_path())
-    other = tmp_path / "other.safetensors"
+    other = tmp_path / "other-surrogate.h5"
     write_surrogate(replace(surrogate, seconds={"training": 9.0}), other)
     assert content_fingerprint(other) == wanted
     assert re.fullmatch("[0-9a-f]{16}", wanted)

@@ -183,8 +183,8 @@ def test_why_a_surrogate_is_not_trusted_is_one_line(caplog, tmp_path):
     (line,) = told(surrogate)
     assert "was not calibrated, its bound is infinite" in line
     assert "surrofe2.calibrate" in line
-    write_surrogate(surrogate, str(tmp_path / "own.safetensors"))
-    assert not read_surrogate(str(tmp_path / "own.safetensors")).is_calibrated
+    write_surrogate(surrogate, str(tmp_path / "own-surrogate.h5"))
+    assert not read_surrogate(str(tmp_path / "own-surrogate.h5")).is_calibrated
     paths = CalibrationSettings(walks=40, runs=0, alpha=0.1)
     known = calibrate(surrogate, samples, settings=paths)
     assert told(known) == []

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.compilation import cache_folder
 from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
@@ -22,7 +23,7 @@ from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import NamedCell
 from surrofe2.report.tables import Quantity
 from surrofe2.rve import RveLaw
-from surrofe2.store.store import read_kept, write_kept
+from surrofe2.store.store import plain, read_json, write_json
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.tissue import simulate_tissue
@@ -133,11 +134,13 @@ class Case:
         """The run from its file in a folder, else computed and written there."""
         path = folder / f"{re.sub(r'[^0-9A-Za-z.]+', '-', self.name)}.json"
         made_by = {"recipe": self.recipe.to_dict(), "method": self.method, "linear": self.linear}
-        stored = read_kept(path, made_by)
-        if stored is not None:
+        made_by = plain({**made_by, "sources": cache_folder().name})
+        stored = read_json(path) if path.exists() else {}
+        if stored.get("made_by") == made_by:
             return Run(self, np.array(stored["t"]), np.array(stored["u"]), stored["seconds"])
         run = self.compute()
-        write_kept(path, made_by, {"t": run.t, "u": run.u, "seconds": run.seconds})
+        result = {"t": run.t, "u": run.u, "seconds": run.seconds}
+        write_json(path, {"made_by": made_by, **result})
         return run
 
 

@@ -56,7 +56,7 @@ class Setting:
         return replace(shipped, path=self.out / name).with_cell(
             samples=replace(samples, file=f"{stem}.h5"),
             training=training,
-            training_file=f"{stem}.safetensors",
+            training_file=f"{stem}-surrogate.h5",
         )
 
     def runs(self, cases: Iterable[Case]) -> list[Run]:

@@ -16,7 +16,7 @@ from surrofe2.store.surrogates import read_surrogate
 
 def export(
     surrogate: Annotated[
-        Path, typer.Argument(metavar="SURROGATE", help="A trained surrogate (.safetensors).")
+        Path, typer.Argument(metavar="SURROGATE", help="A trained surrogate (.h5).")
     ],
     to: Annotated[Literal["c"], typer.Option(help="The language.")] = "c",
     out: Annotated[
@@ -30,7 +30,7 @@ def export(
     The source needs the standard library alone; its head says how to call it, and examples/umat.c
     calls it as a material routine of a finite-element program.
 
-    Example: [bold]surrofe2 export training/bending-bar.safetensors --to c[/bold]
+    Example: [bold]surrofe2 export training/bending-bar.h5 --to c[/bold]
     """
     path, text = out or surrogate.with_suffix(f".{to}"), c_source(read_surrogate(surrogate))
     if path.exists() and not fresh and read_bytes(path) != text.encode("utf-8"):

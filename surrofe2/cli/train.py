@@ -99,12 +99,12 @@ def refine(
 
     Runs through the cache, collects the states that the surrogate did not know well enough, solves
     RVEs there and around, trains again, and so on until a run has no unknown state and its audit
-    holds. DIR receives refine.json (the table of rounds) and surrogate.safetensors, of several
-    cells surrogate-NAME.safetensors.
+    holds. DIR receives refine.json (the table of rounds) and surrogate.h5, of several
+    cells surrogate-NAME.h5.
 
     Example: [bold]surrofe2 refine data/bending-bar-triple-load.toml[/bold]
 
-    Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.safetensors[/bold]
+    Next: [bold]surrofe2 run RECIPE --law cached --surrogate DIR/surrogate.h5[/bold]
     """
     study = open_study(recipe, threads)
     folder = out or Path("out") / f"refine-{recipe.stem}"

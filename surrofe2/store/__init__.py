@@ -5,8 +5,7 @@ In reading order:
     disk              the operations that change what is on disk, where tests put faults in
     store             whole files with their digest, JSON, CSV, locks, `keep`
     hdf5              arrays with one header: which kind of file, made of what, when, in which time
-    reference_states  settled RVEs, in the cache folder and in data sets
-    samples           data sets and harvests
+    samples           data sets, harvests, settled reference states
     tables            tables of RVE answers, and of surface laws
     surrogates        surrogates and interrupted trainings
     c_source          a surrogate as C

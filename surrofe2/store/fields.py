@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from surrofe2.errors import FileError
 from surrofe2.rve.particles import Particles
-from surrofe2.store.hdf5 import Kind, Stored, reading_hdf5, store_array, writing
+from surrofe2.store.hdf5 import Kind, reading, store_array, writing
 from surrofe2.store.store import reported, write_text
 from surrofe2.stress_law import TABLE
 
@@ -209,10 +209,10 @@ def add_to_elements(folder: Path, added: Series) -> None:
     """
     of_frames = {f"{name}.{k}": at for name, of in added.items() for k, at in enumerate(of)}
     path = folder / f"{FIELDS}.h5"
-    with reading_hdf5(path) as there, writing(path, FIELDS_FILE, {}) as file:
-        for name in there:
+    with reading(path) as there, writing(path, FIELDS_FILE, {}) as file:
+        for name in there.file:
             if name not in of_frames:
-                there.copy(name, file)
+                there.file.copy(name, file)
         for name, values in of_frames.items():
             store_array(file, name, values)
     path = folder / f"{FIELDS}.xdmf"
@@ -259,11 +259,11 @@ def read_fields(
         FileError: the file is missing, damaged, or without values that are needed.
     """
     path = folder / f"{name}.h5"
-    with reading_hdf5(path) as file:
+    with reading(path) as stored:
+        file = stored.file
         for what in needed:
             if f"{what}.0" not in file:
                 raise FileError(f"{path}: no {what} in it; run it again with --fresh")
-        stored = Stored(file, FIELDS_FILE)
         t, points = stored.array("t", (None,)), stored.array("points", (None, 3))
         cells = stored.array("cells", (None, None), np.int64)
         if not (len(t) and 0 <= cells.min(initial=0) <= cells.max(initial=0) < len(points)):

@@ -64,29 +64,35 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of file: its name, the version of its schema, and its arrays by name."""
+    """A kind of file: its name, the version of its schema, and its arrays by name.
+
+    `advice`: what to do about a file that cannot be read, at the end of error messages.
+    """
 
     name: str
     version: int
     columns: Mapping[str, Column] = field(default_factory=dict)
+    advice: str = ""
 
     @property
     def schema(self) -> str:
         """The name of its schema in a file."""
         return f"surrofe2-{self.name.replace(' ', '-')}"
 
+    @property
+    def title(self) -> str:
+        """What error messages call a file."""
+        return f"surrofe2 {self.name}"
 
+
+ANY = Kind("file", 0)
 CHECKPOINT = Kind("checkpoint", 1)
 
 
-def origin(cell: CellParameters, initialisation: str, recipe: Mapping[str, Any]) -> dict[str, Any]:
+def origin(cell: CellParameters, initialisation: str, **more: Any) -> dict[str, Any]:
     """Entries of a header: of which plant cells, how initialised, the answers in a file are."""
-    return {
-        "recipe": recipe,
-        "cell": cell.to_dict(),
-        "cell_fingerprint": cell.fingerprint,
-        "initialisation": initialisation,
-    }
+    of_cell = {"cell": cell.to_dict(), "cell_fingerprint": cell.fingerprint}
+    return {**more, **of_cell, "initialisation": initialisation}
 
 
 def write(path: Path, kind: Kind, header: Mapping[str, Any], arrays: Arrays) -> None:
@@ -154,50 +160,50 @@ def writing_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 @contextmanager
-def reading_hdf5(path: Path) -> Iterator[h5py.File]:
-    """A file that was written so; one sentence where it is missing, foreign or damaged.
+def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
+    """What is in a file of a kind, default: of any; the block takes from it what it needs.
 
     Raises:
-        FileError: in the block, too, where an entry cannot be read.
+        FileError: missing, foreign, of another schema or version, or an entry is missing or wrong;
+            in the block, too.
     """
+    of = kind or ANY
+    advice = f"; {of.advice}" if of.advice else ""
     content = read_bytes(path)
-    if not content.startswith(_SIGNATURE):
-        raise FileError(f"{path}: not an HDF5 file")
-    check_seal(path, content)
-    with _refused(path, "cannot be read as HDF5", 80), held(), h5py.File(BytesIO(content)) as file:
-        yield file
-
-
-@contextmanager
-def _refused(path: Path, what: str, most: int) -> Iterator[None]:
-    """Turn what a damaged entry raises into one sentence, unless it is one on this file."""
     try:
-        yield
+        if not content.startswith(_SIGNATURE):
+            raise FileError(f"{path}: not an HDF5 file")
+        check_seal(path, content)
+        with held(), h5py.File(BytesIO(content)) as file:
+            stored = Stored(file, of)
+            file.visititems_links(_check_link)
+            if kind is not None:
+                _check_schema(path, stored)
+            yield stored
+    except FileError as error:
+        if not advice:
+            raise
+        raise FileError(f"{error}{advice}") from None
     except _DAMAGED as error:
         if isinstance(error, Surrofe2Error) and str(path) in str(error):
             raise
-        reason = shortened(" ".join(str(error).split()), most)
-        raise FileError(f"{path}: {what}: {reason}") from None
+        reason = shortened(" ".join(str(error).split()), 120)
+        raise FileError(f"{path}: not a whole {of.title}: {reason}{advice}") from None
 
 
-@contextmanager
-def reading(path: Path, kind: Kind) -> Iterator[Stored]:
-    """What is in a file of a kind; the block takes from it what it needs.
+def _check_link(name: str, link: object) -> None:
+    if not isinstance(link, h5py.HardLink):
+        raise ValueError(f"{name}: a link, maybe to another file; it must be in this one")
 
-    Raises:
-        FileError: missing, foreign, of another schema or version, or an entry is missing or wrong.
-    """
-    with reading_hdf5(path) as file:
-        if str(file.attrs.get("schema")) != kind.schema:
-            raise FileError(f"{path}: an HDF5 file, but not a surrofe2 {kind.name}")
-        there = str(file.attrs.get("schema_version", kind.version))
-        if there != str(kind.version):
-            raise FileError(
-                f"{path}: {kind.name} schema {shortened(there, 20)}; this surrofe2 reads "
-                f"{kind.version}"
-            )
-        with _refused(path, f"not a whole surrofe2 {kind.name}", 120):
-            yield Stored(file, kind)
+
+def _check_schema(path: Path, stored: Stored) -> None:
+    kind, header = stored.kind, stored.file.attrs
+    if str(header.get("schema")) != kind.schema:
+        raise FileError(f"{path}: an HDF5 file, but not a {kind.title}")
+    there = str(header.get("schema_version", kind.version))
+    if there != str(kind.version):
+        there = shortened(there, 20)
+        raise FileError(f"{path}: {kind.name} schema {there}; this surrofe2 reads {kind.version}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +234,10 @@ class Stored:
             raise ValueError(f"{name}: not a JSON object")
         return value
 
+    def optional(self, name: str) -> float | None:
+        """A number of the header; None where it does not say."""
+        return self.number(name) if name in self.file.attrs else None
+
     @property
     def whose(self) -> dict[str, Any]:
         """`cell` and `initialisation` of the RVEs that answered."""
@@ -246,6 +256,8 @@ class Stored:
         entry = self.file.get(name)
         if not isinstance(entry, h5py.Dataset):
             raise ValueError(f"{name}: missing")
+        if entry.is_virtual or entry.external:
+            raise ValueError(f"{name}: its numbers are in other files; they must be in this one")
         whole = len(entry.shape or ()) == len(shape) and entry.nbytes <= self.file.id.get_filesize()
         if not whole or any(n not in (None, m) for n, m in zip(shape, entry.shape, strict=True)):
             raise ValueError(f"{name}: shape {entry.shape}; it must be {shape}")
@@ -289,9 +301,8 @@ def read_seconds(path: Path) -> float | None:
     Raises:
         FileError: it cannot be read.
     """
-    with reading_hdf5(path) as file:
-        is_known = "seconds" in file.attrs
-        return Stored(file, CHECKPOINT).number("seconds") if is_known else None
+    with reading(path) as stored:
+        return stored.optional("seconds")
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], of: str) -> None:

@@ -1,8 +1,11 @@
-"""Samples (F, Ḟ) → σ in HDF5: data sets of a range, and harvests of runs; schema: data/README.md.
+"""Samples (F, Ḟ) → σ: data sets of a range, and harvests of runs; schema: data/README.md.
 
 A data set is continued after a kill at any moment: while samples are computed, it is written again
 every few seconds, whole, with all rows that there are. A harvest has the answers of RVEs that a run
 has paid for, and is written when the run ends.
+
+A data set carries the settled reference state of its RVEs along, as surrogates do; alone it is kept
+in the cache folder. Nine Voronoi plant cells take ten seconds to settle, and are a few kilobytes.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.compilation import cache_folder
 from surrofe2.costs import Meter
 from surrofe2.errors import FileError, InputError
 from surrofe2.plant_cell.parameters import CellParameters
@@ -24,7 +28,6 @@ from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.sampling import SEQUENCE, SamplingRange
 from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
-from surrofe2.store.reference_states import attached
 from surrofe2.store.store import check_same, file_lock, flat, locked_file
 from surrofe2.stress_law import Status, StressResponse, describe
 from surrofe2.stress_samples import TANGENTS, StressSamples
@@ -56,6 +59,7 @@ _OF_TANGENTS = {
 }
 DATA_SET = Kind("data set", 2, _COLUMNS | {LEFT: _MARK} | _OF_TANGENTS)
 HARVEST = Kind("harvest", 2, _COLUMNS | {"why": Column(kind=np.int8, meaning=WHY)})
+REFERENCE = Kind("reference state", 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +72,8 @@ class Origin:
 
     def entries(self) -> dict[str, Any]:
         """Those of the header."""
-        return {**origin(self.cell, str(self.rve["initialisation"]), self.recipe), "rve": self.rve}
+        how = str(self.rve["initialisation"])
+        return origin(self.cell, how, recipe=self.recipe, rve=self.rve)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +196,9 @@ class DataSetWriter(SampleWriter):
     def store(self, status: str = "writing", arrays: Arrays | None = None, **more: Any) -> None:
         """Write the rows that there are, to go on from."""
         known = {"status": status, "completed": self.completed, "seconds": self.meter.seconds}
-        self.write(attached(self.header.reference) | (arrays or {}), **known, **more)
+        reference = self.header.reference
+        carried = {} if reference is None else _reference_arrays(reference)
+        self.write(carried | (arrays or {}), **known, **more)
 
     def finish(self) -> StressSamples:
         """Write all rows, the list of those that failed and the fingerprint; as read back.
@@ -297,13 +304,12 @@ def read_data_set(path: str | Path) -> StressSamples:
                 f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        has_length = "rest_length" in stored.file.attrs
         return _samples(
             stored.arrays(),
             **stored.whose,
             range=stored.range,
             seed=int(stored.number("seed")),
-            rest_length=stored.number("rest_length") if has_length else None,
+            rest_length=stored.optional("rest_length"),
         )
 
 
@@ -365,6 +371,34 @@ def read_harvest(path: str | Path) -> Harvest:
     first.sort()
     once: dict[str, Any] = {name: values[first] for name, values in arrays.items()}
     return Harvest(**once, **whose)
+
+
+def reference_path(cell: CellParameters) -> Path:
+    """Where the reference state of a cell is kept for commands of these very sources."""
+    return cache_folder() / "references" / f"{cell.fingerprint}.h5"
+
+
+def write_reference(path: Path, reference: ReferenceState) -> None:
+    """Write a reference state, whole or not at all."""
+    write(path, REFERENCE, {}, _reference_arrays(reference))
+
+
+def read_reference(path: Path, cell: CellParameters) -> ReferenceState | None:
+    """The reference state of a cell in a file of its own, of a data set or of a surrogate.
+
+    None where the file is missing or damaged, or has that of another cell or none.
+    """
+    try:
+        with reading(path) as stored:
+            reference = ReferenceState.from_arrays(stored.all_arrays("reference"))
+            reference.check_belongs_to(cell)
+    except FileError:
+        return None
+    return reference
+
+
+def _reference_arrays(reference: ReferenceState) -> Arrays:
+    return {f"reference/{name}": values for name, values in reference.to_arrays().items()}
 
 
 check_harvest = partial(check_same_rve, "harvested", "leave it out")

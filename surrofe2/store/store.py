@@ -1,8 +1,8 @@
 """Files that are whole or absent and prove themselves, and the locks of their writers.
 
 Somewhere in a file stands the SHA-256 of the whole file, computed with zeros where the digest
-stands. In every format it follows the word `SEAL`: in an attribute, a JSON entry or a header. Any
-changed byte is seen.
+stands. It follows the word `SEAL`, in an attribute of HDF5 or an entry of JSON. Any changed byte is
+seen.
 
 One process at a time writes an output. It holds a lock file beside or in it by `flock`, which the
 kernel drops when the process ends, however it ends. What stands in the lock is for people: who
@@ -32,7 +32,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from surrofe2.compilation import cache_folder
 from surrofe2.errors import FileError, MismatchError, shortened
 from surrofe2.interruption import held
 from surrofe2.store import disk
@@ -292,27 +291,6 @@ def keep(
         entries = {**identity, **make()}
         write_json(path, entries)
     return entries, False
-
-
-def read_kept(path: Path, configuration: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What `write_kept` wrote of this configuration and these sources of the package, or None.
-
-    Raises:
-        FileError: the file is damaged.
-    """
-    if not path.exists():
-        return None
-    stored = read_json(path)
-    return stored if stored.pop("identity", None) == _identity(configuration) else None
-
-
-def write_kept(path: Path, configuration: Mapping[str, Any], values: Mapping[str, Any]) -> None:
-    """Write values that took long to compute, to be read by the very sources that made them."""
-    write_json(path, {"identity": _identity(configuration), **values})
-
-
-def _identity(configuration: Mapping[str, Any]) -> Any:
-    return plain({"sources": cache_folder().name, **configuration})
 
 
 def folder_lock(folder: Path) -> Path:

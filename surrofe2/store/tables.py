@@ -66,7 +66,7 @@ def write_table(
 ) -> None:
     """Write a table, whole or not at all; `seconds`: of all runs that it learnt from."""
     header = {
-        **origin(table.cell, table.initialisation, recipe),
+        **origin(table.cell, table.initialisation, recipe=recipe),
         "range": asdict(table.range),
         "tolerance": table.tolerance,
         "stress_spread": table.stress_spread,
@@ -102,7 +102,7 @@ def read_table(path: str | Path) -> StoredTable:
 def write_surface(path: Path, table: TabulatedSurface, recipe: Mapping[str, Any]) -> None:
     """Write the table of a surface law, whole or not at all; `recipe`: of the run that made it."""
     header = {
-        **origin(table.cell, table.initialisation, recipe),
+        **origin(table.cell, table.initialisation, recipe=recipe),
         **{name: getattr(table, name) for name in _NUMBERS},
         "inputs": "Chebyshev polynomials of stretch and stretch rate over their ranges",
     }

@@ -160,7 +160,7 @@ def _surrogates(
         # what calibrates it is the base's problem, whatever else the grid changes
         part = load_recipe(base.path, counting).parts()[name]
         samples = replace(part.samples, file=data or f"{here}.h5")
-        part = part.with_cell(samples=samples, training_file=trained or f"{here}.safetensors")
+        part = part.with_cell(samples=samples, training_file=trained or f"{here}-surrogate.h5")
         if not (is_own and part.training_path().exists()):
             part.sampling_range()
         is_own = is_own and trained is not None

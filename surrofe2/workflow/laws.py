@@ -25,12 +25,7 @@ from surrofe2.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.store.hdf5 import read_seconds
-from surrofe2.store.reference_states import (
-    read_attached,
-    read_reference,
-    reference_path,
-    write_reference,
-)
+from surrofe2.store.samples import read_reference, reference_path, write_reference
 from surrofe2.store.store import digest
 from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
 from surrofe2.store.tables import check_table, read_table
@@ -66,7 +61,7 @@ def kept_reference(recipe: Recipe, surrogate: SurrogateLaw | None = None) -> Ref
     if surrogate is not None:
         known = surrogate.reference
     if known is None and recipe.samples.file is not None:
-        known = read_attached(recipe.data_path(), cell)
+        known = read_reference(recipe.data_path(), cell)
     if known is None or not _is_usable(known, cell):
         known = settle_reference(cell)
     with suppress(FileError):  # a folder that cannot be written keeps nothing

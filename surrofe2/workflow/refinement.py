@@ -44,7 +44,7 @@ from surrofe2.workflow.train import STRESSES, Trained, train_surrogate
 
 Array = NDArray[np.float64]
 
-ROUNDS, SURROGATE = "refine.json", "surrogate.safetensors"
+ROUNDS, SURROGATE = "refine.json", "surrogate.h5"
 _NEW, _STARTED = "new.h5", "round.json"
 FALLBACK, AUDIT, NEIGHBOUR, WIDENED = 0, 1, 2, 3
 AUDIT_QUANTILE = 0.99
@@ -130,7 +130,7 @@ def refine_surrogate(
     The first round runs on the recipe's surrogate, which is made where it is not there. Each
     later one is trained on the recipe's data set and everything sampled since; where states
     left the range, the range of the surrogate is the least box that holds them too. The last
-    surrogate is `out`/surrogate.safetensors, of several cells `out`/surrogate-NAME.safetensors.
+    surrogate is `out`/surrogate.h5, of several cells `out`/surrogate-NAME.h5.
 
     Args:
         cell: the only one of several that is refined; None: all, each until it is settled.
@@ -177,7 +177,7 @@ def _open_rounds(recipe: Recipe, parts: Iterable[str], out: Path, fresh: bool) -
     remove(begun)  # first: its rounds are those that are there
     for folder in out.glob("round-*"):
         remove_tree(folder)
-    for path in out.glob("surrogate*.safetensors"):
+    for path in out.glob("surrogate*.h5"):
         remove(path)
     _write_rounds(recipe, parts, out, [])
     return []

@@ -14,7 +14,7 @@ from surrofe2.errors import InputError, MismatchError
 from surrofe2.recipe import Recipe
 from surrofe2.sampling import SamplingRange
 from surrofe2.store.hdf5 import read_seconds
-from surrofe2.store.reference_states import read_attached
+from surrofe2.store.samples import read_reference
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
 from surrofe2.store.surrogates import (
     read_surrogate,
@@ -185,7 +185,7 @@ def _train(
             )
         is_met = bound <= WISH * recipe.training.bound
         if is_met or not may_grow or not has_improved(bound, begun.before):
-            reference = read_attached(recipe.data_path(), recipe.cell)
+            reference = read_reference(recipe.data_path(), recipe.cell)
             return (
                 replace(surrogate, reference=reference, seconds={"training": seconds}),
                 samples,

@@ -34,7 +34,7 @@ stretch = [0.94, 1.06]
 shear = 0.03
 rate = 0.01
 [training]
-file = "trained.safetensors"
+file = "trained-surrogate.h5"
 iterations = 30
 [cache]
 tolerance = 3e-3

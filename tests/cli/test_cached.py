@@ -24,7 +24,7 @@ def test_run_through_the_surrogate(invoke, recipe_path, tmp_path, law):
     done = invoke("run", recipe_path, "--law", law, "--out", tmp_path / law, "--tolerance", "0.1")
     assert done.exit_code == 0, done.output
     record = read_record(tmp_path / law)
-    assert record.surrogate["file"] == "cells.safetensors"
+    assert record.surrogate["file"] == "cells-surrogate.h5"
     assert len(record.surrogate["fingerprint"]) == 16
     assert record.surrogate["errors"]["points"] == 4
     if law == "cached":
@@ -79,7 +79,7 @@ def test_a_surrogate_of_another_cell_or_initialisation_or_none(
         assert begin == "error: "
         return rest
 
-    path = recipe_path.parent / "cells.safetensors"
+    path = recipe_path.parent / "cells-surrogate.h5"
     found = told("cached", "--initialisation", "elastic")
     assert "initialisation constrained-runs, not elastic; train" in found
     changed_recipe('preset = "printed"', "viscosity = 0.2")

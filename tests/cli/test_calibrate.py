@@ -26,7 +26,7 @@ AT_REST = np.eye(2)[None], np.zeros((1, 2, 2))
 
 @pytest.fixture
 def surrogate_path(recipe_path):
-    return recipe_path.parent / "cells.safetensors"
+    return recipe_path.parent / "cells-surrogate.h5"
 
 
 @pytest.fixture(autouse=True)
@@ -218,7 +218,7 @@ CELLS = """
 box = [0.0, 0.0, 17.0, 60.0]
 [cells.end]
 samples = { file = "end.h5" }
-training = { file = "end.safetensors" }
+training = { file = "end-surrogate.h5" }
 [cells.middle]
 wall_stiffness = 8000.0
 regions = ["rest"]
@@ -304,7 +304,7 @@ def test_a_cell_sees_its_own_points_among_the_others(stated, recipe_path, monkey
     for one in (
         '[cell]\npreset = "printed"\n',
         'file = "cells.h5"\n',
-        'file = "cells.safetensors"\n',
+        'file = "cells-surrogate.h5"\n',
     ):
         text = text.replace(one, "")
     recipe_path.write_text(text, encoding="utf-8")
@@ -348,5 +348,5 @@ def test_train_of_a_stated_problem_and_of_its_cells(stated, recipe_path, invoke)
     assert invoke("generate", recipe_path, "--fresh").exit_code == 0
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
-    kinds = read_surrogate(recipe_path.parent / "cells.safetensors").calibration.kinds
+    kinds = read_surrogate(recipe_path.parent / "cells-surrogate.h5").calibration.kinds
     assert kinds["runs"]["paths"] == 9

@@ -63,13 +63,13 @@ output_interval = 0.5
 [cells.skin]
 wall_stiffness = 8000.0
 samples = { file = "skin.h5", seed = 2 }
-training = { file = "skin.safetensors" }
+training = { file = "skin-surrogate.h5" }
 [cells.flesh]
 preset = "water"
 regions = ["inside"]
 range = { rate = 0.02 }
 samples = { file = "flesh.h5" }
-training = { file = "flesh.safetensors" }
+training = { file = "flesh-surrogate.h5" }
 """
 ONE = BAR[: BAR.index("[cells.skin]")].replace("[mesh]", '[cell]\npreset = "water"\n[mesh]')
 
@@ -110,7 +110,7 @@ def test_each_cell_has_its_own_parameters_range_and_files(written):
     assert flesh.cell == CellParameters.preset("water")
     assert (skin.range.rate, flesh.range.rate) == (0.01, 0.02)
     assert (skin.samples.seed, flesh.samples.seed, flesh.samples.count) == (2, 1, 40)
-    assert flesh.training_path().name == "flesh.safetensors"
+    assert flesh.training_path().name == "flesh-surrogate.h5"
     assert recipe.fingerprint.split() == [skin.cell.fingerprint, flesh.cell.fingerprint]
     assert list(recipe.parts("flesh")) == ["flesh"]
 
@@ -226,8 +226,8 @@ def test_a_grid_learns_the_cells_that_it_changes(invoke, trained, tmp_path):
     done = invoke("grid", trained, "--out", out, "--law", "cached", "--set",
                   "cells.skin.wall_stiffness=8000,9000")  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert [path.name for path in out.glob("*.safetensors")] == [
-        "cells.skin.wall_stiffness=9000-skin.safetensors"
+    assert [path.name for path in out.glob("*-surrogate.h5")] == [
+        "cells.skin.wall_stiffness=9000-skin-surrogate.h5"
     ]
     records = [read_record(each.parent) for each in sorted(out.glob("*/run.json"))]
     used = [record.surrogate["fingerprint"].split() for record in records]
@@ -249,7 +249,7 @@ def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_p
         assert own[1]["samples"] == own[0]["samples"] + own[0]["added"]
         assert f"round 0: {name}: " in done.stdout
     assert by_cell["skin"][0]["added"] != by_cell["flesh"][0]["added"]
-    files = [out / f"surrogate-{name}.safetensors" for name in by_cell]
+    files = [out / f"surrogate-{name}.h5" for name in by_cell]
     given = [entry for file in files[::-1] for entry in ("--surrogate", file)]
     run = "run", path, "--law", "cached", "--out"
     done = invoke(*run, tmp_path / "run", *given)
@@ -265,7 +265,7 @@ def test_refine_teaches_each_cell_until_it_knows(invoke, trained, written, tmp_p
     only = tmp_path / "only"
     done = invoke("refine", path, "--out", only, "--cell", "flesh", "--rounds", 1)
     assert "states still unknown after 1 rounds" in done.stderr
-    assert not (only / "round-0" / "surrogate-skin.safetensors").exists()
+    assert not (only / "round-0" / "surrogate-skin.h5").exists()
     refused = invoke("refine", path, "--out", only)
     assert "--cell: this call has ['skin', 'flesh'], what is there ['flesh']" in refused.stderr
 
@@ -279,7 +279,7 @@ def test_two_regions_of_one_cell_move_as_one_cell_does(invoke, written, tmp_path
     two = BAR.replace('"water"', '"printed"').replace("8000.0", "4000.0")
     two = two.replace(", seed = 2", "").replace("rate = 0.02", "rate = 0.01")
     one = ONE.replace('"water"', '"printed"').replace("count = 40", 'count = 40\nfile = "one.h5"')
-    one = one.replace("[training]", '[training]\nfile = "one.safetensors"')
+    one = one.replace("[training]", '[training]\nfile = "one-surrogate.h5"')
     folders = []
     for name, text in (("one", one), ("two", two)):
         path = written(text, f"{name}.toml")
@@ -314,7 +314,7 @@ def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, mo
     for command in ("generate", "train"):
         first = invoke(command, path, "--cell", "skin")
         assert first.exit_code == 0, first.output
-        assert not (tmp_path / "flesh.safetensors").exists()
+        assert not (tmp_path / "flesh-surrogate.h5").exists()
         done = invoke(command, path)
         assert done.exit_code == 0, done.output
         assert "(already " in done.output
@@ -334,7 +334,7 @@ def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, mo
         assert cache["audit"]["audited"] > 10
         harvest = read_harvest(tmp_path / "whole" / f"harvest-{name}.h5")
         assert harvest.cell == load_recipe(path).parts()[name].cell
-    assert whole.surrogate["file"] == "skin.safetensors, flesh.safetensors"
+    assert whole.surrogate["file"] == "skin-surrogate.h5, flesh-surrogate.h5"
 
     class Stopping(SoftCell, StoppingLaw):
         def __init__(self):
@@ -353,10 +353,10 @@ def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, mo
     folders = [tmp_path / "whole", tmp_path / "stopped"]
     assert invoke("compare", *folders, "--out", tmp_path / "c").exit_code == 0
 
-    (tmp_path / "flesh.safetensors").write_bytes((tmp_path / "skin.safetensors").read_bytes())
+    (tmp_path / "flesh-surrogate.h5").write_bytes((tmp_path / "skin-surrogate.h5").read_bytes())
     refused = run("other")
     assert refused.exit_code == 1
-    told = "flesh.safetensors: trained for cell.fluid_particle_mass = 2.7, not 0.27; "
+    told = "flesh-surrogate.h5: trained for cell.fluid_particle_mass = 2.7, not 0.27; "
     assert told in refused.stderr
 
 

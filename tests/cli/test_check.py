@@ -42,10 +42,10 @@ def test_all_that_is_wrong_is_told_in_one_go(invoke, recipe_path):
 STATED = """
 [cells.skin]
 samples = { file = "a.h5" }
-training = { file = "a.safetensors" }
+training = { file = "a-surrogate.h5" }
 [cells.flesh]
 samples = { file = "a.h5" }
-training = { file = "b.safetensors" }
+training = { file = "b-surrogate.h5" }
 [mesh]
 width = 100.0
 height = -1.0
@@ -182,7 +182,7 @@ def test_the_advice(recipe_path, changed_recipe, invoke):
     assert invoke("generate", recipe_path, law=law).exit_code == 0
     assert invoke("train", recipe_path, law=law).exit_code == 0
     assert advised_law(recipe, 10.0) == "cached"  # it is there
-    without = load_recipe(changed_recipe('file = "cells.safetensors"\n', ""))
+    without = load_recipe(changed_recipe('file = "cells-surrogate.h5"\n', ""))
     assert advised_law(without, 1000.0) == "table"
     implicit = changed_recipe("[macro]", '[macro]\nintegrator = "implicit"')
     assert advised_law(load_recipe(implicit), 1000.0) == "rve"

@@ -10,8 +10,8 @@ from tests.surrogate.networks import make_law
 
 @pytest.fixture
 def surrogate(tmp_path):
-    write_surrogate(make_law(), tmp_path / "law.safetensors")
-    return tmp_path / "law.safetensors"
+    write_surrogate(make_law(), tmp_path / "law-surrogate.h5")
+    return tmp_path / "law-surrogate.h5"
 
 
 def test_the_source_lies_beside_the_surrogate(surrogate, invoke):
@@ -35,8 +35,8 @@ def test_what_is_there_stays(surrogate, invoke):
 
 
 def test_what_is_no_surrogate(tmp_path, invoke):
-    (tmp_path / "law.safetensors").write_bytes(b"none")
-    done = invoke("export", tmp_path / "law.safetensors")
+    (tmp_path / "law-surrogate.h5").write_bytes(b"none")
+    done = invoke("export", tmp_path / "law-surrogate.h5")
     assert done.exit_code == 1
-    assert "not a surrofe2 surrogate" in done.output
+    assert "not an HDF5 file; train again with" in done.output
     assert not (tmp_path / "law.c").exists()

@@ -88,13 +88,13 @@ def test_surrogates_are_made_where_what_they_learn_changes(grid, recipe_path):
     done = grid("--set", "cell.wall_stiffness=4000,5000", "--set", "load.duration=2.0,3.0",
                 "--law", "rve,cached")  # fmt: skip
     assert done.exit_code == 0, done.output
-    made = sorted(path.name for path in grid.out.glob("*.safetensors"))
-    assert made == ["cell.wall_stiffness=5000.safetensors"]
-    assert recipe_path.with_name("cells.safetensors").exists()  # with 4000, as the preset has it
+    made = sorted(path.name for path in grid.out.glob("*-surrogate.h5"))
+    assert made == ["cell.wall_stiffness=5000-surrogate.h5"]
+    assert recipe_path.with_name("cells-surrogate.h5").exists()  # with 4000, as the preset has it
     rows = read_rows(grid.out)
     assert [row["law"] for row in rows] == ["rve", "cached"] * 4
     used = [read_record(grid.out / row["run"]).surrogate for row in rows[1::2]]
-    assert [each["file"] for each in used] == ["cells.safetensors"] * 2 + made * 2
+    assert [each["file"] for each in used] == ["cells-surrogate.h5"] * 2 + made * 2
     for true, cached in zip(rows[::2], rows[1::2], strict=True):
         assert true["displacement_error"] is None
         assert true["largest_displacement"] == pytest.approx(

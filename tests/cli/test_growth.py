@@ -88,7 +88,7 @@ def _trained(invoke, recipe_path):
 
 @pytest.mark.usefixtures("_trained")
 def test_a_harvest_is_added_to_the_training_data(invoke, first, recipe_path, changed_recipe):
-    surrogate = recipe_path.parent / "cells.safetensors"
+    surrogate = recipe_path.parent / "cells-surrogate.h5"
     before = read_surrogate(surrogate)
     harvest = first / "harvest.h5"
     done = invoke("train", recipe_path, "--fresh", "--add", harvest)
@@ -134,7 +134,7 @@ def test_refine_teaches_what_a_run_meets(invoke, leaving_recipe, tmp_path):
     low, high = (row["range"] for row in (rows[0], rows[1]))
     assert high != low
     assert high["rate"] >= low["rate"]
-    last = read_surrogate(out / "surrogate.safetensors")
+    last = read_surrogate(out / "surrogate.h5")
     assert last.range.rate == rows[-1]["range"]["rate"]
     for word in ("round", "hits", "unknown", "held-out", "audit", "settled"):
         assert word in done.stdout

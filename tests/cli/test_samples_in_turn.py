@@ -143,7 +143,7 @@ def whole(wanting, monkeypatch):
     monkeypatch.setattr("surrofe2.workflow.train._HELPS", np.inf)
     recipe = wanting(NEVER)
     generate_data_set(recipe)
-    path = train_surrogate(recipe).path.rename(recipe.path.with_name("whole.safetensors"))
+    path = train_surrogate(recipe).path.rename(recipe.path.with_name("whole-surrogate.h5"))
     generate_data_set(recipe, fresh=True)
     return recipe, path
 

@@ -14,7 +14,7 @@ from tests.laws import SoftLaw
 
 @pytest.fixture
 def surrogate_path(recipe_path):
-    return recipe_path.parent / "cells.safetensors"
+    return recipe_path.parent / "cells-surrogate.h5"
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_writes_the_surrogate_and_shows_its_errors(invoke, recipe_path, surrogat
     assert "worst, from 40 samples, " in last
     surrogate = read_surrogate(surrogate_path)
     assert (surrogate.cell, surrogate.range) == (recipe.cell, recipe.range)
-    assert list(surrogate_path.parent.glob("*.safetensors")) == [surrogate_path]
+    assert list(surrogate_path.parent.glob("*-surrogate.h5")) == [surrogate_path]
 
 
 @pytest.mark.usefixtures("_data_set")

@@ -13,7 +13,6 @@ from surrofe2.recipe import load_recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.fields import write_fields
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
-from surrofe2.store.reference_states import read_reference, write_reference
 from surrofe2.store.run_folder import (
     read_curve,
     read_history,
@@ -22,7 +21,14 @@ from surrofe2.store.run_folder import (
     write_history,
     write_record,
 )
-from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest, writing_data_set
+from surrofe2.store.samples import (
+    HarvestWriter,
+    read_data_set,
+    read_harvest,
+    read_reference,
+    write_reference,
+    writing_data_set,
+)
 from surrofe2.store.store import read_json, write_json
 from surrofe2.store.surrogates import (
     read_surrogate,
@@ -89,7 +95,7 @@ def surrogate(folder):
     )  # fmt: skip
     rest = ReferenceState(law.cell.fingerprint, np.eye(2), np.eye(2), 1.5)
     law = replace(law, domain=fit_domain(samples), calibration=bound, reference=rest)
-    write_surrogate(law, folder / "law.safetensors")
+    write_surrogate(law, folder / "law-surrogate.h5")
 
 
 def asked_surrogate(path):
@@ -131,9 +137,7 @@ def asked_record(path):
 
 
 def reference(folder):
-    write_reference(
-        folder / "reference.json", ReferenceState(CELL.fingerprint, *[np.eye(2)] * 2, 1)
-    )
+    write_reference(folder / "reference.h5", ReferenceState(CELL.fingerprint, *[np.eye(2)] * 2, 1))
 
 
 def mesh(folder):
@@ -145,7 +149,7 @@ KINDS = {
     "begun.h5": (unfinished, continued),
     "harvest.h5": (harvest, read_harvest),
     "table.h5": (table, asked_table),
-    "law.safetensors": (surrogate, asked_surrogate),
+    "law-surrogate.h5": (surrogate, asked_surrogate),
     "training.h5": (training, read_training),
     "checkpoint.h5": (checkpoint, lambda path: read_checkpoint(path, "a rve run")),
     "fields.h5": (fields, lambda path: read_motion(path.parent)),
@@ -154,7 +158,7 @@ KINDS = {
         lambda folder: write_json(folder / "some.json", {"a": [1.0, {"b": None}]}),
         read_json,
     ),
-    "reference.json": (reference, lambda path: read_reference(path, CELL)),
+    "reference.h5": (reference, lambda path: read_reference(path, CELL)),
     "curve.csv": (lambda folder: write_curve(folder, CURVE), lambda path: read_curve(path.parent)),
     "history.csv": (
         lambda folder: write_history(folder, T, {"force hold": T}),

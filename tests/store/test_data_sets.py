@@ -14,7 +14,7 @@ from surrofe2.errors import FileError, InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.sampling import SEQUENCE, sample
 from surrofe2.store import samples
-from surrofe2.store.hdf5 import reading_hdf5, write_checkpoint, writing_hdf5
+from surrofe2.store.hdf5 import reading, write_checkpoint, writing_hdf5
 from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest, writing_data_set
 from surrofe2.stress_law import Status, describe
 from tests.laws import SoftLaw
@@ -91,7 +91,7 @@ def test_an_interruption_waits_while_hdf5_is_at_work(tmp_path):
         assert interruption._state.held
         file["x"] = 1.0
     assert not interruption._state.held
-    with reading_hdf5(path):
+    with reading(path):
         assert interruption._state.held
     assert not interruption._state.held
 

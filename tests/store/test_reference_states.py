@@ -6,7 +6,7 @@ import pytest
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.rve import RveLaw
-from surrofe2.store.reference_states import read_attached, read_reference, write_reference
+from surrofe2.store.samples import read_reference, write_reference
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate
@@ -34,7 +34,6 @@ def test_a_missing_damaged_or_foreign_file_is_no_reference(tmp_path):
     assert read_reference(path, CellParameters(viscosity=0.2)) is None
     path.write_bytes(path.read_bytes()[:-200])
     assert read_reference(path, CELL) is None
-    assert read_attached(path, CELL) is None
 
 
 @pytest.fixture

@@ -136,8 +136,8 @@ def test_spread_without_calibration_is_that_of_held_out_samples(law, calibrated)
 
 
 def test_through_its_file(calibrated, tmp_path):
-    write_surrogate(calibrated, tmp_path / "a.safetensors")
-    loaded = read_surrogate(tmp_path / "a.safetensors")
+    write_surrogate(calibrated, tmp_path / "a-surrogate.h5")
+    loaded = read_surrogate(tmp_path / "a-surrogate.h5")
     F, F_dot = sample(RANGE, 1000, seed=3)
     assert np.array_equal(loaded.error_bound(F, F_dot), calibrated.error_bound(F, F_dot))
     assert loaded.is_calibrated
@@ -145,8 +145,8 @@ def test_through_its_file(calibrated, tmp_path):
 
 
 def test_a_file_without_domain_and_bound(calibrated, tmp_path):
-    write_surrogate(replace(calibrated, domain=None, calibration=None), tmp_path / "a.safetensors")
-    loaded = read_surrogate(tmp_path / "a.safetensors")
+    write_surrogate(replace(calibrated, domain=None, calibration=None), tmp_path / "a-surrogate.h5")
+    loaded = read_surrogate(tmp_path / "a-surrogate.h5")
     F, F_dot = sample(RANGE, 100, seed=3)
     assert np.isinf(loaded.error_bound(F, F_dot)).all()
     assert (loaded.lookup(F, F_dot, 1e6)[1] == Status.NOT_TRUSTED).all()
@@ -155,8 +155,8 @@ def test_a_file_without_domain_and_bound(calibrated, tmp_path):
 def test_a_bound_of_infinity_through_its_file(calibrated, tmp_path):
     kinds = {"walks": {"paths": 9, "states": 90, "quantile": np.inf}}
     unknown = replace(calibrated.calibration, quantile=np.inf, kinds=kinds)
-    write_surrogate(replace(calibrated, calibration=unknown), tmp_path / "a.safetensors")
-    loaded = read_surrogate(tmp_path / "a.safetensors").calibration
+    write_surrogate(replace(calibrated, calibration=unknown), tmp_path / "a-surrogate.h5")
+    loaded = read_surrogate(tmp_path / "a-surrogate.h5").calibration
     assert loaded.quantile == loaded.kinds["walks"]["quantile"] == np.inf
 
 

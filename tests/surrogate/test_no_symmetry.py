@@ -60,8 +60,8 @@ def test_rests_without_stress_and_turns_with_the_frame(law):
 
 
 def test_a_file_gives_it_back(law, tmp_path):
-    write_surrogate(law, tmp_path / "law.safetensors")
-    again = read_surrogate(tmp_path / "law.safetensors")
+    write_surrogate(law, tmp_path / "law-surrogate.h5")
+    again = read_surrogate(tmp_path / "law-surrogate.h5")
     assert again.network.symmetry == "none"
     assert again.range == RANGE
     F, F_dot = sample(WELL_INSIDE, 20, seed=2)

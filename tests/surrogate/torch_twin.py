@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import torch
 
 from surrofe2.store import surrogates
+from surrofe2.store.hdf5 import reading, write
 from surrofe2.surrogate.network import StressNetwork, along
 from surrofe2.surrogate.piola import to_cauchy
 from surrofe2.tensors import INPUTS, to_inputs
@@ -34,12 +37,17 @@ def differentiate(network, inputs):
 
 
 def read_parts(path):
-    """(content, tensors) of a surrogate's file."""
-    return surrogates._read(path)
+    """(header, arrays) of a surrogate's file; tables of the header opened."""
+    with reading(path, surrogates.SURROGATE) as stored:
+        header = dict(stored.file.attrs)
+        for name, value in header.items():
+            if str(value).startswith("{"):
+                header[name] = json.loads(value)
+        return header, stored.all_arrays()
 
 
-def write_parts(path, content, tensors):
+def write_parts(path, header, arrays):
     """A file of these parts, with the right SHA-256."""
     own = ("sha256", "schema", "schema_version")
-    content = {key: value for key, value in content.items() if key not in own}
-    surrogates._write(path, content, tensors)
+    header = {key: value for key, value in header.items() if key not in own}
+    write(path, surrogates.SURROGATE, header, arrays)
