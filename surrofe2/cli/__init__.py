@@ -1,7 +1,7 @@
 """The command line: parse, call a workflow, print what came of it.
 
-output (what is said), progress, console and streams serve all commands: new, check, generate,
-train, run, rest, modes, tissue, compare, report, study, grid, zoom, moduli, export and ranks.
+output (what is printed), progress and console (shared options) serve all commands: new, check,
+generate, train, run, rest, tissue, compare, study, grid, zoom, moduli and export.
 
 `GROUPS` names the commands. The module of a command has its name, or stands in `MODULES`; it is
 imported when the command is called. `surrofe2 --help` takes the first line and the example of each
@@ -26,7 +26,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from surrofe2.cli import output
 from surrofe2.cli.console import InterruptedWork
-from surrofe2.cli.streams import leave, note_errors
+from surrofe2.cli.output import leave, note_errors
 from surrofe2.errors import Surrofe2Error, shortened
 from surrofe2.interruption import begin_work, end_work, exit_code
 
@@ -40,7 +40,7 @@ GROUPS = {
 """Commands by their group in help, in its order."""
 COMMANDS = {name: group for group, names in GROUPS.items() for name in names}
 
-MODULES = {"refine": "train"}
+MODULES = {"refine": "train", "modes": "rest", "report": "compare"}
 
 _HELP = """
 FE² for plant tissue, true or through a learnt stress cache.

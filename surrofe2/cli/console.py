@@ -15,6 +15,7 @@ from surrofe2.cli.output import (  # noqa: F401
     now,
     print_line,
     print_warning,
+    show_notes,
     show_table,
     took,
 )

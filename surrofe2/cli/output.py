@@ -5,8 +5,13 @@ Commands call `print_line`, `print_error`, `show_table` and `done`; `--quiet` is
 
 from __future__ import annotations
 
+import errno
+import io
 import logging
+import os
+import sys
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,6 +80,12 @@ def print_line(sentence: str) -> None:
         typer.echo(sentence)
 
 
+def show_notes(notes: Iterable[tuple[str, bool]]) -> None:
+    """Sentences, each with whether it is a warning."""
+    for sentence, is_warning in notes:
+        (print_warning if is_warning else print_line)(sentence)
+
+
 def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
     """The line that sums up: where the outcome is, what it is and how long the command took.
 
@@ -117,3 +128,48 @@ def show_table(title: str, table: Table[Any], names: int = 1) -> None:
         for row in rows:
             drawn.add_row(*(row[j] for j in shown))
         console.print(drawn)
+
+
+class _Noting(io.FileIO):
+    """A descriptor whose first error of writing is kept, and what follows it is lost."""
+
+    error: OSError | None = None
+
+    def write(self, content: bytes) -> int:  # type: ignore[override]
+        """Write; how much was taken."""
+        try:
+            return super().write(content)
+        except OSError as error:
+            self.error = self.error or error
+            return len(content)
+
+
+_raw: dict[str, _Noting] = {}
+
+
+def note_errors() -> None:
+    """From now on stdout and stderr never fail; what a terminal has no sign for becomes "?"."""
+    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.flush()
+            _raw[name] = _Noting(stream.fileno(), "w", closefd=False)
+            heard = io.TextIOWrapper(
+                io.BufferedWriter(_raw[name]),  # type: ignore[type-var]
+                encoding=stream.encoding,
+                errors="replace",
+                line_buffering=stream.line_buffering,
+            )
+            setattr(sys, name, heard)
+
+
+def leave(code: int) -> None:
+    """End the process without taking its objects apart; 1 in the place of 0 if words were lost."""
+    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+        if stream is not None:
+            stream.flush()
+        error = _raw[name].error if name in _raw else None
+        if error is not None:
+            code = code or 1
+            if error.errno != errno.EPIPE:  # whoever listened has heard enough
+                sys.stderr.write(f"error: {name}: {error.strerror}\n")
+    os._exit(code)

@@ -1,16 +1,25 @@
-"""`surrofe2 rest`."""
+"""`surrofe2 rest` and `surrofe2 modes`: equilibria, and small oscillations about them."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from surrofe2.cli import console
-from surrofe2.recipe import changed
-from surrofe2.workflow.laws import open_study
-from surrofe2.workflow.rest import rest_study, rest_summary
+from surrofe2.recipe import changed, load_recipe
+from surrofe2.report.tables import Quantity, Table
+from surrofe2.rve import INITIALISATIONS
+from surrofe2.store.store import keep
+from surrofe2.workflow.laws import open_study, use_threads
+from surrofe2.workflow.rest import (
+    find_all_modes,
+    modes_identity,
+    modes_record,
+    rest_study,
+    rest_summary,
+)
 from surrofe2.workflow.surfaces import surface_notes
 
 
@@ -46,5 +55,65 @@ def rest(
             study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )
     console.done(out, rest_summary(record), timed=False)
-    for sentence, is_warning in surface_notes(record):
-        (console.print_warning if is_warning else console.print_line)(sentence)
+    console.show_notes(surface_notes(record))
+
+
+def modes(
+    recipe: console.RecipeFile,
+    initialisation: Annotated[
+        console.AnyInitialisation, typer.Option(metavar="NAME", help=console.HOW)
+    ] = "all",
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="Modes, slowest first.")] = 4,
+    threads: console.Threads = None,
+    out: console.JsonFile = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Period and damping of the tissue's small oscillations, by true FE² and its exact tangents.
+
+    About the tissue without load, and about its rest under the recipe's loads. The decrement is
+    logarithmic, a period; the damping ratio is 1 where nothing oscillates any more.
+
+    Example: [bold]surrofe2 modes data/bending-bar-water.toml --out out/modes.json[/bold]
+
+    Next: [bold]surrofe2 run data/bending-bar-water.toml --law rve --out out/rve[/bold] oscillates
+    with the loaded periods.
+    """
+    study = load_recipe(recipe)
+    use_threads(threads)
+    methods = INITIALISATIONS if initialisation == "all" else (initialisation,)
+    asked = modes_identity(study, methods, count)
+
+    def make() -> dict[str, Any]:
+        return modes_record(study, find_all_modes(study, methods, count, stage=console.progress))
+
+    record = make() if out is None else keep(out, asked, make, fresh=fresh)[0]
+    n = study.problem().mesh.nelements
+    for state, of_state in record["states"].items():
+        title = f"{state.capitalize()}, {n} elements, preset {study.preset}"
+        console.show_table(title, _table(of_state))
+        for method, numbers in of_state.items():
+            if not numbers["stable"]:
+                console.print_warning(
+                    f"{state}, {method}: a motion grows; the tissue is not stable there"
+                )
+    console.done(out, f"by {', '.join(methods)}")
+
+
+_COLUMNS: tuple[Quantity[Any], ...] = (
+    Quantity("initialisation", "", ""),
+    Quantity("u_y", "µm", ".2f"),
+    Quantity("mode", "", ""),
+    Quantity("period", "µs", ".3f"),
+    Quantity("decrement", "", ".4f"),
+    Quantity("damping ratio", "", ".5f"),
+)
+
+
+def _table(found: dict[str, dict[str, Any]]) -> Table[Any]:
+    rows = []
+    for method, numbers in found.items():
+        figures = zip(*(numbers[k] for k in ("period", "decrement", "damping_ratio")), strict=True)
+        for k, each in enumerate(figures):
+            values = method, numbers["watched"][1], k + 1, *each
+            rows.append(dict(zip((column.name for column in _COLUMNS), values, strict=True)))
+    return Table(_COLUMNS, rows)

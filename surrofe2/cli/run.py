@@ -1,8 +1,12 @@
-"""`surrofe2 run`."""
+"""`surrofe2 run`: by one process, or by ranks that mpiexec started."""
 
 from __future__ import annotations
 
+import atexit
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,12 +14,13 @@ from typing import Annotated, Literal
 import typer
 
 from surrofe2.cli import console
-from surrofe2.cli.ranks import all_ranks
+from surrofe2.ranks.driver import Driver, serve
+from surrofe2.ranks.world import is_first, leave, own_threads, watched, world, world_size
 from surrofe2.recipe import changed
 from surrofe2.units import time_text
 from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.cell_laws import files_by_cell
-from surrofe2.workflow.laws import open_study
+from surrofe2.workflow.laws import open_study, use_threads
 from surrofe2.workflow.run import (
     cache_notes,
     contact_notes,
@@ -131,5 +136,28 @@ def run(
         *cache_notes(record),
         *rank_notes(record),
     )
-    for sentence, is_warning in notes:
-        (console.print_warning if is_warning else console.print_line)(sentence)
+    console.show_notes(notes)
+
+
+@contextmanager
+def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
+    """The threads of each rank, in a block that rank 0 alone enters; without ranks what was given.
+
+    Args:
+        what: is kept, for the sentence that is said where a rank dies.
+
+    Raises:
+        Exit: here and on every other rank, when rank 0 is done.
+    """
+    if world_size() < 2:
+        yield threads
+        return
+    threads = threads or own_threads()
+    use_threads(threads)
+    with watched(what, sys.argv[1:]) if is_first() else nullcontext():
+        comm = world()
+        atexit.register(leave)  # when all is said: a launcher may not listen any longer
+        if comm.rank:
+            raise typer.Exit(serve(comm))
+        with Driver(comm):
+            yield threads

@@ -66,8 +66,6 @@ def study(
         )
     if comparison is not None:
         show_comparison(comparison)
-    for record in records:
-        for sentence, is_warning in cache_notes(record):
-            if is_warning or comparison is None:
-                (console.print_warning if is_warning else console.print_line)(sentence)
+    notes = (note for record in records for note in cache_notes(record))
+    console.show_notes(note for note in notes if note[1] or comparison is None)
     console.done(folder, "all steps done")

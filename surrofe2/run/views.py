@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from importlib import import_module
+from io import BytesIO
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +19,6 @@ from surrofe2.units import ENERGY, FORCE, LENGTH
 
 Array = NDArray[np.float64]
 Facts = Mapping[str, object]
-
-_WIDTH, _HEIGHT = 320.0, 90.0
 
 
 class Viewed(ABC):
@@ -152,24 +152,21 @@ def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[
 
 
 def _drawn(curve: DisplacementCurve) -> str:
-    """The components of a displacement over time, between their extremes."""
+    """The components of a displacement over time, as a picture."""
     if curve.t.size < 2:
         return ""
-    u: Array = curve.displacement
-    low, high = float(u.min()), float(u.max())
-    x = _WIDTH * (curve.t - curve.t[0]) / (curve.t[-1] - curve.t[0])
-    y = _HEIGHT * (high - u) / max(high - low, 1e-300)
-    lines = [
-        f'<polyline fill="none" stroke="{colour}" points="'
-        + " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y[:, k], strict=True))
-        + '"/>'
-        for k, colour in enumerate(("#0072B2", "#D55E00"))
-    ]
-    told = f"displacement {low:.4g} to {high:.4g} µm: u_x blue, u_y orange"
-    return (
-        f'<svg width="{_WIDTH:g}" height="{_HEIGHT:g}" role="img" aria-label="{told}">'
-        f"<title>{told}</title>{''.join(lines)}</svg><br/><small>{told}</small>"
-    )
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.5, 2.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(curve.t, curve.displacement, label=["$u_x$", "$u_y$"])
+    axes.set(xlabel="time t (µs)", ylabel="displacement (µm)")
+    axes.legend(fontsize="small")
+    axes.grid(alpha=0.3)
+    picture = BytesIO()
+    figure.savefig(picture, format="png")
+    source = b64encode(picture.getvalue()).decode()
+    return f'<img alt="displacement over time" src="data:image/png;base64,{source}"/>'
 
 
 def _library(name: str, method: str) -> Any:

@@ -1,13 +1,11 @@
-"""Elements of the page, charts among them, and the document with its policy."""
+"""Elements of the page, charts among them."""
 
 from __future__ import annotations
 
 import base64
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from typing import Any
 
 from surrofe2.report.figures import PALETTE, Panel, drawn, make_figure
@@ -107,40 +105,3 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[Any]], names: int = 1
 def table_of(quantities: Table[Any]) -> str:
     """What people are shown of a table."""
     return table(*quantities.for_people())
-
-
-def document(title: str, sections: Sequence[tuple[str, str, str]], data: str) -> str:
-    """The whole page.
-
-    Args:
-        sections: key, heading and content of each.
-        data: JSON for the script.
-    """
-    style, script = (_beside(f"page.{kind}") for kind in ("css", "js"))
-    policy = (
-        f"default-src 'none'; img-src data:; style-src {_digest(style)}; "
-        f"script-src {_digest(script)}; base-uri 'none'; form-action 'none'"
-    )
-    links = "".join(f'<li><a href="#{key}">{escape(name)}</a></li>' for key, name, _ in sections)
-    content = "".join(each for *_, each in sections)
-    # A JSON string has no "<" that could end the element early.
-    safe = data.replace("<", "\\u003c")
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{style}</style></head>\n<body>\n"
-        f'<header><h1>{escape(title)}</h1><nav aria-label="Sections"><ul>{links}</ul></nav>'
-        f"</header>\n<main>{content}</main>\n"
-        f'<script type="application/json" id="data">{safe}</script>\n'
-        f"<script>{script}</script>\n</body></html>\n"
-    )
-
-
-def _beside(name: str) -> str:
-    return files("surrofe2.report.page").joinpath(name).read_text(encoding="utf-8")
-
-
-def _digest(text: str) -> str:
-    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-    return f"'sha256-{digest}'"

@@ -17,9 +17,8 @@ from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simul
 from surrofe2.errors import InputError
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane
 from surrofe2.report.figures import Curve, Panel
-from surrofe2.report.page.bodies import bodies_of, outline
 from surrofe2.report.page.html import chart
-from surrofe2.report.page.motion import motion_section
+from surrofe2.report.page.motion import bodies_of, motion_section, outline
 from surrofe2.report.page.seen import Seen
 from surrofe2.store.run_folder import read_record, write_record
 from surrofe2.workflow.report import see_runs, write_report
