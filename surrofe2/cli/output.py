@@ -121,7 +121,8 @@ def show_table(title: str, table: Table[Any], names: int = 1) -> None:
         named = f"{title}, continued" if k else title
         shown = [*range(names), *part]
         fits = sum(widths[k] for k in shown) < console.width
-        drawn = ShownTable(title=named, title_justify="left", box=SIMPLE_HEAD, padding=0)
+        console.print(Text(named, style="italic"))
+        drawn = ShownTable(box=SIMPLE_HEAD, padding=0)
         for j in shown:
             how = {"width": widths[j] - 1} if fits else {"min_width": heads[j]}
             drawn.add_column(columns[j], justify="right" if j else "left", **how)

@@ -52,9 +52,10 @@ def run(
             "cell are merged. Default: an empty one.",
         ),
     ] = None,
-    harvest: Annotated[
-        bool, typer.Option(help="Keep the true answers of cached runs in DIR/harvest.h5.")
-    ] = True,
+    no_harvest: Annotated[
+        bool,
+        typer.Option("--no-harvest", help="Do not keep the RVE stresses in DIR/harvest.h5."),
+    ] = False,
     cell_fields: Annotated[
         bool,
         typer.Option(
@@ -96,7 +97,7 @@ def run(
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
     ParaView; with --law table the table, with --law cached or table the harvest of true stresses.
 
-    mpiexec -n N before the command deals the RVEs to N ranks (needs surrofe2[mpi]).
+    mpiexec -n N before the command deals the RVEs to N ranks (needs surrofe2\\[mpi]).
 
     Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
 
@@ -119,7 +120,7 @@ def run(
                 out,
                 surrogates=files_by_cell(study, surrogate or ()),
                 tables=table or (),
-                harvest=harvest,
+                harvest=not no_harvest,
                 fresh=fresh,
                 report=report,
             )

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from surrofe2.cli import COMMANDS, app, output
+from surrofe2.cli import app, output
 from surrofe2.cli import progress as shown
 from surrofe2.report.tables import Quantity, Table
 
@@ -91,15 +91,6 @@ def test_no_colours_where_none_are_wanted(monkeypatch):
         text.truncate(0)
         output.print_error("error: x")
         assert ("\x1b[31m" in text.getvalue()) == coloured
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_all_commands_have_the_options_of_all(name):
-    told = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"})
-    assert told.exit_code == 0, told.output
-    for option in ("--quiet", "--traceback"):
-        assert option in told.output
-    assert max(map(len, told.output.splitlines())) <= 80
 
 
 def test_completion_knows_commands_and_their_options():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from contextlib import contextmanager
-from itertools import product
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from surrofe2.workflow.refinement import refine_surrogate
 from surrofe2.workflow.train import has_stalled, train_surrogate
 
 MET, NEVER = 1e3, 1e-12
-INTERRUPTIONS = [*product(["train"], [0, 3, 6]), *product(["generate"], [0, 1, 3])]
+INTERRUPTIONS = [("train", 0), ("train", 6), ("generate", 0), ("generate", 3)]
 
 
 @pytest.fixture(autouse=True)
@@ -169,8 +168,9 @@ def test_both_commands_go_on_where_one_was_interrupted(whole, invoke):
     assert same(path, train_surrogate(recipe).path)
 
 
-@pytest.mark.parametrize("command", ["train", "generate", "study"])
-@pytest.mark.parametrize("stated_first", [True, False])
+@pytest.mark.parametrize(
+    ("command", "stated_first"), [("train", True), ("generate", False), ("study", True)]
+)
 def test_samples_of_a_stated_number_and_of_none_are_not_the_same(
     wanting, invoke, recipe, command, stated_first
 ):

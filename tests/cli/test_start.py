@@ -36,7 +36,6 @@ def test_a_cached_run_imports_what_it_uses(invoke, changed_recipe, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
-        (["--version"], 0, "surrofe2"),
         (["run"], 2, "Missing argument"),
         (["check", "none.toml"], 1, "none.toml"),
     ],

@@ -204,6 +204,7 @@ def test_problem_of_its_own_beside_finite_elements(stated, folder, tmp_path, mon
     assert again.exit_code == 0
 
 
+@pytest.mark.slow
 def test_all_conditions_and_bodies_of_a_recipe_act_on_a_tissue(stated, folder):
     """A rough corner, a pressure, a foundation, and a region that moves as a whole."""
     recipe = stated(
