@@ -65,9 +65,9 @@ class Commands(TyperGroup):
             return None
         docstring = _docstring(cmd_name)
         example = docstring.partition("Example: [bold]")[2].partition("[/bold]")[0]
-        told = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
+        summary = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
         return TyperCommand(
-            cmd_name, help=told, short_help=told, rich_help_panel=COMMANDS[cmd_name]
+            cmd_name, help=summary, short_help=summary, rich_help_panel=COMMANDS[cmd_name]
         )
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -75,12 +75,12 @@ class Commands(TyperGroup):
         name, shown, rest = super().resolve_command(ctx, args)
         if name is None or shown is None:
             return name, shown, rest
-        found = getattr(import_module(f"surrofe2.cli.{MODULES.get(name, name)}"), name)
-        if isinstance(found, typer.Typer):
-            command: Any = typer.main.get_command(found)
+        function = getattr(import_module(f"surrofe2.cli.{MODULES.get(name, name)}"), name)
+        if isinstance(function, typer.Typer):
+            command: Any = typer.main.get_command(function)
         else:
             single = typer.Typer(rich_markup_mode="rich", add_completion=False)
-            single.command(name, help=_flowing(found.__doc__))(found)
+            single.command(name, help=_flowing(function.__doc__))(function)
             command = typer.main.get_command(single)
         command.name = name
         command.params += _shared_options(command, ctx)
@@ -89,8 +89,8 @@ class Commands(TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Take the options of all commands wherever they stand, before or after the command."""
-        found = [entry for entry in args if entry in SHARED]
-        args = [*found, *(entry for entry in args if entry not in SHARED)]
+        shared = [entry for entry in args if entry in SHARED]
+        args = [*shared, *(entry for entry in args if entry not in SHARED)]
         ctx.meta["arguments"] = list(args)
         return super().parse_args(ctx, args)
 
@@ -105,27 +105,27 @@ class Commands(TyperGroup):
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
-            told = shortened(f"{error.filename}: {error.strerror}")
-            raise _ended(f"error: {told}", 1) from None
+            message = shortened(f"{error.filename}: {error.strerror}")
+            raise _ended(f"error: {message}", 1) from None
         except InterruptedWork as work:
-            told = f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}"
-            raise _ended(told, exit_code()) from None
+            message = f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}"
+            raise _ended(message, exit_code()) from None
         except KeyboardInterrupt:
-            told = "interrupted: nothing was changed"
-            raise _ended(told, exit_code()) from None
+            message = "interrupted: nothing was changed"
+            raise _ended(message, exit_code()) from None
 
 
 def _docstring(command: str) -> str:
     """The docstring of a command, without importing its module."""
     source = Path(__file__).with_name(f"{MODULES.get(command, command)}.py")
     functions = ast.parse(source.read_text(encoding="utf-8")).body
-    (found,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == command)
-    return ast.get_docstring(found) or ""
+    (function,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == command)
+    return ast.get_docstring(function) or ""
 
 
-def _ended(told: str, code: int) -> typer.Exit:
+def _ended(message: str, code: int) -> typer.Exit:
     """Say how a command ended that did not finish."""
-    output.print_error(told)
+    output.print_error(message)
     return typer.Exit(code)
 
 

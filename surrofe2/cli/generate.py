@@ -38,5 +38,5 @@ def generate(
             what, count = f"generate {name}".rstrip(), wanted_count(part, fresh=fresh)
             begun = (part.data_path(),)
             with console.working(what, count, "samples", kept, begun) as report:
-                made = generate_data_set(part, fresh=fresh, executor=executor, report=report)
-            console.done(made.path, data_summary(made))
+                data_set = generate_data_set(part, fresh=fresh, executor=executor, report=report)
+            console.done(data_set.path, data_summary(data_set))

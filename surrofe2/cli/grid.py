@@ -54,7 +54,7 @@ def grid(
     folder = out or Path("out") / f"grid-{recipe.stem}"
     kept = console.on_interrupt(f"{folder} keeps what is finished")
     with kept, executor_of(workers, scheduler) as executor:
-        found = run_grid(
+        result = run_grid(
             recipe,
             values,
             folder,
@@ -64,23 +64,23 @@ def grid(
             fresh=fresh,
             stage=console.progress,
         )
-    title = f"{recipe.name}, {len(found.rows)} runs"
-    console.show_table(title, found.table, names=found.names)
-    console.done(folder, f"{len(found.rows)} runs, {', '.join(GRID_FILES)}")
-    if found.failed:
-        name, sentence = next(iter(found.failed.items()))
+    title = f"{recipe.name}, {len(result.rows)} runs"
+    console.show_table(title, result.table, names=result.names)
+    console.done(folder, f"{len(result.rows)} runs, {', '.join(GRID_FILES)}")
+    if result.failed:
+        name, sentence = next(iter(result.failed.items()))
         raise SimulationError(
-            f"{len(found.failed)} of {len(found.rows)} runs failed, {name} first: {sentence}"
+            f"{len(result.failed)} of {len(result.rows)} runs failed, {name} first: {sentence}"
         )
 
 
 def _values(entries: list[str]) -> dict[str, list[Any]]:
     """Values by entry of KEY=VALUES."""
-    found: dict[str, list[Any]] = {}
+    values: dict[str, list[Any]] = {}
     for entry in entries:
         name, sign, text = entry.partition("=")
-        if not sign or name in found:
+        if not sign or name in values:
             why = "it is there twice" if sign else "it must be KEY=VALUES"
             raise InputError(f"--set: {quoted(entry)}; {why}")
-        found[name] = listed_values(name, text)
-    return found
+        values[name] = listed_values(name, text)
+    return values

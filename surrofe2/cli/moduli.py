@@ -145,12 +145,12 @@ def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
     """Compute and show them; what a file says of them."""
     chosen = INITIALISATIONS if initialisation == "all" else (initialisation,)
     with on_interrupt("nothing was changed"), stages() as stage:
-        found = {}
+        moduli_by_name = {}
         with stage("moduli", len(chosen), "initialisations") as report:
             pressure = turgor_of(of.cell)
             for name in chosen:
-                found[name] = cell_moduli(of.cell, name)
-                report(len(found), "")
+                moduli_by_name[name] = cell_moduli(of.cell, name)
+                report(len(moduli_by_name), "")
         method = "slow-manifold" if initialisation == "all" else initialisation
         over = {}
         for name, change in CHANGES.items() if tables else ():
@@ -162,7 +162,7 @@ def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
         f"fluid), {pressure.walls:.4g} MPa (carried by the walls)"
     )
-    shown = moduli_tables(of.cell, found)
+    shown = moduli_tables(of.cell, moduli_by_name)
     for title, table in shown.items():
         show_table(title, table)
     for name, table in over.items():

@@ -49,5 +49,5 @@ def _asked() -> str:
         raise InputError(f"--example: missing; it must be one of {', '.join(KINDS)}")
     for k, (kind, about) in enumerate(KINDS.items(), 1):
         console.print_line(f"{k}  {kind:8} {about}")
-    told = str(typer.prompt("Which kind of problem", default="1"))
-    return list(KINDS)[int(told) - 1] if told in map(str, range(1, len(KINDS) + 1)) else told
+    answer = str(typer.prompt("Which kind of problem", default="1"))
+    return list(KINDS)[int(answer) - 1] if answer in map(str, range(1, len(KINDS) + 1)) else answer

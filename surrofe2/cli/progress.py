@@ -19,13 +19,13 @@ Report = Callable[[float, str], None]
 SELDOM = 10.0
 """Seconds between lines where there is no terminal; work that is done sooner says nothing."""
 _SETTLED = 0.5
-"""Seconds before a rate is told."""
+"""Seconds before a rate is reported."""
 
 
 class Clock:
     """The rate of work and the time that is left; what was done before counts for neither.
 
-    Work whose total is 1 is told in shares alone.
+    Work whose total is 1 is reported in shares alone.
     """
 
     def __init__(self, total: float, unit: str) -> None:
@@ -36,7 +36,7 @@ class Clock:
         """How far the work is in its unit."""
         return "" if self._total == 1.0 else f"{_short(done)} of {_short(self._total)} {self._unit}"
 
-    def told(self, done: float) -> tuple[str, str]:
+    def rate_and_time_left(self, done: float) -> tuple[str, str]:
         """(time left, rate) as people say them, empty where not known yet."""
         moment = time.perf_counter()
         if self._first is None and done > 0.0:
@@ -73,7 +73,7 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
         TextColumn("{task.description}"),
         BarColumn(bar_width=_bar_width(console)),
         TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[told]}"),
+        TextColumn("{task.fields[status]}"),
     )
     # what is piped elsewhere goes there
     redirected = sys.stdout.isatty()
@@ -84,17 +84,17 @@ def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Repo
 @contextmanager
 def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
     clock, began = Clock(total, unit), time.perf_counter()
-    task = shown.add_task(what, total=total, told="")
+    task = shown.add_task(what, total=total, status="")
 
     def report(done: float, note: str = "") -> None:
-        parts = [each for each in (clock.far(done), *clock.told(done), note) if each]
+        parts = [each for each in (clock.far(done), *clock.rate_and_time_left(done), note) if each]
         space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
         while len(", ".join(parts)) > space and parts:
             parts.pop()
-        shown.update(task, completed=done, told=", ".join(parts))
+        shown.update(task, completed=done, status=", ".join(parts))
 
     yield report
-    shown.update(task, completed=total, told=time_text(time.perf_counter() - began))
+    shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
 
 
 @contextmanager
@@ -103,13 +103,13 @@ def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
 
     def report(done: float, note: str = "") -> None:
         nonlocal last
-        left_and_rate = clock.told(done)
+        left_and_rate = clock.rate_and_time_left(done)
         if now().quiet or time.perf_counter() - last < SELDOM:
             return
         last = time.perf_counter()
         share = f"{100.0 * done / total:.0f} %" if total else ""
-        told = ", ".join(each for each in (share, *left_and_rate, note) if each)
-        typer.echo(f"{what}: {told}", err=True)
+        status = ", ".join(each for each in (share, *left_and_rate, note) if each)
+        typer.echo(f"{what}: {status}", err=True)
 
     yield report
 

@@ -109,9 +109,9 @@ _COLUMNS: tuple[Quantity[Any], ...] = (
 )
 
 
-def _table(found: dict[str, dict[str, Any]]) -> Table[Any]:
+def _table(by_method: dict[str, dict[str, Any]]) -> Table[Any]:
     rows = []
-    for method, numbers in found.items():
+    for method, numbers in by_method.items():
         figures = zip(*(numbers[k] for k in ("period", "decrement", "damping_ratio")), strict=True)
         for k, each in enumerate(figures):
             values = method, numbers["watched"][1], k + 1, *each

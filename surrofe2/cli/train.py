@@ -108,10 +108,10 @@ def refine(
     """
     study = open_study(recipe, threads)
     folder = out or Path("out") / f"refine-{recipe.stem}"
-    found: list[Round] = []
+    rounds_done: list[Round] = []
 
     def tell(row: Round) -> None:
-        found.append(row)
+        rounds_done.append(row)
         console.print_line(row.sentence)
 
     try:
@@ -126,13 +126,13 @@ def refine(
                 tell=tell,
             )
     except SimulationError:
-        show_rounds(found)
+        show_rounds(rounds_done)
         raise
-    show_rounds(found)
+    show_rounds(rounds_done)
     files = ", ".join(str(folder / of_cell(SURROGATE, name)) for name in study.parts(cell))
-    console.done(files, f"settled after {found[-1].round + 1} rounds")
+    console.done(files, f"settled after {rounds_done[-1].round + 1} rounds")
 
 
-def show_rounds(found: list[Round]) -> None:
+def show_rounds(rounds_done: list[Round]) -> None:
     """The table of rounds."""
-    console.show_table("Rounds", Table(QUANTITIES, found))
+    console.show_table("Rounds", Table(QUANTITIES, rounds_done))

@@ -35,12 +35,12 @@ def zoom(
     folder = run / f"zoom-{x:g}-{y:g}" if out is None else out
     with console.working("zoom", 1.0, "parts", f"{folder} may lack files") as report:
         report(0.0, "plant cells")
-        found = zoom_into(run, (x, y))
-        write_zoom(found, folder, report)
-    last = {name: values[-1] for name, values in found.seen.extremes().items()}
+        look = zoom_into(run, (x, y))
+        write_zoom(look, folder, report)
+    last = {name: values[-1] for name, values in look.seen.extremes().items()}
     console.done(
         folder,
-        f"element {found.element} at {len(found.t)} times; at the last wall stretch up "
+        f"element {look.element} at {len(look.t)} times; at the last wall stretch up "
         f"to {last['largest_wall_stretch']:.4g}, turgor {last['lowest_turgor_uN_per_um']:.3g} to "
         f"{last['highest_turgor_uN_per_um']:.3g} µN/µm",
     )

@@ -178,8 +178,8 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     )
 
 
-def _ratio(reference: float, own: float) -> float | None:
-    return reference / own if own and reference else None
+def _ratio(reference: float, run: float) -> float | None:
+    return reference / run if run and reference else None
 
 
 def _law_time(record: RunRecord) -> float:

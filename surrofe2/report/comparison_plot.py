@@ -96,8 +96,8 @@ def comparison_title(runs: Sequence[StoredRun]) -> str:
     reference = (order_runs(runs) if len(runs) > 1 else runs)[0]
     recipe = reference.record.recipe
     notes = [cell_title(recipe), _usual(reference)]
-    told = ", ".join(filter(None, notes))
-    return f"{watched_title(reference)}: {problem_title(recipe)}" + (told and f",\n{told}")
+    details = ", ".join(filter(None, notes))
+    return f"{watched_title(reference)}: {problem_title(recipe)}" + (details and f",\n{details}")
 
 
 def watched_title(run: StoredRun) -> str:
@@ -105,15 +105,15 @@ def watched_title(run: StoredRun) -> str:
     watched = run.record.problem.get("watched") or run.record.recipe.get("watch", {})
     for name, at in watched.items():
         if at:
-            own = "" if name == "point" else f" “{name}”"
-            return f"Watched point{own} ({at[0]:g}, {at[1]:g}) µm"
+            label = "" if name == "point" else f" “{name}”"
+            return f"Watched point{label} ({at[0]:g}, {at[1]:g}) µm"
     return "Watched point"
 
 
 def cell_title(recipe: Mapping[str, Any]) -> str:
     """The preset of each cell, with the constants that are not the preset's."""
     cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
-    told = []
+    titles = []
     for name, cell in cells.items():
         preset = str(cell.get("preset", "none"))
         known = PRESETS[preset].to_dict() if preset in PRESETS else {}
@@ -121,8 +121,8 @@ def cell_title(recipe: Mapping[str, Any]) -> str:
         if len(changed) > _MOST_NAMED:
             changed = [*changed[:_MOST_NAMED], f"{len(changed) - _MOST_NAMED} more constants"]
         but = f" but {', '.join(changed)}" if changed else ""
-        told.append(f"cell {name and name + ' '}by preset “{preset}”{but}")
-    return ", ".join(told)
+        titles.append(f"cell {name and name + ' '}by preset “{preset}”{but}")
+    return ", ".join(titles)
 
 
 def _usual(reference: StoredRun) -> str:
@@ -151,12 +151,12 @@ def audit_curves(k: int, audit: Mapping[str, Any]) -> list[Curve]:
         return Curve("", np.full(2, x), high, label, markers=False, colour=k, dash=dash)
 
     percent = np.concatenate([[0.0], 100.0 * shares])
-    found = [Curve("", edges, percent, markers=False, colour=k, dash="-", steps=True)]
-    found.append(line(audit["quantiles"]["0.99"], ":"))
+    curves = [Curve("", edges, percent, markers=False, colour=k, dash="-", steps=True)]
+    curves.append(line(audit["quantiles"]["0.99"], ":"))
     if np.isfinite(tolerance := float(audit["tolerance"])):
         above = f"tolerance: {audit['violations']} of {audit['audited']:,} above"
-        found.append(line(tolerance, "--", above))
-    return found
+        curves.append(line(tolerance, "--", above))
+    return curves
 
 
 def coarse_histogram(histogram: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:

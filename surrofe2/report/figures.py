@@ -232,14 +232,14 @@ def _other_style(k: int, markers: bool) -> dict[str, str]:
 
 def _draw_legend(figure: Figure, places: Iterable[Axes]) -> None:
     """One legend below all axes, each label once; none for a single label."""
-    found: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     for place in places:
         for handle, label in zip(*place.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    if len(found) > 1:
+            handles.setdefault(label, handle)
+    if len(handles) > 1:
         figure.legend(
-            list(found.values()),
-            list(found),
+            list(handles.values()),
+            list(handles),
             loc="outside lower center",
             ncols=3 if figure.get_figwidth() > 8.0 else 2,
             frameon=False,

@@ -144,8 +144,8 @@ class Grid:
     def table(self) -> Table[GridRow]:
         """What people read of it."""
         law: Quantity[GridRow] = Quantity("law", "", "", lambda row: row.law)
-        own = [_of_entry(name, self.values) for name in self.values] + [law] * self.has_laws
-        return Table((*own, *QUANTITIES), self.rows)
+        entries = [_of_entry(name, self.values) for name in self.values] + [law] * self.has_laws
+        return Table((*entries, *QUANTITIES), self.rows)
 
     @property
     def failed(self) -> dict[str, str]:
@@ -208,8 +208,8 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
 
     def label(row: GridRow, names: list[str]) -> str:
         known = [name for name in names if name in row.values]
-        told = [f"{_short(name, grid.values)} {text_of(row.values[name])}" for name in known]
-        return ", ".join([*told, *([row.law] if grid.has_laws else [])])
+        parts = [f"{_short(name, grid.values)} {text_of(row.values[name])}" for name in known]
+        return ", ".join([*parts, *([row.law] if grid.has_laws else [])])
 
     drawn = [row for row in grid.rows if row.run is not None]
     some = np.unique(np.linspace(0, len(drawn) - 1, min(len(drawn), _MOST_CURVES)).round())
@@ -234,12 +234,12 @@ def _ends(values: tuple[Any, ...]) -> str:
 
 def _over_time(rows: list[GridRow], labels: list[str]) -> Panel:
     """The larger component of the watched displacement."""
-    found = [row.run.curve for row in rows if row.run is not None]
-    sizes = np.array([abs(curve.displacement).max(axis=0) for curve in found])
+    curves_shown = [row.run.curve for row in rows if row.run is not None]
+    sizes = np.array([abs(curve.displacement).max(axis=0) for curve in curves_shown])
     axis = int(sizes.max(axis=0).argmax())
     curves = [
         Curve("", curve.t, curve.displacement[:, axis], label, markers=False, colour=k)
-        for k, (curve, label) in enumerate(zip(found, labels, strict=True))
+        for k, (curve, label) in enumerate(zip(curves_shown, labels, strict=True))
     ]
     title = "displacement of the watched point"
     return Panel("time $t$ (µs)", f"$u_{'xy'[axis]}$ (µm)", tuple(curves), title)
@@ -256,7 +256,7 @@ def _over_values(
     grid: Grid, over: str, name: str, groups: Mapping[str, list[GridRow]]
 ) -> list[Curve]:
     places = _places(grid, over)
-    found = []
+    curves = []
     for k, (label, rows) in enumerate(groups.items()):
         x = np.array([places[text_of(row.values[over])] for row in rows])
         order = np.argsort(x)
@@ -267,10 +267,10 @@ def _over_values(
         y = fact(name)  # None: NaN
         if np.isnan(y).all():
             continue
-        found.append(Curve("", x[order], y, label or grid.recipe, colour=k))
+        curves.append(Curve("", x[order], y, label or grid.recipe, colour=k))
         if name == "stress error":
-            found.append(Curve("reference", x[order], fact("tolerance"), "tolerance of stress"))
-    return found
+            curves.append(Curve("reference", x[order], fact("tolerance"), "tolerance of stress"))
+    return curves
 
 
 def _panel(grid: Grid, over: str, name: str, axis: str, curves: list[Curve], log_y: bool) -> Panel:

@@ -10,7 +10,7 @@ from typing import Any
 from surrofe2.errors import InputError, MismatchError
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page.document import page_of
-from surrofe2.report.page.seen import OF_ELEMENTS, OF_POINTS, Seen, SeenRun
+from surrofe2.report.page.report_data import OF_ELEMENTS, OF_POINTS, ReportData, RunData
 from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import read_bytes, read_columns, write_text
@@ -31,29 +31,31 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
     if not folders:
         raise InputError("report: no run folder; give at least one")
     path = Path(out)
-    write_text(path, page_of(see_runs(folders)))
+    write_text(path, page_of(load_runs(folders)))
     return path
 
 
-def see_runs(folders: Sequence[str | Path]) -> Seen:
+def load_runs(folders: Sequence[str | Path]) -> ReportData:
     """What these run folders hold, the reference first."""
     runs = [read_run(folder, finished=False) for folder in folders]
     if len(runs) == 1:
-        return Seen((_see(runs[0]),), None, "One run, so there is nothing to compare it with.")
-    seen = tuple(_see(run) for run in order_runs(runs))
+        return ReportData(
+            (_load(runs[0]),), None, "One run, so there is nothing to compare it with."
+        )
+    seen = tuple(_load(run) for run in order_runs(runs))
     try:
-        return Seen(seen, compare(runs))
+        return ReportData(seen, compare(runs))
     except MismatchError as error:
-        return Seen(seen, None, f"Not compared: {error}.")
+        return ReportData(seen, None, f"Not compared: {error}.")
 
 
-def _see(run: StoredRun) -> SeenRun:
+def _load(run: StoredRun) -> RunData:
     folder = run.folder
     energies = folder / "energies.csv"
     columns = read_columns(energies) if energies.exists() else {}
     has_fields, has_points = ((folder / f"{name}.h5").exists() for name in (FIELDS, POINTS))
     zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
-    return SeenRun(
+    return RunData(
         run=run,
         energies=columns,
         fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,

@@ -1,6 +1,6 @@
 """A run folder as one HTML page that needs nothing else.
 
-seen             what a page is made of, read from run folders by the workflow
+report_data      what a page is made of, read from run folders by the workflow
 html             elements, charts, tables, figures
 motion           the deformed tissue with rigid bodies: arrays for the script, and a still picture
 outcome          displacements, forces, energies, stress and strain, costs, provenance

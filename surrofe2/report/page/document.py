@@ -20,11 +20,11 @@ from surrofe2.report.page.outcome import (
     origin_section,
     particle_section,
 )
-from surrofe2.report.page.seen import Seen
+from surrofe2.report.page.report_data import ReportData
 from surrofe2.report.page.trust import audit_section, fallback_section, range_section
 
 
-def page_of(seen: Seen) -> str:
+def page_of(seen: ReportData) -> str:
     """One HTML file that needs nothing else."""
     motion, data = motion_section(seen)
     names = ", ".join(each.name for each in seen.runs)

@@ -27,9 +27,11 @@ def missing(text: str) -> str:
 
 def image(picture: bytes, words: str, form: str = "svg+xml") -> str:
     """A picture, SVG or "png"; its words for those who do not see it."""
-    told = re.sub(r"\$([^$]*)\$", lambda found: found[1].replace("_", ""), " ".join(words.split()))
+    alternative = re.sub(
+        r"\$([^$]*)\$", lambda symbol: symbol[1].replace("_", ""), " ".join(words.split())
+    )
     source = f"data:image/{form};base64,{base64.b64encode(picture).decode()}"
-    return f'<img class="chart" alt="{escape(told, quote=True)}" src="{source}">'
+    return f'<img class="chart" alt="{escape(alternative, quote=True)}" src="{source}">'
 
 
 def chart(panel: Panel) -> str:
@@ -57,11 +59,11 @@ def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
     axes.set_xlabel(unit)
     handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     figure.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
-    told = "; ".join(
+    alternative = "; ".join(
         f"{label}: " + ", ".join(f"{name} {value:.3g} {unit}" for name, value in parts.items())
         for label, parts in rows
     )
-    return image(drawn(figure, "svg"), told)
+    return image(drawn(figure, "svg"), alternative)
 
 
 def figure(content: str, caption: str) -> str:

@@ -17,7 +17,7 @@ from surrofe2.problem.entries import body_of
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, Shape
 from surrofe2.report.figures import drawn, make_figure
 from surrofe2.report.page.html import figure, grid, image, missing, section
-from surrofe2.report.page.seen import VON_MISES, WALL_STRETCH, Seen, SeenRun
+from surrofe2.report.page.report_data import VON_MISES, WALL_STRETCH, ReportData, RunData
 from surrofe2.store.fields import SOURCE_NAME, StoredFields
 from surrofe2.stress_law import SURROGATE, TABLE, Status
 
@@ -48,7 +48,7 @@ _COLOURS = colormaps["viridis"].with_extremes(bad="0.6")
 """Those of the script, grey where nothing is known."""
 
 
-def motion_section(seen: Seen) -> tuple[str, list[dict[str, Any]]]:
+def motion_section(seen: ReportData) -> tuple[str, list[dict[str, Any]]]:
     """The section, and what the script needs of each run."""
     shown = [each for each in seen.runs if each.fields is not None]
     parts = [
@@ -85,18 +85,18 @@ _PLAYER = (
 def _colours(fields: StoredFields) -> dict[str, tuple[str, Array]]:
     """By name: unit and (m, e) values to colour by."""
     size = np.linalg.norm(fields.displacement, axis=2)
-    found = {"displacement": ("µm", size[:, fields.cells].mean(axis=2))}
+    colours = {"displacement": ("µm", size[:, fields.cells].mean(axis=2))}
     for name, unit, key in (
         ("von Mises stress", "µN/µm", VON_MISES),
         ("largest wall stretch", "length / rest length", WALL_STRETCH),
         ("stress source", "", SOURCE_NAME),
     ):
         if key in fields.values:
-            found[name] = unit, fields.values[key]
-    return found
+            colours[name] = unit, fields.values[key]
+    return colours
 
 
-def _arrays(run: SeenRun, budget: int) -> dict[str, Any]:
+def _arrays(run: RunData, budget: int) -> dict[str, Any]:
     """A run for the script: numbers as bytes in base64, as many times as the budget has room for.
 
     Displacements are 16-bit shares of the largest component, values 8-bit levels.
@@ -168,7 +168,7 @@ def _box(reached: Array, bodies: Sequence[DrawnBody]) -> tuple[Array, Array]:
     return low - room, high + room
 
 
-def _still(run: SeenRun, factor: int) -> str:
+def _still(run: RunData, factor: int) -> str:
     """The tissue where it has moved farthest, by stress, for paper and without the script."""
     name, fields = run.name, run.fields
     assert fields is not None
@@ -253,21 +253,23 @@ class DrawnBody:
         return self.outline + factor * self.moved[k]
 
 
-def bodies_of(run: SeenRun) -> list[DrawnBody]:
+def bodies_of(run: RunData) -> list[DrawnBody]:
     """The bodies of a run with fields."""
     fields, history = run.fields, run.run.history
     if fields is None:
         return []
     far = 4.0 * float(np.ptp(fields.points, axis=0).max())
-    found = []
+    bodies = []
     for name, stated in run.record.recipe.get("bodies", {}).items():
         body = body_of(name, stated)
         moved = np.zeros((len(fields.t), 2))
         if f"position {name} x" in history:  # counted from where the body began
-            told = [history[f"position {name} {axis}"] for axis in "xy"]
-            moved = np.stack([np.interp(fields.t, run.run.curve.t, each) for each in told], axis=1)
-        found.append(DrawnBody(np.array(body.position) + outline(body.shape, far), moved))
-    return found
+            position = [history[f"position {name} {axis}"] for axis in "xy"]
+            moved = np.stack(
+                [np.interp(fields.t, run.run.curve.t, each) for each in position], axis=1
+            )
+        bodies.append(DrawnBody(np.array(body.position) + outline(body.shape, far), moved))
+    return bodies
 
 
 def outline(shape: Shape, far: float) -> Array:

@@ -24,7 +24,7 @@ from surrofe2.report.page.html import (
     table,
     table_of,
 )
-from surrofe2.report.page.seen import Seen, SeenRun
+from surrofe2.report.page.report_data import ReportData, RunData
 from surrofe2.store.fields import F_NAME, STRESS_NAME
 from surrofe2.store.run_folder import made_for
 from surrofe2.store.store import flat
@@ -33,7 +33,7 @@ _MOST_RUNS = 2.0
 """Runs, as multiples of those from which on a cache pays, that its picture shows."""
 
 
-def displacement_section(seen: Seen) -> str:
+def displacement_section(seen: ReportData) -> str:
     """Curves of all runs, their differences and the forces on the tissue."""
     runs = [each.run for each in seen.runs]
     parts: list[str] = []
@@ -59,7 +59,7 @@ def displacement_section(seen: Seen) -> str:
     return section("displacement", "Displacement", parts)
 
 
-def energy_section(seen: Seen) -> str:
+def energy_section(seen: ReportData) -> str:
     """Energies over time and how well they balance, and stress over strain."""
     figures, lacking = [], []
     for each in seen.runs:
@@ -67,11 +67,11 @@ def energy_section(seen: Seen) -> str:
             lacking.append(missing(f"{each.name}: no energies.csv in its folder."))
             continue
         figures += _energies(each)
-    strains = [found for each in seen.runs if (found := _stress_over_strain(each))]
+    strains = [strain for each in seen.runs if (strain := _stress_over_strain(each))]
     return section("energy", "Energies, stress and strain", [grid(figures + strains), *lacking])
 
 
-def _energies(run: SeenRun) -> list[str]:
+def _energies(run: RunData) -> list[str]:
     clock = clock_of(run.run)
     columns = dict(run.energies)
     t = next(iter(columns.values()))
@@ -85,24 +85,26 @@ def _energies(run: SeenRun) -> list[str]:
         Curve("", t, values, name, markers=False, colour=k, dash=("-", "--", ":")[k // 6 % 3])
         for k, (name, values) in enumerate(named.items())
     )
-    found = [figure(chart(Panel(clock, "energy (pJ)", curves)), f"{run.name}: energies and works")]
+    figures = [
+        figure(chart(Panel(clock, "energy (pJ)", curves)), f"{run.name}: energies and works")
+    ]
     largest = max((float(np.nanmax(abs(values))) for values in named.values()), default=0.0)
     if balance is not None and largest:
         error = abs(balance) / largest
         panel = Panel(
             clock, "error of the balance", (Curve("", t, error, markers=False),), log_y=True
         )
-        found.append(
+        figures.append(
             figure(
                 chart(panel),
                 f"{run.name}: what the energies lack of a balance, as a share of the largest; at "
                 f"most {float(np.nanmax(error)):.1e}",
             )
         )
-    return found
+    return figures
 
 
-def _stress_over_strain(run: SeenRun) -> str:
+def _stress_over_strain(run: RunData) -> str:
     """The largest component of stress over that of the stretch, where stress becomes largest."""
     fields = run.fields
     if fields is None or not {STRESS_NAME, F_NAME} <= fields.values.keys():
@@ -111,13 +113,13 @@ def _stress_over_strain(run: SeenRun) -> str:
     size = np.nan_to_num(np.abs(stress)).max(axis=0)
     e, i, j = (int(k) for k in np.unravel_index(size.argmax(), size.shape))
     strain = F - np.eye(2)
-    own = 0.5 * (strain + strain.swapaxes(-1, -2))
+    symmetric = 0.5 * (strain + strain.swapaxes(-1, -2))
     x, y = fields.points[fields.cells[e]].mean(axis=0)
     axes = "xy"[i] + "xy"[j]
     panel = Panel(
         f"small strain $e_{axes}$ (1)",
         f"Cauchy stress $s_{axes}$ (µN/µm)",
-        (Curve("", own[:, e, i, j], stress[:, e, i, j], markers=False),),
+        (Curve("", symmetric[:, e, i, j], stress[:, e, i, j], markers=False),),
     )
     return figure(
         chart(panel),
@@ -125,7 +127,7 @@ def _stress_over_strain(run: SeenRun) -> str:
     )
 
 
-def cost_section(seen: Seen) -> str:
+def cost_section(seen: ReportData) -> str:
     """Seconds of each run and of what was made for it, and from when the cache pays."""
     rows = [(each.name, _seconds(each)) for each in seen.runs]
     figures = [
@@ -152,14 +154,16 @@ def cost_section(seen: Seen) -> str:
     return section("cost", "Time and speed-up", [*parts, grid(figures)])
 
 
-def _seconds(run: SeenRun) -> dict[str, float]:
+def _seconds(run: RunData) -> dict[str, float]:
     wall = run.record.wall_time
     law, macro = wall.get("law", 0.0), wall.get("macro", 0.0)
-    found = {"law": law, "macro scale": macro} if law or macro else {"run": wall.get("total", 0.0)}
+    seconds = (
+        {"law": law, "macro scale": macro} if law or macro else {"run": wall.get("total", 0.0)}
+    )
     if wall.get("compilation"):
-        found["kernels"] = wall["compilation"]
-    made = (run.record.surrogate or {}).get("seconds", {}) if made_for(run.record) else {}
-    return found | made
+        seconds["kernels"] = wall["compilation"]
+    preparation = (run.record.surrogate or {}).get("seconds", {}) if made_for(run.record) else {}
+    return seconds | preparation
 
 
 def _break_even(name: str, balance: Balance) -> str:
@@ -181,7 +185,7 @@ def _break_even(name: str, balance: Balance) -> str:
 _MOST_EVENTS = 200
 
 
-def particle_section(seen: Seen) -> str:
+def particle_section(seen: ReportData) -> str:
     """The plant cells that `surrofe2 zoom` looked into."""
     figures = [
         figure(
@@ -202,7 +206,7 @@ def particle_section(seen: Seen) -> str:
     return section("cells", "Plant cells", figures)
 
 
-def event_section(seen: Seen) -> str:
+def event_section(seen: ReportData) -> str:
     """The events of all runs, the last ones where there are many."""
     parts = []
     for each in seen.runs:
@@ -226,32 +230,32 @@ def _short(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def origin_section(seen: Seen) -> str:
+def origin_section(seen: ReportData) -> str:
     """Settings, by what and when each run was made, and the digests of its files."""
     names = [each.name for each in seen.runs]
     recipes = [flat(each.record.recipe) for each in seen.runs]
     keys = list(dict.fromkeys(key for recipe in recipes for key in recipe))
-    own = [[key, *(_short(recipe.get(key, "–")) for recipe in recipes)] for key in keys]
-    apart = [row for row in own if len(set(row[1:])) > 1]
-    made = {each.name: _provenance(each) for each in seen.runs}
-    entries = list(dict.fromkeys(key for of in made.values() for key in of))
-    rows = [[key, *(made[name].get(key, "–") for name in names)] for key in entries]
+    settings = [[key, *(_short(recipe.get(key, "–")) for recipe in recipes)] for key in keys]
+    apart = [row for row in settings if len(set(row[1:])) > 1]
+    provenance = {each.name: _provenance(each) for each in seen.runs}
+    entries = list(dict.fromkeys(key for of in provenance.values() for key in of))
+    rows = [[key, *(provenance[name].get(key, "–") for name in names)] for key in entries]
     parts = [f'<div class="words">{table(["", *names], rows)}</div>']
     if len(names) > 1:
         same = paragraph("All entries of the recipe are the same in all runs.")
         differ = f'<div class="words">{table(["entry that differs", *names], apart)}</div>'
         parts.append(differ if apart else same)
-    whole = [row if row in apart else row[:2] for row in own]
+    whole = [row if row in apart else row[:2] for row in settings]
     parts.append(
         folded(
-            f"The whole recipe: {len(own)} entries",
+            f"The whole recipe: {len(settings)} entries",
             f'<div class="words">{table(["entry", "value"], whole)}</div>',
         )
     )
     return section("origin", "Configuration and provenance", parts)
 
 
-def _provenance(run: SeenRun) -> dict[str, str]:
+def _provenance(run: RunData) -> dict[str, str]:
     record = run.record
     law = {"law": record.law, "initialisation": record.initialisation, "solver": record.solver}
     mesh = {
@@ -259,7 +263,7 @@ def _provenance(run: SeenRun) -> dict[str, str]:
     }
     surrogate = {"surrogate": (record.surrogate or {}).get("fingerprint", "–")}
     counts = {name.replace("_", " "): n for name, n in record.counts.items()}
-    found: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "status": record.status,
         **({"error": record.error} if record.error else {}),
         **law,
@@ -275,4 +279,4 @@ def _provenance(run: SeenRun) -> dict[str, str]:
         **record.platform,
         **{f"SHA-256 of {name}": value[:16] for name, value in record.files.items()},
     }
-    return {key: _short(value) for key, value in found.items()}
+    return {key: _short(value) for key, value in facts.items()}

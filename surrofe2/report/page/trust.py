@@ -12,7 +12,7 @@ from surrofe2.report.comparison_plot import audit_curves, clock_of
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.html import chart, figure, grid, missing, paragraph, section, table
 from surrofe2.report.page.motion import SOURCES, mesh_picture
-from surrofe2.report.page.seen import Seen, SeenRun
+from surrofe2.report.page.report_data import ReportData, RunData
 from surrofe2.store.fields import RISK_NAME, SOURCE_NAME
 from surrofe2.store.run_folder import caches_of
 from surrofe2.stress_law import SURROGATE, TABLE
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _CACHE = (SURROGATE, TABLE)
 
 
-def fallback_section(seen: Seen) -> str:
+def fallback_section(seen: ReportData) -> str:
     """Where and when the cache fell back on true RVEs."""
     parts: list[str] = []
     for each in seen.runs:
@@ -53,7 +53,7 @@ def _counted(accepted: Mapping[str, int]) -> str:
     )
 
 
-def _over_time_and_mesh(run: SeenRun) -> str:
+def _over_time_and_mesh(run: RunData) -> str:
     fields = run.fields
     assert fields is not None
     source = fields.values[SOURCE_NAME]
@@ -68,19 +68,19 @@ def _over_time_and_mesh(run: SeenRun) -> str:
         if (source == code).any()
     )
     panel = Panel(clock_of(run.run), "elements (%)", curves, zero=True)
-    found = [figure(chart(panel), f"{run.name}: who answered at the stored times")]
+    figures = [figure(chart(panel), f"{run.name}: who answered at the stored times")]
     share = by_rve.mean(axis=0)
-    found.append(
+    figures.append(
         figure(
             mesh_picture(fields, share, 0, ends=(0.0, max(float(share.max()), 1e-9))),
             f"{run.name}: share of the stored times at which an element had a point on RVEs, "
             f"from none (dark) to {100.0 * share.max():.3g} % (bright)",
         )
     )
-    return grid(found)
+    return grid(figures)
 
 
-def range_section(seen: Seen) -> str:
+def range_section(seen: ReportData) -> str:
     """What each run met at any point and step, beside the range of the samples."""
     rows = []
     for each in seen.runs:
@@ -107,7 +107,7 @@ def range_section(seen: Seen) -> str:
     return section("range", "Range that was met", [table(heads, rows)])
 
 
-def audit_section(seen: Seen) -> str:
+def audit_section(seen: ReportData) -> str:
     """Audited errors with the tolerance, and the risks of the answers."""
     figures, parts = [], []
     for each in seen.runs:
@@ -136,7 +136,7 @@ def _named(curves: list[Curve]) -> list[Curve]:
     ]
 
 
-def _risks(run: SeenRun) -> str:
+def _risks(run: RunData) -> str:
     """Least and largest risk of the cache's answers at stored times, in words."""
     known = run.points or (run.fields.values if run.fields is not None else {})
     if not {RISK_NAME, SOURCE_NAME} <= known.keys():

@@ -25,7 +25,7 @@ OF_POINTS = (SOURCE_NAME, RISK_NAME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenRun:
+class RunData:
     """A run as a page shows it; what its folder lacks is None or empty.
 
     Attributes:
@@ -54,7 +54,7 @@ class SeenRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ReportData:
     """All that a page is made of.
 
     Attributes:
@@ -63,6 +63,6 @@ class Seen:
         why_not: why there is none.
     """
 
-    runs: tuple[SeenRun, ...]
+    runs: tuple[RunData, ...]
     comparison: Comparison | None = None
     why_not: str = ""
