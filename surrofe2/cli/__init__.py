@@ -125,7 +125,7 @@ def _docstring(command: str) -> str:
 
 def _ended(message: str, code: int) -> typer.Exit:
     """Say how a command ended that did not finish."""
-    output.print_error(message)
+    output.print_warning(message)
     return typer.Exit(code)
 
 

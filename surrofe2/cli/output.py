@@ -1,6 +1,6 @@
 """What a command prints: lines, tables and warnings.
 
-Commands call `print_line`, `print_error`, `show_table` and `done`; `--quiet` is heeded here alone.
+Commands call `print_line`, `print_warning`, `show_table` and `done`; only these heed `--quiet`.
 """
 
 from __future__ import annotations
@@ -63,15 +63,10 @@ class PrintHandler(logging.Handler):
         (print_warning if record.levelno >= logging.WARNING else print_line)(sentence)
 
 
-def print_error(sentence: str) -> None:
-    """One red line on stderr, never wrapped, its brackets taken as they are."""
+def print_warning(sentence: str) -> None:
+    """A warning or an error: one red line on stderr, never wrapped, its brackets as they are."""
     line = " ".join(sentence.split())
     Console(stderr=True).print(Text(line, style="red"), soft_wrap=True)
-
-
-def print_warning(sentence: str) -> None:
-    """The same, of a command that continues."""
-    print_error(sentence)
 
 
 def print_line(sentence: str) -> None:

@@ -33,26 +33,19 @@ def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     for axis in np.argsort(-there).tolist():
         if panels and there[axis] < _SEEN * there.max():
             continue
-        first = Curve(
-            "reference",
-            reference.curve.t,
-            reference.curve.displacement[:, axis],
-            _label(reference, reference),
-            markers=False,
-        )
-        curves = [first] + [
+        curves = tuple(
             Curve(
-                "",
+                "" if k else "reference",
                 run.curve.t,
                 run.curve.displacement[:, axis],
                 _label(run, reference),
                 markers=False,
-                colour=k,
+                colour=k - 1,
             )
-            for k, run in enumerate(others)
-        ]
+            for k, run in enumerate((reference, *others))
+        )
         label, height = f"displacement $u_{'xy'[axis]}$ (µm)", 0.55 if panels else 1.0
-        panels.append(Panel(clock_of(reference), label, tuple(curves), height=height))
+        panels.append(Panel(clock_of(reference), label, curves, height=height))
     return panels
 
 

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surrofe2.report.figures import write_png
+from surrofe2.report.figures import make_figure, write_png
 from surrofe2.rve.particles import Particles
 
 Array = NDArray[np.float64]
@@ -30,7 +29,7 @@ def write_particle_picture(
     chosen = np.unique(np.linspace(0, len(t) - 1, min(PANELS, len(t))).round().astype(int))
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
-    figure = _new_figure(3.3 * columns + 1.6, 3.3 * rows + 0.6)
+    figure = make_figure([], (3.3 * columns + 1.6, 3.3 * rows + 0.6))
     places = figure.subplots(rows, columns, squeeze=False)
     window = _window(seen)
     for place, k in zip(places.flat, chosen, strict=False):
@@ -41,13 +40,6 @@ def write_particle_picture(
     _add_scales(figure, places.ravel().tolist(), drawn)
     figure.suptitle(title, fontsize=11)
     write_png(path, figure)
-
-
-def _new_figure(width: float, height: float) -> Figure:
-    """A figure of this size in inches, drawn without a screen."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _draw(

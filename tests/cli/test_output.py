@@ -89,7 +89,7 @@ def test_no_colours_where_none_are_wanted(monkeypatch):
         for name, value in wanted.items():
             monkeypatch.setenv(name, value)
         text.truncate(0)
-        output.print_error("error: x")
+        output.print_warning("error: x")
         assert ("\x1b[31m" in text.getvalue()) == coloured
 
 

@@ -82,25 +82,13 @@ def _over_time_and_mesh(run: RunData) -> str:
 
 def range_section(seen: ReportData) -> str:
     """What each run met at any point and step, beside the range of the samples."""
-    rows = []
-    for each in seen.runs:
-        met = each.record.met
-        if {"stretch", "shear", "rate"} <= met.keys():
-            low, high = met["stretch"]
-            rows.append(
-                [each.name, f"{low:.4g} … {high:.4g}", f"{met['shear']:.3g}", f"{met['rate']:.3g}"]
-            )
     limits = seen.runs[0].record.recipe.get("range") or {}
-    if {"stretch", "shear", "rate"} <= limits.keys():
-        low, high = limits["stretch"]
-        rows.append(
-            [
-                "range of samples",
-                f"{low:.4g} … {high:.4g}",
-                f"{limits['shear']:.3g}",
-                f"{limits['rate']:.3g}",
-            ]
-        )
+    ranges = [*((each.name, each.record.met) for each in seen.runs), ("range of samples", limits)]
+    rows = [
+        [name, "{:.4g} … {:.4g}".format(*of["stretch"]), f"{of['shear']:.3g}", f"{of['rate']:.3g}"]
+        for name, of in ranges
+        if {"stretch", "shear", "rate"} <= of.keys()
+    ]
     if not rows:
         return section("range", "Range that was met", [missing("No run recorded what it met.")])
     heads = ["met at any point and step", "stretch (1)", "shear (1)", "rate (1/µs)"]
