@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -17,6 +16,7 @@ from surrofe2.workflow.comparison import (
     missing_notes,
 )
 from surrofe2.workflow.report import write_report
+from surrofe2.workflow.run import audit_sentence
 
 
 def compare(
@@ -51,21 +51,7 @@ def show_comparison(result: Comparison) -> None:
         for name, cache in caches_of(run.cache).items():
             if cache["audit"]["audited"]:
                 of = f"{run.name}, {name}" if name else run.name
-                console.print_line(f"{of}: {audit_line(cache)}")
-
-
-def audit_line(cache: Mapping[str, Any]) -> str:
-    """What the audit of a cached run found, in short."""
-    audit = cache["audit"]
-    quantiles = ", ".join(
-        f"{value:.2g} µN/µm at {100 * float(share):g} %"
-        for share, value in audit["quantiles"].items()
-    )
-    off = "; the cache was switched off" if cache["trust"]["off"] else ""
-    return (
-        f"{audit['audited']} answers audited, {audit['violations']} above the tolerance of "
-        f"{float(audit['tolerance']):.2g} µN/µm; error {quantiles}{off}"
-    )
+                console.print_line(f"{of}: audit: {audit_sentence(cache)}")
 
 
 def report(

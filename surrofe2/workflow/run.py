@@ -238,7 +238,8 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
         )
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
-    return (
-        f"{text}; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm, so with 95 % "
-        f"confidence at most {100.0 * audit['wrong_at_most']:.2g} % of all"
-    )
+    text += f"; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"
+    wrong = audit.get("wrong_at_most")  # runs of earlier versions do not have it
+    if wrong is not None:
+        text += f", so with 95 % confidence at most {100.0 * wrong:.2g} % of all"
+    return text
