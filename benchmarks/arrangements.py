@@ -17,6 +17,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from benchmarks.timing import side_by_side, threads
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import make_arrangement, start_positions
 from surrofe2.plant_cell.block_pattern import Pattern, factorisation_work, make_pattern
 from surrofe2.plant_cell.pair_lists import interacting_groups, make_patches
@@ -24,7 +25,6 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.block_lu import factorise, solve
 from surrofe2.rve.unit_cell import SAME_ENERGY, Equilibria, equilibria_in
-from surrofe2.simd import TILE
 
 SHOWN = (("square", 1), ("square", 9), ("hexagon", 9), ("voronoi", 9))
 LADDER = (

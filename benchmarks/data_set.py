@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.row import Row
 from benchmarks.setting import PRESETS, Setting
 from benchmarks.timing import all_cores
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.workflow.generate import Generated, generate_data_set
 
 TITLE = "Data sets"

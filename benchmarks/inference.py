@@ -11,9 +11,9 @@ from benchmarks.row import Row
 from benchmarks.setting import POINTS, Array, Setting, cached
 from benchmarks.timing import ratio, side_by_side, threads
 from surrofe2 import SurrogateLaw, sample
+from surrofe2.base.tensors import to_inputs
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.piola import to_cauchy
-from surrofe2.tensors import to_inputs
 
 TITLE = "Inference with symmetry, range test and fallback decision"
 PRESET = "printed"

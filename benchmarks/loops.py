@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.plain_forces import evaluate_plainly, make_plain_workspace
-from surrofe2.compilation import compiled
+from surrofe2.base.compilation import compiled
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.jacobian import force_jacobian
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.particle_state import Drive, evaluate, map_affine, set_images
-from surrofe2.simd import TILE
 
 loop = compiled(cache=False)
 

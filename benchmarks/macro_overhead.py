@@ -11,11 +11,11 @@ from benchmarks.row import Row
 from benchmarks.setting import Array, Setting
 from benchmarks.timing import ratio, side_by_side, threads
 from surrofe2 import LoadCase
+from surrofe2.law.stress_law import Acceptance, StressResponse
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import System, make_system
-from surrofe2.stress_law import Acceptance, StressResponse
 
 TITLE = "A right-hand side but for its stress law"
 DENSITY = 0.08

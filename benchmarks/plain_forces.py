@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import compiled
+from surrofe2.base.compilation import compiled
 
 plain = compiled(cache=False)
 SIGMA = 10.0 / (7.0 * math.pi)

@@ -26,7 +26,7 @@ def main() -> None:
     given = parser.parse_args()
 
     from surrofe2.macro import MacroSettings, simulate
-    from surrofe2.recipe import load_recipe
+    from surrofe2.recipe.recipe import load_recipe
     from surrofe2.workflow.laws import choose_law
 
     recipe = load_recipe(given.recipe)

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2 import CachedLaw, CellParameters, RveLaw, SurrogateLaw
+from surrofe2.base.errors import MismatchError
 from surrofe2.cache import CacheSettings
-from surrofe2.errors import MismatchError
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveSettings
 from surrofe2.rve.unit_cell import UnitCell, make_unit_cell
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate
 
 if TYPE_CHECKING:
-    from surrofe2.recipe import Recipe
+    from surrofe2.recipe.recipe import Recipe
 
 T = TypeVar("T")
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ def main() -> None:
     given = parser.parse_args()
 
     from surrofe2 import CellParameters, LoadCase, RveLaw
-    from surrofe2.errors import InputError, SimulationError
+    from surrofe2.base.errors import InputError, SimulationError
     from surrofe2.tissue import TissueDynamics, TissueSettings, make_tissue, simulate_tissue
 
     side = 25.0 * given.cells

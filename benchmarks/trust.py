@@ -20,15 +20,15 @@ from benchmarks.row import Row
 from benchmarks.setting import ROOT, Array, Setting, rve
 from benchmarks.timing import all_cores
 from surrofe2 import CachedLaw, LoadCase, MacroSettings, simulate
+from surrofe2.base.errors import SimulationError
+from surrofe2.base.sampling import SamplingRange, sample
+from surrofe2.base.tensors import stress_error
 from surrofe2.cache import CacheSettings, StressTable
 from surrofe2.cache.protocols import Surrogate
-from surrofe2.errors import SimulationError
 from surrofe2.macro import MacroRun
 from surrofe2.problem import Problem
 from surrofe2.run.displacement_curve import difference
-from surrofe2.sampling import SamplingRange, sample
 from surrofe2.store.store import write_json, write_text
-from surrofe2.tensors import stress_error
 
 TITLE = "The cache against its tolerance, every accepted answer audited"
 TOLERANCE = 1e-3

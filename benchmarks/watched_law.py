@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.setting import Array
+from surrofe2.base.simd import TILE
+from surrofe2.law.stress_law import Acceptance, StressResponse
 from surrofe2.rve import RveLaw
-from surrofe2.simd import TILE
-from surrofe2.stress_law import Acceptance, StressResponse
 
 
 @dataclass

@@ -8,13 +8,13 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
+from surrofe2.base.settings import allowed_numbers, hints_of
+from surrofe2.base.units import NONE
 from surrofe2.problem.amplitude import KINDS
 from surrofe2.problem.conditions import CONDITIONS, Condition
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
-from surrofe2.problem_sections import MeshSettings, TimeSettings
-from surrofe2.recipe import SECTIONS
-from surrofe2.settings import allowed_numbers, hints_of
-from surrofe2.units import NONE
+from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
+from surrofe2.recipe.recipe import SECTIONS
 
 PAGE = Path(__file__).parent / "recipe.md"
 HEAD = """# Keys of a recipe

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from surrofe2 import simulate
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.laws import true_law
 

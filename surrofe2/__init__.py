@@ -11,14 +11,14 @@ In reading order, which is the order of the data:
     stress_law   the hinge between them: respond(F, F_dot) -> StressResponse
 
 Every name that docs/usage.md uses from Python is here, `dir(surrofe2)` lists them. Units are µm,
-µs, ng throughout, see `surrofe2.units`.
+µs, ng throughout, see `surrofe2.base.units`.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from surrofe2.public_names import public_names
+from surrofe2.base.public_names import public_names
 
 if TYPE_CHECKING:
     from surrofe2.problem.amplitude import (
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         DisplacementCurve as DisplacementCurve,
         difference as difference,
     )
-    from surrofe2.errors import Surrofe2Error as Surrofe2Error
+    from surrofe2.base.errors import Surrofe2Error as Surrofe2Error
     from surrofe2.store.samples import read_data_set as read_data_set
     from surrofe2.store.run_folder import read_run as read_run
     from surrofe2.store.surrogates import (
@@ -65,9 +65,9 @@ if TYPE_CHECKING:
     from surrofe2.macro.settings import MacroSettings as MacroSettings
     from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
     from surrofe2.plant_cell.parameters import CellParameters as CellParameters
-    from surrofe2.problem_sections import load_mesh as load_mesh
-    from surrofe2.recipe import load_recipe as load_recipe
-    from surrofe2.regional_law import RegionalLaw as RegionalLaw
+    from surrofe2.recipe.problem_sections import load_mesh as load_mesh
+    from surrofe2.recipe.recipe import load_recipe as load_recipe
+    from surrofe2.law.regional_law import RegionalLaw as RegionalLaw
     from surrofe2.problem.rigid_bodies import (
         Circle as Circle,
         Corner as Corner,
@@ -80,27 +80,30 @@ if TYPE_CHECKING:
     )
     from surrofe2.rve.rve_law import RveLaw as RveLaw
     from surrofe2.rve.settings import RveSettings as RveSettings
-    from surrofe2.sampling import SamplingRange as SamplingRange, sample as sample
-    from surrofe2.stress_law import (
+    from surrofe2.base.sampling import SamplingRange as SamplingRange, sample as sample
+    from surrofe2.law.stress_law import (
         Acceptance as Acceptance,
         Status as Status,
         StressLaw as StressLaw,
         StressResponse as StressResponse,
         Tangents as Tangents,
     )
-    from surrofe2.stress_paths import (
+    from surrofe2.law.paths import (
         StressPath as StressPath,
         follow_path as follow_path,
         oscillation as oscillation,
         ramp_and_hold as ramp_and_hold,
     )
-    from surrofe2.stress_samples import StressSamples as StressSamples
+    from surrofe2.law.samples import StressSamples as StressSamples
     from surrofe2.surface.slab_law import SlabLaw as SlabLaw
     from surrofe2.surface.tabulated import (
         TabulatedSurface as TabulatedSurface,
         tabulate_surface as tabulate_surface,
     )
-    from surrofe2.surface_law import SurfaceLaw as SurfaceLaw, SurfaceResponse as SurfaceResponse
+    from surrofe2.law.surface_law import (
+        SurfaceLaw as SurfaceLaw,
+        SurfaceResponse as SurfaceResponse,
+    )
     from surrofe2.surrogate.settings import (
         CalibrationSettings as CalibrationSettings,
         TrainingSettings as TrainingSettings,

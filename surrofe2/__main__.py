@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from surrofe2.interruption import watch
+from surrofe2.base.interruption import watch
 
 
 def main() -> None:

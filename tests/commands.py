@@ -18,9 +18,9 @@ from unittest import mock
 
 import numba
 
-from surrofe2 import cell_types
-from surrofe2.interruption import begin_work, exit_code, watch
-from surrofe2.recipe import load_recipe
+from surrofe2.base.interruption import begin_work, exit_code, watch
+from surrofe2.recipe import cell_types
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report import figures
 from surrofe2.store import samples
 from surrofe2.store.store import SEAL, write_bytes

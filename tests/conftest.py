@@ -108,7 +108,7 @@ def changed_recipe(recipe_path):
 @pytest.fixture
 def recipe(recipe_path):
     """The small recipe, loaded."""
-    from surrofe2.recipe import load_recipe
+    from surrofe2.recipe.recipe import load_recipe
 
     return load_recipe(recipe_path)
 

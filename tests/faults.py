@@ -7,7 +7,7 @@ import os
 from contextlib import contextmanager
 from itertools import count
 
-from surrofe2.errors import FileError
+from surrofe2.base.errors import FileError
 from surrofe2.store import disk
 
 OPERATIONS = ("write", "sync", "move", "remove", "remove_folder", "make_folder")

@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from surrofe2 import CellParameters, RveLaw
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
 from surrofe2.ranks import Driver, distributed, distributed_law, serve
 
 

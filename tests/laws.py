@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.errors import InputError
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_law import (
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange, sample
+from surrofe2.base.tensors import det, from_components, rotation, to_inputs, transpose
+from surrofe2.law.samples import StressSamples
+from surrofe2.law.stress_law import (
     Acceptance,
     Status,
     StressResponse,
@@ -23,9 +24,8 @@ from surrofe2.stress_law import (
     check_deformation,
     require_tangents,
 )
-from surrofe2.stress_samples import StressSamples
-from surrofe2.surface_law import SurfaceResponse
-from surrofe2.tensors import det, from_components, rotation, to_inputs, transpose
+from surrofe2.law.surface_law import SurfaceResponse
+from surrofe2.plant_cell.parameters import CellParameters
 
 IDENTITY = np.eye(2)
 CELL = CellParameters.preset("printed")

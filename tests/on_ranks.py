@@ -12,7 +12,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from surrofe2.ranks import Driver, distributed_law, serve
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.workflow.run import run_study
 from tests import test_going_on as cases
 

@@ -14,7 +14,7 @@ import skfem
 
 from surrofe2 import CellParameters, Fixed, Problem, RveLaw, Traction, find_rest, simulate
 from surrofe2.problem.amplitude import Constant, Sine
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.tissue import TissueSettings, simulate_tissue
 from surrofe2.tissue.simulation import make_conditions
 from surrofe2.workflow.cell_laws import law_by_region

@@ -11,8 +11,8 @@ import shutil
 
 import pytest
 
-from surrofe2.errors import MismatchError
-from surrofe2.recipe import load_recipe
+from surrofe2.base.errors import MismatchError
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store import run_folder
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.run import run_study

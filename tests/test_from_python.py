@@ -38,7 +38,7 @@ from surrofe2 import (
     write_surrogate,
     zoom_into,
 )
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import pytest
 
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import caches_of, read_record
 from surrofe2.store.store import SEAL
 from surrofe2.workflow import rest, run, tissue

@@ -7,7 +7,7 @@ from shutil import copy
 
 import pytest
 
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate.settings import CalibrationSettings
 from surrofe2.workflow.comparison import compare_runs

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surrofe2 import CellParameters, RveLaw
-from surrofe2.errors import InputError
-from surrofe2.regional_law import RegionalLaw
+from surrofe2.base.errors import InputError
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.rve.continuation import EFFORT
 from surrofe2.rve.rve_state import RveState
 from tests.laws import SoftLaw

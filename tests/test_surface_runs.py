@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe import load_recipe, make_recipe
+from surrofe2.recipe.recipe import load_recipe, make_recipe
 from surrofe2.store.run_folder import read_record, read_run
 from surrofe2.store.store import read_columns
 from surrofe2.surface.slab_law import SlabLaw

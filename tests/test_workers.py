@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import RveLaw, load_recipe, sample_stress
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.store.samples import read_data_set
 from surrofe2.workflow import workers
 from surrofe2.workflow.generate import generate_data_set

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from surrofe2.errors import Surrofe2Error
+from surrofe2.base.errors import Surrofe2Error
 from surrofe2.report.study import NamedCell, Study, keep_study
 from validation.setting import Setting
 

@@ -29,18 +29,18 @@ from sklearn.gaussian_process.kernels import RBF
 from sklearn.neighbors import KNeighborsRegressor
 
 from benchmarks.timing import threads
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
+from surrofe2.base.tensors import stress_error, stress_spread, to_inputs
 from surrofe2.cache import StressTable
+from surrofe2.law.samples import StressSamples
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
-from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
-from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import train
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.piola import to_cauchy, to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import stress_error, stress_spread, to_inputs
 from surrofe2.workflow.generate import sample_stress
 from validation.setting import Setting
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import cache_folder
+from surrofe2.base.compilation import cache_folder
 from surrofe2.macro import Rest, find_rest, simulate
 from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import BodyForce, Surface
-from surrofe2.recipe import Recipe, make_recipe
+from surrofe2.recipe.recipe import Recipe, make_recipe
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import NamedCell
 from surrofe2.report.tables import Quantity

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
+from surrofe2.base.simd import TILE
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import pack
+from surrofe2.questions.memory import steady_shear
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
@@ -30,9 +33,6 @@ from surrofe2.rve.newton import SOLVE, newton
 from surrofe2.rve.particle_state import Drive, empty_answer, stress_at
 from surrofe2.rve.rve_state import Factors
 from surrofe2.rve.unit_cell import UnitCell
-from surrofe2.simd import TILE
-from surrofe2.stress_law import Status
-from surrofe2.studies.memory import steady_shear
 from validation.setting import Setting
 
 Array = NDArray[np.float64]

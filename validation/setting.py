@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import InputError
-from surrofe2.recipe import Recipe, load_recipe
+from surrofe2.base.errors import InputError
+from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.report.study import NamedCell
 from validation.case import Case, Run
 

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.trust import SEARCH
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.tensors import stress_error, unrotated
 from surrofe2.cache import CacheSettings
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import SamplingRange
 from surrofe2.store.store import write_text
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.deformation_paths import (
@@ -27,7 +28,6 @@ from surrofe2.surrogate.deformation_paths import (
     random_walks,
     true_stress,
 )
-from surrofe2.tensors import stress_error, unrotated
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate
 from validation.setting import ROOT, Setting

@@ -7,8 +7,8 @@ from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
 
+from surrofe2.base.interruption import end_work
 from surrofe2.cli import app as command_line
-from surrofe2.interruption import end_work
 
 EXAMPLE = re.compile(r"([^\[]*)\[bold\](surrofe2 [^\[]*)\[/bold\]")
 

@@ -9,8 +9,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 
-from surrofe2.settings import allowed_numbers
-from surrofe2.units import NONE
+from surrofe2.base.settings import allowed_numbers
+from surrofe2.base.units import NONE
 
 SECTIONS = {
     "Args": "Parameters",

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.stress_law import StressLaw, StressResponse, describe
-from surrofe2.tensors import cofactor
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.tensors import cofactor
+from surrofe2.law.stress_law import StressLaw, StressResponse, describe
 
 Array = NDArray[np.float64]
 

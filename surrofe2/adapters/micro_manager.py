@@ -22,10 +22,10 @@ import numpy as np
 from micro_manager import MicroSimulationInterface
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.recipe import Recipe, load_recipe
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
+from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.stress_law import StressLaw, StressResponse, describe, require_tangents
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import choose_law, true_law
 

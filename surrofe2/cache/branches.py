@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import InputError
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import RETURN, STAY
-from surrofe2.errors import InputError
-from surrofe2.stress_law import Acceptance, Status, StressResponse, Tangents
+from surrofe2.law.stress_law import Acceptance, Status, StressResponse, Tangents
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.sampling import QUANTITIES, farthest_out
 from surrofe2.cache.audit import Audit
 from surrofe2.cache.branches import (
     NO_POINTS,
@@ -32,9 +33,7 @@ from surrofe2.cache.branches import (
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.trust import Trust, Window
-from surrofe2.run.views import Facts, Viewed
-from surrofe2.sampling import QUANTITIES, farthest_out
-from surrofe2.stress_law import (
+from surrofe2.law.stress_law import (
     SURROGATE,
     TABLE,
     Acceptance,
@@ -44,6 +43,7 @@ from surrofe2.stress_law import (
     check_deformation,
     require_tangents,
 )
+from surrofe2.run.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import MismatchError
+from surrofe2.base.errors import MismatchError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.law.stress_law import StressLaw, Tangents
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import StressLaw, Tangents
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surrofe2.settings import check_settings, setting
+from surrofe2.base.settings import check_settings, setting
 
 _RELATIVE = 30.0  # times the tolerance
 

@@ -24,11 +24,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
+from surrofe2.base.errors import Surrofe2Error, shortened
+from surrofe2.base.interruption import begin_work, end_work, exit_code
 from surrofe2.cli import output
 from surrofe2.cli.console import InterruptedWork
 from surrofe2.cli.output import leave, note_errors
-from surrofe2.errors import Surrofe2Error, shortened
-from surrofe2.interruption import begin_work, end_work, exit_code
 
 GROUPS = {
     "Study": (

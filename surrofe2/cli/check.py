@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.units import rough_time
 from surrofe2.cli import console
-from surrofe2.errors import InputError
-from surrofe2.units import rough_time
 from surrofe2.workflow.dry_run import (
     MARGIN,
     SECONDS,

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli.console import Fresh, done
-from surrofe2.errors import InputError
 from surrofe2.store.c_source import c_source
 from surrofe2.store.store import read_bytes, write_text
 from surrofe2.store.surrogates import read_surrogate

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from surrofe2.base.errors import InputError, SimulationError, quoted
 from surrofe2.cli import console
-from surrofe2.errors import InputError, SimulationError, quoted
-from surrofe2.recipe_entries import listed_values
+from surrofe2.recipe.entries import listed_values
 from surrofe2.workflow.grid import GRID_FILES, run_grid
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.workers import executor_of

@@ -23,22 +23,22 @@ from surrofe2.cli.console import (
     show_table,
     stages,
 )
-from surrofe2.report.study import NamedCell, Study, keep_study
-from surrofe2.rve import INITIALISATIONS
-from surrofe2.store.store import keep
-from surrofe2.studies import memory as memory_of
-from surrofe2.studies import stability as stability_of
-from surrofe2.studies.memory import MemorySettings
-from surrofe2.studies.moduli import (
+from surrofe2.questions import memory as memory_of
+from surrofe2.questions import stability as stability_of
+from surrofe2.questions.memory import MemorySettings
+from surrofe2.questions.moduli import (
     CHANGES,
     cell_moduli,
     changed_cells,
     moduli_tables,
     with_turgor,
 )
-from surrofe2.studies.moduli import (
+from surrofe2.questions.moduli import (
     turgor as turgor_of,
 )
+from surrofe2.report.study import NamedCell, Study, keep_study
+from surrofe2.rve import INITIALISATIONS
+from surrofe2.store.store import keep
 
 
 def moduli(

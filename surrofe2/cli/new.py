@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli import console
-from surrofe2.errors import InputError
 from surrofe2.workflow.new_recipe import KINDS, write_recipe
 
 

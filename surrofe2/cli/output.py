@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table as ShownTable
 from rich.text import Text
 
-from surrofe2.units import time_text
+from surrofe2.base.units import time_text
 
 if TYPE_CHECKING:
     from surrofe2.report.tables import Table

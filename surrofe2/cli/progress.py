@@ -12,8 +12,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from surrofe2.base.units import time_text
 from surrofe2.cli.output import now
-from surrofe2.units import time_text
 
 Report = Callable[[float, str], None]
 SELDOM = 10.0

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from surrofe2.cli import console
-from surrofe2.recipe import changed, load_recipe
+from surrofe2.recipe.recipe import changed, load_recipe
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.store.store import keep

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli import console
 from surrofe2.cli.compare import show_comparison
-from surrofe2.errors import InputError
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.run import cache_notes
 from surrofe2.workflow.study import run_recipe

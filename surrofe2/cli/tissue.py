@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 # Its threads meet every 0.1 ms; they must not fall asleep in between, as others should. Read when
-# the first kernel starts, and set to less by surrofe2.compilation unless it is set.
+# the first kernel starts, and set to less by surrofe2.base.compilation unless it is set.
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
 from surrofe2.cli import console
-from surrofe2.recipe import changed
+from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.tissue import resized, run_tissue, tissue_summary
 

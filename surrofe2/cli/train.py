@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
+from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.cli import console
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.refinement import QUANTITIES, SURROGATE, Round, refine_surrogate

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli import console
-from surrofe2.errors import InputError
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.zoom import write_zoom, zoom_into
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from surrofe2.law.stress_law import AuditedLaw
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.history import MacroState, Recorder
-from surrofe2.stress_law import AuditedLaw
 
 
 class Chunks:

@@ -25,7 +25,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.problem.mesh import element_nodes, region
 
 Array = NDArray[np.float64]

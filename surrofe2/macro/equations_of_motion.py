@@ -10,11 +10,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import clock
-from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
-from surrofe2.macro.internal_force import deformation_gradient, internal_force, stress_power
-from surrofe2.macro.system import System
-from surrofe2.stress_law import (
+from surrofe2.base.compilation import clock
+from surrofe2.law.stress_law import (
     Acceptance,
     Status,
     StressLaw,
@@ -22,6 +19,9 @@ from surrofe2.stress_law import (
     SwitchingLaw,
     describe,
 )
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
+from surrofe2.macro.internal_force import deformation_gradient, internal_force, stress_power
+from surrofe2.macro.system import System
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.stress_law import StressResponse
+from surrofe2.law.stress_law import StressResponse
 
 Array = NDArray[np.float64]
 

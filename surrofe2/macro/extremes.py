@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
 
 Array = NDArray[np.float64]
 

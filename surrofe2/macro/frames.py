@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.law.stress_law import Sources
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.internal_force import (
     deformation_gradient,
     element_mean_F,
     element_mean_stress,
 )
-from surrofe2.stress_law import Sources
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes, region
 from surrofe2.problem.problem import Problem
-from surrofe2.surface_law import SurfaceLaw
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import clock, cpu_clock
+from surrofe2.base.compilation import clock, cpu_clock
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes

@@ -12,9 +12,9 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.tensors import cofactor, det
 from surrofe2.macro.discretisation import Discretisation
-from surrofe2.tensors import cofactor, det
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
+from surrofe2.law.stress_law import StressLaw, require_tangents
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Tally
 from surrofe2.macro.equilibrium import Newton, Rest
 from surrofe2.macro.evaluation import NoStress, Switched
@@ -18,7 +19,6 @@ from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import system_of
 from surrofe2.macro.tangents import make_assembly
 from surrofe2.problem.problem import Problem
-from surrofe2.stress_law import StressLaw, require_tangents
 
 Array = NDArray[np.float64]
 

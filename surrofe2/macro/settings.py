@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import TIME
 from surrofe2.problem.conditions import FREE, checked_sides
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import TIME
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

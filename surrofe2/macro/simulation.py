@@ -13,8 +13,11 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.compilation import clock
-from surrofe2.errors import MismatchError, SimulationError
+from surrofe2.base.compilation import clock
+from surrofe2.base.errors import MismatchError, SimulationError
+from surrofe2.base.threads import one_blas_thread
+from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.chunks import Chunks
 from surrofe2.macro.discretisation import displacement_basis
 from surrofe2.macro.dormand_prince import DormandPrince
@@ -34,9 +37,6 @@ from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import curves_of, history_of, named_columns
 from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.stress_law import StressLaw
-from surrofe2.threads import one_blas_thread
-from surrofe2.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
 
 Array = NDArray[np.float64]
 

@@ -22,13 +22,13 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
+from surrofe2.law.surface_law import SurfaceResponse
 from surrofe2.macro.discretisation import Discretisation
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.free_sides import FreeSides, free_sides
 from surrofe2.macro.surface_patches import stretched_nodes
 from surrofe2.problem.problem import SURFACE, Problem
-from surrofe2.surface_law import SurfaceResponse
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

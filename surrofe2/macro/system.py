@@ -14,7 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.contact import Contact, make_contact
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
@@ -25,7 +26,6 @@ from surrofe2.problem.conditions import InitialVelocity
 from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
 from surrofe2.problem.problem import SURFACE, Problem, label
 from surrofe2.problem.supports import Support, supports_of, without_overlap
-from surrofe2.stress_law import StressLaw
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

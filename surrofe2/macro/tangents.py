@@ -9,12 +9,12 @@ import numpy as np
 import scipy  # scipy.sparse is loaded where tangents are added up
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.tensors import det
+from surrofe2.law.stress_law import StressResponse
 from surrofe2.macro.evaluation import Evaluation
 from surrofe2.macro.forces import Matrix
 from surrofe2.macro.system import System
-from surrofe2.stress_law import StressResponse
-from surrofe2.tensors import det
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings

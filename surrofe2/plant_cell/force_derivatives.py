@@ -27,7 +27,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.compilation import kernel, pair_law
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.forces import (
     add_pair,
     central_elastic,
@@ -43,7 +44,6 @@ from surrofe2.plant_cell.pair_laws import (
     spline_bend,
 )
 from surrofe2.plant_cell.tiles import outer_constants
-from surrofe2.simd import TILE, load, store
 
 FIELDS = 4
 STEP = 1e-6

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surrofe2.compilation import kernel, pair_law
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, inverse_root, load, spread, store
 from surrofe2.plant_cell.pair_laws import (
     contact_bend,
     contact_elastic,
@@ -26,7 +27,6 @@ from surrofe2.plant_cell.pair_laws import (
     wall_force,
 )
 from surrofe2.plant_cell.tiles import central_pairs, outer_constants
-from surrofe2.simd import TILE, inverse_root, load, spread, store
 
 
 class Pair(NamedTuple):

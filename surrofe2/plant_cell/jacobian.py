@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.compilation import kernel, pair_law
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, load, spread, store
 from surrofe2.plant_cell.forces import central_slopes, difference, fluid_specific_volume, pair_at
 from surrofe2.plant_cell.pair_laws import (
     fluid_coefficients,
@@ -26,7 +27,6 @@ from surrofe2.plant_cell.pair_laws import (
     spline_bend,
 )
 from surrofe2.plant_cell.tiles import central_pairs
-from surrofe2.simd import TILE, load, spread, store
 
 
 @pair_law

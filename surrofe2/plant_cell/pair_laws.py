@@ -25,8 +25,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.compilation import pair_law
-from surrofe2.simd import inverse_root, where_less
+from surrofe2.base.compilation import pair_law
+from surrofe2.base.simd import inverse_root, where_less
 
 SIGMA = 10.0 / (7.0 * np.pi)
 

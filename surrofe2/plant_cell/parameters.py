@@ -9,10 +9,10 @@ from importlib.resources import files
 from math import isqrt, sqrt
 from typing import Any
 
-from surrofe2.errors import InputError, quoted
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
 from surrofe2.plant_cell.tessellation import Tessellation, make_tessellation
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import FORCE, LENGTH, MASS, NONE, STIFFNESS, TIME, VELOCITY
 
 _PAPER = "Ghysels et al. 2009, TW 550"
 

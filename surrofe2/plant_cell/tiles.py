@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, pair_law
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.simd import TILE
 
 Reals = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -16,9 +16,9 @@ from typing import Literal
 
 import numpy as np
 
-from surrofe2.errors import InputError
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import NONE, TIME
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import NONE, TIME
 
 Value = tuple[float, float, float]
 """A factor, its rate (1/µs) and the rate of that (1/µs²)."""

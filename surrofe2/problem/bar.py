@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import ACCELERATION, LENGTH, NONE, TIME
 from surrofe2.problem.amplitude import ONE, Table
 from surrofe2.problem.conditions import BodyForce, Condition, Fixed
 from surrofe2.problem.entries import sections_of
 from surrofe2.problem.mesh import rectangle
 from surrofe2.problem.problem import Problem
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import ACCELERATION, LENGTH, NONE, TIME
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

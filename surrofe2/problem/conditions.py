@@ -14,11 +14,11 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, quoted
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import ACCELERATION, LENGTH
+from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.problem.amplitude import ONE, Amplitude
-from surrofe2.settings import check_settings, setting
-from surrofe2.surface_law import SurfaceLaw
-from surrofe2.units import ACCELERATION, LENGTH
 
 SPEED = "µm/µs"
 LINE_FORCE = "µN/µm"

@@ -24,7 +24,7 @@ import numpy as np
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
-from surrofe2.compilation import OPTIONS
+from surrofe2.base.compilation import OPTIONS
 
 Real = TypeVar("Real", float, NDArray[np.float64])
 formula = register_jitable(**OPTIONS)

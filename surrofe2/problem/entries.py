@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from surrofe2.errors import InputError, quoted
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.settings import check_value, from_table, unknown
+from surrofe2.base.units import LENGTH
 from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
 from surrofe2.problem.conditions import CONDITIONS, Condition, DrivenCondition, PrescribedMotion
 from surrofe2.problem.problem import label
 from surrofe2.problem.regions import Box, Disc, HalfPlane, Part
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
-from surrofe2.settings import check_value, from_table, unknown
-from surrofe2.units import LENGTH
 
 Point = tuple[float, float]
 _SHAPES: dict[str, type] = {"plane": Plane, "circle": Circle, "corner": Corner}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.problem.regions import Box, Part
 
 Array = NDArray[np.float64]

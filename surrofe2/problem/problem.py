@@ -12,7 +12,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, quoted
+from surrofe2.base.errors import InputError, quoted
 from surrofe2.problem.amplitude import Amplitude, Constant
 from surrofe2.problem.conditions import (
     Condition,

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import LENGTH
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import LENGTH
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import ACCELERATION, LENGTH, MASS, NONE
 from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.problem.contact_law import circle, corner
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import ACCELERATION, LENGTH, MASS, NONE
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.problem.conditions import Condition, Fixed, PrescribedMotion, Symmetry
 from surrofe2.problem.mesh import nodes_on

@@ -11,16 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.cache.cached_law import CachedLaw
-from surrofe2.errors import InputError
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.tiles import tiles_for
-from surrofe2.ranks.driver import Driver, Worker, driver_at_work
-from surrofe2.regional_law import RegionalLaw
-from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.rve_state import RveState
-from surrofe2.simd import TILE
-from surrofe2.stress_law import (
+from surrofe2.law.regional_law import RegionalLaw
+from surrofe2.law.stress_law import (
     Acceptance,
     StressLaw,
     StressResponse,
@@ -28,6 +23,11 @@ from surrofe2.stress_law import (
     check_deformation,
     require_tangents,
 )
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.tiles import tiles_for
+from surrofe2.ranks.driver import Driver, Worker, driver_at_work
+from surrofe2.rve.rve_law import RveLaw
+from surrofe2.rve.rve_state import RveState
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 Array = NDArray[np.float64]

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numba
 
-from surrofe2.compilation import clock
-from surrofe2.errors import SimulationError, Surrofe2Error
-from surrofe2.interruption import exit_code, held
+from surrofe2.base.compilation import clock
+from surrofe2.base.errors import SimulationError, Surrofe2Error
+from surrofe2.base.interruption import exit_code, held
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import RveState
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.costs import Balance
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.costs import Balance
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
 from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, presets_of

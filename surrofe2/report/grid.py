@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.recipe import SECTIONS
-from surrofe2.recipe_entries import text_of
+from surrofe2.base.units import NONE
+from surrofe2.recipe.entries import text_of
+from surrofe2.recipe.recipe import SECTIONS
 from surrofe2.report.comparison import compared_run
 from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.store.run_folder import StoredRun, caches_of
-from surrofe2.units import NONE
 
 _MOST_CURVES = 12
 """Of displacements over time that are drawn; more are not told apart."""

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.figures import Panel, write_figure
 from surrofe2.report.tables import Table, to_csv
 from surrofe2.store.store import keep, write_text

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.run.displacement_curve import DisplacementCurve
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from functools import partial
 from time import monotonic
 from typing import Any, Protocol, TypeVar
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, SimulationError
 
 Run = TypeVar("Run")
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.units import ENERGY, FORCE, LENGTH
 from surrofe2.run.displacement_curve import DisplacementCurve
-from surrofe2.units import ENERGY, FORCE, LENGTH
 
 Array = NDArray[np.float64]
 Facts = Mapping[str, object]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, pair_law
-from surrofe2.simd import TILE, load, spread, store
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, load, spread, store
 
 PANEL = 8
 COLUMNS = 4

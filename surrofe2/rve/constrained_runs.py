@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.particle_state import answer_of, copy_particles, drive_of, keep_lane, measure
-from surrofe2.simd import TILE, load, store
 
 
 class Stepping(NamedTuple):

@@ -15,14 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.simd import TILE
+from surrofe2.base.tensors import rotation, transpose
 from surrofe2.plant_cell.tiles import pack, unpack
 from surrofe2.rve.descent import Landscape, descend
 from surrofe2.rve.near_contacts import NearContacts
 from surrofe2.rve.newton import SEEK, SEEK_LIMIT, newton
 from surrofe2.rve.particle_state import ASTRAY, Drive, empty_answer
 from surrofe2.rve.unit_cell import UnitCell
-from surrofe2.simd import TILE
-from surrofe2.tensors import rotation, transpose
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -25,14 +25,14 @@ import numpy as np
 import scipy  # scipy.linalg is loaded where an RVE leaves its branch
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.plant_cell.block_pattern import Pattern, make_pattern
 from surrofe2.plant_cell.forces import difference, elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.tiles import Constants, make_workspace, pack, tiles_for, unpack
 from surrofe2.rve.near_contacts import NearContacts
 from surrofe2.rve.newton import move, set_elastic_jacobian
 from surrofe2.rve.particle_state import place, place_images
-from surrofe2.simd import TILE, load, spread, store, where_less
 
 Reals = NDArray[np.float64]
 Flags = NDArray[np.bool_]

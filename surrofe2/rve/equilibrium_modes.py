@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.force_derivatives import add_stiffness_rates
 from surrofe2.rve.block_lu import COLUMNS, factorise, solve_columns, solved_columns
 from surrofe2.rve.newton import move, set_elastic_jacobian
 from surrofe2.rve.particle_state import map_affine
-from surrofe2.simd import TILE, load, store
 
 
 @kernel

@@ -13,14 +13,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.compilation import kernel
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace, pack
 from surrofe2.rve.particle_state import Drive, cauchy_stress, drive_of, map_affine, place
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.solve import covered_by
-from surrofe2.simd import TILE, load, store
 
 Array = NDArray[np.float64]
 Path = Callable[[float], tuple[Array, Array]]

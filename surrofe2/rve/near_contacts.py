@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
 from surrofe2.plant_cell.tiles import Topology
 
 Reals = NDArray[np.float64]

@@ -20,7 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.jacobian import force_jacobian
 from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace
 from surrofe2.rve.block_lu import (
@@ -46,7 +47,6 @@ from surrofe2.rve.particle_state import (
     set_images,
 )
 from surrofe2.rve.rve_state import Factors, keep_factors, kept_factors
-from surrofe2.simd import TILE, load, store
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -12,10 +12,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, root, spread, store
 from surrofe2.plant_cell.forces import elastic_energy, fold_images, local_forces
 from surrofe2.plant_cell.tiles import Constants, Topology, make_workspace, pack, tiles_for, unpack
-from surrofe2.simd import TILE, load, root, spread, store
 
 Array = NDArray[np.float64]
 

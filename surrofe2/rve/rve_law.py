@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
+from surrofe2.law.stress_law import (
+    Acceptance,
+    Status,
+    StressResponse,
+    check_deformation,
+    describe,
+)
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import Topology, pack, unpack
@@ -23,14 +31,6 @@ from surrofe2.rve.slow_manifold import renew_slow
 from surrofe2.rve.slow_solution import solution_kind
 from surrofe2.rve.solve import covered_by, dashpot_rate, solve_rves
 from surrofe2.rve.unit_cell import make_unit_cell
-from surrofe2.simd import TILE
-from surrofe2.stress_law import (
-    Acceptance,
-    Status,
-    StressResponse,
-    check_deformation,
-    describe,
-)
 
 _RENEW_AFTER = {"slow-manifold": 9}
 _RENEW_AFTER_ELSE = 4

@@ -24,9 +24,9 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.tiles import Topology, pack, put_points, tiles_for, unpack
-from surrofe2.simd import TILE, load, store
 
 Reals = NDArray[np.float64]
 

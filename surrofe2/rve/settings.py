@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surrofe2.errors import InputError
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import FORCE, TIME
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import FORCE, TIME
 
 INITIALISATIONS = ("cauchy-born", "elastic", "constrained-runs", "slow-manifold")
 SOLVERS = ("direct", "iterated")

@@ -26,7 +26,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.force_derivatives import elastic_forces_and_rates
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
@@ -58,7 +59,6 @@ from surrofe2.rve.particle_state import (
     place_images,
 )
 from surrofe2.rve.rve_state import keep_factors, kept_factors
-from surrofe2.simd import TILE, load, store
 
 LIMIT = 40
 CONTRACTION = 0.9

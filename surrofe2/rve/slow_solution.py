@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.simd import TILE
+from surrofe2.law.stress_law import Array, Status
 from surrofe2.rve.newton import SKIP, SOLVE, newton
 from surrofe2.rve.particle_state import Answer, Drive, empty_answer
 from surrofe2.rve.slow_manifold import Moving, follow, newton_slow, renew_slow
 from surrofe2.rve.solve import Solution
 from surrofe2.rve.tangents import KINDS, affine_tangents, slow_tangents
-from surrofe2.simd import TILE
-from surrofe2.stress_law import Array, Status
 
 _OK = int(Status.OK)
 

@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.simd import TILE
+from surrofe2.base.threads import one_blas_thread
+from surrofe2.law.stress_law import Array, Status, Tangents
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.continuation import Continuation, Followed, Path, is_far
@@ -16,9 +19,6 @@ from surrofe2.rve.rve_state import RveState, with_copies
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.tangents import KINDS, affine_tangents
 from surrofe2.rve.unit_cell import UnitCell, relax
-from surrofe2.simd import TILE
-from surrofe2.stress_law import Array, Status, Tangents
-from surrofe2.threads import one_blas_thread
 
 _NEAR = 0.01  # |F − I| up to which the reference's own factors are tried at a cold start
 _OK = int(Status.OK)  # a member of an enumeration takes a microsecond to look up

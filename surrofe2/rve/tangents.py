@@ -19,7 +19,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.force_derivatives import add_force_gradients
 from surrofe2.plant_cell.forces import fold_images, local_forces
 from surrofe2.plant_cell.tiles import make_workspace
@@ -34,7 +35,6 @@ from surrofe2.rve.equilibrium_modes import (
 )
 from surrofe2.rve.newton import set_jacobian
 from surrofe2.rve.particle_state import Drive, drive_of, map_affine, place
-from surrofe2.simd import TILE, load, store
 
 KINDS = ("constrained-runs", "elastic", "cauchy-born")
 _ELASTIC, _CAUCHY_BORN = 1, 2

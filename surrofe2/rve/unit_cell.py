@@ -17,7 +17,8 @@ import numpy as np
 import scipy  # scipy.optimize and scipy.linalg are loaded where a state has to be settled
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.arrangement import Arrangement, make_arrangement, start_positions
 from surrofe2.plant_cell.pair_lists import WHOLE_CELLS, Patch, make_patches
 from surrofe2.plant_cell.parameters import CellParameters
@@ -27,7 +28,6 @@ from surrofe2.rve.constrained_runs import Stepping, iterate_tile
 from surrofe2.rve.newton import SOLVE, newton, renew
 from surrofe2.rve.particle_state import Drive, answer_of, drive_of, empty_answer, stored_energy
 from surrofe2.rve.rve_state import Factors
-from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.stress_law import Status
+from surrofe2.law.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.error_bound import REACH
 from surrofe2.surrogate.features import BEND

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError
+from surrofe2.base.errors import FileError
+from surrofe2.law.stress_law import TABLE
 from surrofe2.rve.particles import Particles
 from surrofe2.store.hdf5 import Kind, reading, store_array, writing
 from surrofe2.store.store import reported, write_text
-from surrofe2.stress_law import TABLE
 
 if TYPE_CHECKING:
     from surrofe2.macro.frames import Frames

@@ -22,10 +22,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError, MismatchError, Surrofe2Error, shortened
-from surrofe2.interruption import held
+from surrofe2.base.errors import FileError, MismatchError, Surrofe2Error, shortened
+from surrofe2.base.interruption import held
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.units import NONE
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange
 from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
@@ -35,7 +36,6 @@ from surrofe2.store.store import (
     sealed,
     write_bytes,
 )
-from surrofe2.units import NONE
 
 Arrays = Mapping[str, NDArray[Any]]
 Shape = tuple[int | None, ...]

@@ -17,7 +17,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -21,8 +21,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from surrofe2.costs import Balance, processor
-from surrofe2.errors import (
+from surrofe2.base.costs import Balance, processor
+from surrofe2.base.errors import (
     FileError,
     InputError,
     MismatchError,
@@ -30,10 +30,11 @@ from surrofe2.errors import (
     quoted,
     shortened,
 )
+from surrofe2.base.settings import check_value, hints_of
+from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.problem.bar import LoadSettings
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.settings import check_value, hints_of
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.store import (
     check_same,
@@ -51,7 +52,6 @@ from surrofe2.store.store import (
     write_json,
     write_text,
 )
-from surrofe2.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 
 log = logging.getLogger(__name__)
 

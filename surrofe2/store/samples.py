@@ -20,18 +20,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import cache_folder
-from surrofe2.costs import Meter
-from surrofe2.errors import FileError, InputError
+from surrofe2.base.compilation import cache_folder
+from surrofe2.base.costs import Meter
+from surrofe2.base.errors import FileError, InputError
+from surrofe2.base.sampling import SEQUENCE, SamplingRange
+from surrofe2.base.units import RATE, STRESS, VISCOSITY
+from surrofe2.law.samples import TANGENTS, StressSamples
+from surrofe2.law.stress_law import Status, StressResponse, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
-from surrofe2.sampling import SEQUENCE, SamplingRange
 from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
 from surrofe2.store.store import check_same, file_lock, flat, locked_file
-from surrofe2.stress_law import Status, StressResponse, describe
-from surrofe2.stress_samples import TANGENTS, StressSamples
-from surrofe2.units import RATE, STRESS, VISCOSITY
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]

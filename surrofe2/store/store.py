@@ -32,8 +32,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from surrofe2.errors import FileError, MismatchError, shortened
-from surrofe2.interruption import held
+from surrofe2.base.errors import FileError, MismatchError, shortened
+from surrofe2.base.interruption import held
 from surrofe2.store import disk
 
 log = logging.getLogger(__name__)

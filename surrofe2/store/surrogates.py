@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2 import units
+from surrofe2.base import units
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.store.hdf5 import Kind, Stored, check_same_rve, origin, reading, write
 from surrofe2.surrogate.domain import Domain

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.tensors import INPUTS
+from surrofe2.base.units import STRESS
 from surrofe2.cache.table.records import OUTPUTS, Records
 from surrofe2.cache.table.stress_table import StressTable
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange
 from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
 from surrofe2.surface.tabulated import TabulatedSurface
-from surrofe2.tensors import INPUTS
-from surrofe2.units import STRESS
 
 TABLE = Kind(
     "table",

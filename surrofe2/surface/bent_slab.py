@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.forces import local_forces
 from surrofe2.plant_cell.tiles import make_workspace
 from surrofe2.rve.block_lu import solve
 from surrofe2.rve.rve_state import kept_factors
 from surrofe2.rve.unit_cell import UnitCell
-from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
 

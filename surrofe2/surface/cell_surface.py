@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.law.surface_law import SurfaceResponse
 from surrofe2.surface.slab_law import SlabLaw
 from surrofe2.surface.tabulated import TabulatedSurface, tabulate_surface
-from surrofe2.surface_law import SurfaceResponse
 
 _HALVINGS = 3
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.law.stress_law import Tangents
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.stress_law import Tangents
 
 Array = NDArray[np.float64]
 

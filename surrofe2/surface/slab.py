@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.arrangement import make_slab_arrangement
 from surrofe2.plant_cell.pair_lists import FARTHEST, make_patches
 from surrofe2.plant_cell.parameters import CellParameters

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.law.stress_law import Status
+from surrofe2.law.surface_law import SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import pack, unpack
@@ -19,11 +21,9 @@ from surrofe2.rve.rve_state import rest_state
 from surrofe2.rve.settings import RveSettings
 from surrofe2.rve.slow_solution import solution_kind
 from surrofe2.rve.solve import Solution, solve_rves
-from surrofe2.stress_law import Status
 from surrofe2.surface.bent_slab import bend
 from surrofe2.surface.side_free import SideFree, side_free
 from surrofe2.surface.slab import make_slab
-from surrofe2.surface_law import SurfaceResponse
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
-from surrofe2.errors import InputError
+from surrofe2.base.compilation import kernel
+from surrofe2.base.errors import InputError
+from surrofe2.law.surface_law import SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.surface.slab_law import SlabLaw
-from surrofe2.surface_law import SurfaceResponse
 
 Array = NDArray[np.float64]
 

@@ -36,8 +36,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.special import bdtr
 
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.stress_samples import StressSamples
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.tensors import INPUTS, stress_error, stress_spread
+from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.deformation_paths import DeformationPaths
 from surrofe2.surrogate.domain import products, scaled_inputs
 from surrofe2.surrogate.domain_fit import fit_domain
@@ -45,7 +46,6 @@ from surrofe2.surrogate.error_bound import Calibration, even_rows, local_scale, 
 from surrofe2.surrogate.network_arrays import sizes_at_rest
 from surrofe2.surrogate.settings import CONFIDENCE, MARGIN
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-from surrofe2.tensors import INPUTS, stress_error, stress_spread
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """What the compiled pass does before and after the network: rotations, inputs, Cauchy stress.
 
 Points are taken in blocks of `TILES` tiles (an even number) of `TILE` points; every quantity is a
-row of a block, (TILES, TILE), and each operation is one of SIMD values of `surrofe2.simd`. Rows of
+row of a block, (TILES, TILE), and each operation is one of SIMD values of `base.simd`. Rows of
 the frame of a block: components of F and Ḟ, cos and sin of R, U, A = RᵀḞ, whether the point is
 within the range (1 or 0), and the stress. Sums of SIMD values keep their order, so the bits of an
 answer do not depend on the place of its point in a block.
@@ -9,9 +9,9 @@ answer do not depend on the place of its point in a block.
 
 from __future__ import annotations
 
-from surrofe2.compilation import kernel
-from surrofe2.simd import TILE, load, root, store, where_less
-from surrofe2.tensors import INPUTS
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import TILE, load, root, store, where_less
+from surrofe2.base.tensors import INPUTS
 
 TILES = 6
 BLOCK = TILES * TILE

@@ -11,9 +11,10 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.simd import TILE, load, root, spread, store, where_less
-from surrofe2.stress_law import Status
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, root, spread, store, where_less
+from surrofe2.base.tensors import INPUTS
+from surrofe2.law.stress_law import Status
 from surrofe2.surrogate.compiled_frame import (
     BLOCK,
     FRAME_ROWS,
@@ -38,7 +39,6 @@ from surrofe2.surrogate.error_bound import (
 )
 from surrofe2.surrogate.network_arrays import NetworkArrays
 from surrofe2.surrogate.polynomial import Polynomial
-from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surrofe2.compilation import kernel
-from surrofe2.simd import TILE, fill_tanh, inverse_root, load, spread, store
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import TILE, fill_tanh, inverse_root, load, spread, store
+from surrofe2.base.tensors import INPUTS
 from surrofe2.surrogate.compiled_frame import BLOCK, ONE, TILES
 from surrofe2.surrogate.features import BEND, STRETCH
 from surrofe2.surrogate.polynomial import ROWS, set_polynomial
-from surrofe2.tensors import INPUTS
 
 COMPONENTS = 4
 """Of P̂."""

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import Acceptance, Status, StressLaw, StressResponse
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.tensors import INPUTS, stress_error
+from surrofe2.law.stress_law import Acceptance, Status, StressLaw, StressResponse
 from surrofe2.surrogate.settings import CORNERS, SMALL
-from surrofe2.tensors import INPUTS, stress_error
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]

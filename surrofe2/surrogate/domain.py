@@ -15,8 +15,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.square_symmetry import SUM, parity
-from surrofe2.tensors import INPUTS, check_arrays, to_inputs
+from surrofe2.base.square_symmetry import SUM, parity
+from surrofe2.base.tensors import INPUTS, check_arrays, to_inputs
 
 Array = NDArray[np.float64]
 Table = NDArray[np.int64]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from surrofe2.sampling import half_widths
-from surrofe2.stress_samples import StressSamples
+from surrofe2.base.sampling import half_widths
+from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.domain import Domain, boundary_table, products, scaled_inputs, with_one
 
 Array = NDArray[np.float64]

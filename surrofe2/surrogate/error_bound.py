@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.tensors import INPUTS, check_arrays
 from surrofe2.surrogate.domain import Table, padded_table, products
-from surrofe2.tensors import INPUTS, check_arrays
 
 Array = NDArray[np.float64]
 

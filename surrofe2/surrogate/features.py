@@ -21,10 +21,10 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
-from surrofe2.sampling import SamplingRange, half_widths
-from surrofe2.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
-from surrofe2.tensors import INPUTS
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange, half_widths
+from surrofe2.base.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
+from surrofe2.base.tensors import INPUTS
 
 SYMMETRIES = ("D4", "none")
 

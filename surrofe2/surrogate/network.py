@@ -22,10 +22,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from surrofe2.base.tensors import INPUTS
 from surrofe2.surrogate.features import BEND, STRETCH, Product, make_features
 from surrofe2.surrogate.network_arrays import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import INPUTS
 
 Pair = tuple[torch.Tensor, torch.Tensor]
 

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, quoted
-from surrofe2.sampling import SLACK, SamplingRange
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.sampling import SLACK, SamplingRange
+from surrofe2.base.tensors import INPUTS, check_arrays
 from surrofe2.surrogate.compiled_frame import ONE
 from surrofe2.surrogate.compiled_network import COMPONENTS, evaluate_factors, make_room
 from surrofe2.surrogate.features import Features, Product, differentiated, make_features
 from surrofe2.surrogate.polynomial import Polynomial, make_polynomial
-from surrofe2.tensors import INPUTS, check_arrays
 
 Array = NDArray[np.float64]
 HIGHEST_DEGREE = 5

@@ -11,8 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.stress_law import Tangents
-from surrofe2.tensors import det, from_components, rotation, to_components, to_inputs, transpose
+from surrofe2.base.tensors import (
+    det,
+    from_components,
+    rotation,
+    to_components,
+    to_inputs,
+    transpose,
+)
+from surrofe2.law.stress_law import Tangents
 
 Array = NDArray[np.float64]
 

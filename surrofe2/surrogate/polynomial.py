@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
-from surrofe2.simd import load, spread, store
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import load, spread, store
+from surrofe2.base.tensors import INPUTS
 from surrofe2.surrogate.compiled_frame import ONE, TILES
 from surrofe2.surrogate.features import Product
-from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

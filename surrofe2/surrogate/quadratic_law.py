@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import SimulationError
-from surrofe2.stress_law import (
+from surrofe2.base.errors import SimulationError
+from surrofe2.base.tensors import to_inputs
+from surrofe2.law.stress_law import (
     Acceptance,
     StressLaw,
     StressResponse,
@@ -18,7 +19,6 @@ from surrofe2.stress_law import (
     require_tangents,
 )
 from surrofe2.surrogate.piola import to_cauchy, to_slopes, to_tangents
-from surrofe2.tensors import to_inputs
 
 Array = NDArray[np.float64]
 

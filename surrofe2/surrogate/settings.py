@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surrofe2.errors import InputError
-from surrofe2.settings import check_settings, setting
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

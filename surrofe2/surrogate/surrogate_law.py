@@ -10,20 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, MismatchError
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.run.views import Facts, Viewed
-from surrofe2.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
-from surrofe2.square_symmetry import COMPONENTS
-from surrofe2.stress_law import (
+from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.sampling import QUANTITIES, SamplingRange, farthest_out, out_of_range
+from surrofe2.base.square_symmetry import COMPONENTS
+from surrofe2.base.tensors import INPUTS, rotation, to_components, transpose
+from surrofe2.law.samples import StressSamples
+from surrofe2.law.stress_law import (
     Acceptance,
     Status,
     StressResponse,
     Tangents,
     check_deformation,
 )
-from surrofe2.stress_samples import StressSamples
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
+from surrofe2.run.views import Facts, Viewed
 from surrofe2.surrogate.compiled_lookup import (
     BoundArrays,
     evaluate_slopes,
@@ -41,7 +42,6 @@ from surrofe2.surrogate.network_arrays import (
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
 from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import INPUTS, rotation, to_components, transpose
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, MismatchError, SimulationError
-from surrofe2.stress_samples import StressSamples
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
+from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from surrofe2.stress_samples import StressSamples
+from surrofe2.base.tensors import INPUTS, to_inputs
+from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import Shapes, StressNetwork, along
 from surrofe2.surrogate.piola import to_piola, to_slopes
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tensors import INPUTS, to_inputs
 
 _OUTLIER = 8.0  # times the median of what the baseline leaves of a slope: of no use for training
 _LEAST_SPREAD = 0.1  # a component of less than this share of the largest counts as one of it

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from surrofe2.public_names import public_names
+from surrofe2.base.public_names import public_names
 
 if TYPE_CHECKING:
     from surrofe2.tissue.dynamics import TissueDynamics

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -11,7 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.problem.amplitude import ONE, Amplitude
 from surrofe2.problem.conditions import (
     BodyForce,
@@ -25,7 +26,6 @@ from surrofe2.problem.mesh import boundary, region
 from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
 from surrofe2.problem.supports import Support, supports_of, without_overlap
-from surrofe2.simd import TILE
 from surrofe2.tissue.acting import NO_DRIVE, Drive, Edges
 from surrofe2.tissue.contact import CIRCLE, CORNER, NO_PLATES, PLANE, Plates
 from surrofe2.tissue.layout import Tissue, shares

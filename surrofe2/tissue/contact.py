@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel
+from surrofe2.base.compilation import kernel
 from surrofe2.problem.contact_law import circle, corner, friction, pressure, stored
 
 Array = NDArray[np.float64]

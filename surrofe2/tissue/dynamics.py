@@ -8,9 +8,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.tiles import Constants
-from surrofe2.simd import TILE
 from surrofe2.tissue.acting import NO_DRIVE, NO_EDGES, Drive, Edges, Steps
 from surrofe2.tissue.contact import NO_PLATES, Plates
 from surrofe2.tissue.kernels import Acting, Body, Fluid, Particles, Watch, elastic_energy, leap

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import clock
+from surrofe2.base.compilation import clock
 from surrofe2.problem.problem import label
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import (

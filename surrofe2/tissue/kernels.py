@@ -20,14 +20,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.plant_cell.forces import (
     add_central_energy,
     add_central_forces,
     add_fluid_energy,
     add_fluid_forces,
 )
-from surrofe2.simd import TILE, load, spread, store, where_less
 from surrofe2.tissue.acting import (
     Drive,
     Edges,

@@ -26,11 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.plant_cell.tiles import Constants, make_constants, tiles_for
-from surrofe2.simd import TILE
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, pair_law
+from surrofe2.base.compilation import kernel, pair_law
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell.forces import (
     add_fluid_forces,
     add_pair,
@@ -27,7 +28,6 @@ from surrofe2.plant_cell.forces import (
     pair_at,
 )
 from surrofe2.plant_cell.tiles import Constants
-from surrofe2.simd import TILE, load, store
 from surrofe2.tissue.layout import Tissue, shares
 from surrofe2.tissue.pair_kinds import make_pair_kinds
 from surrofe2.tissue.pair_lists import PairLists

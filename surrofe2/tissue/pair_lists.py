@@ -20,9 +20,9 @@ import numpy as np
 import scipy  # scipy.spatial is loaded where a tissue is
 from numpy.typing import NDArray
 
-from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.errors import SimulationError
-from surrofe2.simd import TILE
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.errors import SimulationError
+from surrofe2.base.simd import TILE
 from surrofe2.tissue.layout import Tissue
 from surrofe2.tissue.pair_kinds import RINGS, PairKinds, make_pair_kinds
 

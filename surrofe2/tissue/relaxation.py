@@ -13,7 +13,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
 from surrofe2.tissue.dynamics import TissueDynamics
 
 Array = NDArray[np.float64]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surrofe2.settings import check_settings, setting
-from surrofe2.units import FORCE, LENGTH, TIME
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.units import FORCE, LENGTH, TIME
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

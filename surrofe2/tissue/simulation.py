@@ -26,7 +26,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem.mesh import extent

@@ -10,15 +10,16 @@ from dataclasses import asdict, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.tensors import stress_spread
+from surrofe2.law.samples import StressSamples
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.settings import SECTION_6_2
 from surrofe2.problem import Problem
 from surrofe2.problem.bar import LoadCase
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.stress_law import StressLaw
-from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.calibration import calibrate as calibrate_by
@@ -38,7 +39,6 @@ from surrofe2.surrogate.settings import (
     SHAPING_WALKS,
     CalibrationSettings,
 )
-from surrofe2.tensors import stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.progress import Report, no_report

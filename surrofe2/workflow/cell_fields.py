@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe import Recipe, make_recipe
+from surrofe2.recipe.recipe import Recipe, make_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import (
     CELL,

@@ -14,17 +14,17 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.cache import CachedLaw
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.law.regional_law import RegionalLaw
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.ranks.distributed_law import DistributedLaw
-from surrofe2.recipe import Recipe
-from surrofe2.regional_law import RegionalLaw
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.surrogates import read_surrogate
 from surrofe2.store.tables import StoredTable, read_table
-from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.laws import ChosenLaw, choose_law
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.report.comparison import Comparison
 from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.comparison_plot import write_comparison_plot

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.compilation import clock
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.compilation import clock
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, simulate
 from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.recipe import Recipe
-from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import StressLaw, StressResponse
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
 from surrofe2.workflow.cell_laws import law_by_region

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import InputError
-from surrofe2.recipe import Recipe
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange, training_points
+from surrofe2.law.samples import StressSamples
+from surrofe2.law.stress_law import StressLaw, StressResponse, describe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import SamplingRange, training_points
 from surrofe2.store.samples import DataSetHeader, stored_count, writing_data_set
-from surrofe2.stress_law import StressLaw, StressResponse, describe
-from surrofe2.stress_samples import StressSamples
 from surrofe2.workflow import laws
 from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.workers import in_pieces

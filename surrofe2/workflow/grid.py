@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import InputError, SimulationError, quoted
-from surrofe2.recipe import Recipe, load_recipe
-from surrofe2.recipe_entries import name_of_values
+from surrofe2.base.errors import InputError, SimulationError, quoted
+from surrofe2.base.settings import unknown
+from surrofe2.recipe.entries import name_of_values
+from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.report.grid import Grid, grid_row, write_grid_plot
-from surrofe2.settings import unknown
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.generate import generate_data_set, wanted_count

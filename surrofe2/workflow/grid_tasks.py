@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.recipe import Recipe
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.workflow.laws import use_threads
 from surrofe2.workflow.progress import Stage
 from surrofe2.workflow.run import run_study

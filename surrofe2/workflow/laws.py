@@ -13,15 +13,16 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from surrofe2.base.costs import Meter
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
-from surrofe2.costs import Meter
-from surrofe2.errors import FileError, InputError
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.ranks.distributed_law import shared
-from surrofe2.recipe import Recipe, load_recipe
+from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import settle_reference
 from surrofe2.store.hdf5 import read_seconds
@@ -29,7 +30,6 @@ from surrofe2.store.samples import read_reference, reference_path, write_referen
 from surrofe2.store.store import digest
 from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
 from surrofe2.store.tables import check_table, read_table
-from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
 

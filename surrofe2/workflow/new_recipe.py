@@ -8,15 +8,15 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import unknown
+from surrofe2.base.units import NONE
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.conditions import CONDITIONS
 from surrofe2.problem.rigid_bodies import RigidBody
-from surrofe2.problem_sections import MeshSettings, TimeSettings
-from surrofe2.recipe import SECTIONS
-from surrofe2.settings import unknown
+from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
+from surrofe2.recipe.recipe import SECTIONS
 from surrofe2.store.store import read_bytes, write_text
-from surrofe2.units import NONE
 
 KINDS = {
     "bar": "the paper's bending bar",

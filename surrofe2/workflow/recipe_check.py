@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.recipe import Recipe, load_recipe, make_recipe
+from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.recipe.recipe import Recipe, load_recipe, make_recipe
 from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.workflow.samples import check_data

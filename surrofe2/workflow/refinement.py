@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.costs import Meter
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.sampling import SamplingRange, neighbours, range_holding, sample
+from surrofe2.base.tensors import stress_error
+from surrofe2.base.units import time_text
 from surrofe2.cache.protocols import Surrogate
-from surrofe2.costs import Meter
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import NONE, Quantity, percent
-from surrofe2.sampling import SamplingRange, neighbours, range_holding, sample
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import caches_of
 from surrofe2.store.samples import Harvest, HarvestWriter, read_harvest, stored_count
@@ -33,8 +35,6 @@ from surrofe2.store.store import (
     write_bytes,
     write_json,
 )
-from surrofe2.tensors import stress_error
-from surrofe2.units import time_text
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.progress import Report, Stage, no_stage

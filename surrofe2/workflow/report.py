@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.report.comparison import compare, order_runs
 from surrofe2.report.page.document import page_of
 from surrofe2.report.page.report_data import OF_ELEMENTS, OF_POINTS, ReportData, RunData

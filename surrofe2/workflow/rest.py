@@ -11,11 +11,12 @@ from typing import Any
 import numba
 import numpy as np
 
+from surrofe2.base.compilation import clock, seconds_compiling
+from surrofe2.base.errors import InputError
+from surrofe2.base.units import time_text
 from surrofe2.cache.branches import part_of, within
-from surrofe2.compilation import clock, seconds_compiling
-from surrofe2.errors import InputError
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.run.journal import Journal, frame_series
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.fields import write_fields
@@ -28,7 +29,6 @@ from surrofe2.store.run_folder import (
     write_history,
 )
 from surrofe2.store.store import write_columns
-from surrofe2.units import time_text
 from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.progress import Report, Stage, no_report, no_stage

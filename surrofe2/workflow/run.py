@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from surrofe2.base.compilation import seconds_compiling
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import out_of_range
+from surrofe2.base.units import time_text
 from surrofe2.cache.branches import part_of, within
-from surrofe2.compilation import seconds_compiling
-from surrofe2.errors import InputError
 from surrofe2.macro import MacroRun, MacroState, simulate
-from surrofe2.recipe import Recipe
-from surrofe2.sampling import out_of_range
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -21,7 +22,6 @@ from surrofe2.store.run_folder import (
     caches_of,
     write_events,
 )
-from surrofe2.units import time_text
 from surrofe2.workflow.cell_laws import (
     NO_FILES,
     cache_report,

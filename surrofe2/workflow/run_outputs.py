@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from surrofe2.cache import CachedLaw, StressTable
 from surrofe2.cache.branches import part_of, within
 from surrofe2.cache.protocols import OnTrueAnswer
+from surrofe2.law.regional_law import RegionalLaw
+from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro import MacroRun
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.frames import Frames
@@ -31,8 +33,7 @@ from surrofe2.problem.mesh import element_nodes, extent
 from surrofe2.problem.problem import label
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
-from surrofe2.recipe import Recipe
-from surrofe2.regional_law import RegionalLaw
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
@@ -57,7 +58,6 @@ from surrofe2.store.run_folder import (
 from surrofe2.store.samples import HarvestWriter, Origin
 from surrofe2.store.store import locked_folder, plain
 from surrofe2.store.tables import write_table
-from surrofe2.stress_law import StressLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.workflow.cell_laws import (
     cache_report,

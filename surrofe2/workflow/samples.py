@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.errors import MismatchError
-from surrofe2.recipe import Recipe
-from surrofe2.sampling import SamplingRange
+from surrofe2.base.errors import MismatchError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.tensors import stress_error, stress_spread
+from surrofe2.law.samples import StressSamples
+from surrofe2.law.stress_law import StressLaw
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.samples import Harvest, check_harvest, read_data_set, read_harvest, stored_count
-from surrofe2.stress_law import StressLaw
-from surrofe2.stress_samples import StressSamples
-from surrofe2.tensors import stress_error, stress_spread
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import counts_of, generate_data_set, wanted_count
 from surrofe2.workflow.progress import Stage, no_stage

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.comparison import Comparison
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.workflow.comparison import compare_runs

@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.compilation import cache_folder
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.base.compilation import cache_folder
+from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.macro.free_sides import free_sides
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem import Problem, Surface
 from surrofe2.problem.mesh import extent
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.store.tables import check_surface, read_surface, write_surface
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import ROWS, SlabLaw, rows_across
 from surrofe2.surface.tabulated import TabulatedSurface
-from surrofe2.surface_law import SurfaceLaw
 
 STRETCH, RATE = (0.94, 1.04), 0.01
 """Range of a table where the recipe has none; rate in 1/µs."""

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.cell_types import kinds_of_cells
-from surrofe2.compilation import seconds_compiling
-from surrofe2.errors import InputError
+from surrofe2.base.compilation import seconds_compiling
+from surrofe2.base.errors import InputError
+from surrofe2.base.units import time_text
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Problem
-from surrofe2.recipe import Recipe
+from surrofe2.recipe.cell_types import kinds_of_cells
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.fields import write_particle_fields
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -23,7 +24,6 @@ from surrofe2.store.run_folder import (
 )
 from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
-from surrofe2.units import time_text
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.run_outputs import new_record

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surrofe2.costs import Meter
-from surrofe2.errors import InputError, MismatchError
-from surrofe2.recipe import Recipe
-from surrofe2.sampling import SamplingRange
+from surrofe2.base.costs import Meter
+from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.law.samples import StressSamples
+from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_reference
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
@@ -22,7 +23,6 @@ from surrofe2.store.surrogates import (
     write_surrogate,
     write_training,
 )
-from surrofe2.stress_samples import StressSamples
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.settings import WISH
 from surrofe2.surrogate.surrogate_law import SurrogateLaw

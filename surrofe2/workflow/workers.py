@@ -22,7 +22,7 @@ from typing import Any
 
 import numba
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, SimulationError
 
 log = logging.getLogger(__name__)
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError
+from surrofe2.law.stress_law import describe
 from surrofe2.macro.discretisation import find_element
 from surrofe2.report.particle_plot import write_particle_picture
 from surrofe2.rve import RveLaw
@@ -16,7 +17,6 @@ from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import F_DOT_NAME, F_NAME, StoredFields, write_rve_fields
 from surrofe2.store.run_folder import RunRecord, read_record
 from surrofe2.store.store import locked_folder, write_columns
-from surrofe2.stress_law import describe
 from surrofe2.workflow.cell_fields import cell_numbers, read_motion, recipes_of
 from surrofe2.workflow.laws import true_law
 from surrofe2.workflow.progress import Report, no_report

@@ -7,12 +7,12 @@ import pytest
 
 from surrofe2 import Problem
 from surrofe2.adapters.felupe import FelupeMaterial
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
+from surrofe2.law.stress_law import Status
 from surrofe2.macro.discretisation import reference_shapes
 from surrofe2.macro.quasi_static import find_rest
 from surrofe2.problem.conditions import Fixed, Traction
 from surrofe2.problem.mesh import element_nodes
-from surrofe2.stress_law import Status
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import plate
 

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from surrofe2 import CalibrationSettings, calibrate, sample_stress, train, write_surrogate
-from surrofe2.errors import InputError, SimulationError
-from surrofe2.recipe import load_recipe
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.workflow.laws import true_law
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from surrofe2.base.tensors import stress_error
 from surrofe2.cache import CachedLaw
-from surrofe2.tensors import stress_error
 
 
 class Kept(CachedLaw):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.cache import StressTable
-from surrofe2.sampling import SamplingRange, sample
 from tests.laws import SquareLaw, square_stress
 
 RANGE = SamplingRange(stretch=(0.93, 1.07), shear=0.06, rate=0.016)

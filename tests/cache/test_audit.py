@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
+from surrofe2.base.tensors import stress_error
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.audit import BATCH, Audit, ErrorRecord
 from surrofe2.cache.trust import AUDITS
-from surrofe2.errors import InputError
-from surrofe2.simd import TILE
-from surrofe2.stress_law import Status, StressResponse
-from surrofe2.tensors import stress_error
+from surrofe2.law.stress_law import Status, StressResponse
 from tests.laws import Learnt, PointStates, Surrogate, Truth, stretched
 
 SIZE = 0.05

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.law.stress_law import Acceptance, Status, StressResponse
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import Acceptance, Status, StressResponse
 from tests.laws import CELL, Surrogate, TrueLaw, exact, stretched
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from surrofe2.cache import CachedLaw
-from surrofe2.stress_law import Acceptance
+from surrofe2.law.stress_law import Acceptance
 from tests.laws import PointStates, Surrogate, TrueLaw, stretched
 
 

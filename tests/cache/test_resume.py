@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw, CacheSettings, StressTable
 from surrofe2.macro import MacroSettings, MacroState, simulate
-from surrofe2.sampling import SamplingRange
 from tests.laws import Learnt, Truth, shear_error
 from tests.test_going_on import assert_equal
 

@@ -8,8 +8,8 @@ import pytest
 from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.trust import AUDITS, VIOLATIONS
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.regional_law import RegionalLaw
 from surrofe2.run.displacement_curve import difference
 from tests.cache.standing import Kept
 from tests.laws import Learnt, Truth, shear_error

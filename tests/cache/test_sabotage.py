@@ -10,12 +10,12 @@ import pytest
 
 import surrofe2
 from surrofe2 import LoadCase
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CacheSettings
 from surrofe2.cache.trust import WRONG
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import SamplingRange
 from surrofe2.surrogate.settings import TrainingSettings
 from tests.cache.standing import Kept
 from tests.laws import Learnt

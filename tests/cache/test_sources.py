@@ -4,8 +4,8 @@ import numpy as np
 
 from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.law.stress_law import SURROGATE, Status
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.stress_law import SURROGATE, Status
 from tests.laws import Learnt, Truth
 
 

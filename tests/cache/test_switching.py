@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.base.errors import InputError
 from surrofe2.cache import CachedLaw, CacheSettings
 from surrofe2.cache.branches import extrapolate
-from surrofe2.errors import InputError
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.simulation import make_method
 from surrofe2.macro.time_stepping import Stepper

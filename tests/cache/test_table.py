@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange, sample
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
+from surrofe2.base.tensors import stress_error, to_components, to_inputs, transpose
 from surrofe2.cache import StressTable, sampled_spread
-from surrofe2.errors import InputError
-from surrofe2.sampling import SamplingRange, sample
-from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
-from surrofe2.stress_law import Status
-from surrofe2.tensors import stress_error, to_components, to_inputs, transpose
+from surrofe2.law.stress_law import Status
 from tests.cache.tables import RANGE, SPREAD, make, states, taught
 from tests.laws import PointStates, SquareLaw, square_stress
 

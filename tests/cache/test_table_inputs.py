@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from surrofe2.base.sampling import SamplingRange, half_widths
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
+from surrofe2.base.tensors import from_inputs, to_components, to_inputs, transpose
 from surrofe2.cache.table.records import input_slopes
-from surrofe2.sampling import SamplingRange, half_widths
-from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
-from surrofe2.tensors import from_inputs, to_components, to_inputs, transpose
 from tests.cache.tables import RANGE, states
 from tests.laws import SquareLaw, square_stress
 

@@ -7,10 +7,10 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from surrofe2.recipe import Recipe, load_recipe
-from surrofe2.sampling import sample
+from surrofe2.base.sampling import sample
+from surrofe2.law.samples import StressSamples
+from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.store.samples import HarvestWriter, Origin
-from surrofe2.stress_samples import StressSamples
 from surrofe2.workflow.samples import with_harvests
 from tests.laws import SquareLaw, square_stress
 

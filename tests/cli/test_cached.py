@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
+from surrofe2.law.stress_law import Status
 from surrofe2.store.run_folder import read_curve, read_record
-from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 
 

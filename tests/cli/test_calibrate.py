@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase, simulate
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
 from surrofe2.problem.amplitude import Pulse, Ramp, Sine
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.samples import read_data_set
 from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli import app
-from surrofe2.errors import InputError
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.macro import simulate
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe import load_recipe
-from surrofe2.regional_law import RegionalLaw
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.store.samples import read_harvest

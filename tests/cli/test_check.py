@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.workflow import laws
 from surrofe2.workflow.dry_run import advised_law, dry_run, seconds_by_rves
 from surrofe2.workflow.recipe_check import recipe_faults

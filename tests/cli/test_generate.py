@@ -6,9 +6,9 @@ import h5py
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import InputError
 from surrofe2.cli import progress
-from surrofe2.errors import InputError
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import read_data_set
 from surrofe2.workflow.generate import Generated, data_summary, generate_data_set

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.law.stress_law import Status
 from surrofe2.store.run_folder import read_record, read_run
-from surrofe2.stress_law import Status
 from surrofe2.surrogate import SurrogateLaw
 from tests.laws import SoftLaw
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.samples import read_harvest
 from surrofe2.store.surrogates import read_surrogate

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import read_record
 from surrofe2.workflow.new_recipe import KINDS, write_recipe
 from surrofe2.workflow.run import run_study

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.cli import app
-from surrofe2.errors import InputError
 from surrofe2.macro import MetRange, simulate
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import SamplingRange
 from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.dry_run import dry_run, proposed_range
 from surrofe2.workflow.laws import quadratic_law

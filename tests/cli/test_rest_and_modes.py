@@ -8,11 +8,11 @@ import numpy as np
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
+from surrofe2.law.stress_law import Status
 from surrofe2.macro import find_modes, find_rest
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.run_folder import read_record
-from surrofe2.stress_law import Status
 from surrofe2.workflow import laws
 from surrofe2.workflow.rest import rest_study
 from tests.laws import SoftLaw

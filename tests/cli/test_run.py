@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import compilation
+from surrofe2.base import compilation
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.workflow import laws

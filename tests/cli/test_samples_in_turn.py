@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from surrofe2 import cell_types
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe import cell_types
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_data_set, stored_count
 from surrofe2.store.surrogates import read_surrogate

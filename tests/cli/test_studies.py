@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app, progress
+from surrofe2.questions import stability
 from surrofe2.store.store import locked_file, read_json, write_json
-from surrofe2.studies import stability
 
 
 def invoke(*arguments):

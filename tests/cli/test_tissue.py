@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from surrofe2.cli import app
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.run_folder import read_curve, read_history, read_record
 from tests.cli.finished_run import TISSUE_FILES
 

@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.cli import app, progress
-from surrofe2.errors import FileError, InputError
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME
 from surrofe2.store.run_folder import read_record

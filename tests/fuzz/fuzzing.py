@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from surrofe2.errors import Surrofe2Error
+from surrofe2.base.errors import Surrofe2Error
 
 LONGEST, SLOWEST = 300, 20.0
 """Characters of a sentence; seconds of an answer."""

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.problem_sections import load_mesh
-from surrofe2.recipe import load_recipe
+from surrofe2.recipe.problem_sections import load_mesh
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.fields import write_fields
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint

@@ -12,9 +12,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.cli import app
-from surrofe2.errors import FileError, InputError
-from surrofe2.recipe import load_recipe, make_recipe
+from surrofe2.recipe.recipe import load_recipe, make_recipe
 from tests.fuzz.fuzzing import EXTREME, LONGEST, answered, damaged_lines, examples, few_and_all
 
 ROOT = Path(__file__).parents[2]

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.problem.amplitude import Amplitude, Constant, Pulse, Ramp, Sine, Table
 
 AMPLITUDES = {

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.law.stress_law import Acceptance, Tangents
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.internal_force import internal_force
-from surrofe2.stress_law import Acceptance, Tangents
 from tests.laws import KelvinVoigt
 
 LOAD_CASE = LoadCase(width=60.0, height=60.0, watched=(60.0, 30.0), duration=12.0, elements=(2, 2))

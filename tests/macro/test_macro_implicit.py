@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase, Table
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha, Weights
 from surrofe2.plant_cell.parameters import CellParameters

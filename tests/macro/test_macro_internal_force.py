@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.base.tensors import det
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.extremes import widen_extremes
 from surrofe2.macro.internal_force import (
@@ -17,7 +18,6 @@ from surrofe2.macro.internal_force import (
 from surrofe2.macro.system import make_system
 from surrofe2.macro.tangents import mass_matrix
 from surrofe2.problem import Problem
-from surrofe2.tensors import det
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, distorted_bar, random_state, state_vector
 from tests.macro.meshes import KINDS, plate

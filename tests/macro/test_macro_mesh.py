@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import skfem
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.macro import MacroSettings, find_rest, simulate
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.internal_force import deformation_gradient, internal_force

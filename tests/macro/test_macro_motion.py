@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.macro import MacroSettings, MacroState, simulate
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.system import make_system

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.errors import SimulationError
+from surrofe2.base.errors import SimulationError
+from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, Rest, find_rest, simulate
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import (
@@ -20,7 +21,6 @@ from surrofe2.problem import (
     rectangle,
 )
 from surrofe2.rve import RveLaw
-from surrofe2.stress_law import Status
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
 from tests.macro.meshes import plate, sides_of
 

@@ -7,7 +7,7 @@ import pytest
 from skfem.helpers import grad
 
 from surrofe2 import LoadCase
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.macro import MacroSettings, MacroState, simulate
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.frames import POINTS_EVERY

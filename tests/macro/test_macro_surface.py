@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, MismatchError, SimulationError
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.macro import MacroSettings, find_modes, find_rest, simulate
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.macro.free_sides import free_sides

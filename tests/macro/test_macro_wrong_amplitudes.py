@@ -3,7 +3,7 @@
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.macro import MacroSettings, simulate
 from surrofe2.problem import Plane, RigidBody
 from surrofe2.problem.amplitude import Constant, Pulse, Ramp

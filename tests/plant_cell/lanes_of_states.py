@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import forces
 from surrofe2.plant_cell.arrangement import start_positions
 from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import Workspace, make_constants
-from surrofe2.simd import TILE
 from tests.plant_cell.twin import Twin
 
 REST = 1.9

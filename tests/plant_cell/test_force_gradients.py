@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
 from surrofe2.plant_cell.force_derivatives import add_force_gradients, add_stiffness_rates
-from surrofe2.simd import TILE
 from tests.plant_cell.lanes_of_states import Patch
 
 

@@ -5,6 +5,7 @@ import pytest
 from numba import njit
 from scipy.integrate import quad
 
+from surrofe2.base.simd import TILE, load, store
 from surrofe2.plant_cell import force_derivatives, forces, jacobian
 from surrofe2.plant_cell.pair_laws import (
     spline,
@@ -12,7 +13,6 @@ from surrofe2.plant_cell.pair_laws import (
     spline_slope,
 )
 from surrofe2.plant_cell.tiles import pack, unpack
-from surrofe2.simd import TILE, load, store
 from tests.plant_cell.lanes_of_states import Patch
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 
 

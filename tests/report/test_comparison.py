@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.report.comparison import compare
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import StoredRun

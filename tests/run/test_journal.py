@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.run.journal import Journal, RunState
 from surrofe2.run.loop import CheckpointClock, carry_out
 

@@ -21,7 +21,7 @@ from surrofe2 import (
     TrainingSettings,
     read_run,
 )
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.macro.simulation import simulate
 from surrofe2.surrogate.training import train
 from surrofe2.workflow.run_outputs import save_run

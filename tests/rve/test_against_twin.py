@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrofe2.stress_law import Status
+from surrofe2.law.stress_law import Status
 from tests.rve.rves import PRESETS, deformations, law, particles
 from tests.rve.twin import Solver
 

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.pair_lists import make_patches
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.unit_cell import relax
-from surrofe2.stress_law import Status
 from surrofe2.tissue.layout import make_tissue
 
 

@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import RveLaw
 from surrofe2.rve.descent import KICK, ROAM, Landscape, descend, over_saddle
 from surrofe2.rve.near_contacts import NearContacts
 from surrofe2.rve.particle_state import stored_energy
-from surrofe2.stress_law import Status, describe
 from tests.rve.curvature_twin import Curvatures
 
 PRESETS = ("printed", "water")

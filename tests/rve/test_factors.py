@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surrofe2.simd import TILE
-from surrofe2.stress_law import Status
+from surrofe2.base.simd import TILE
+from surrofe2.law.stress_law import Status
 from tests.rve.rves import PRESETS, deformations, law
 
 

@@ -13,7 +13,7 @@ from surrofe2 import (
     path_gradients,
     ramp_and_hold,
 )
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.rve.parameter_gradients import DASHPOTS
 from surrofe2.rve.settings import INITIALISATIONS
 from surrofe2.rve.unit_cell import resettled

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.tensors import rotation
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-from surrofe2.tensors import rotation
 
 F = np.eye(2) + 0.02 * np.random.default_rng(3).normal(size=(5, 2, 2))
 F_DOT = 0.004 * np.random.default_rng(4).normal(size=(5, 2, 2))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import ReferenceState, RveLaw
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import INITIALISATIONS, RveLaw
-from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
 from tests.rve.rves import PRESETS, deformations, law, particles
 

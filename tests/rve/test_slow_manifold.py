@@ -6,12 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, SimulationError
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
 from surrofe2.rve.parameter_gradients import parameter_gradients
-from surrofe2.stress_law import Status
 from tests.plant_cell.twin import Twin
 from tests.rve.rves import PRESETS, deformations, law, particles
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from surrofe2.law.stress_law import Status
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.stress_law import Status
 from tests.rve.rves import PRESETS, clear_of_the_cut_off, deformations, law, piola
 
 STEP = 2e-6

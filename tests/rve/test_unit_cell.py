@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
 from surrofe2.plant_cell.jacobian import add_product
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.rve.unit_cell import make_unit_cell
-from surrofe2.simd import TILE
 from tests.plant_cell.twin import Twin
 
 

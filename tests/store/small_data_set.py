@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.sampling import SamplingRange, sample
 from surrofe2.store.samples import DataSetHeader, writing_data_set
 from tests.laws import SoftLaw
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surrofe2.law.stress_law import Status
 from surrofe2.store.c_source import c_source
-from surrofe2.stress_law import Status
 from tests.surrogate.networks import make_law, with_bound
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError
+from surrofe2.base.errors import FileError
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint, writing_hdf5
 
 

@@ -8,10 +8,10 @@ import h5py
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError, InputError, MismatchError
-from surrofe2.sampling import sample
+from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.base.sampling import sample
+from surrofe2.law.stress_law import StressResponse, Tangents
 from surrofe2.store.samples import read_data_set, writing_data_set
-from surrofe2.stress_law import StressResponse, Tangents
 from tests.laws import SoftLaw
 from tests.store.small_data_set import HEADER, RANGE, write_all
 

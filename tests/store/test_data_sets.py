@@ -9,14 +9,14 @@ import h5py
 import numpy as np
 import pytest
 
-from surrofe2 import interruption
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.base import interruption
+from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.base.sampling import SEQUENCE, sample
+from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import SEQUENCE, sample
 from surrofe2.store import samples
 from surrofe2.store.hdf5 import reading, write_checkpoint, writing_hdf5
 from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest, writing_data_set
-from surrofe2.stress_law import Status, describe
 from tests.laws import SoftLaw
 from tests.store.small_data_set import HEADER, RANGE, append_chunk, write_all
 

@@ -9,7 +9,8 @@ import meshio
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError
+from surrofe2.base.errors import FileError
+from surrofe2.law.stress_law import TABLE
 from surrofe2.store.fields import (
     DISPLACEMENT_NAME,
     F_DOT_NAME,
@@ -24,7 +25,6 @@ from surrofe2.store.fields import (
     write_particle_fields,
     write_point_fields,
 )
-from surrofe2.stress_law import TABLE
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 QUADS = np.array([[0, 1, 2, 3]])

@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError
+from surrofe2.base.errors import FileError
 from surrofe2.store import disk
 from surrofe2.store.store import (
     NO_DIGEST,

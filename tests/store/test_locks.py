@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from surrofe2.errors import FileError
+from surrofe2.base.errors import FileError
 from surrofe2.store.store import file_lock, folder_lock, locked_file, locked_folder
 
 HOLDER = """

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError, InputError
-from surrofe2.recipe import load_recipe
+from surrofe2.base.errors import FileError, InputError
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import (
     open_run_folder,

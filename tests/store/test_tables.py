@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError, MismatchError
+from surrofe2.base.errors import FileError, MismatchError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.hdf5 import writing_hdf5
 from surrofe2.store.samples import HarvestWriter, Origin, check_harvest, read_harvest

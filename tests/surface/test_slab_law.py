@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.plant_cell.arrangement import make_slab_arrangement
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import unpack

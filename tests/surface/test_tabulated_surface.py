@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surrofe2.errors import FileError, InputError, MismatchError
+from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.law.surface_law import SurfaceResponse
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.tables import check_surface, read_surface, write_surface
 from surrofe2.surface import SlabLaw, tabulate_surface
-from surrofe2.surface_law import SurfaceResponse
 
 RANGE, RATE = (0.97, 1.03), 0.01
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from surrofe2.tensors import to_inputs
+from surrofe2.base.tensors import to_inputs
 from tests.laws import lattice_samples
 
 G = [

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from surrofe2 import RveLaw, simulate
-from surrofe2.recipe import load_recipe
-from surrofe2.sampling import SamplingRange, contains, sample, training_points
-from surrofe2.stress_samples import StressSamples
+from surrofe2.base.sampling import SamplingRange, contains, sample, training_points
+from surrofe2.base.tensors import stress_error
+from surrofe2.law.samples import StressSamples
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.surrogate import train
 from surrofe2.surrogate.calibration import Truth, errors_along
 from surrofe2.surrogate.deformation_paths import (
@@ -21,7 +22,6 @@ from surrofe2.surrogate.deformation_paths import (
     true_stress,
 )
 from surrofe2.surrogate.settings import CalibrationSettings
-from surrofe2.tensors import stress_error
 from surrofe2.workflow.calibrate import calibrate_surrogate, shaping_truths
 
 DATA = Path(__file__).parents[2] / "data"

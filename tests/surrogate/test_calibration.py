@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
-from surrofe2.sampling import SamplingRange, sample
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange, sample
+from surrofe2.base.tensors import stress_error, stress_spread, unrotated
+from surrofe2.law.stress_law import Status
 from surrofe2.store.store import plain
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
-from surrofe2.stress_law import Status
 from surrofe2.surrogate import calibration
 from surrofe2.surrogate.calibration import (
     Truth,
@@ -21,7 +22,6 @@ from surrofe2.surrogate.calibration import (
 )
 from surrofe2.surrogate.deformation_paths import DeformationPaths, random_walks
 from surrofe2.surrogate.settings import MARGIN, CalibrationSettings
-from surrofe2.tensors import stress_error, stress_spread, unrotated
 from tests.laws import RANGE, lattice_stress
 
 ALPHA = 0.01

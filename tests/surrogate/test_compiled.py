@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from surrofe2.sampling import contains, sample
-from surrofe2.simd import fill_tanh
-from surrofe2.stress_law import Status
+from surrofe2.base.sampling import contains, sample
+from surrofe2.base.simd import fill_tanh
+from surrofe2.base.tensors import to_inputs
+from surrofe2.law.stress_law import Status
 from surrofe2.surrogate import TrainingSettings
 from surrofe2.surrogate.compiled_frame import BLOCK
 from surrofe2.surrogate.compiled_lookup import MANY, BoundArrays, evaluate_slopes, lookup
@@ -16,7 +17,6 @@ from surrofe2.surrogate.features import SYMMETRIES, input_scale
 from surrofe2.surrogate.network import StressNetwork
 from surrofe2.surrogate.network_arrays import NetworkArrays, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy
-from surrofe2.tensors import to_inputs
 from tests.laws import RANGE
 from tests.surrogate.torch_twin import differentiate, network_stress
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from surrofe2.sampling import SamplingRange, contains, sample
-from surrofe2.stress_law import Acceptance, Status, StressResponse
+from surrofe2.base.sampling import SamplingRange, contains, sample
+from surrofe2.base.tensors import rotation, transpose
+from surrofe2.law.stress_law import Acceptance, Status, StressResponse
 from surrofe2.surrogate.deformation_paths import (
     CHUNK,
     DeformationPaths,
@@ -13,7 +14,6 @@ from surrofe2.surrogate.deformation_paths import (
     run_paths,
     true_stress,
 )
-from surrofe2.tensors import rotation, transpose
 from tests.laws import SoftLaw
 
 RANGE = SamplingRange(stretch=(0.9, 1.05), shear=0.08, rate=0.01)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.base.sampling import contains, sample
+from surrofe2.base.tensors import to_inputs
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import contains, sample
-from surrofe2.stress_law import Status
 from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.surrogate.domain_fit import fit_domain
-from surrofe2.tensors import to_inputs
 from tests.laws import RANGE, lattice_samples
 from tests.surrogate.domain_twin import within
 from tests.surrogate.failing_samples import G, buckles, samples_that_fail

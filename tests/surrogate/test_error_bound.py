@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2.sampling import contains, sample
-from surrofe2.stress_law import Status
+from surrofe2.base.sampling import contains, sample
+from surrofe2.law.stress_law import Status
 from surrofe2.surrogate.compiled_lookup import MANY
 from surrofe2.surrogate.domain import scaled_inputs
 from surrofe2.surrogate.error_bound import local_scale

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.base.sampling import SamplingRange
 from surrofe2.cache import CachedLaw
 from surrofe2.cache.settings import CacheSettings
+from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, simulate
-from surrofe2.sampling import SamplingRange
-from surrofe2.stress_law import Status
 from tests.laws import CELL, TrueLattice, Untaught, tangents_by_differences
 
 LOAD_CASE = LoadCase(

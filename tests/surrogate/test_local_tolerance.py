@@ -5,13 +5,13 @@ from operator import attrgetter
 import numpy as np
 import pytest
 
+from surrofe2.base.sampling import SamplingRange, sample
+from surrofe2.base.tensors import INPUTS, from_inputs, stress_error, to_inputs
 from surrofe2.cache import CachedLaw, CacheSettings
+from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
-from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings, train
-from surrofe2.tensors import INPUTS, from_inputs, stress_error, to_inputs
 from surrofe2.workflow.generate import sample_stress
 from tests.laws import RANGE, Learnt, Truth, stretched
 from tests.surrogate.failing_samples import G

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surrofe2.base.sampling import sample
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.sampling import sample
 from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from surrofe2.surrogate import TrainingSettings, train
 from tests.laws import (

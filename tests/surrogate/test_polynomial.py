@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from surrofe2.simd import TILE
-from surrofe2.square_symmetry import parity
+from surrofe2.base.simd import TILE
+from surrofe2.base.square_symmetry import parity
+from surrofe2.base.tensors import INPUTS
 from surrofe2.surrogate.compiled_frame import TILES
 from surrofe2.surrogate.features import monomials
 from surrofe2.surrogate.polynomial import ROWS, make_polynomial, set_polynomial
-from surrofe2.tensors import INPUTS
 
 
 def all_products(degree, symmetric):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
-from surrofe2.sampling import sample
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import sample
+from surrofe2.base.tensors import stress_error, transpose
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
-from surrofe2.tensors import stress_error, transpose
 from tests.laws import (
     RANGE,
     SoftLaw,

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import FileError
+from surrofe2.base.sampling import sample
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.errors import FileError
-from surrofe2.sampling import sample
+from surrofe2.law.stress_law import Status
 from surrofe2.store import surrogates
 from surrofe2.store.surrogates import read_surrogate, write_surrogate, write_training
-from surrofe2.stress_law import Status
 from surrofe2.surrogate import TrainingSettings, train
 from tests.laws import RANGE, WELL_INSIDE, TrueLattice, lattice_samples
 from tests.surrogate.networks import with_bound

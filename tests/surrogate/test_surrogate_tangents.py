@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surrofe2.sampling import sample
-from surrofe2.stress_law import Status
+from surrofe2.base.sampling import sample
+from surrofe2.law.stress_law import Status
 from surrofe2.surrogate.piola import to_piola, to_slopes, to_tangents
 from tests.laws import RANGE, lattice_stress, tangents_by_differences
 from tests.surrogate.networks import make_law

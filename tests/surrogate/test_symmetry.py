@@ -5,15 +5,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from surrofe2.sampling import sample
-from surrofe2.square_symmetry import parity
+from surrofe2.base.sampling import sample
+from surrofe2.base.square_symmetry import parity
+from surrofe2.base.tensors import from_components, to_components, to_inputs
 from surrofe2.surrogate.features import (
     COVARIANTS,
     INVARIANTS,
     monomials,
 )
 from surrofe2.surrogate.piola import to_cauchy, to_piola
-from surrofe2.tensors import from_components, to_components, to_inputs
 from tests.laws import WELL_INSIDE, lattice_stress
 from tests.surrogate.torch_twin import torch_stress
 

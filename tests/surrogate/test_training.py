@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from surrofe2.errors import InputError, MismatchError
-from surrofe2.sampling import sample
+from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.sampling import sample
 from surrofe2.store.surrogates import read_training, write_training
 from surrofe2.surrogate import TrainingSettings, train, training
 from surrofe2.surrogate.training import TrainingState

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import torch
 
+from surrofe2.base.tensors import INPUTS, to_inputs
 from surrofe2.store import surrogates
 from surrofe2.store.hdf5 import reading, write
 from surrofe2.surrogate.network import StressNetwork, along
 from surrofe2.surrogate.piola import to_cauchy
-from surrofe2.tensors import INPUTS, to_inputs
 
 
 def torch_stress(law, F, F_dot):

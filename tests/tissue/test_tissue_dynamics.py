@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase, Table
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.tissue import TissueDynamics, TissueSettings, relax, simulate_tissue
 from surrofe2.tissue.simulation import held_and_loaded, make_conditions
 from tests.macro.bars import with_load

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surrofe2.simd import TILE
+from surrofe2.base.simd import TILE
 from surrofe2.tissue import TissueDynamics
 from tests.plant_cell.twin import Twin
 from tests.tissue.twin import TissueTwin

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.problem import (
     BodyForce,
     Box,
@@ -24,7 +24,7 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.amplitude import Ramp, Sine, Table
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
-from surrofe2.recipe import make_recipe
+from surrofe2.recipe.recipe import make_recipe
 from surrofe2.tissue import TissueSettings, TissueState, relax, simulate_tissue
 from surrofe2.tissue.simulation import (
     advance,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.errors import InputError, MismatchError
+from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.tissue import TissueSettings, TissueState, simulate_tissue
 from tests.macro.bars import with_load
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.tissue import TissueSettings, simulate_tissue

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from validation.damped_fit import first_minimum, fit_damped_modes
 
 T = np.arange(0.0, 250.25, 0.5)

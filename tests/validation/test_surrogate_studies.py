@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from surrofe2.base.sampling import SamplingRange, sample
 from surrofe2.cache import CacheSettings
-from surrofe2.sampling import SamplingRange, sample
-from surrofe2.stress_samples import StressSamples
+from surrofe2.law.samples import StressSamples
 from tests.laws import RANGE, Learnt, Truth, lattice_samples
 from validation.ablation import Folded, LinearFromNearest, NearestNeighbours
 from validation.worst_answer import Search, from_state, to_state

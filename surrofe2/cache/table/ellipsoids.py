@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import kernel
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
+from surrofe2.base.tensors import INPUTS
 from surrofe2.cache.table.records import OUTPUTS, Records, joined
-from surrofe2.compilation import kernel
-from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
-from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

@@ -16,13 +16,13 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.simd import TILE, any_less, load, root, spread, store, where_less
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
+from surrofe2.base.tensors import INPUTS
 from surrofe2.cache.table.records import OUTPUTS
 from surrofe2.cache.table.screen import PRODUCTS, fill_bounds, fill_products
-from surrofe2.compilation import kernel, parallel_kernel
-from surrofe2.simd import TILE, any_less, load, root, spread, store, where_less
-from surrofe2.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS
-from surrofe2.stress_law import Status
-from surrofe2.tensors import INPUTS
+from surrofe2.law.stress_law import Status
 
 MANY = 1000  # points from which on more than one core pays
 

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.tensors import INPUTS, from_components, from_inputs, to_components, transpose
 from surrofe2.cache.protocols import Fallback
-from surrofe2.tensors import INPUTS, from_components, from_inputs, to_components, transpose
 
 Array = NDArray[np.float64]
 

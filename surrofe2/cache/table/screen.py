@@ -15,11 +15,11 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import kernel
+from surrofe2.base.simd import load, spread, store
+from surrofe2.base.square_symmetry import COMPONENT_SIGNS, parity
+from surrofe2.base.tensors import INPUTS
 from surrofe2.cache.table.records import Records
-from surrofe2.compilation import kernel
-from surrofe2.simd import load, spread, store
-from surrofe2.square_symmetry import COMPONENT_SIGNS, parity
-from surrofe2.tensors import INPUTS
 
 Array = NDArray[np.float64]
 

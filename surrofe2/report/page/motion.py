@@ -13,13 +13,13 @@ from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
+from surrofe2.law.stress_law import SURROGATE, TABLE, Status
 from surrofe2.problem.entries import body_of
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, Shape
 from surrofe2.report.figures import drawn, make_figure
 from surrofe2.report.page.html import figure, grid, image, missing, section
 from surrofe2.report.page.report_data import VON_MISES, WALL_STRETCH, ReportData, RunData
 from surrofe2.store.fields import SOURCE_NAME, StoredFields
-from surrofe2.stress_law import SURROGATE, TABLE, Status
 
 Array = NDArray[np.float64]
 

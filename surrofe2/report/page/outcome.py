@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from surrofe2.costs import Balance
+from surrofe2.base.costs import Balance
 from surrofe2.report.comparison_plot import clock_of, difference_panels, displacement_panels
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.html import (

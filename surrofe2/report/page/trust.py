@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.law.stress_law import SURROGATE, TABLE
 from surrofe2.report.comparison_plot import audit_curves, clock_of
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.html import chart, figure, grid, missing, paragraph, section, table
@@ -15,7 +16,6 @@ from surrofe2.report.page.motion import SOURCES, mesh_picture
 from surrofe2.report.page.report_data import ReportData, RunData
 from surrofe2.store.fields import RISK_NAME, SOURCE_NAME
 from surrofe2.store.run_folder import caches_of
-from surrofe2.stress_law import SURROGATE, TABLE
 
 Array = NDArray[np.float64]
 _CACHE = (SURROGATE, TABLE)

@@ -9,9 +9,9 @@ import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
 from surrofe2.cache.cached_law import effort_of
+from surrofe2.law.stress_law import Status
 from surrofe2.macro import simulate
 from surrofe2.store.run_folder import write_record
-from surrofe2.stress_law import Status
 from surrofe2.workflow.run_outputs import write_results
 from tests.laws import KelvinVoigt
 from tests.run_records import finished_record

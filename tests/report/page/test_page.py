@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simulate
-from surrofe2.errors import InputError
+from surrofe2.base.errors import InputError
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane
 from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.page.html import chart

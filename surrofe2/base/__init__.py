@@ -1,0 +1,18 @@
+"""What every room stands on.
+
+In reading order:
+
+    public_names     what packages offer, loaded on request
+    units            µm, µs, ng and what follows from them
+    errors           what is raised, one sentence each
+    settings         bounds of settings, stated once at the field
+    costs            seconds, and from when a cache pays
+    interruption     signals
+    threads          how many, and whose
+    machine_code     the same bits in every process
+    compilation      numba's flags, and where compiled kernels are kept
+    simd             eight lanes of numbers in kernels
+    tensors          polar inputs of (F, Ḟ), measure of errors
+    square_symmetry  the eight symmetries of a square sample
+    sampling         which (F, Ḟ) to ask
+"""

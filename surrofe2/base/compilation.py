@@ -1,0 +1,181 @@
+"""How every kernel is compiled: one place for numba's flags and for its cache.
+
+numba's own cache looks at the file of the outermost function alone and would go on using machine
+code whose inner functions, or constants from other files, have changed. Here the cache folder
+carries a digest of every source file of the package, so that machine code always belongs to the
+sources it is run with. Where that folder cannot be written, kernels are compiled in memory.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryFile
+from time import perf_counter, process_time
+from typing import Any
+
+# Threads that wait for each other spin only briefly: spinning for long is a fifth faster on idle
+# cores and ten times slower where another process wants one. Read when the first kernel starts.
+os.environ.setdefault("GOMP_SPINCOUNT", "2000")
+
+import numba
+from numba.core.compiler_lock import global_compiler_lock
+
+from surrofe2.base.machine_code import own_code
+
+# numba looks for SciPy's BLAS as it starts, only to choose an inner product for np.convolve and
+# the like: that look takes as long as all of h5py. Kernels that need BLAS find it all the same.
+_BLAS = "scipy.linalg.cython_blas"
+if _BLAS not in sys.modules:
+    sys.modules[_BLAS] = None  # type: ignore[assignment]
+    import numba.np.arraymath
+
+    del sys.modules[_BLAS]
+
+log = logging.getLogger(__name__)
+
+FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # not nnan, ninf: isnan must stay true
+OPTIONS = {"error_model": "numpy", "fastmath": FAST}
+"""Of all that is compiled; `numba.extending.overload` takes them as jit_options."""
+
+
+@cache
+def source_digest() -> str:
+    """16 hexadecimal digits of the names and contents of all source files of the package."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        content = source.read_bytes()
+        digest.update(f"{source.relative_to(package).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]
+
+
+@cache
+def cache_folder() -> Path:
+    """Where compiled kernels of exactly these sources are kept between processes."""
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    try:
+        base = Path(home) if home else Path.home() / ".cache"
+    except RuntimeError:  # a user without a home; below this, nothing can be kept
+        base = Path(os.devnull)
+    return base / "surrofe2" / source_digest()
+
+
+@cache
+def _writable_folder() -> Path | None:
+    """The cache folder, made where it is not there; None where it cannot be written."""
+    try:
+        folder = cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder) as file:
+            file.write(bytes(4096))
+    except OSError as error:
+        _tell_once(f"{error}")
+        return None
+    return folder
+
+
+_waited = [0.0, 0.0]
+"""Seconds of wall and of CPU in which kernels were compiled or read."""
+_begun: list[tuple[float, float]] = []
+"""When those began that are not finished: the kernels that one calls are compiled within it."""
+
+
+@contextmanager
+def _waiting() -> Iterator[None]:
+    """While a kernel is compiled or read."""
+    _begun.append((perf_counter(), process_time()))
+    try:
+        yield
+    finally:
+        wall, cpu = _begun.pop()
+        if not _begun:
+            _waited[0] += perf_counter() - wall
+            _waited[1] += process_time() - cpu
+
+
+def clock() -> float:
+    """Seconds of a clock that stands while this process compiles kernels or reads them."""
+    now = _begun[0][0] if _begun else perf_counter()
+    return now - _waited[0]
+
+
+def seconds_compiling() -> float:
+    """Seconds of wall in which this process compiled kernels or read them so far."""
+    return _waited[0]
+
+
+def cpu_clock() -> float:
+    """Seconds of CPU, but for those that this process compiles kernels or reads them."""
+    now = _begun[0][1] if _begun else process_time()
+    return now - _waited[1]
+
+
+@cache
+def _tell_once(why: str) -> None:
+    log.warning("kernels are compiled in memory and not kept, which takes a minute: %s", why)
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with options of one's own, cached here."""
+    options = {"cache": True, "no_cfunc_wrapper": True} | OPTIONS | options
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        folder = _writable_folder() if options["cache"] else None
+        if folder is None:
+            return _own(numba.njit(**options | {"cache": False})(function))
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            made = numba.njit(**options)(function)
+        finally:
+            numba.config.CACHE_DIR = before
+        made._cache.save_overload = _saving(made._cache.save_overload, folder)
+        return _own(made)
+
+    return decorate
+
+
+def _own(dispatcher: Any) -> Any:
+    """The same kernel, whose machine code depends on no other kernel of the process."""
+    compile_or_load = dispatcher.compile
+
+    def own(signature: Any) -> Any:
+        # of a constant, numba would make a kernel for each of its values
+        signature = tuple(numba.types.unliteral(each) for each in signature)
+        with global_compiler_lock, _waiting(), own_code(dispatcher.targetctx.codegen()):
+            return compile_or_load(signature)
+
+    dispatcher.compile = own
+    return dispatcher
+
+
+def _saving(save: Callable[..., None], folder: Path) -> Callable[..., None]:
+    """`save` by one process at a time, for two would use one name; a full disk is no error."""
+
+    def save_alone(*arguments: Any) -> None:
+        try:
+            with (folder / "lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                save(*arguments)
+        except OSError as error:
+            _tell_once(f"{error}")
+
+    return save_alone
+
+
+kernel = compiled()
+"""A function of arrays and numbers, compiled."""
+
+parallel_kernel = compiled(parallel=True)
+"""A kernel whose `numba.prange` loops run on all cores; their bodies are one call of a kernel."""
+
+pair_law = numba.njit(inline="always", **OPTIONS)
+"""A formula that is written out where kernels use it."""

@@ -1,0 +1,77 @@
+"""What work takes in seconds, added up over all calls that did it, and from when a cache pays."""
+
+from __future__ import annotations
+
+import math
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+from surrofe2.base.compilation import clock
+
+
+class Meter:
+    """Seconds from now on, after those of an earlier call; compilation is not counted."""
+
+    def __init__(self, before: float = 0.0) -> None:
+        self._begun = clock() - before
+
+    @property
+    def seconds(self) -> float:
+        """All until now."""
+        return clock() - self._begun
+
+
+def processor() -> str:
+    """The name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Balance:
+    """A run through a cache against one by RVEs, with what the cache took to make; s.
+
+    Attributes:
+        made: of data set, training and calibration; None where that is not known.
+        run, true: of the two runs.
+    """
+
+    made: float | None
+    run: float
+    true: float
+
+    @property
+    def gain(self) -> float | None:
+        """How many times faster than the true run with everything counted."""
+        return None if self.made is None else self.true / (self.made + self.run)
+
+    @property
+    def pays_from(self) -> int | None:
+        """The number of such runs from which on it pays; None: never, or not known."""
+        if self.made is None or self.true <= self.run:
+            return None
+        return max(1, math.ceil(self.made / (self.true - self.run)))
+
+    @property
+    def sentence(self) -> str:
+        """What it comes to."""
+        if self.made is None:
+            return "what its surrogate cost is not known; train it anew to have it counted"
+        text = (
+            f"{self.made:.3g} s to make and {self.run:.3g} s to run against {self.true:.3g} s: "
+            f"{self.gain:.2g} times as fast with everything counted"
+        )
+        if self.pays_from is None:
+            return f"{text}; it never pays, since the true run is faster"
+        if self.pays_from == 1:
+            return f"{text}; it pays from the first run"
+        times = self.made / (self.true - self.run)
+        return (
+            f"{text}; it pays from {self.pays_from} such runs, or from {times:.2g} times the "
+            "elements at as many steps"
+        )

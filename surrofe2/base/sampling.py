@@ -1,0 +1,194 @@
+"""At which deformations the stress is sampled: ranges and sequences of points in them.
+
+A constant rotation leaves σ(F, Ḟ) unchanged but for the rotation, so with the polar decomposition
+F = R U seven inputs are left: the stretch U (symmetric) and the rate A = RᵀḞ (any 2 × 2).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError
+from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.tensors import INPUTS, transpose, unrotated
+from surrofe2.base.units import RATE
+
+Array = NDArray[np.float64]
+
+NEAREST = 0.03
+"""Of the size of a sample: how near to rest it is drawn, at most."""
+SLACK = 1e-12  # rounding of the polar decomposition at the edge of the range
+SEQUENCE = "Sobol, every third drawn to rest"
+"""What `training_points` gives, by which a data set of other points is told."""
+_DRAWN = 3  # every so many samples of a data set, one
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, without their integers, are even in [0, 1)
+_MOST_SAMPLES = 2**30  # points of the scrambled Sobol sequence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SamplingRange:
+    """Bounds on the stretch U and on A = RᵀḞ; mapped onto itself by the square cell's group D4."""
+
+    stretch: tuple[float, float] = setting(about="(low, high) of U₁₁ and of U₂₂")
+    shear: float = setting(about="bound on |U₁₂|", least=0.0)
+    rate: float = setting(about="bound on the modulus of every entry of RᵀḞ", unit=RATE, least=0.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "range")
+        low, high = self.stretch
+        if not 0.0 < low < high:
+            raise InputError(
+                f"range.stretch: ({low}, {high}); low must be below high, both positive"
+            )
+        if not low <= 1.0 <= high:
+            raise InputError(f"range.stretch: ({low}, {high}); it must hold 1, the tissue at rest")
+        if self.shear >= low:
+            raise InputError(
+                f"range.shear: {self.shear}; it must be below the lowest stretch {low}, "
+                "so that det U > 0"
+            )
+
+
+def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple[Array, Array]:
+    """Points `start` to `start + count` of a scrambled Sobol sequence over the range.
+
+    Returns:
+        F (count, 2, 2) symmetric, so F = U, and F_dot (count, 2, 2) in 1/µs. The same seed gives
+        the same sequence, however it is cut into calls.
+
+    Raises:
+        InputError: a number is negative, or the sequence ends before.
+    """
+    for name, value in (("count", count), ("seed", seed), ("start", start)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+            raise InputError(f"{name}: {value!r}; it must be an integer of at least 0")
+    if start + count > _MOST_SAMPLES:
+        raise InputError(f"count: {count} from {start}; the sequence ends at {_MOST_SAMPLES}")
+    low, high = range.stretch
+    upper = np.array([high, high, range.shear, *[range.rate] * 4])
+    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    points = lower + (upper - lower) * _sobol(int(count), int(seed), int(start))
+    return points[:, [0, 2, 2, 1]].reshape(-1, 2, 2), points[:, 3:].reshape(-1, 2, 2).copy()
+
+
+def training_points(
+    range: SamplingRange, count: int, seed: int, start: int = 0
+) -> tuple[Array, Array]:
+    """Points of a data set: those of `sample`, the very first at rest, every third drawn to it.
+
+    A point is drawn by a factor whose logarithm is uniform down to that of `NEAREST`. A tissue is
+    mostly near rest, and there are few points of seven inputs where all are small.
+
+    Returns:
+        F (count, 2, 2) symmetric and F_dot (count, 2, 2) in 1/µs, as of `sample`.
+    """
+    F, F_dot = sample(range, count, seed, start)
+    n = np.arange(start, start + count)
+    share = np.where(n % _DRAWN == _DRAWN - 1, NEAREST ** (n * _GOLDEN % 1.0), 1.0)
+    share = np.where(n == 0, 0.0, share)[:, None, None]
+    return np.eye(2) + share * (F - np.eye(2)), share * F_dot
+
+
+def contains(range: SamplingRange, F: Array, F_dot: Array) -> NDArray[np.bool_]:
+    """(n,) whether U and RᵀḞ of each point are within the range; False where anything is NaN."""
+    F, F_dot = np.asarray(F, dtype=np.float64), np.asarray(F_dot, dtype=np.float64)
+    with np.errstate(all="ignore"):
+        U, A, _ = unrotated(F, F_dot)
+        low, high = range.stretch
+        inside = np.abs(A).max(axis=(1, 2), initial=0.0) <= range.rate + SLACK * range.rate
+        inside &= np.abs(U[:, 0, 1]) <= range.shear + SLACK
+        for k in (0, 1):
+            inside &= (U[:, k, k] >= low - SLACK) & (U[:, k, k] <= high + SLACK)
+    return inside
+
+
+QUANTITIES = ("U₁₁", "U₂₂", "U₁₂", "(RᵀḞ)₁₁", "(RᵀḞ)₁₂", "(RᵀḞ)₂₁", "(RᵀḞ)₂₂")
+"""What a range bounds."""
+
+
+def farthest_out(
+    range: SamplingRange, F: Array, F_dot: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Which of `QUANTITIES` is farthest beyond its bound, by its half width, at n finite points.
+
+    Returns:
+        its number (n,), −1 where all are within; its value (n,) and the bound that it passed (n,).
+    """
+    U, A, _ = unrotated(F, F_dot)
+    values = np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
+    low, high = range.stretch
+    upper = np.array([high, high, range.shear, *[range.rate] * 4])
+    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    bound = np.where(values > 0.5 * (upper + lower), upper, lower)
+    half = np.maximum(0.5 * (upper - lower), SLACK)
+    beyond = np.abs(values - 0.5 * (upper + lower)) / half
+    which = beyond.argmax(axis=1)
+    rows = np.arange(len(F))
+    inside = contains(range, F, F_dot)
+    return np.where(inside, -1, which), values[rows, which], bound[rows, which]
+
+
+def out_of_range(quantity: str, value: float, bound: float) -> str:
+    """By how much a quantity is beyond its bound, in words."""
+    side = "most" if value > bound else "least"
+    return (
+        f"{quantity} = {value:.6g} of at {side} {bound:g} after the rotation is taken out, "
+        f"{abs(value - bound):.2g} beyond"
+    )
+
+
+def range_holding(range: SamplingRange, F: Array, F_dot: Array) -> SamplingRange:
+    """The least range that holds another one and these points, (n, 2, 2) each."""
+    if contains(range, F, F_dot).all():
+        return range
+    U, A, _ = unrotated(F, F_dot)
+    stretches = np.concatenate([U[:, 0, 0], U[:, 1, 1]])
+    low, high = range.stretch
+    return SamplingRange(
+        stretch=(min(low, float(stretches.min())), max(high, float(stretches.max()))),
+        shear=max(range.shear, float(np.abs(U[:, 0, 1]).max())),
+        rate=max(range.rate, float(np.abs(A).max())),
+    )
+
+
+def neighbours(
+    range: SamplingRange, F: Array, F_dot: Array, count: int, seed: int, distance: float = 0.1
+) -> tuple[Array, Array]:
+    """`count` points (F, F_dot) about the given ones, (n, 2, 2) each, n ≥ 1, taken in turn.
+
+    U and RᵀḞ of each are drawn evenly within `distance` times the half widths of the range from
+    those of its point; F is symmetric, as of `sample`.
+    """
+    random = np.random.default_rng(seed)
+    at = random.permutation(len(F))[np.arange(count) % len(F)]
+    U, A, _ = unrotated(F[at], F_dot[at])
+    low, high = range.stretch
+    half = distance * np.array([0.5 * (high - low)] * 2 + [range.shear] + [range.rate] * 4)
+    moved = half * random.uniform(-1.0, 1.0, (count, INPUTS))
+    U = U + moved[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    return 0.5 * (U + transpose(U)), A + moved[:, 3:].reshape(-1, 2, 2)
+
+
+def half_widths(range: SamplingRange) -> Array:
+    """(7,) half the width of the range in each input of `tensors`; 1 where the range has none."""
+    low, high = range.stretch
+    widest = max(abs(low - 1.0), abs(high - 1.0))
+    widths = 2.0 * np.array([widest, widest, range.shear, *[range.rate] * 4])
+    return np.where(widths > 0.0, widths, 1.0)
+
+
+def _sobol(count: int, seed: int, start: int) -> Array:
+    """(count, 7) points in [0, 1) of scipy's scrambled sequence."""
+    from scipy.stats import qmc  # here, since it takes longer to load than a cached run
+
+    sequence = qmc.Sobol(INPUTS, seed=np.random.default_rng(seed))
+    if start:
+        sequence.fast_forward(start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # any number of points will do
+        points: Array = sequence.random(count)
+    return points

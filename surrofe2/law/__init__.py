@@ -1,0 +1,10 @@
+"""The hinge: what asks for stresses knows this and nothing else of what answers.
+
+In reading order:
+
+    stress_law    respond(F, F_dot) -> StressResponse, accept(F, F_dot, response)
+    surface_law   its like for free sides: stretch and rate in, line tension out
+    regional_law  several plant cells as one law
+    samples       (F, Ḟ) and the stresses that a law answered, the data of a surrogate
+    paths         a law along a path of (F, Ḟ)
+"""

@@ -1,0 +1,183 @@
+"""Stress of one point along a path of deformation in time, with components left free of stress.
+
+A uniaxial test prescribes F₁₁ and leaves F₂₂ free; the free entries follow from a first Piola
+stress of zero, by BDF 2 in time (backward Euler in the first step) and Newton's method with the
+law's own tangents. A law with viscosity creeps in them, as a sample would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError, SimulationError
+from surrofe2.base.tensors import cofactor
+from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
+
+Array = NDArray[np.float64]
+Entries = tuple[NDArray[np.int64], ...]
+Motion = Callable[[float], tuple[Array, Array]]
+"""(F, Ḟ) (2, 2) at a time in µs; entries that are free are not looked at."""
+
+_TOLERANCE, _ITERATIONS = 1e-12, 20
+_LEAST_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class StressPath:
+    """What a law answered along a path.
+
+    Attributes:
+        t: (n,) µs, evenly spaced from 0.
+        F, F_dot: (n, 2, 2). stress: (n, 2, 2) Cauchy stress, µN/µm.
+        first_piola: (n, 2, 2) P = det F σ F⁻ᵀ, µN/µm.
+    """
+
+    t: Array
+    F: Array
+    F_dot: Array
+    stress: Array
+    first_piola: Array
+
+    def modulus(self, direction: Array, frequency: float) -> tuple[float, float]:
+        """Storage and loss modulus, µN/µm, of P in a direction over the last whole period.
+
+        The path is `oscillation` in that direction (2, 2) at that frequency (1/µs):
+        (P : H)/(H : H) = G′ a sin ωt + G″ a cos ωt to first order in the amplitude a.
+
+        Raises:
+            InputError: the path is shorter than a period, or has fewer than 8 steps in one.
+        """
+        h = self.t[1] - self.t[0]
+        steps = round(1.0 / (frequency * h))
+        whole = abs(steps * frequency * h - 1.0) < 1e-6
+        if len(self.t) <= steps or steps < _LEAST_STEPS or not whole:
+            raise InputError(
+                f"frequency: {frequency:g} per µs; the path must hold a whole period of at least "
+                f"{_LEAST_STEPS} steps, it has steps of {h:g} µs up to {self.t[-1]:g} µs"
+            )
+        last = slice(len(self.t) - steps, None)
+        omega, size = 2.0 * np.pi * frequency, float(np.sum(direction**2))
+        along = np.einsum("nij,ij->n", self.first_piola[last], direction) / size
+        strain = np.einsum("nij,ij->n", self.F[last] - np.eye(2), direction) / size
+        wave = np.exp(-1j * omega * self.t[last])
+        ratio = (along @ wave) / (strain @ wave)
+        return float(ratio.real), float(ratio.imag)
+
+
+def oscillation(direction: Array, amplitude: float, frequency: float) -> Motion:
+    """F = I + a sin(2π f t) H with H = `direction` (2, 2), a the amplitude, f in 1/µs."""
+    omega = 2.0 * np.pi * frequency
+
+    def motion(t: float) -> tuple[Array, Array]:
+        swing, speed = np.sin(omega * t), omega * np.cos(omega * t)
+        return np.eye(2) + amplitude * swing * direction, amplitude * speed * direction
+
+    return motion
+
+
+def ramp_and_hold(target: Array, length: float) -> Motion:
+    """F from I to `target` (2, 2) by s³ (10 − 15 s + 6 s²), s = t/length (µs), held from there."""
+
+    def motion(t: float) -> tuple[Array, Array]:
+        s = min(t / length, 1.0)
+        rise, rate = s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s)) ** 2 / length
+        change = target - np.eye(2)
+        return np.eye(2) + rise * change, rate * change
+
+    return motion
+
+
+def follow_path(
+    law: StressLaw,
+    motion: Motion,
+    duration: float,
+    steps: int,
+    *,
+    free: Sequence[tuple[int, int]] = (),
+) -> StressPath:
+    """The stress of a law along a motion, from F = I at rest.
+
+    Args:
+        motion: F and Ḟ in time; see `oscillation` and `ramp_and_hold`.
+        duration: µs. steps: number of even steps.
+        free: entries (i, j) of F, from 0, that follow from P_ij = 0; (1, 1) is a uniaxial test
+            along x.
+
+    Raises:
+        InputError: no step, an entry that F has not, or free entries by a law without tangents.
+        SimulationError: the law has no stress, or Newton's method does not converge.
+    """
+    if not duration > 0.0 or steps < 1:
+        raise InputError(f"duration, steps: {duration}, {steps}; they must be positive")
+    if any(not (i in (0, 1) and j in (0, 1)) for i, j in free):
+        raise InputError(f"free: {list(free)}; entries of F are (0, 0), (0, 1), (1, 0), (1, 1)")
+    if free:
+        require_tangents(law, "free")
+    h, state = duration / steps, None
+    t: Array = h * np.arange(steps + 1.0)
+    entries: Entries = tuple(np.array(free, dtype=np.int64).reshape(-1, 2).T)
+    F, F_dot, stress = (np.empty((steps + 1, 2, 2)) for _ in range(3))
+    for n in range(steps + 1):
+        F[n], F_dot[n] = motion(float(t[n]))
+        F[n][entries] = F[n - 1][entries] if n else np.eye(2)[entries]
+        if n == 0:
+            F_dot[0][entries] = 0.0
+            answer = _answer(law, F[0], F_dot[0], None, 0.0)
+        else:
+            base, weight = F[n - 1], h
+            if n > 1:
+                base, weight = (4.0 * F[n - 1] - F[n - 2]) / 3.0, 2.0 * h / 3.0
+            rule = base[entries], weight
+            answer = _without_stress(law, F[n], F_dot[n], entries, rule, state, float(t[n]))
+        accepted = law.accept(F[n][None], F_dot[n][None], answer)
+        if accepted.status.any():
+            raise SimulationError(f"t = {t[n]:.6g} µs: {describe(accepted.status[0])}")
+        state = accepted.state
+        stress[n] = answer.stress[0] if accepted.stress is None else accepted.stress[0]
+    first_piola: Array = stress @ cofactor(F)
+    return StressPath(t, F, F_dot, stress, first_piola)
+
+
+def _answer(
+    law: StressLaw, F: Array, F_dot: Array, state: object, t: float, tangents: bool = False
+) -> StressResponse:
+    answer = law.respond(F[None], F_dot[None], state, tangents=tangents)
+    if answer.status.any():
+        raise SimulationError(f"t = {t:.6g} µs: {describe(answer.status[0])}")
+    return answer
+
+
+def _without_stress(
+    law: StressLaw,
+    F: Array,
+    F_dot: Array,
+    free: Entries,
+    rule: tuple[Array, float],
+    state: object,
+    t: float,
+) -> StressResponse:
+    """The answer at (F, F_dot), whose free entries are changed until P is zero there.
+
+    rule: (base, weight) of Ḟ = (F − base)/weight of the free entries.
+    """
+    base, weight = rule
+    if not base.size:
+        return _answer(law, F, F_dot, state, t)
+    for _ in range(_ITERATIONS):
+        F_dot[free] = (F[free] - base) / weight
+        answer = _answer(law, F, F_dot, state, t, tangents=True)
+        P = (answer.stress @ cofactor(F[None]))[0]
+        assert answer.tangents is not None
+        by_F, by_rate = answer.tangents.P_by_F[0], answer.tangents.P_by_F_dot[0]
+        step = np.linalg.solve((by_F + by_rate / weight)[free][(slice(None), *free)], P[free])
+        if abs(step).max() <= _TOLERANCE:
+            return answer
+        F[free] -= step
+    raise SimulationError(
+        f"t = {t:.6g} µs: Newton's method found no deformation free of stress in "
+        f"{_ITERATIONS} iterations; take more steps"
+    )

@@ -1,0 +1,214 @@
+"""One stress law for tissue of several cell types: each point asks the law of its region."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError
+from surrofe2.law.stress_law import (
+    Acceptance,
+    AuditedLaw,
+    LearningLaw,
+    Sources,
+    StressLaw,
+    StressResponse,
+    SwitchingLaw,
+    Tangents,
+)
+from surrofe2.run.views import Facts, Viewed
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class RegionalLaw(Viewed):
+    """Laws by region, each asked for its own points all at once.
+
+    The state is a tuple of the states of the laws. An answer costs what the laws' answers cost. A
+    law counts and learns only from steps to which no other objects.
+
+    Attributes:
+        laws: by name of the region.
+        points: by name, (k,) numbers of the region's points.
+        density: (n,) mass per reference area at each point, ng/µm².
+    """
+
+    def __init__(self, laws: Mapping[str, StressLaw], points: Mapping[str, Index]) -> None:
+        """A law of `laws` for each entry of `points`, which together number 0 … n − 1 once.
+
+        Raises:
+            InputError: a region has no law, or a point belongs to no region or to two.
+        """
+        for name in points:
+            if name not in laws:
+                raise InputError(f"laws: none for region {name}; there are {', '.join(laws)}")
+        everyone = np.sort(np.concatenate([*points.values()]))
+        missing = np.setdiff1d(np.arange(everyone.size), everyone)
+        if missing.size:
+            raise InputError(
+                f"points: point {missing[0]} is in no region or another one in two; "
+                "every point belongs to one region"
+            )
+        self.laws = {name: laws[name] for name in points}
+        self.points = dict(points)
+        self._parts = [(law, self.points[name]) for name, law in self.laws.items()]
+        found = self.laws.values()
+        self._audited = [law for law in found if isinstance(law, AuditedLaw) and law.is_audited]
+        self.density = np.empty(everyone.size)
+        for law, own in self._parts:
+            self.density[own] = law.density
+
+    def facts(self) -> Facts:
+        return self.laws
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether all laws have them."""
+        return all(law.has_tangents for law in self.laws.values())
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        """As of `StressLaw`, for all n points."""
+        if len(F) != self.density.size:
+            raise InputError(f"F: {len(F)} points; the regions have {self.density.size}")
+        states = (None,) * len(self._parts) if state is None else state
+        if not isinstance(states, tuple) or len(states) != len(self._parts):
+            raise InputError("state: not of a law of these regions; pass one of it, or None")
+        answers = [
+            law.respond(F[own], F_dot[own], part, tangents=tangents)
+            for (law, own), part in zip(self._parts, states, strict=True)
+        ]
+        effort: dict[str, int] = {}
+        reasons: dict[int, str] = {}
+        for answer, (_, own) in zip(answers, self._parts, strict=True):
+            reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
+            for name, value in answer.effort.items():
+                effort[name] = effort.get(name, 0) + int(value)
+        slopes = None
+        if tangents:
+            given = [cast(Tangents, answer.tangents) for answer in answers]
+            by_F, by_rate = [each.P_by_F for each in given], [each.P_by_F_dot for each in given]
+            slopes = Tangents(self._whole(by_F), self._whole(by_rate))
+        return StressResponse(
+            stress=self._whole([answer.stress for answer in answers]),
+            status=self._whole([answer.status for answer in answers]),
+            state=tuple(answer.state for answer in answers),
+            effort=effort,
+            tangents=slopes,
+            switched=self._whole([answer.switched for answer in answers]),
+            left_bifurcation=self._whole([answer.left_bifurcation for answer in answers]),
+            reasons=reasons,
+            sources=self._sources([answer.sources for answer in answers]),
+        )
+
+    def _sources(
+        self, told: Sequence[Callable[[], Sources] | None]
+    ) -> Callable[[], Sources] | None:
+        """What tells for all points; None where a law does not tell."""
+        telling = [each for each in told if each is not None]
+        if len(telling) < len(told):
+            return None
+
+        def tell() -> Sources:
+            parts = [each() for each in telling]
+            return Sources(
+                self._whole([part.source for part in parts]),
+                self._whole([part.risk for part in parts]),
+            )
+
+        return tell
+
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        parts = self._parts_of(response)
+        prepared = [
+            law.prepare(F[own], F_dot[own], part) if isinstance(law, LearningLaw) else None
+            for (law, own), part in zip(self._parts, parts, strict=True)
+        ]
+        said = [
+            law.accept(F[own], F_dot[own], part) if ready is None else Acceptance(ready[0])
+            for (law, own), part, ready in zip(self._parts, parts, prepared, strict=True)
+        ]
+        if not any(answer.status.any() for answer in said):
+            pairs = zip(said, prepared, strict=True)
+            said = [answer if ready is None else ready[1]() for answer, ready in pairs]
+        return self._together(said, parts)
+
+    def restart_step(
+        self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
+    ) -> Acceptance:
+        """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
+
+        def ask(law: StressLaw, own: Index, part: StressResponse) -> Acceptance:
+            if not switched[own].any():
+                return Acceptance(part.status, part.state)
+            switching = cast(SwitchingLaw, law)
+            return switching.restart_step(F[own], F_dot[own], part, switched[own])
+
+        parts = self._parts_of(response)
+        pairs = zip(self._parts, parts, strict=True)
+        return self._together([ask(law, own, part) for (law, own), part in pairs], parts)
+
+    @property
+    def is_audited(self) -> bool:
+        """Whether all laws are."""
+        return len(self._audited) == len(self.laws)
+
+    def mark(self, t: float, state: Any) -> None:
+        for law, part in zip(self._audited, state, strict=True):
+            law.mark(t, part)
+
+    def verdict(self, *, final: bool = False) -> bool | None:
+        """As of `AuditedLaw`; where one law has come to its own, all do."""
+        found = [law.verdict(final=final) for law in self._audited]
+        if True in found and not final:
+            found = [law.verdict(final=True) for law in self._audited]
+        return False if False in found else (None if None in found else True)
+
+    def roll_back(self, t: float) -> Any:
+        """As of `AuditedLaw`, of all laws; only those that failed are then more cautious."""
+        return tuple(law.roll_back(t) for law in self._audited)
+
+    def _parts_of(self, response: StressResponse) -> list[StressResponse]:
+        """What each law answered, without tangents."""
+        left = response.left_bifurcation
+        return [
+            replace(
+                response,
+                stress=response.stress[own],
+                status=response.status[own],
+                state=state,
+                tangents=None,
+                switched=None,
+                left_bifurcation=None if left is None else left[own],
+            )
+            for (_, own), state in zip(self._parts, response.state, strict=True)
+        ]
+
+    def _together(self, said: Sequence[Acceptance], parts: Sequence[StressResponse]) -> Acceptance:
+        """What all laws say of their `parts` of a response."""
+        changed = any(answer.stress is not None for answer in said)
+        pairs = zip(said, parts, strict=True)
+        stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
+        return Acceptance(
+            status=self._whole([answer.status for answer in said]),
+            state=tuple(answer.state for answer in said),
+            stress=self._whole(stresses) if changed else None,
+            left_bifurcation=self._whole([answer.left_bifurcation for answer in said]),
+        )
+
+    def _whole(self, values: Sequence[NDArray | None]) -> Any:
+        """(n, …) from the values of each law's points, 0 where one gave none; None if none did."""
+        given = next((value for value in values if value is not None), None)
+        if given is None:
+            return None
+        whole = np.zeros((self.density.size, *given.shape[1:]), given.dtype)
+        for (_, own), value in zip(self._parts, values, strict=True):
+            if value is not None:
+                whole[own] = value
+        return whole

@@ -1,0 +1,134 @@
+"""Stress of one RVE at sampled deformations: what data sets hold and surrogates learn from."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.run.views import Facts, Viewed
+
+Array = NDArray[np.float64]
+
+TANGENTS = ("P_by_F", "P_by_F_dot")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StressSamples(Viewed):
+    """Stress of one RVE at sampled deformations, and whose stress it is.
+
+    Attributes:
+        F: (n, 2, 2) deformation gradient.
+        F_dot: (n, 2, 2) its material rate, 1/µs.
+        stress: (n, 2, 2) Cauchy stress in µN/µm, finite where `status` is 0.
+        status: (n,) int8 codes of `surrofe2.law.stress_law.Status`.
+        cell: parameters of the plant cell.
+        initialisation: how the RVE was initialised.
+        range: bounds the points were drawn from.
+        seed: seed of their sequence.
+        rest_length: wall rest length in µm, if known.
+        P_by_F: (n, 2, 2, 2, 2) ∂P/∂F in µN/µm as in `Tangents`, finite where `status` is 0; None
+            where the samples have no tangents.
+        P_by_F_dot: the same by Ḟ, µN µs/µm; given if and only if `P_by_F` is.
+        left_bifurcation: (n,) whether the RVE left its branch at a bifurcation: its stress is
+            that of one of several stable equilibria. None: nowhere.
+    """
+
+    F: Array
+    F_dot: Array
+    stress: Array
+    status: NDArray[np.int8]
+    cell: CellParameters
+    initialisation: str
+    range: SamplingRange
+    seed: int
+    rest_length: float | None = None
+    P_by_F: Array | None = None
+    P_by_F_dot: Array | None = None
+    left_bifurcation: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.F)
+        if (self.P_by_F is None) != (self.P_by_F_dot is None):
+            raise InputError("samples.P_by_F, samples.P_by_F_dot: give both or neither")
+        arrays = self._float_arrays
+        for name, array in arrays.items():
+            shape = (count, 2, 2, 2, 2) if name in TANGENTS else (count, 2, 2)
+            if np.shape(array) != shape:
+                raise InputError(f"samples.{name}: shape {np.shape(array)}; it must be {shape}")
+        if np.shape(self.status) != (count,):
+            raise InputError(
+                f"samples.status: shape {np.shape(self.status)}; it must be ({count},)"
+            )
+        left = self.left_bifurcation
+        if left is not None and np.shape(left) != (count,):
+            raise InputError(
+                f"samples.left_bifurcation: shape {np.shape(left)}; it must be ({count},)"
+            )
+        for name, array in arrays.items():
+            if not np.isfinite(array[self.status == 0]).all():
+                raise InputError(f"samples.{name}: not finite at a sample whose status is 0")
+
+    def facts(self) -> Facts:
+        left = self.left_bifurcation
+        has_left = np.zeros(len(self.F), np.bool_) if left is None else left
+        has_stress = self.status == 0
+        return {
+            "samples": f"{len(self.F):,}",
+            "usable": f"{int((has_stress & ~has_left).sum()):,}",
+            "failed": f"{int((~has_stress).sum()):,}",
+            "left a bifurcation": f"{int((has_stress & has_left).sum()):,}",
+            "tangents": "no" if self.P_by_F is None else "yes",
+            "plant cell": self.cell.preset_name,
+            "initialisation": self.initialisation,
+            "range": self.range,
+        }
+
+    def __repr__(self) -> str:
+        lost = int((np.asarray(self.status) != 0).sum())
+        with_tangents = "" if self.P_by_F is None else ", with tangents"
+        return (
+            f"<StressSamples: {len(self.F)}, {lost} of them failed{with_tangents}; "
+            f"cell {self.cell.fingerprint}, {self.initialisation}>"
+        )
+
+    @property
+    def _float_arrays(self) -> dict[str, Array]:
+        """The arrays of numbers that the samples have, by name."""
+        arrays = {"F": self.F, "F_dot": self.F_dot, "stress": self.stress}
+        if self.P_by_F is not None and self.P_by_F_dot is not None:
+            arrays |= {"P_by_F": self.P_by_F, "P_by_F_dot": self.P_by_F_dot}
+        return arrays
+
+    @property
+    def fingerprint(self) -> str:
+        """16 hexadecimal digits that two equal sets of samples share and no others."""
+        digest = hashlib.sha256()
+        identity = (self.cell.fingerprint, self.initialisation, asdict(self.range), self.seed)
+        digest.update(repr((*identity, self.rest_length)).encode())
+        for array in self._float_arrays.values():
+            digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
+        digest.update(np.ascontiguousarray(self.status, dtype=np.int8).tobytes())
+        if self.left_bifurcation is not None and self.left_bifurcation.any():
+            digest.update(np.packbits(self.left_bifurcation).tobytes())
+        return digest.hexdigest()[:16]
+
+    @property
+    def valid(self) -> StressSamples:
+        """The samples that have a stress, status 0, and only one: no bifurcation was left."""
+        kept = self.status == 0
+        if self.left_bifurcation is not None:
+            kept &= ~self.left_bifurcation
+        return replace(self, left_bifurcation=None).at(kept)
+
+    def at(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> StressSamples:
+        """Those of the samples with these numbers, or where True."""
+        arrays: dict[str, Any] = {k: array[chosen] for k, array in self._float_arrays.items()}
+        left = None if self.left_bifurcation is None else self.left_bifurcation[chosen]
+        return replace(self, status=self.status[chosen], left_bifurcation=left, **arrays)

@@ -1,0 +1,290 @@
+"""The hinge: (F, Ḟ) in, Cauchy stress out, for all points at once.
+
+Representative volume elements, surrogates, caches and analytic laws all implement `StressLaw`;
+the macro scale knows nothing else of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """Why a point has no stress; 0 where it has one."""
+
+    OK = 0
+    NOT_CONVERGED = 1
+    UNSTABLE = 2
+    OUT_OF_RANGE = 3
+    NOT_FINITE = 4
+    LIST_TOO_SHORT = 5
+    NOT_TRUSTED = 6
+
+
+_SENTENCES = {
+    Status.OK: "the stress is valid",
+    Status.NOT_CONVERGED: "the RVE solve did not converge; load in smaller steps or raise the "
+    "iteration limit",
+    Status.UNSTABLE: "the RVE equilibrium is unstable and no stable one was found below it; the "
+    "deformation is beyond what this cell bears homogeneously",
+    Status.OUT_OF_RANGE: "the deformation or its rate is outside the range of the surrogate's "
+    "data; use the cached law or train on a wider range",
+    Status.NOT_FINITE: "the stress came out as NaN or infinite",
+    Status.LIST_TOO_SHORT: "particles moved farther than the pair list covers; the deformation is "
+    "beyond the supported range",
+    Status.NOT_TRUSTED: "the bound of the surrogate's error exceeds the stress tolerance; use the "
+    "cached law, raise the tolerance or train on more data",
+}
+
+
+def describe(status: int) -> str:
+    """The sentence behind a status code of `StressResponse.status`."""
+    return _SENTENCES[Status(int(status))]
+
+
+@dataclass(frozen=True, slots=True)
+class Tangents:
+    """Derivatives of the first Piola–Kirchhoff stress P = det F σ F⁻ᵀ at n points.
+
+    Attributes:
+        P_by_F: (n, 2, 2, 2, 2), [point, a, b, c, d] = ∂P_ab/∂F_cd, µN/µm.
+        P_by_F_dot: the same by Ḟ_cd, µN µs/µm.
+    """
+
+    P_by_F: Array
+    P_by_F_dot: Array
+
+    def cauchy(self, F: Array, stress: Array) -> tuple[Array, Array]:
+        """∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2), from σ = P Fᵀ/det F.
+
+        Args:
+            F: (n, 2, 2) where the tangents hold.
+            stress: (n, 2, 2) Cauchy stress there.
+        """
+        J = np.linalg.det(F)
+        inverse = np.linalg.inv(F)
+        P = J[:, None, None] * stress @ np.swapaxes(inverse, 1, 2)
+        by_F = np.einsum("naecd,nbe->nabcd", self.P_by_F, F)
+        by_F += np.einsum("nad,bc->nabcd", P, np.eye(2))
+        by_F /= J[:, None, None, None, None]
+        by_F -= np.einsum("nab,ndc->nabcd", stress, inverse)
+        by_F_dot = np.einsum("naecd,nbe->nabcd", self.P_by_F_dot, F)
+        return by_F, by_F_dot / J[:, None, None, None, None]
+
+
+SURROGATE, TABLE = int(Status.OK), 7
+"""Codes of `Sources` besides the reasons of `Status` for which an RVE was asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Where the stress of n points came from.
+
+    Attributes:
+        source: (n,) int8 `SURROGATE`, `TABLE`, or the `Status` for which the true law was asked.
+        risk: (n,) bound of the error over the error allowed there; 0 where the true law answered.
+    """
+
+    source: NDArray[np.int8]
+    risk: Array
+
+
+@dataclass(frozen=True, slots=True)
+class StressResponse:
+    """What a stress law answers for n points.
+
+    Attributes:
+        stress: (n, 2, 2) Cauchy stress in µN/µm; NaN where `status` is not 0.
+        status: (n,) int8 codes of `Status`.
+        state: warm start (or history) for the next call; opaque to everyone but its law.
+        effort: what the answer cost, by name, e.g. ``{"rve_solves": 80, "hits": 0}``; summable.
+        tangents: derivatives of the stress, where they were asked for.
+        switched: (n,) int8, None from most laws: not 0 where the law answers by another branch
+            than it would have at the start of this step. The step then mixes both and must be
+            restarted, see `SwitchingLaw`.
+        left_bifurcation: (n,) whether the point left its branch at a bifurcation on its way: the
+            stress is that of a stable equilibrium, but other ways may lead to another one. None:
+            nowhere.
+        reasons: by number of a point without stress, what a law has to say beyond `describe`; of
+            some of them, the first one included.
+        sources: tells where the stress came from; None: from the law itself.
+    """
+
+    stress: Array
+    status: NDArray[np.int8]
+    state: Any = None
+    effort: Mapping[str, int] = field(default_factory=dict)
+    tangents: Tangents | None = None
+    switched: NDArray[np.int8] | None = None
+    left_bifurcation: NDArray[np.bool_] | None = None
+    reasons: Mapping[int, str] = field(default_factory=dict)
+    sources: Callable[[], Sources] | None = None
+
+    def __repr__(self) -> str:
+        count, lost = len(self.status), int((self.status != 0).sum())
+        told = ", with tangents" if self.tangents is not None else ""
+        told += f", {lost} without stress" if lost else ""
+        return f"<StressResponse: {count} point{'s' * (count != 1)}{told}>"
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """What a stress law says of an accepted time step.
+
+    Attributes:
+        status: (n,) int8 codes; a law may check here what is too dear for every trial.
+        state: the state to carry into the next step.
+        stress: (n, 2, 2) by which the next step begins at the same (F, Ḟ), where the law answers
+            by another branch from there on; None from most laws: the stress that was accepted.
+        left_bifurcation: (n,) whether the point lost stability in this step and was moved to
+            another equilibrium, whose stress is in `stress`. None: nowhere.
+    """
+
+    status: NDArray[np.int8]
+    state: Any = None
+    stress: Array | None = None
+    left_bifurcation: NDArray[np.bool_] | None = None
+
+
+class StressLaw(Protocol):
+    """A constitutive law σ(F, Ḟ) for tissue.
+
+    `respond` is pure: asked twice, the same answer. `state` is a warm start or a history that
+    only the time loop commits, by `accept` at the end of a step it keeps.
+    """
+
+    @property
+    def density(self) -> float | Array:
+        """Mass per reference area, ng/µm²: one for all points, or (n,)."""
+
+    @property
+    def has_tangents(self) -> bool:
+        """Whether `respond` gives tangents when asked."""
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        """Stress at n points.
+
+        Args:
+            F: (n, 2, 2) deformation gradient, det F > 0.
+            F_dot: (n, 2, 2) its material rate, 1/µs.
+            state: what an earlier answer or acceptance for the same n points carried, or None.
+            tangents: whether the answer shall carry the derivatives of the stress.
+
+        Raises:
+            InputError: wrong shape, not finite, det F ≤ 0, or tangents of a law without.
+        """
+
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        """Commit the answer `response` that was given at (F, F_dot), the end of a kept step.
+
+        A law that objects at a point changes nothing: the step is not kept.
+        """
+
+
+@runtime_checkable
+class LearningLaw(StressLaw, Protocol):
+    """A law that a kept step changes beyond its state, as by what it counts or learns."""
+
+    def prepare(
+        self, F: Array, F_dot: Array, response: StressResponse
+    ) -> tuple[NDArray[np.int8], Callable[[], Acceptance]]:
+        """`accept` in two parts: what it objects to, (n,) codes, without a change; and the rest."""
+
+
+class SwitchingLaw(StressLaw, Protocol):
+    """A law of several branches, which gives `StressResponse.switched`.
+
+    Within a step a point may leave a branch but not come back. The first answer of a step that
+    finds a point to leave marks it `switched`; whoever steps then asks `restart_step` at the start
+    of the step, takes its state and stress, and repeats the step at the same length.
+    """
+
+    def restart_step(
+        self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
+    ) -> Acceptance:
+        """The start of a step once more, with the points `switched` on their new branch.
+
+        Args:
+            F, F_dot: (n, 2, 2) at the start of the step.
+            response: stress and status there, and the committed state.
+            switched: (n,) of the answer that found the points.
+        """
+
+
+@runtime_checkable
+class AuditedLaw(StressLaw, Protocol):
+    """A law that learns only later how wrong its answers were.
+
+    Whoever steps marks where a window of steps begins, and asks for the verdict after every kept
+    step. A window that stands ends there, and the next one begins; one that does not is made again
+    from its mark, by the state that `roll_back` gives.
+    """
+
+    @property
+    def is_audited(self) -> bool:
+        """Whether it ever gives a verdict."""
+
+    def mark(self, t: float, state: Any) -> None:
+        """What was kept up to t stands; `state` is what was committed there."""
+
+    def verdict(self, *, final: bool = False) -> bool | None:
+        """Whether the steps since the mark stand; None: not known yet, unless `final`."""
+
+    def roll_back(self, t: float) -> Any:
+        """The state at the mark, to continue from; t is where the verdict fell."""
+
+
+def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
+    """An `InputError` that begins with the purpose unless the law gives tangents."""
+    if not law.has_tangents:
+        raise InputError(
+            f"{purpose}: {type(law).__name__} has no tangents; use true RVEs (--law rve, solver "
+            "direct) or integrator explicit"
+        )
+
+
+def check_deformation(F: Any, F_dot: Any) -> tuple[Array, Array]:
+    """(F, F_dot) as contiguous float64 arrays of shape (n, 2, 2), or an InputError."""
+    F = _as_tensors("F", F)
+    F_dot = _as_tensors("F_dot", F_dot)
+    if F.shape != F_dot.shape:
+        raise InputError(
+            f"F_dot: shape {F_dot.shape} does not match the shape {F.shape} of F; "
+            "both must be (n, 2, 2)"
+        )
+    det = F[:, 0, 0] * F[:, 1, 1] - F[:, 0, 1] * F[:, 1, 0]
+    if det.size and det.min() <= 0.0:
+        point = int(det.argmin())
+        raise InputError(f"F: det F = {det[point]:.6g} at point {point}; it must be positive")
+    return F, F_dot
+
+
+def _as_tensors(name: str, value: Any) -> Array:
+    try:
+        given = np.asanyarray(value)
+    except (TypeError, ValueError):
+        given = np.array(None)
+    if given.dtype.kind not in "fiu":
+        raise InputError(f"{name}: {given.dtype}; it must be an array (n, 2, 2) of real numbers")
+    if type(given) is not np.ndarray and np.ma.isMaskedArray(given):
+        raise InputError(f"{name}: a masked array; every entry must be a number")
+    array = np.ascontiguousarray(given, dtype=np.float64)
+    if array.ndim != 3 or array.shape[1:] != (2, 2):
+        raise InputError(f"{name}: shape {np.shape(value)}; it must be (n, 2, 2)")
+    finite = np.isfinite(array)
+    if not finite.all():
+        point = int(np.argwhere(~finite)[0, 0])
+        raise InputError(f"{name}: not finite at point {point}; every entry must be a number")
+    return array

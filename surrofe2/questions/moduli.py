@@ -1,0 +1,278 @@
+"""Elastic and viscous moduli of a plant cell at rest, from the exact tangents of the stress.
+
+At F = I and Ḟ = 0 the stress vanishes, so ∂P/∂F and ∂P/∂Ḟ are the moduli of small strain and of
+its rate. In Voigt's order xx, yy, xy (engineering shear, minor symmetries taken) they make a
+3 × 3 matrix C, of which::
+
+    bulk K = (C₁₁ + C₁₂)/2         shear along the axes G₀ = C₆₆, at 45° G₄₅ = (C₁₁ − C₁₂)/2
+    Young E = C₁₁ − C₁₂²/C₂₂       Poisson ν = C₁₂/C₂₂        (pulled along x, free across)
+
+All are two-dimensional; divided by the thickness of the tissue they are in MPa and MPa µs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from surrofe2.base.errors import InputError
+from surrofe2.base.simd import TILE
+from surrofe2.plant_cell.forces import fluid_specific_volume
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.report.tables import Quantity, Table
+from surrofe2.rve import RveLaw
+from surrofe2.rve.unit_cell import UnitCell
+
+Array = NDArray[np.float64]
+
+FACTORS = (0.5, 0.75, 1.0, 1.5, 2.0)
+"""Of turgor and wall stiffness in the tables."""
+
+MODULI: Mapping[str, Callable[[Array], float]] = {
+    "C11": lambda C: C[0, 0],
+    "C12": lambda C: C[0, 1],
+    "C66": lambda C: C[2, 2],
+    "bulk": lambda C: (C[0, 0] + C[0, 1]) / 2.0,
+    "shear": lambda C: C[2, 2],
+    "shear 45°": lambda C: (C[0, 0] - C[0, 1]) / 2.0,
+    "young": lambda C: C[0, 0] - C[0, 1] * C[1, 0] / C[1, 1],
+    "poisson": lambda C: C[1, 0] / C[1, 1],
+}
+"""Of a matrix (3, 3), by name; all but Poisson's ratio in its unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellModuli:
+    """Matrices (3, 3) of one initialisation: elastic in µN/µm = N/m, viscous in µN µs/µm."""
+
+    elastic: Array
+    viscous: Array
+
+
+def cell_moduli(cell: CellParameters, initialisation: str) -> CellModuli:
+    """Moduli at rest. One-sided where a pair sits at the cut-off of the repulsion.
+
+    Raises:
+        InputError: the plant cell has no equilibrium at rest.
+    """
+    F, law = np.eye(2)[None], RveLaw(cell, initialisation=initialisation)
+    tangents = law.respond(F, 0.0 * F, tangents=True).tangents
+    if tangents is None or not np.isfinite(tangents.P_by_F).all():
+        raise InputError(f"moduli: no equilibrium at rest by initialisation {initialisation}")
+    return CellModuli(voigt(tangents.P_by_F[0]), voigt(tangents.P_by_F_dot[0]))
+
+
+def voigt(tangent: Array) -> Array:
+    """(3, 3) of a tangent (2, 2, 2, 2), its minor symmetries taken: xx, yy, xy."""
+    symmetric = 0.5 * (tangent + tangent.transpose(1, 0, 2, 3))
+    symmetric = 0.5 * (symmetric + symmetric.transpose(0, 1, 3, 2))
+    a, b = np.array([0, 1, 0]), np.array([0, 1, 1])
+    return np.asarray(symmetric[a[:, None], b[:, None], a[None], b[None]])
+
+
+@dataclass(frozen=True, slots=True)
+class Turgor:
+    """Pressure of the fluid in the reference state, MPa.
+
+    Attributes:
+        mean: of c_s² ρ (eq. 9) over the fluid particles, over the thickness: what `turgor` means
+            wherever surrofe2 takes it as an input.
+        virial: of the fluid's pair forces alone, Σ f·r/(2 area), over the thickness: what the
+            fluid adds to −tr σ/2. Smaller, since walls and fluid repel each other over a distance.
+        walls: virial of the wall springs and of the repulsion between wall particles: the pressure
+            that the tension of the walls balances. Larger, since the fluid does not fill the cell.
+    """
+
+    mean: float
+    virial: float
+    walls: float
+
+
+def turgor(cell: CellParameters) -> Turgor:
+    """Fluid pressure of the undeformed cell."""
+    unit = RveLaw(cell).unit_cell
+    topology = unit.topologies[0]
+    x = np.ascontiguousarray(np.repeat(unit.position.T[..., None], TILE, axis=-1))
+    slope = np.empty((len(topology.fluid_pairs), TILE))
+    volume = np.empty((topology.particles - topology.walls, TILE))
+    fluid_specific_volume(x, topology, unit.constants, slope, volume)
+    per_density = volume[:, 0]
+    speed = unit.constants.sound_speed_squared
+    i, j = topology.fluid_pairs.T
+    square = np.sum((unit.position[j] - unit.position[i]) ** 2, axis=1)
+    v = per_density[i - topology.walls] + per_density[j - topology.walls]
+    pull = cell.fluid_particle_mass**2 * speed * slope[:, 0] * v
+    t = cell.tissue_thickness
+    return Turgor(
+        mean=float(np.mean(speed / per_density)) / t,
+        virial=float(-np.sum(pull * square)) / (2.0 * topology.area * t),
+        walls=_wall_virial(cell, unit) / (2.0 * topology.area * t),
+    )
+
+
+def _wall_virial(cell: CellParameters, unit: UnitCell) -> float:
+    """Σ f·r of the springs and contacts between wall particles at rest, µN µm."""
+    topology, beyond = unit.topologies[0], cell.repulsion_cutoff**-6
+    owner = np.concatenate([np.arange(topology.particles), topology.owner])
+    image = unit.position[topology.owner] + topology.image_offset
+    local = np.concatenate([unit.position, image])
+
+    def length(pairs: NDArray[Any]) -> Array:
+        return np.asarray(np.linalg.norm(local[pairs[:, 1]] - local[pairs[:, 0]], axis=1))
+
+    spring = length(topology.bonds)
+    contact = length(topology.contacts[(owner[topology.contacts] < topology.walls).all(axis=1)])
+    contact = contact[contact < cell.repulsion_cutoff]
+    tension = cell.wall_stiffness * (spring - unit.rest_length)
+    repulsion = cell.repulsion_strength * (contact**-6 - beyond)
+    return float(np.sum(tension * spring) - np.sum(repulsion * contact))
+
+
+def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
+    """The cell with the fluid mass that gives it a turgor (`Turgor.mean`), MPa.
+
+    p = c_s² ρ has no reference density, so mass and pressure go together.
+
+    Raises:
+        InputError: not positive, or more than the walls bear at any rest length.
+    """
+    if not 0.0 < pressure < float("inf"):
+        raise InputError(f"turgor: {pressure}; it must be positive (MPa)")
+
+    # Mass of a fluid that fills the cell evenly; pressure grows nearly in proportion.
+    spread = cell.cell_side**2 / cell.fluid_particles_per_side**2
+    guess = pressure * cell.tissue_thickness / cell.sound_speed**2 * spread
+
+    def excess(mass: float) -> float:
+        return turgor(replace(cell, fluid_particle_mass=mass)).mean / pressure - 1.0
+
+    try:
+        mass = float(brentq(excess, 0.6 * guess, 1.6 * guess, rtol=1e-10))
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(
+            f"turgor: {pressure} MPa; no fluid mass near {guess:.3g} ng gives it"
+        ) from None
+    return replace(cell, fluid_particle_mass=mass)
+
+
+def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict[str, Table[Any]]:
+    """By title: elastic and viscous moduli by initialisation, in 2D and over the thickness."""
+    name: Quantity[Any] = Quantity("initialisation", "", "")
+    t, tables = cell.tissue_thickness, {}
+    for title, kind, over in (
+        ("Elastic moduli, N/m", "elastic", 1.0),
+        ("Elastic moduli, MPa", "elastic", t),
+        ("Viscous moduli, N/m µs", "viscous", 1.0),
+        ("Viscous moduli, MPa µs", "viscous", t),
+    ):
+        rows = [
+            {"initialisation": method, **_moduli_of(asdict(each)[kind] / over)}
+            for method, each in found.items()
+        ]
+        tables[title] = Table((name, *_columns(MODULI)), rows)
+    return tables
+
+
+def _columns(shown: Container[str], kind: str = "") -> list[Quantity[Any]]:
+    """One for each modulus; `kind` goes before the name."""
+    return [Quantity(f"{kind}{k}", "", ".4g" if k in shown else None) for k in MODULI]
+
+
+def _moduli_of(C: Array, kind: str = "") -> dict[str, float]:
+    return {f"{kind}{name}": float(modulus(C)) for name, modulus in MODULI.items()}
+
+
+def with_wall_springs(cell: CellParameters, n: float) -> CellParameters:
+    """n springs a side, the wall as a whole kept: stiffness ∝ n, particle mass and λ ∝ 1/n.
+
+    Repulsion between second neighbours along a wall grows with n all the same, for its cut-off
+    does not shrink with the spacing.
+    """
+    r = n / cell.wall_springs_per_side
+    return replace(
+        cell,
+        wall_springs_per_side=int(n),
+        wall_stiffness=cell.wall_stiffness * r,
+        wall_particle_mass=cell.wall_particle_mass / r,
+        repulsion_strength=cell.repulsion_strength / r,
+    )
+
+
+def with_fluid_particles(cell: CellParameters, n: float) -> CellParameters:
+    """n fluid particles a side, the fluid as a whole kept: mass and λ ∝ 1/n², h ∝ 1/n."""
+    r = n / cell.fluid_particles_per_side
+    return replace(
+        cell,
+        fluid_particles_per_side=int(n),
+        fluid_particle_mass=cell.fluid_particle_mass / r**2,
+        smoothing_length=cell.smoothing_length / r,
+        repulsion_strength=cell.repulsion_strength / r**2,
+    )
+
+
+Change = tuple[str, Callable[[CellParameters], Sequence[float]], Callable[..., CellParameters]]
+"""A parameter that is changed: heading with unit, values about a cell's own, cell of a value."""
+CHANGES: Mapping[str, Change] = {
+    "turgor": ("turgor (MPa)", lambda cell: [k * turgor(cell).mean for k in FACTORS], with_turgor),
+    "wall stiffness": (
+        "wall stiffness (N/m)",
+        lambda cell: [k * cell.wall_stiffness for k in FACTORS],
+        lambda cell, stiffness: replace(cell, wall_stiffness=stiffness),
+    ),
+    "wall particles": ("wall springs a side", lambda cell: (6, 8, 10, 12, 14), with_wall_springs),
+    "fluid particles": ("fluid particles a side", lambda cell: (2, 4, 6, 8), with_fluid_particles),
+}
+"""Turgor by the fluid's mass; the damping constant of the wall follows its stiffness (eq. 1)."""
+
+
+def changed_cells(
+    cell: CellParameters,
+    initialisation: str,
+    change: Change,
+    values: Sequence[float],
+    progress: Callable[[float], None] = lambda done: None,
+) -> Table[Mapping[str, Any]]:
+    """Moduli over a parameter in MPa and MPa µs; those of some are in files alone.
+
+    Args:
+        progress: called with the number of values that are done.
+    """
+    (heading, _, make), t = change, cell.tissue_thickness
+
+    def changed(value: float) -> Mapping[str, Any]:
+        """A cell with one value changed; `trouble` says why there are no moduli."""
+        row = {heading: value}
+        try:
+            new = make(cell, value)
+            found, pressure = cell_moduli(new, initialisation), turgor(new)
+            return row | {
+                "mean turgor": pressure.mean,
+                "virial turgor": pressure.virial,
+                "l₀/spring": RveLaw(new).rest_length / new.spring_length,
+                **_moduli_of(found.elastic / t),
+                **_moduli_of(found.viscous / t, "viscous "),
+            }
+        except InputError as error:
+            return row | {"trouble": str(error)}
+
+    columns: list[Quantity[Mapping[str, Any]]] = [
+        Quantity(heading, "", ".4g"),
+        Quantity("mean turgor", "MPa", ".4g"),
+        Quantity("virial turgor", "MPa", None),
+        Quantity("l₀/spring", "", ".4g"),
+        *_columns(("bulk", "shear", "shear 45°", "young")),
+        *_columns(("shear",), "viscous "),
+        Quantity("trouble", "", None),
+    ]
+    rows = []
+    for value in values:
+        rows.append(changed(value))
+        progress(len(rows))
+    return Table(columns, rows)

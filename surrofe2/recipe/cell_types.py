@@ -1,0 +1,235 @@
+"""Cell types of a recipe: plant cells by name, and the regions of the mesh that each fills."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.base.settings import check_entries, check_settings, check_value, from_table, setting
+from surrofe2.macro.discretisation import points_by_region
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.problem.mesh import region
+from surrofe2.problem.problem import Problem
+from surrofe2.surrogate.settings import TrainingSettings
+from surrofe2.tissue.conditions import inside_region
+
+T = TypeVar("T")
+Index = NDArray[np.int64]
+
+REST = "rest"
+"""As a region of a cell: what no other cell fills, unless the mesh has a region of that name."""
+SECTIONS = ("range", "samples", "training")
+"""Sections that a cell may have; what they leave out is as in the recipe's section."""
+_OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
+"""Files that cells cannot share."""
+FIRST_COUNT, MOST_COUNT = 512, 16384
+"""Samples that training begins with, and takes at most, where a recipe leaves their number out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleSettings:
+    """How many samples of the range, by which seed of the low-discrepancy sequence; their file."""
+
+    count: int | None = setting(
+        None,
+        f"number of samples; left out: as many as training.bound needs, {MOST_COUNT} without one",
+        least=1,
+    )
+    seed: int = setting(1, "of the sequence", least=0)
+    tangents: bool = setting(False, "whether ∂P/∂F and ∂P/∂Ḟ are sampled with the stress")
+    file: str | None = setting(None, "of the data set, relative to the recipe")
+    add: tuple[str, ...] = setting((), "harvests that training takes in besides the data set")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "samples")
+
+    def counts(self, bound: float) -> tuple[int, ...]:
+        """How many samples training takes, in turn, until its bound is met.
+
+        Args:
+            bound: that training wants, of the spread of stress; 0: none, and so the most at once.
+        """
+        if self.count is not None or not bound:
+            return (self.count or MOST_COUNT,)
+        counts = [FIRST_COUNT]
+        while counts[-1] < MOST_COUNT:
+            counts.append(2 * counts[-1])
+        return tuple(counts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellType:
+    """A plant cell, the regions it fills (of [cell] none are named: all of them), and how its
+    stress is sampled and learnt."""
+
+    preset: str
+    cell: CellParameters
+    regions: tuple[str, ...]
+    range: SamplingRange | None
+    samples: SampleSettings
+    training: TrainingSettings
+    training_file: str | None
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """The sections of a recipe that state it, defaults filled in."""
+        found = {
+            "cell": {"preset": self.preset, **self.cell.to_dict()},
+            "samples": asdict(self.samples),
+            "training": {**asdict(self.training), "file": self.training_file},
+        }
+        return found if self.range is None else found | {"range": asdict(self.range)}
+
+
+def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
+    """The cell types that a recipe's tables state, by name; that of [cell] is called "".
+
+    Raises:
+        InputError: naming the entry that is not what it must be.
+    """
+    sections = {name: table[name] for name in SECTIONS if name in table}
+    if "cells" not in table:
+        return {"": _cell_type(table.get("cell", {}), sections, (), ("preset",))}
+    cells = table["cells"]
+    if not isinstance(cells, dict) or not cells:
+        raise InputError(
+            f"cells: {quoted(cells)}; it must have a section [cells.NAME] for each cell"
+        )
+    if "cell" in table:
+        raise InputError("cell: [cell] fills the tissue with one cell, [cells.NAME] with several; "
+                         "leave one out")  # fmt: skip
+    if "mesh" not in table:
+        raise InputError(
+            "cells: [cells.NAME] fill regions of a mesh; the section [mesh] is missing"
+        )
+    for section, key in _OWN:
+        if key in sections.get(section, {}):
+            raise InputError(
+                f"{section}.{key}: {quoted(sections[section][key])}; each cell has its own: give "
+                f"cells.NAME.{section}.{key}"
+            )
+    _settings(sections)  # what is wrong there is told of no cell
+    made = {name: _named_cell(name, entries, sections) for name, entries in cells.items()}
+    for kind, files in (
+        ("samples", {name: each.samples.file for name, each in made.items()}),
+        ("training", {name: each.training_file for name, each in made.items()}),
+    ):
+        known: dict[str, str] = {}
+        for name, file in files.items():
+            first = known.setdefault(str(Path(file)), name) if file is not None else name
+            if first != name:
+                raise InputError(f"cells.{name}.{kind}.file: {quoted(file)}; that is {first}'s")
+    return made
+
+
+def _named_cell(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+    """The cell of a section [cells.NAME]; what its own sections leave out is as in the shared."""
+    where = f"cells.{name}"
+    if not re.fullmatch(r"[\w-]+", name):
+        raise InputError(f"{where}: {quoted(name)}; a name must be of letters, digits, _ and -")
+    if not isinstance(entries, dict):
+        raise InputError(f"{where}: {quoted(entries)}; it must be a section [{where}]")
+    given, sections = dict(entries), dict[str, Mapping[str, Any]]()
+    for section in SECTIONS:
+        own = given.pop(section, {})
+        if not isinstance(own, dict):
+            raise InputError(f"{where}.{section}: {quoted(own)}; it must be a table")
+        if merged := {**shared.get(section, {}), **own}:
+            sections[section] = merged
+    regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})
+    if not regions:
+        raise InputError(f"{where}.regions: []; it must name a region of the mesh")
+    try:
+        return _cell_type(given, sections, regions, ("preset", "regions", *SECTIONS))
+    except InputError as error:
+        raise InputError(f"{where}.{str(error).removeprefix('cell.')}") from None
+
+
+def _cell_type(
+    entries: Mapping[str, Any],
+    sections: Mapping[str, Mapping[str, Any]],
+    regions: tuple[str, ...],
+    extras: tuple[str, ...],
+) -> CellType:
+    """A cell of these entries and sections; extras: keys that its section may have besides."""
+    given = dict(entries)
+    preset = check_value("cell.preset", given.pop("preset", "printed"), str, {})
+    check_entries("cell", CellParameters, given, extras)
+    cell = CellParameters.preset(preset, **given)
+    return CellType(preset=preset, cell=cell, regions=regions, **_settings(sections))
+
+
+def _settings(sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Range, samples, training and training_file that sections state."""
+    training = dict(sections.get("training", {}))
+    file = check_value("training.file", training.pop("file", None), str | None, {})
+    wanted = sections.get("range")
+    return {
+        "range": None if wanted is None else from_table("range", SamplingRange, wanted),
+        "samples": from_table("samples", SampleSettings, sections.get("samples", {})),
+        "training": from_table("training", TrainingSettings, training, ("file",)),
+        "training_file": file,
+    }
+
+
+def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
+    """Numbers of the points that each cell fills; together the whole mesh.
+
+    Raises:
+        InputError: there is no such region, or an element is of no cell or of two.
+    """
+    filled, rests = {}, []
+    for name, each in types.items():
+        known = mesh.subdomains or {}
+        own = [part for part in each.regions if part in known or part != REST]
+        rests += [name] * (not each.regions or len(own) < len(each.regions))
+        found = [region(mesh, part, f"cells.{name}.regions") for part in own]
+        filled[name] = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
+    left = np.setdiff1d(np.arange(mesh.nelements), np.concatenate([*filled.values()]))
+    for name in rests:
+        filled[name] = np.union1d(filled[name], left)
+    for name, elements in filled.items():
+        if not elements.size:
+            raise InputError(f"cells.{name}.regions: {REST}; the other cells fill the whole mesh")
+    return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
+
+
+def kinds_of_cells(
+    problem: Problem, types: Mapping[str, CellType], counts: tuple[int, int]
+) -> Index:
+    """(n, m) which of the types each plant cell of a full tissue is, by where its middle lies.
+
+    Raises:
+        InputError: a plant cell is of none, or of two.
+    """
+    known, side = problem.mesh.subdomains or {}, next(iter(types.values())).cell.cell_side
+    kind = np.full(counts, -1)
+
+    def at(where: NDArray[np.bool_]) -> str:
+        x, y = side * (np.argwhere(where)[0] + 0.5)
+        return f"({x:g}, {y:g}) µm"
+
+    for k, (name, each) in enumerate(types.items()):
+        for part in (part for part in each.regions if part in known):
+            inside = inside_region(problem, part, counts, side)
+            twice = inside & (kind >= 0) & (kind != k)
+            if twice.any():
+                raise InputError(
+                    f"cells.{name}.regions: {part}; the plant cell at {at(twice)} is of another "
+                    "type, too"
+                )
+            kind[inside] = k
+    for k, each in enumerate(types.values()):
+        if not each.regions or (REST in each.regions and REST not in known):
+            kind[kind < 0] = k
+    if (kind < 0).any():
+        raise InputError(f"cells: none fills the plant cell at {at(kind < 0)}; give it a type")
+    return kind

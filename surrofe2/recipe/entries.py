@@ -1,0 +1,154 @@
+"""Entries of a recipe by their dotted names, and the values that a text lists for one of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.settings import unknown
+
+_NAMED = ("cells", "conditions", "bodies", "watch")
+"""Sections in which users name what there is."""
+_SPAN = re.compile(r"([^:]+):([^:]+):(\d{1,6})(:log)?")
+_PAIRS = {"]": "[", "}": "{"}
+_LONGEST = 120
+"""Characters of a name of a file, but for its digest and its end."""
+
+
+def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables of a recipe with other entries, by their dotted names.
+
+    What stands in a list, as [[conditions]] do, is named by its number, from 0.
+
+    Raises:
+        InputError: a name leads to nothing; whether the recipe takes the entry is seen when it is
+            made.
+    """
+    changed = deepcopy(dict(table))
+    for name, value in changes.items():
+        *way, last = name.split(".")
+        if not way or not all((*way, last)):
+            raise InputError(f"{quoted(name)}: it must be an entry, such as cell.wall_stiffness")
+        at: Any = changed
+        for k, part in enumerate(way):
+            told = ".".join(way[: k + 1])
+            if isinstance(at, list):
+                at = _of_list(at, told, part)
+            elif part not in at and way[0] in _NAMED and k == 1:
+                raise InputError(unknown(told, part, f"name in [{way[0]}]", at))
+            else:
+                at = at.setdefault(part, {})
+            if not isinstance(at, dict | list):
+                raise InputError(f"{told}: {quoted(at)}; it has no entry {last}")
+        if isinstance(at, list):
+            _of_list(at, name, last)
+            at[int(last)] = value
+        else:
+            at[last] = value
+    return changed
+
+
+def _of_list(found: list[Any], told: str, part: str) -> Any:
+    if not (part.isdecimal() and int(part) < len(found)):
+        raise InputError(
+            f"{told}: {quoted(part)}; it must be a number from 0 to {len(found) - 1} of a list"
+        )
+    return found[int(part)]
+
+
+def listed_values(name: str, text: str) -> list[Any]:
+    """The values that a text lists between commas, each as TOML has it, or a bare word.
+
+    FIRST:LAST:COUNT stands for as many numbers at equal distances, FIRST:LAST:COUNT:log at equal
+    ratios.
+
+    Args:
+        name: whose values they are, for the sentence.
+
+    Raises:
+        InputError: there is none, one is there twice, or a span is not of numbers.
+    """
+    found = [value for part in _parts(text) for value in _values(name, part)]
+    for k, value in enumerate(found):
+        if value in found[:k]:
+            raise InputError(f"{name}: {quoted(value)}; it is there twice")
+    if not found:
+        raise InputError(f"{name}: {quoted(text)}; it must be values between commas")
+    return found
+
+
+def _parts(text: str) -> Iterator[str]:
+    """What stands between commas that are in no brackets and no quotes."""
+    part, brackets, quote = "", "", ""
+    for sign in text:
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "\"'":
+            quote = sign
+        elif sign in "[{":
+            brackets += sign
+        elif sign in "]}" and brackets.endswith(_PAIRS[sign]):
+            brackets = brackets[:-1]
+        if sign == "," and not (brackets or quote):
+            yield part.strip()
+            part = ""
+        else:
+            part += sign
+    yield part.strip()
+
+
+def _values(name: str, part: str) -> list[Any]:
+    if not part:
+        raise InputError(f"{name}: {quoted(part)}; nothing stands between two commas")
+    if span := _SPAN.fullmatch(part):
+        return _span(name, part, span)
+    try:
+        return [tomllib.loads(f"value = {part}")["value"]]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return [part]
+
+
+def _span(name: str, part: str, span: re.Match[str]) -> list[Any]:
+    try:
+        first, last = float(span[1]), float(span[2])
+    except ValueError:
+        first = last = float("nan")
+    count, is_log = int(span[3]), bool(span[4])
+    if not (np.isfinite([first, last]).all() and count > 1 and (not is_log or first * last > 0.0)):
+        raise InputError(
+            f"{name}: {quoted(part)}; it must be FIRST:LAST:COUNT of two numbers and at least 2 "
+            "values, or FIRST:LAST:COUNT:log of two numbers of one sign"
+        )
+    values = np.geomspace(first, last, count) if is_log else np.linspace(first, last, count)
+    plain = [float(f"{value:.12g}") for value in values]
+    whole = "." not in part and all(value.is_integer() for value in plain)
+    return [int(value) if whole else value for value in plain]
+
+
+def name_of_values(changes: Mapping[str, Any], *first: str) -> str:
+    """A name for files: KEY=VALUE and so on with commas; what comes `first` begins it.
+
+    What no file should be called is left out, and a digest of all of it tells such names apart.
+    """
+    plainly = ",".join([*first, *(f"{key}={text_of(changes[key])}" for key in changes)])
+    name = re.sub(r"[^\w.,=+-]+", "_", plainly.replace('"', ""))[:_LONGEST]
+    if name == plainly:
+        return name
+    return f"{name}-{hashlib.sha256(plainly.encode()).hexdigest()[:8]}"
+
+
+def text_of(value: Any) -> str:
+    """A value of an entry as people write it; a number that is whole without a point."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))
+    return json.dumps(value, ensure_ascii=False)

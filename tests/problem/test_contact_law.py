@@ -1,0 +1,58 @@
+"""The law of contact: the same numbers from kernels as from arrays, its slopes, its far ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surrofe2.base.compilation import kernel
+from surrofe2.problem import contact_law
+from surrofe2.tissue.contact import _drag
+
+LAW = (3000.0, 0.01, 4.0)
+WEDGE = (0.6, -0.8, float(np.cos(0.7)), float(np.sin(0.7)), 3.0)
+NUMBERS = np.random.default_rng(2)
+FORMULAS = {
+    "pressure": (lambda d, w: contact_law.pressure(d, w, LAW)),
+    "stored": (lambda d, w: (contact_law.stored(d, 3000.0, 0.01),)),
+    "friction": (lambda d, w: contact_law.friction(d, w, (0.3, 0.05))),
+    "circle": (lambda d, w: contact_law.circle(300.0 * d - 4.0, 5.0 * w, 2.0)),
+    "corner": (lambda d, w: contact_law.corner(300.0 * d - 4.0, 5.0 * w, WEDGE)),
+}
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_kernels_and_arrays_have_one_law(name):
+    depth, speed = 0.03 * NUMBERS.random(200), NUMBERS.normal(size=200)
+    arrays = FORMULAS[name](depth, speed)
+    compiled = kernel(FORMULAS[name])
+    one_by_one = np.array([compiled(*both) for both in zip(depth, speed, strict=True)]).T
+    for found, expected in zip(one_by_one, arrays, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * abs(expected).max())
+
+
+def test_pressure_is_the_slope_of_what_is_stored_and_never_pulls():
+    depth = 10.0 ** NUMBERS.uniform(-300.0, 1.0, 1000)
+    for sign in (-1.0, 1.0):
+        closing = sign * 10.0 ** NUMBERS.uniform(-300.0, 2.0, 1000)
+        found = contact_law.pressure(depth, closing, LAW)
+        assert np.isfinite(found).all()
+        assert (found[0] >= 0.0).all()
+    d = np.linspace(1e-4, 0.03, 50)
+    ahead, behind = (contact_law.stored(d + step, *LAW[:2]) for step in (1e-7, -1e-7))
+    spring = contact_law.pressure(d, 0.0 * d, LAW)[0]
+    np.testing.assert_allclose((ahead - behind) / 2e-7, spring, rtol=1e-6)
+
+
+@pytest.mark.parametrize("yielding", [0.0, 1e-6, 1.0, 1e6])
+def test_friction_leaves_the_sliding_that_it_is_of(yielding):
+    """w + yielding · friction(w) = sliding, from creep to slip."""
+    law = 0.3, 1e-3
+    for sliding in (-5.0, -1e-4, 0.0, 1e-7, 0.02, 30.0):
+        drag = _drag(40.0, sliding, yielding, law)
+        left = contact_law.friction(40.0, sliding - yielding * drag, law)[0]
+        assert abs(drag) < 0.3 * 40.0
+        if yielding < 1e6:  # else what is left is lost in rounding
+            assert drag == pytest.approx(left, rel=1e-6, abs=1e-12)
+        else:
+            assert yielding * drag == pytest.approx(sliding, rel=1e-4)

@@ -1,0 +1,121 @@
+"""Presets of living tissue: turgor by two ways, range of stability, translation and sources."""
+
+import itertools
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from surrofe2.base.errors import InputError
+from surrofe2.plant_cell.parameters import (
+    LIVING,
+    PRESETS,
+    CellParameters,
+    LivingTissue,
+    sources,
+)
+from surrofe2.questions.moduli import cell_moduli, turgor
+from surrofe2.questions.stability import LEFT, STABLE, WAYS, categories, find_onset
+from surrofe2.rve import RveLaw
+from tests.plant_cell.twin import Twin
+
+STABLE_WITHIN = {"apple": 0.08, "potato": 0.06}
+
+
+def virials(cell):
+    """MPa that wall pairs, wall and fluid, and fluid pairs add to the pressure, over all images."""
+    law = RveLaw(cell)
+    twin, z, still = Twin(cell, law.rest_length), law.unit_cell.position, np.zeros((2, 2))
+    kinds, found = twin.kinds, {}
+    for name, wanted in (
+        ("walls", lambda i, j: j < twin.walls),
+        ("contact", lambda i, j: i < twin.walls <= j),
+        ("fluid", lambda i, j: i >= twin.walls),
+    ):
+        twin.kinds = {pair: kind for pair, kind in kinds.items() if wanted(*pair[:2])}
+        stress = twin.evaluate(z, np.eye(2), still)[2]
+        found[name] = -np.trace(stress) / 2.0 / cell.tissue_thickness
+    return found
+
+
+@pytest.mark.parametrize("preset", LIVING)
+def test_walls_carry_the_measured_turgor_and_fluid_and_contacts_balance_it(preset):
+    cell, measured = CellParameters.preset(preset), LIVING[preset][0].turgor
+    found, shown = virials(cell), turgor(cell)
+    assert -found["walls"] == pytest.approx(measured, rel=1e-3)
+    assert found["fluid"] + found["contact"] == pytest.approx(-found["walls"], rel=1e-8)
+    assert shown.walls == pytest.approx(-found["walls"], rel=1e-8)
+    assert shown.virial == pytest.approx(found["fluid"], rel=1e-8)
+    assert shown.virial < shown.mean < shown.walls
+
+
+@pytest.mark.parametrize("preset", LIVING)
+def test_every_corner_and_side_of_the_range_is_stable(preset):
+    cell, within = CellParameters.preset(preset), STABLE_WITHIN[preset]
+    grid = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=4))).reshape(-1, 2, 2)
+    for entry in (0.04, within):
+        assert (categories(cell, np.eye(2) + entry * grid) == STABLE).all()
+    onset = find_onset(cell, *WAYS["equibiaxial compression"])
+    assert within < onset < 1.25 * within
+    beyond = (1.0 - 1.1 * onset) * np.eye(2)[None]
+    assert categories(cell, beyond).tolist() == [LEFT]
+
+
+def test_stiffer_walls_are_stretched_less_and_buckle_earlier():
+    cell = CellParameters.preset("potato")
+    stiff = replace(cell, wall_stiffness=2.0 * cell.wall_stiffness)
+    way = WAYS["equibiaxial compression"]
+    assert find_onset(stiff, *way) < 0.04 < find_onset(cell, *way)
+
+
+@pytest.mark.parametrize("preset", LIVING)
+def test_constants_are_what_was_measured(preset):
+    tissue, cell = LIVING[preset][0], CellParameters.preset(preset)
+    t = cell.tissue_thickness
+    wall = 2.0 * tissue.wall_modulus * tissue.wall_thickness * t  # of both cells, per strain
+    assert cell.wall_stiffness * cell.spring_length == pytest.approx(wall)
+    assert cell.density / t == pytest.approx(1e-6 * tissue.density)
+    assert cell.viscosity == pytest.approx(1e-3 * tissue.sap_viscosity * t)
+    assert 15.0 < cell.sound_speed < 25.0
+    young = cell_moduli(cell, "elastic").elastic[0, 0] / t
+    assert young == pytest.approx(wall / t / cell.cell_side + tissue.turgor, rel=0.25)
+
+
+def test_size_alone_does_not_change_the_tissue():
+    tissue = LIVING["apple"][0]
+    double = replace(tissue, cell_size=300.0, wall_thickness=1.6).parameters()
+    once, twice = (cell_moduli(c, "elastic").elastic for c in (tissue.parameters(), double))
+    np.testing.assert_allclose(twice, once, rtol=1e-6, atol=1e-8)
+
+
+def test_dashpots_do_not_change_where_a_cell_rests():
+    cell = CellParameters.preset("apple")
+    viscous = replace(cell, wall_damping_ratio=300.0)
+    assert RveLaw(viscous).rest_length == pytest.approx(RveLaw(cell).rest_length, rel=1e-10)
+    eta = [cell_moduli(c, "elastic").viscous[0, 0] for c in (cell, viscous)]
+    assert eta[1] > 100.0 * eta[0]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_constant_has_a_source(preset):
+    found, usual = sources(preset), sources("printed")
+    names = [item.name for item in fields(CellParameters)]
+    assert list(found) == names
+    assert all(found.values())
+    if preset in LIVING:
+        assert set(LIVING[preset][1]) == {item.name for item in fields(LivingTissue)}
+        cell, printed = CellParameters.preset(preset), CellParameters()
+        changed = {name for name in names if getattr(cell, name) != getattr(printed, name)}
+        assert changed == {name for name in names if found[name] != usual[name]}
+        assert not any("TW 550" in found[name] for name in changed)
+
+
+def test_unknown_names_and_impossible_values_are_refused():
+    for refused in (CellParameters.preset, sources):
+        with pytest.raises(InputError, match="'pear'; it must be one of printed, water, apple"):
+            refused("pear")
+    apple = LIVING["apple"][0]
+    with pytest.raises(InputError, match=r"tissue\.turgor: -0\.4; it must be positive"):
+        replace(apple, turgor=-0.4)
+    with pytest.raises(InputError, match=r"cell\.fluid_particle_mass: -.*must be positive"):
+        replace(apple, wall_thickness=60.0).parameters()

@@ -1,0 +1,51 @@
+"""How long an RVE remembers, by what must hold for any cell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surrofe2.base.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.questions import memory
+from surrofe2.questions.memory import returning, steady_shear
+
+WATER = CellParameters.preset("water")
+
+
+@pytest.fixture(scope="module")
+def found():
+    return memory.memory(WATER, memory.MemorySettings(after=2.0, micro_step=2e-3))
+
+
+def test_pasts_meet_in_F_and_rate_and_the_difference_fades(found):
+    settings = found.settings
+    steady = steady_shear(settings.rate)
+    away = returning(steady, settings.stretch, settings.shear, settings.period)
+    for a, b in zip(steady(-1e-9), away(-1e-9), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
+    assert np.abs(steady(-3.0)[0] - away(-3.0)[0]).max() > 1e-3
+    step = 1e-5
+    for t in (-4.0, -11.0):
+        slope = (away(t + step)[0] - away(t - step)[0]) / (2.0 * step)
+        np.testing.assert_allclose(slope, away(t)[1], rtol=0, atol=1e-9)
+    assert 0.0 < found.difference[-1] < 0.1 * found.largest
+    assert found.sound
+    assert found.verdict.startswith("sound")
+
+
+def test_verdict_turns_where_the_past_matters(found):
+    strict = replace(found, settings=replace(found.settings, tolerance=1e-6))
+    assert not strict.sound
+    assert strict.verdict.startswith("not sound")
+
+
+def test_fading_time():
+    t = np.linspace(0.0, 10.0, 1001)
+    assert memory.fading_time(t, np.exp(-t / 2.0), np.exp(-1.0)) == pytest.approx(2.0, abs=0.02)
+    assert memory.fading_time(t, np.ones_like(t), 0.5) is None
+
+
+def test_settings_are_checked():
+    with pytest.raises(InputError, match=r"memory\.period: 0"):
+        memory.MemorySettings(period=0)

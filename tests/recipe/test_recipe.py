@@ -1,0 +1,131 @@
+"""Recipes: what they give, and the one sentence each mistake gets."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from surrofe2 import LoadCase
+from surrofe2.base.errors import FileError, InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe.recipe import load_recipe, make_recipe
+
+RECIPES = sorted((Path(__file__).parents[2] / "data").glob("*.toml"))
+
+
+def message(error, path):
+    with pytest.raises(error) as caught:
+        load_recipe(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
+def test_shipped_recipes_load(path):
+    recipe = load_recipe(path)
+    assert recipe.data_path().parent == path.parent
+    assert recipe.training_path().resolve().parent == path.parents[1] / "training"
+
+
+def test_shipped_recipes_are_the_paper_s_bar():
+    shipped = {path.stem: load_recipe(path) for path in RECIPES}
+    printed = shipped["bending-bar"]
+    assert printed.stated == make_recipe({}).stated
+    assert printed.cell == CellParameters.preset("printed")
+    assert shipped["bending-bar-water"].cell == CellParameters.preset("water")
+    triple = shipped["bending-bar-triple-load"]
+    weights = [each.stated.conditions[-1].acceleration for each in (printed, triple)]
+    assert weights[1] == pytest.approx((0.0, 3 * weights[0][1]))
+    assert triple.data_path() == printed.data_path()
+    assert triple.training_path() == printed.training_path()
+
+
+def test_single_constants_change_a_preset():
+    recipe = make_recipe(
+        {
+            "cell": {"preset": "water", "wall_stiffness": 1000},
+            "range": {"stretch": [0.9, 1.1], "shear": 0.1, "rate": 0.01},
+        }
+    )
+    assert recipe.cell == CellParameters.preset("water", wall_stiffness=1000.0)
+    assert recipe.problem().conditions == LoadCase().conditions
+
+
+def test_files_are_relative_to_the_recipe(recipe, recipe_path):
+    assert recipe.data_path() == recipe_path.parent / "cells.h5"
+
+
+def test_to_dict_is_strict_json_without_folders(recipe, recipe_path):
+    text = json.dumps(recipe.to_dict(), allow_nan=False)
+    assert str(recipe_path.parent) not in text
+    assert json.loads(text) == recipe.to_dict()
+    assert recipe.to_dict()["cell"]["wall_stiffness"] == 4000.0
+
+
+SECTIONS = (
+    "known are bodies, cache, calibration, cell, cells, conditions, load, macro, mesh, range, rve, "
+    "samples, surface, table, time, tissue, training, watch"
+)
+FORCE = "body_force = [0.0, -0.1]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('preset = "printed"', "wall_stifness = 4000.0", "cell.wall_stifness: unknown key; did you "
+         "mean wall_stiffness? known are arrangement, arrangement_seed, cell_side, cells, "),
+        ("[load]", "[lood]", f"lood: unknown section; did you mean load? {SECTIONS}"),
+        ('preset = "printed"', 'wall_stiffness = "4000"',
+         "cell.wall_stiffness: '4000'; it must be a number (µN/µm)"),
+        ('preset = "printed"', "fluid_particle_mass = 0.0",
+         "cell.fluid_particle_mass: 0.0; it must be positive and finite"),
+        ('"printed"', '"prinetd"',
+         "cell.preset: 'prinetd'; it must be one of printed, water, apple, potato"),
+        ("count = 40", "count = 40.5", "samples.count: 40.5; it must be an integer"),
+        ("count = 40", "count = true", "samples.count: True; it must be an integer"),
+        ("count = 40", "count = 0", "samples.count: 0; it must be an integer of at least 1"),
+        ('file = "cells.h5"', "file = 3", "samples.file: 3; it must be a text in quotes"),
+        (FORCE, 'body_force = [0.0, "g"]', "load.body_force[1]: 'g'; it must be a number (µm/µs²)"),
+        (FORCE, "body_force = -0.1", "load.body_force: -0.1; it must be a list of 2 (µm/µs²)"),
+        (FORCE, "body_force = [0.0]", "load.body_force: [0.0]; it must be a list of 2 (µm/µs²)"),
+        ("shear = 0.05\n", "", "range.shear: missing; it must be given"),
+        ("[0.95, 1.05]", "[1.05, 0.95]",
+         "range.stretch: (1.05, 0.95); low must be below high, both positive"),
+        ("[range]", '[rve]\ninitialisation = "born"\n[range]', "rve.initialisation: 'born'; it "
+         "must be one of cauchy-born, elastic, constrained-runs, slow-manifold"),
+        ("[cell]", "[cell", "not TOML: "),
+    ],
+)  # fmt: skip
+def test_a_mistake_gets_one_sentence(changed_recipe, old, new, sentence):
+    told = message(InputError, changed_recipe(old, new))
+    assert told.startswith(f"recipe.toml: {sentence}")
+    assert "\n" not in told
+
+
+def test_value_in_place_of_a_section(recipe_path):
+    recipe_path.write_text("samples = 5\n", encoding="utf-8")
+    assert message(InputError, recipe_path) == (
+        "recipe.toml: samples: 5; it must be a section [samples]"
+    )
+
+
+@pytest.mark.parametrize(
+    ("part", "ask", "sentence"),
+    [
+        ("[range]\nstretch = [0.95, 1.05]\nshear = 0.05\nrate = 0.01\n", "sampling_range",
+         "range: missing; this command needs the section [range] with stretch, shear and rate "),
+        ('file = "cells.h5"\n', "data_path",
+         "samples.file: missing; this command needs the file of the data set (.h5), relative to"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_is_told_by_the_command_that_needs_it(changed_recipe, part, ask, sentence):
+    recipe = load_recipe(changed_recipe(part, ""))
+    with pytest.raises(InputError) as caught:
+        getattr(recipe, ask)()
+    assert str(caught.value).startswith(f"recipe.toml: {sentence}")
+
+
+def test_no_such_recipe(tmp_path):
+    path = tmp_path / "none.toml"
+    assert message(FileError, path) == f"{path}: cannot be read: No such file or directory"
