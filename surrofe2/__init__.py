@@ -61,7 +61,7 @@ if TYPE_CHECKING:
         with_regions as with_regions,
     )
     from surrofe2.problem.problem import Problem as Problem
-    from surrofe2.macro.quasi_static import find_rest as find_rest
+    from surrofe2.macro.rest import find_rest as find_rest
     from surrofe2.macro.settings import MacroSettings as MacroSettings
     from surrofe2.macro.simulation import MacroRun as MacroRun, simulate as simulate
     from surrofe2.plant_cell.parameters import CellParameters as CellParameters

@@ -3,8 +3,7 @@
 Reading order: settings; discretisation, internal_force (space); forces, contact, free_sides,
 surface_patches, surface_elements, mass, system (what acts on it); evaluation, equations_of_motion,
 time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); extremes, frames,
-history, chunks (of a law that audits itself), simulation (a run). Without time: equilibrium,
-quasi_static, modes.
+history, chunks (of a law that audits itself), simulation (a run). Without time: rest, modes.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from surrofe2.macro.frames import Frames
     from surrofe2.macro.history import MacroState
     from surrofe2.macro.modes import Modes, find_modes
-    from surrofe2.macro.quasi_static import Rest, find_rest
+    from surrofe2.macro.rest import Rest, find_rest
     from surrofe2.macro.settings import MacroSettings
     from surrofe2.macro.simulation import MacroRun, simulate
 

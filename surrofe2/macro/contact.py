@@ -28,7 +28,7 @@ MODULI, ONSET, DAMPING = 200.0, 0.04, 0.5
 the mass by which k moves the boundary of a mesh, ρ h/√12 a length."""
 
 _TOUCHING = 0.01
-"""Of a side: the depth at which a body may begin."""
+"""Of a side: the depth or gap at which a body begins in touch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +127,25 @@ class Contact:
         Raises:
             InputError: naming the place.
         """
-        allowed = _TOUCHING * float(self.lengths.sum()) / len(self.sides)
         points = self.points.reshape(-1, 2)
-        check_outside(self.name, self.shape, self.position, points, allowed)
+        check_outside(self.name, self.shape, self.position, points, self._touching)
+
+    def blocked(self, motions: Array) -> Array:
+        """(p, k) of motions (2 n, k): what the points that touch at the start, or almost, move
+        against the body along its normal, and along its surface where friction resists.
+        """
+        u = np.zeros((len(motions) // 2, 2))
+        gap, normal, _ = self._gaps(u)
+        near, found = gap <= self._touching, list[Array]()
+        for direction in (normal, _turned(normal))[: 2 if self.friction else 1]:
+            columns = (self._relative(w.reshape(-1, 2)) for w in motions.T)
+            found.append(np.stack([_dot(w, direction)[near] for w in columns], axis=1))
+        return np.concatenate(found)
+
+    @property
+    def _touching(self) -> float:
+        """Depth or gap at which a body may begin and counts as touching, µm."""
+        return _TOUCHING * float(self.lengths.sum()) / len(self.sides)
 
     def energy(self, u: Array) -> float:
         """Energy stored in the springs, pJ."""

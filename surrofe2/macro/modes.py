@@ -11,7 +11,7 @@ from scipy.sparse import block_diag, bmat, csc_matrix, identity
 from scipy.sparse.linalg import eigs
 
 from surrofe2.base.errors import InputError, SimulationError
-from surrofe2.macro.quasi_static import Rest
+from surrofe2.macro.rest import Rest
 from surrofe2.macro.tangents import mass_matrix
 
 Array = NDArray[np.float64]

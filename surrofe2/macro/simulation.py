@@ -27,7 +27,7 @@ from surrofe2.macro.extremes import MetRange
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
-from surrofe2.macro.quasi_static import settle
+from surrofe2.macro.rest import settle
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import PARTS, System, system_of
 from surrofe2.macro.tangents import mass_matrix

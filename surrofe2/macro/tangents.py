@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +62,25 @@ class Assembly:
                 K, C = (X + Y[free][:, free] for X, Y in zip((K, C), slopes, strict=True))
         return scipy.sparse.csc_matrix(K), scipy.sparse.csc_matrix(C)
 
+    def stiffness_times(self, now: Evaluation, w: Array) -> Array:
+        """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
+        elements = self.system.discretisation.elements
+        of_elements = next(self._of_elements(now.F, now.response))
+        product, pushed = np.einsum("eaibk,ebk->eai", of_elements, w[elements]), np.zeros(w.shape)
+        np.add.at(pushed, elements, product)
+        for force in self.system.forces:
+            slopes = force.slopes(now.t, now.within, now.u, now.v)
+            if slopes is not None:
+                pushed += (slopes[0] @ w.ravel()).reshape(w.shape)
+        return self.system.pick(pushed)
+
     def internal(self, F: Array, response: StressResponse) -> tuple[Matrix, Matrix]:
         """The part of the internal force in `tangents`."""
+        K, C = (self.sum(matrices) for matrices in self._of_elements(F, response))
+        return K, C
+
+    def _of_elements(self, F: Array, response: StressResponse) -> Iterator[Array]:
+        """(n_el, k, 2, k, 2) ∂f/∂u of each element, then ∂f/∂v."""
         space = self.system.discretisation
         gradients = space.gradients
         weighted = space.weights[:, :, None, None] * gradients
@@ -71,13 +88,11 @@ class Assembly:
         slopes = response.tangents.P_by_F, response.tangents.P_by_F_dot
         if space.pressure_apart:
             slopes = effective_tangents(F, response, space.points_per_element)
-        matrices = []
         for slope in slopes:
             # Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k) of each element.
             slope = slope.reshape(len(gradients), -1, 2, 2, 2, 2)
             right = np.einsum("eqijkl,eqbl->eqijbk", slope, gradients)
-            matrices.append(self.sum(np.einsum("eqaj,eqijbk->eaibk", weighted, right)))
-        return matrices[0], matrices[1]
+            yield np.einsum("eqaj,eqijbk->eaibk", weighted, right)
 
 
 def make_assembly(system: System) -> Assembly:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from surrofe2.macro import MacroSettings, find_rest, quasi_static, simulate, simulation
+from surrofe2.macro import MacroSettings, find_rest, simulate, simulation
 from surrofe2.macro.forces import DeadLoad
 from surrofe2.macro.system import make_system
 from surrofe2.problem import Fixed, Foundation, InitialVelocity, Problem, Symmetry
@@ -68,7 +68,7 @@ def test_rest_is_of_second_order(kind, law, size, monkeypatch):
         system = make_system(problem, 1.0)
         load = weak_load(problem.mesh, lambda x: first_piola(law, np.eye(2) + size * gradient(x)))
         system = replace(system, forces=(DeadLoad("load", load, Proportional()),))
-        monkeypatch.setattr(quasi_static, "system_of", lambda *of, found=system, **how: found)
+        monkeypatch.setattr("surrofe2.macro.rest.system_of", lambda *of, found=system, **how: found)
         rest = find_rest(problem, law, TIGHT)
         exact = distance(problem.mesh, 0.0 * rest.u, lambda x: size * field(x))
         errors.append(distance(problem.mesh, rest.u, lambda x: size * field(x)) / exact)
@@ -144,7 +144,7 @@ def test_bending_without_locking(kind, lame, distortion, monkeypatch):
     system = make_system(problem, 1.0)
     load = DeadLoad("moment", weak_load(mesh, bending), Proportional())
     system = replace(system, forces=(*system.forces, load))
-    monkeypatch.setattr(quasi_static, "system_of", lambda *of, **how: system)
+    monkeypatch.setattr("surrofe2.macro.rest.system_of", lambda *of, **how: system)
     rest = find_rest(problem, law, replace(TIGHT, newton_tolerance=1e-9))
     shift = nu / (1.0 - nu) * height**2 / 12.0
     expected = 0.5 * curvature * (length**2 - shift)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
-from surrofe2.base.errors import SimulationError
+from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, Rest, find_rest, simulate
 from surrofe2.plant_cell.parameters import CellParameters
@@ -18,6 +18,8 @@ from surrofe2.problem import (
     Pressure,
     Problem,
     RigidBody,
+    Symmetry,
+    Traction,
     rectangle,
 )
 from surrofe2.rve import RveLaw
@@ -50,6 +52,67 @@ def test_path_does_not_matter_for_an_elastic_bar():
     np.testing.assert_allclose(in_steps.path[:, 0], [0.0, 0.8, 1.6, 2.4, 3.2, 4.0], rtol=1e-12)
     np.testing.assert_array_equal(in_steps.path[-1, 1:], in_steps.watched)
     assert in_steps.counts["load_steps"] == 5
+
+
+def tapered(along, elements=(12, 6)):
+    """A block of 60 × 30 µm, half as high on the right, whose right side is moved by `along`."""
+    mesh = rectangle(60.0, 30.0, elements)
+    x, y = mesh.p
+    mesh = replace(mesh, doflocs=np.array([x, 15.0 + (y - 15.0) * (1.0 - x / 120.0)]))
+    moved = PrescribedMotion(on="right", displacement=along)
+    return Problem(mesh=mesh, conditions=(Fixed(on="left"), moved))
+
+
+@pytest.mark.parametrize("along", [(-12.0, 0.0), (24.0, 0.0), (0.0, 15.0)])
+@pytest.mark.parametrize("elements", [(12, 6), (24, 12)])
+def test_prescribed_motion_goes_through_the_tangent(along, elements):
+    """A fifth of its length at once: as many factorisations as a predictor and Newton's steps;
+    25 and 3 halvings where the first displacement moves the side alone."""
+    at_once = find_rest(tapered(along, elements), KelvinVoigt(), SETTINGS)
+    assert at_once.counts["halvings"] == 0
+    assert at_once.counts["factorisations"] <= 5
+    in_steps = find_rest(tapered(along, elements), KelvinVoigt(), SETTINGS, load_steps=8)
+    np.testing.assert_allclose(in_steps.u, at_once.u, atol=1e-7 * abs(at_once.u).max())
+
+
+class SinglePrecision(KelvinVoigt):
+    """Its stress is rounded to seven digits."""
+
+    def stress(self, F, F_dot):
+        return super().stress(F, F_dot).astype(np.float32).astype(np.float64)
+
+
+def test_a_tolerance_below_rounding_is_refused():
+    """What the message asks for can be reached."""
+    tight, problem, law = (
+        MacroSettings(newton_tolerance=1e-9),
+        tapered((6.0, 0.0)),
+        SinglePrecision(),
+    )
+    with pytest.raises(InputError, match=r"newton_tolerance: 1e-09; .* ask for at") as caught:
+        find_rest(problem, law, tight)
+    enough = float(str(caught.value).split()[-1])
+    assert enough < 1e-5
+    find_rest(problem, law, replace(tight, newton_tolerance=enough))
+
+
+def test_a_body_that_nothing_holds_is_named():
+    block = rectangle(30.0, 20.0, (3, 2))
+    pull = Traction(on="right", traction=(0.1, 0.0))
+    free = Problem(mesh=block, conditions=(pull,))
+    with pytest.raises(InputError, match=r"tissue along x, .* along y, .* in rotation \(3 free"):
+        find_rest(free, KelvinVoigt())
+    hinged = replace(free, conditions=(pull, Symmetry(on="left")))
+    with pytest.raises(InputError, match=r"holds the tissue along y \(1 free rigid motion"):
+        find_rest(hinged, KelvinVoigt())
+    plate = RigidBody(name="plate", shape=Plane(normal=(0.0, -1.0)), on="top",
+                      position=(0.0, 25.0), mass=1.0)  # fmt: skip
+    loose = Problem(mesh=block, conditions=(Fixed(on="bottom"), pull), bodies=(plate,))
+    with pytest.raises(InputError, match=r"holds plate along x, plate along y \(2 free"):
+        find_rest(loose, KelvinVoigt())
+    held = Foundation(on="bottom", stiffness=0.2)
+    assert find_rest(replace(free, conditions=(pull, held)), KelvinVoigt()).factor == 1.0
+    assert find_rest(free, KelvinVoigt(), factor=0.0).factor == 0.0
 
 
 def dragged(along, friction, load_steps=4, steps_on=()):

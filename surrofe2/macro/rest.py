@@ -1,0 +1,536 @@
+"""Rest under constant loads: the load in steps, a predictor and Newton with line search at each.
+
+A load step begins at the last equilibrium u₀. Where supports move by Δū, the first displacement is
+that of the tangents there (the affine predictor)
+
+    K Δu = l(u₀) − f(u₀) − K̄ Δū,
+
+l by the new factor of the loads and K̄ the columns of what supports move, so that the elements
+beside a support do not take all of Δū. From there Newton's correction is halved until the residual
+falls and every point has a stress. A load step that finds no equilibrium is halved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError, MismatchError, SimulationError
+from surrofe2.law.stress_law import StressLaw, require_tangents
+from surrofe2.macro.contact import Contact, Grip
+from surrofe2.macro.discretisation import displacement_basis
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Tally
+from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
+from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
+from surrofe2.macro.forces import Matrix, Slopes
+from surrofe2.macro.frames import Frames
+from surrofe2.macro.settings import SECTION_6_2, MacroSettings
+from surrofe2.macro.system import System, system_of
+from surrofe2.macro.tangents import Assembly, factorised, make_assembly
+from surrofe2.problem.problem import Problem
+
+Array = NDArray[np.float64]
+
+MAX_HALVINGS = 10
+MAX_ITERATIONS = 20
+_SMALLEST_SHARE = 1.0 / 16.0
+_LEAST_FRACTION = 1.0 / 64.0
+_DECREASE = 1e-4
+_STALLED = 1e-6
+"""A residual this small that no correction reduces is as small as rounding or the law allows."""
+_FREE = 1e-12
+"""Stiffness of a rigid motion, relative to the largest, that holds nothing."""
+_COUNTS = ("load_steps", "halvings", "factorisations")
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """The tissue at rest under constant loads.
+
+    Attributes:
+        system: mesh, mass and forces.
+        factor: of all loads and prescribed motions.
+        u: (n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one.
+        F, stress: (n_points, 2, 2) deformation gradient; Cauchy stress, µN/µm.
+        stiffness, damping: (m, m) of the free unknowns, as of `Assembly.tangents`.
+        forces: (k, 2) forces on the tissue, of `System.force_names`, µN.
+        rows: (steps + 1, k + 6) at each load step, from factor 0 on: factor, displacement of the
+            first watched point, energy stored in contact, works of the internal force, the k other
+            forces and the reaction.
+        acts: (k + 2, n, 2) these forces at the last of them, µN.
+        residuals: of Newton's iterations in the last load step, relative to the largest force.
+        counts: load steps, halvings, Newton iterations.
+        next_step: factor of the next load step.
+        extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
+        law_state: what the law has committed.
+        drags: by body, friction at all points of its contact, µN/µm.
+    """
+
+    system: System
+    factor: float
+    u: Array
+    F: Array
+    stress: Array
+    stiffness: Matrix
+    damping: Matrix
+    forces: Array
+    rows: Array
+    acts: Array
+    residuals: tuple[float, ...]
+    counts: dict[str, int]
+    next_step: float
+    extremes: Array
+    law_state: Any
+    drags: dict[str, Array]
+
+    @property
+    def frame(self) -> Frames:
+        """Whole fields, the factor of the load in the place of time."""
+        u, space = self.u, self.system.discretisation
+        return Frames.of(space, self.factor, (u, 0.0 * u), self.F, self.stress)
+
+    @property
+    def basis(self) -> skfem.Basis:
+        """scikit-fem's basis of displacements, made at every call."""
+        return displacement_basis(self.system.problem.mesh)
+
+    @property
+    def displacement(self) -> Array:
+        """(2 n_nodes,) displacement as a nodal vector of `basis`, µm."""
+        return self.u[: len(self.system.discretisation.nodes)].ravel()
+
+    @property
+    def path(self) -> Array:
+        """(steps + 1, 3) factor and displacement of the first watched point, µm."""
+        return self.rows[:, :3]
+
+    def to_arrays(self) -> dict[str, Array]:
+        """What `find_rest` goes on from, but for the law's state."""
+        numbers = {"factor": self.factor, "next_step": self.next_step, **self.counts}
+        arrays = {name: np.array(value) for name, value in numbers.items()}
+        tensors = {"u": self.u, "stress": self.stress, "extremes": self.extremes}
+        drags = {f"drag {name}": drag for name, drag in self.drags.items()}
+        if self.system.rest is not None:
+            tensors["rest"] = self.system.rest
+        return arrays | tensors | {"rows": self.rows, "acts": self.acts} | drags
+
+    @property
+    def energies(self) -> dict[str, Array]:
+        """By name, (steps + 1,) pJ: `internal` and the work of each force and of `motion` along
+        the path, by the trapezoidal rule (second order in the load step), `contact` and `contact
+        dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
+        """
+        system = self.system
+        stored, internal, *others, motion = self.rows[:, 3:].T
+        works = {force.name: work for force, work in zip(system.forces, others, strict=True)}
+        if system.moving:
+            works["motion"] = motion
+        contact = {}
+        if system.contacts:
+            done = np.sum([works[each.name] for each in system.contacts], axis=0)
+            contact = {"contact": stored, "contact dissipated": stored[0] - stored - done}
+        balance = np.sum([*works.values()], axis=0) - internal
+        return {"internal": internal, **works, **contact, "balance": balance}
+
+    @property
+    def watched(self) -> Array:
+        """(2,) displacement of the watched point, µm."""
+        watched: Array = self.system.at_watched_points(self.u)[0]
+        return watched
+
+
+def find_rest(
+    problem: Problem,
+    law: StressLaw,
+    settings: MacroSettings = SECTION_6_2,
+    *,
+    factor: float = 1.0,
+    load_steps: int = 1,
+    reached: Callable[[Rest], None] | None = None,
+    resume: Mapping[str, Array] | None = None,
+    law_state: Any = None,
+) -> Rest:
+    """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
+
+    Friction depends on the way: a point of contact sticks where it touched until Coulomb's law lets
+    it slip, from equilibrium to equilibrium, so more load steps follow its way more closely.
+
+    Args:
+        problem: as of `simulate`. Its amplitudes in time have no say here.
+        factor: of all loads and prescribed motions; 0 is the tissue without load.
+        load_steps: load steps to begin with.
+        reached: called with each equilibrium on the way, the one without load first.
+        resume: `Rest.to_arrays` of an equilibrium of the same problem on the way to the same
+            factor, with its `law_state`; the result is that of the uninterrupted way, to the bit.
+
+    Raises:
+        InputError: the law has no tangents, nothing holds a part of the tissue, or Newton's
+            tolerance is below what rounding or the law allows.
+        MismatchError: `resume` is of another mesh.
+        SimulationError: a load step halved ten times finds no equilibrium; `partial` is the last
+            `Rest`.
+    """
+    require_tangents(law, "rest")
+    if not np.isfinite(factor):
+        raise InputError(f"factor: {factor}; it must be finite")
+    if load_steps < 1:
+        raise InputError(f"load_steps: {load_steps}; it must be at least 1")
+    newton, longest = _newton(problem, law, settings, resume), factor / load_steps
+    try:
+        if resume is None:
+            rest = _reached(newton.rest_at(0.0, None), NO_EXTREMES, longest)
+        else:
+            rest = newton.known(resume, law_state)
+    except (NoStress, Switched) as failure:
+        raise SimulationError(f"the load cannot start: {failure}") from failure
+    if reached is not None and resume is None:
+        reached(rest)
+    if rest.factor != factor:
+        _check_held(newton.equations.system, rest.stiffness)
+    while rest.factor != factor:  # equal at the end, for the last target is `factor` itself
+        rest = _load_step(newton, rest, factor, longest)
+        if reached is not None:
+            reached(rest)
+    return replace(rest, counts=newton.counts())
+
+
+def _newton(
+    problem: Problem, law: StressLaw, settings: MacroSettings, resume: Mapping[str, Array] | None
+) -> Newton:
+    """Newton's method for the problem, displacements counted from the rest of its free sides."""
+    system = system_of(problem, law, proportional=True)
+    if resume is not None and resume["u"].shape != (system.n_rows, 2):
+        raise MismatchError("resume: the mesh is not that of the state; run the rest anew")
+    equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
+    newton = Newton(equations, make_assembly(system), settings)
+    if problem.surface is not None and resume is not None:
+        newton.use(system.from_rest(resume["rest"]))
+    elif problem.surface is not None:
+        settled = settle(problem, law, settings, equations.tally)
+        equations.law_state = settled.law_state
+        newton.use(system.from_rest(settled.u))
+    return newton
+
+
+def _load_step(newton: Newton, rest: Rest, factor: float, longest: float) -> Rest:
+    """The equilibrium after `rest` on the way to `factor`, by a step halved until there is one.
+
+    Raises:
+        SimulationError: ten halvings of the longest step find none; `partial` is `rest`.
+    """
+    step, failed = rest.next_step, False
+    while True:
+        left = factor - rest.factor
+        target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
+        try:
+            found = newton.rest_at(target, rest)
+            break
+        except NoStress as failure:
+            newton.equations.tally.counts["halvings"] += 1
+            step, failed = 0.5 * (target - rest.factor), True
+            # Counted from the first length: near a limit load every second step would succeed.
+            if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
+                raise SimulationError(
+                    f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}", partial=rest
+                ) from failure
+    return _reached(found, rest.extremes, min(step if failed else 2.0 * step, longest, key=abs))
+
+
+def _reached(found: Rest, met: Array, next_step: float) -> Rest:
+    """An equilibrium with what the load met up to there, and the next load step."""
+    extremes = met.copy()
+    widen_extremes(extremes, found.F, np.zeros_like(found.F))
+    return replace(found, extremes=extremes, next_step=next_step)
+
+
+def _check_held(system: System, K: Matrix) -> None:
+    """Refuse a load on a tissue or a rigid body that can move without any resistance.
+
+    Those are combinations R of rigid motions that move nothing held and have Rᵀ K R = 0.
+
+    Raises:
+        InputError: naming the motions.
+    """
+    nodes = system.discretisation.nodes
+    names, motions = list[str](), list[Array]()
+
+    def add(name: str, rows: Any, velocity: Any) -> None:
+        motion = np.zeros((system.n_rows, 2))
+        motion[rows] = velocity
+        names.append(name)
+        motions.append(motion.ravel() / np.linalg.norm(motion))
+
+    x, y = (nodes - nodes.mean(axis=0)).T
+    tissue = np.arange(len(nodes))
+    add("the tissue along x", tissue, (1.0, 0.0))
+    add("the tissue along y", tissue, (0.0, 1.0))
+    add("the tissue in rotation", tissue, np.stack([-y, x], axis=1))
+    for k, body in enumerate(system.problem.bodies):
+        add(f"{body.name} along x", len(nodes) + k, (1.0, 0.0))
+        add(f"{body.name} along y", len(nodes) + k, (0.0, 1.0))
+    R = np.stack(motions, axis=1)
+    held = np.delete(R, system.free, axis=0)
+    stiffness = R[system.free].T @ (K @ R[system.free]) / abs(K.diagonal()).max()
+    blocked = np.concatenate([held, *(contact.blocked(R) for contact in system.contacts)])
+    resisted = blocked.T @ blocked + 0.5 * (stiffness + stiffness.T)
+    values, vectors = np.linalg.eigh(resisted)
+    moves = vectors[:, abs(values) < _FREE]
+    if moves.size:
+        loose = [name for name, weight in zip(names, moves, strict=True) if abs(weight).max() > 0.1]
+        raise InputError(
+            f"conditions: nothing holds {', '.join(loose)} ({moves.shape[1]} free rigid motions); "
+            "add fixed, symmetry, prescribed_motion or foundation, or bodies that touch from the "
+            "start"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A tissue at rest under its surface tension alone: displacement (n, 2), zero of rigid bodies,
+    and what the law committed there.
+    """
+
+    u: Array
+    law_state: Any
+
+
+def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tally) -> Settled:
+    """The rest of a problem with free sides before anything moves it, its bodies away.
+
+    Supports hold what they hold, so that all displacements can count from there. Where Newton's
+    method does not come to it at once, the tension grows in steps.
+
+    Args:
+        tally: takes in what it costs.
+
+    Raises:
+        InputError: the law has no tangents.
+        SimulationError: there is no such rest.
+    """
+    require_tangents(law, "surface")
+    system = system_of(replace(problem, bodies=()), law, proportional=True)
+    equations = EquationsOfMotion(system, law, clock="before the load")
+    equations.tally, newton = tally, Newton(equations, make_assembly(system), settings)
+    u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
+    while share < 1.0:
+        newton.use(system.with_share(share + step))
+        try:
+            u, share = newton.balanced(0.0, partial(system.pick, u))[0].u, share + step
+        except NoStress as failure:
+            step *= 0.5
+            if step < _SMALLEST_SHARE:
+                raise SimulationError(f"no rest under the surface tension: {failure}") from failure
+    away = np.zeros((len(problem.bodies), 2))
+    return Settled(np.concatenate([u, away]), equations.law_state)
+
+
+@dataclass(slots=True)
+class Newton:
+    """Newton's method for the equilibrium of a system at a factor of its loads."""
+
+    equations: EquationsOfMotion
+    assembly: Assembly
+    settings: MacroSettings
+
+    def use(self, system: System) -> None:
+        """From here on this system, of the same mesh and supports."""
+        self.equations.system = system
+        self.assembly = replace(self.assembly, system=system)
+
+    def rest_at(self, factor: float, last: Rest | None) -> Rest:
+        """The equilibrium at `factor` after the last one; the law commits it.
+
+        Raises:
+            NoStress: there is none.
+        """
+        system = self.equations.system
+        if last is None:
+            self._grip(np.zeros((system.n_rows, 2)), {})
+            now, residuals, slopes = self.balanced(factor, lambda: np.zeros(system.free.size))
+        else:
+            self._grip(last.u, last.drags)
+            now, residuals, slopes = self.balanced(factor, lambda: self.predicted(factor, last))
+        self.equations.tally.counts["load_steps"] += factor != 0.0
+        system = self.equations.system
+        acts = np.stack([now.internal, *now.forces, self.equations.reaction(now)])
+        works, before = np.zeros(len(acts)), np.empty((0, len(acts) + 4))
+        if last is not None:
+            # Mean force times displacement: of second order in the load step.
+            step = np.einsum("kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u)
+            works, before = last.rows[-1, 4:] + step, last.rows
+        stored = sum(each.energy(now.u) for each in system.contacts)
+        row = np.concatenate([[factor], system.at_watched_points(now.u)[0], [stored], works])
+        return self._rest(now, residuals, slopes, np.vstack([before, row]), acts)
+
+    def known(self, there: Mapping[str, Array], law_state: Any) -> Rest:
+        """An equilibrium that was found before, as of `Rest.to_arrays`; raises as `evaluate`."""
+        equations, factor = self.equations, float(there["factor"])
+        drags = {each.name: there[f"drag {each.name}"] for each in equations.system.contacts}
+        self._grip(there["u"], drags)
+        y = self._still(equations.system.pick(there["u"]))
+        start = equations.resume(factor, y, there["stress"], law_state)
+        slopes = self.assembly.tangents(equations.evaluate(factor, y, tangents=True))
+        for name in _COUNTS:
+            equations.tally.counts[name] = int(there[name])
+        rest = self._rest(start, [], slopes, there["rows"], there["acts"])
+        return _reached(rest, there["extremes"], float(there["next_step"]))
+
+    def balanced(
+        self, factor: float, begin: Callable[[], Array]
+    ) -> tuple[Evaluation, list[float], Slopes]:
+        """The equilibrium, the residuals on the way to it, and K and C.
+
+        Newton begins anew where points leave their branch of the law, and continues where the
+        equilibrium of the tissue is none of a point.
+
+        Args:
+            begin: the free displacements (m,) to begin with.
+
+        Raises:
+            NoStress: there is none.
+        """
+        u: Array | None = None
+        residuals: list[float] = []
+        while True:
+            try:
+                now, slopes = self._iterated(factor, begin() if u is None else u, residuals)
+                start = self.equations.accept(now)
+            except Switched as switched:
+                self.equations.restart_step(switched.points)
+                u, residuals = None, []
+                continue
+            if start is now or start.response.left_bifurcation is None:
+                return now, residuals, slopes
+            u = now.y[: now.y.size // 2]
+
+    def predicted(self, factor: float, last: Rest) -> Array:
+        """(m,) free displacements to begin with: the last ones, or where supports move those of
+        the tangents there.
+
+        Raises:
+            NoStress: the stiffness is singular. Switched: as of `evaluate`.
+        """
+        equations, system = self.equations, self.equations.system
+        u = system.pick(last.u)
+        moved = system.spread(self._still(u), factor, equations.within)[0] - last.u
+        # A body that does not touch yet has no part in the tangents.
+        if not moved[: len(system.discretisation.nodes)].any():
+            return u
+        now = equations.evaluate(last.factor, self._still(u), tangents=True)
+        loads = sum(force.at(factor, now.within, now.u, now.v) for force in system.forces)
+        residual = system.pick(loads - now.internal) - self.assembly.stiffness_times(now, moved)
+        return u + self._solved(now, self.assembly.tangents(now)[0], residual)
+
+    def corrected(self, now: Evaluation, K: Matrix) -> Evaluation:
+        """Newton's correction, halved until the residual is smaller and every point has a stress.
+
+        Args:
+            K: derivative of the residual.
+
+        Raises:
+            NoStress: no correction does. Switched: points left their branch of the law.
+        """
+        size = np.linalg.norm(now.residual)
+        correction = self._still(self._solved(now, K, now.residual))
+        fraction, reason = 1.0, "the line search found no smaller residual"
+        while fraction >= _LEAST_FRACTION:
+            try:
+                trial = self.equations.evaluate(now.t, now.y + fraction * correction, tangents=True)
+            except NoStress as failure:
+                reason = str(failure)
+            else:
+                if np.linalg.norm(trial.residual) <= (1.0 - _DECREASE * fraction) * size:
+                    return trial
+            fraction *= 0.5
+        raise self._stopped(now, K, reason)
+
+    def relative_residual(self, now: Evaluation, K: Matrix) -> float:
+        """Largest residual relative to the largest of internal force, other forces, those at
+        factor 1, and the force that moves the stiffest unknown by what the tolerance allows.
+        """
+        full = [force.at(1.0, now.within, now.u, now.v) for force in self.equations.system.forces]
+        forces = (now.internal, now.forces, *full)
+        least = float(abs(K.diagonal()).max()) * self.settings.absolute_tolerance
+        scale = max(least, *(abs(force).max(initial=0.0) for force in forces))
+        return float(abs(now.residual).max() / scale)
+
+    def counts(self) -> dict[str, int]:
+        return {name: self.equations.tally.counts[name] for name in _COUNTS}
+
+    def _iterated(
+        self, factor: float, u: Array, residuals: list[float]
+    ) -> tuple[Evaluation, Slopes]:
+        """Newton's iteration from u to its tolerance; it lists the residuals."""
+        now = self.equations.evaluate(factor, self._still(u), tangents=True)
+        while True:
+            slopes = self.assembly.tangents(now)
+            residuals.append(self.relative_residual(now, slopes[0]))
+            if residuals[-1] <= self.settings.newton_tolerance:
+                return now, slopes
+            if len(residuals) > MAX_ITERATIONS:
+                reason = f"Newton did not converge in {MAX_ITERATIONS} iterations"
+                raise self._stopped(now, slopes[0], reason)
+            now = self.corrected(now, slopes[0])
+
+    def _solved(self, now: Evaluation, K: Matrix, residual: Array) -> Array:
+        """K⁻¹ times a residual (m,)."""
+        self.equations.tally.counts["factorisations"] += 1
+        solve = factorised(K)
+        if solve is None:
+            raise self.equations.out_of_balance(now, residual, "the stiffness is singular")
+        return solve(residual)
+
+    def _stopped(self, now: Evaluation, K: Matrix, reason: str) -> NoStress:
+        """The failure of Newton's method; a tolerance that nothing could reach is refused."""
+        tolerance, smallest = self.settings.newton_tolerance, self.relative_residual(now, K)
+        if smallest > _STALLED:
+            return self.equations.out_of_balance(now, now.residual, reason)
+        raise InputError(
+            f"macro.newton_tolerance: {tolerance:.3g}; at {self.equations.clock.format(now.t)} the "
+            f"residual stays at {smallest:.1e} of the largest force, the rounding of the stress "
+            f"law's answers; ask for at least {10.0 * smallest:.0e}"
+        )
+
+    def _still(self, u: Array) -> Array:
+        """(2 m,) y of free displacements (m,) without velocity."""
+        return np.concatenate([u, np.zeros(u.size)])
+
+    def _grip(self, u: Array, drags: Mapping[str, Array]) -> None:
+        """From here on contacts follow an equilibrium; u and drags as of `Rest`."""
+        system = self.equations.system
+        forces = tuple(
+            replace(force, grip=Grip(u, drags.get(force.name, np.zeros(force.lengths.size))))
+            if isinstance(force, Contact)
+            else force
+            for force in system.forces
+        )
+        self.use(replace(system, forces=forces))
+
+    def _rest(
+        self, now: Evaluation, residuals: list[float], slopes: Slopes, rows: Array, acts: Array
+    ) -> Rest:
+        equations = self.equations
+        return Rest(
+            system=equations.system,
+            factor=now.t,
+            u=now.u,
+            F=now.F,
+            stress=now.response.stress,
+            stiffness=slopes[0],
+            damping=slopes[1],
+            forces=equations.system.resultants(now.forces, equations.reaction(now)),
+            rows=rows,
+            acts=acts,
+            residuals=tuple(residuals),
+            counts=self.counts(),
+            next_step=0.0,
+            extremes=NO_EXTREMES,
+            law_state=equations.law_state,
+            drags={contact.name: contact.drag(now.u) for contact in equations.system.contacts},
+        )
