@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
-from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 from surrofe2.base.settings import allowed_numbers, hints_of
 from surrofe2.base.units import NONE
-from surrofe2.problem.amplitude import KINDS
+from surrofe2.problem.amplitude import KINDS, Amplitude, Constant
 from surrofe2.problem.conditions import CONDITIONS, Condition
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
 from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
@@ -39,8 +39,7 @@ NOTES = {
     "load": "The paper's bar. A recipe has either this section or `[mesh]` and its companions.",
     "macro": "`elements`, two integers, `[4, 4]` by default, are those of the bar of [load] in x "
     "and in y.",
-    "surface": '`on` is a list of boundaries, or `"free"` (default): all outer sides that no '
-    "condition and no body names. Without the section free sides have no law of their own.",
+    "surface": "Without the section free sides have no law of their own.",
 }
 MESH_NOTE = (
     "`[mesh.boundaries]` and `[mesh.regions]` name parts of the plane: `NAME = { box = [x0, y0, "
@@ -49,12 +48,11 @@ MESH_NOTE = (
     "and `top`; a file has its groups."
 )
 CONDITION_NOTE = (
-    "`[conditions.NAME]` with `kind`, or a list `[[conditions]]`. Kinds marked ᵗ also take "
-    "`amplitude`: a number, a list of (time, factor), or a table with `kind`, see below."
+    "`[conditions.NAME]` with `kind`, or a list `[[conditions]]`. Kinds of amplitude stand below."
 )
 BODY_NOTE = (
-    "`[bodies.NAME]` with exactly one outline, `plane`, `circle` or `corner`, and `amplitude` as "
-    "of conditions, which its displacement follows."
+    "`[bodies.NAME]` with exactly one outline, `plane`, `circle` or `corner`; its displacement "
+    "follows the amplitude."
 )
 
 
@@ -66,8 +64,7 @@ def page() -> str:
     parts += ["## [mesh]", _first_line(MeshSettings), MESH_NOTE, _table(MeshSettings)]
     parts += ["## [conditions]", CONDITION_NOTE]
     for condition in CONDITIONS:
-        driven = "amplitude" in {item.name for item in fields(condition)}
-        parts += [f"### {condition.kind()}{' ᵗ' if driven else ''}", _first_line(condition)]
+        parts += [f"### {condition.kind()}", _first_line(condition)]
         parts.append(_table(condition))
     parts += ["### Amplitudes", "What a load or a motion is multiplied by, in time."]
     for name, kind in KINDS.items():
@@ -116,6 +113,8 @@ def _default(item: Field[Any]) -> str:
         return "*required*"
     if item.default is None:
         return ""
+    if isinstance(item.default, Constant):
+        return f"`{item.default.value}`"
     value = list(item.default) if isinstance(item.default, tuple) else item.default
     text = str(value).lower() if isinstance(value, bool) else str(value)
     return f"`{text}`" if not isinstance(value, str) else f'`"{text}"`'
@@ -123,8 +122,10 @@ def _default(item: Field[Any]) -> str:
 
 def _allowed(hint: Any, bounds: Any) -> str:
     options = get_args(hint)
-    if NoneType in options:
-        return _allowed(next(each for each in options if each is not NoneType), bounds)
+    if hint is Amplitude:
+        return "number, list, table"
+    if get_origin(hint) in (Union, UnionType):
+        return " or ".join(_allowed(each, bounds) for each in options if each is not NoneType)
     if get_origin(hint) is tuple:
         many = "list" if options[-1] is Ellipsis else f"list of {len(options)}"
         return f"{many}: {_allowed(options[0], bounds)}"

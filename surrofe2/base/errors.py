@@ -1,19 +1,48 @@
 """Errors a user can meet. Each message is one sentence: the field, the value, what is allowed."""
 
+from __future__ import annotations
+
 LONGEST = 300
 """Characters of a sentence; of a longer one the middle is left out."""
-_LONGEST_VALUE = 80
+_LONGEST_VALUE, _LONGEST_NAME = 80, 60
 
 
 class Surrofe2Error(Exception):
-    """Base of every error that surrofe2 raises on purpose; the command line prints its one line."""
+    """Base of every error that surrofe2 raises on purpose; the command line prints its one line.
+
+    Attributes:
+        faults: the errors of all entries of a recipe at fault, where it is the first of them.
+    """
+
+    faults: tuple[Surrofe2Error, ...] = ()
 
     def __init__(self, sentence: str = "") -> None:
         super().__init__(shortened(sentence))
 
 
 class InputError(Surrofe2Error, ValueError):
-    """An argument, recipe entry or array is not what the call takes."""
+    """An argument, recipe entry or array is not what the call takes.
+
+    Args:
+        sentence: all of it; or, with a `problem`, the dotted name of the entry that has it.
+
+    Attributes:
+        where: the entry, such as "mesh.width"; empty where it is about none.
+        problem: what is wrong with it.
+    """
+
+    def __init__(self, sentence: str = "", problem: str = "") -> None:
+        self.where, self.problem = (sentence, problem) if problem else ("", sentence)
+        super().__init__(
+            f"{shortened(sentence, _LONGEST_NAME)}: {problem}" if problem else sentence
+        )
+
+    def within(self, where: str) -> InputError:
+        """The same error of settings that stand elsewhere: `where` replaces their own name."""
+        if not self.where or self.where.startswith(where):
+            return self
+        _, dot, key = self.where.partition(".")
+        return InputError(f"{where}{dot}{key}", self.problem)
 
 
 class FileError(Surrofe2Error, OSError):

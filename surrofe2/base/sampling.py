@@ -42,14 +42,16 @@ class SamplingRange:
         low, high = self.stretch
         if not 0.0 < low < high:
             raise InputError(
-                f"range.stretch: ({low}, {high}); low must be below high, both positive"
+                "range.stretch", f"({low}, {high}); low must be below high, both positive"
             )
         if not low <= 1.0 <= high:
-            raise InputError(f"range.stretch: ({low}, {high}); it must hold 1, the tissue at rest")
+            raise InputError(
+                "range.stretch", f"({low}, {high}); it must hold 1, the tissue at rest"
+            )
         if self.shear >= low:
             raise InputError(
-                f"range.shear: {self.shear}; it must be below the lowest stretch {low}, "
-                "so that det U > 0"
+                "range.shear",
+                f"{self.shear}; it must be below the lowest stretch {low}, so that det U > 0",
             )
 
 

@@ -12,20 +12,21 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, field, fields
 from functools import cache
 from operator import attrgetter
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from surrofe2.base.errors import InputError, quoted, shortened
+from surrofe2.base.errors import FileError, InputError, Surrofe2Error, quoted, shortened
 from surrofe2.base.units import NONE
 
 T = TypeVar("T")
 
-_LONGEST_NAME, _LONGEST_LIST = 60, 150
-"""Characters of a name and of a list of names in a sentence."""
+_LONGEST_LIST = 150
+"""Characters of a list of names in a sentence."""
 REMOVED: dict[str, str] = {
     "training.form": "leave it out; the network always gives the whole stress",
     "training.energy_hidden": "leave it out; the network always gives the whole stress",
@@ -47,7 +48,8 @@ def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds:
 
     Args:
         bounds: of numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
-            where infinity is allowed; of a text: `one_of`. Other entries are kept as metadata.
+            where infinity is allowed; of a text: `one_of`. `read` (name, entry) gives the value of
+            an entry that a recipe states otherwise. Other entries are kept as metadata.
     """
     return field(default=default, metadata={"about": about, "unit": unit, **bounds})
 
@@ -67,49 +69,130 @@ def check_settings(settings: Any, section: str) -> None:
             object.__setattr__(settings, item.name, value)
 
 
-def from_table(
-    section: str, kind: type[T], table: Mapping[str, Any], extras: Iterable[str] = ()
+class Faults:
+    """Collects the errors of entries, so that all of them are reported at once."""
+
+    def __init__(self) -> None:
+        self.errors: list[Surrofe2Error] = []
+
+    @contextmanager
+    def noted(self) -> Iterator[None]:
+        """Errors of the block are noted, and the work goes on behind it."""
+        try:
+            yield
+        except (FileError, InputError) as error:
+            self.errors += error.faults or [error]
+
+    def take(self, make: Callable[..., T], *args: Any) -> T:
+        """What a call gives; None where it fails, and `check` will raise."""
+        with self.noted():
+            return make(*args)
+        return None  # type: ignore[return-value, unused-ignore]
+
+    def check(self) -> None:
+        """Raise the first of the errors, with all of them as its `faults`."""
+        if self.errors:
+            first = self.errors[0]
+            first.faults = tuple(self.errors)
+            raise first
+
+
+def build(
+    kind: Callable[..., T],
+    table: Any,
+    where: str,
+    extras: Iterable[str] = (),
+    of: type | None = None,
+    **given: Any,
 ) -> T:
-    """The settings that the entries of a section state.
+    """The settings that the entries of a table state, with those in it that are tables themselves.
 
     Args:
-        extras: keys that the section has besides the fields, which are not among the entries.
+        kind: the dataclass, or what makes it of its fields.
+        where: dotted name of the table.
+        extras: keys that it may have besides, which are read elsewhere.
+        of: the dataclass, where `kind` is none.
+        given: fields that are no entries.
 
     Raises:
-        InputError: naming the entry that is unknown, missing or not what it must be.
+        InputError: an entry is unknown, missing or not what it must be; `faults` has all of them.
     """
-    check_entries(section, kind, table, extras)
-    return kind(**table)
-
-
-def check_entries(
-    section: str, kind: type, table: Mapping[str, Any], extras: Iterable[str] = ()
-) -> None:
-    """Refuse entries of a section that no settings can be made of, as of `from_table`."""
-    items = {item.name: item for item in fields(kind)}
-    hints = hints_of(kind)
-    known = [*items, *extras]
+    check_table(where, table)
+    form: Any = of or kind
+    items = {item.name: item for item in fields(form) if item.metadata and item.name not in given}
+    hints, faults, known = hints_of(form), Faults(), [*items, *extras]
     for key, value in table.items():
-        if f"{section}.{key}" in REMOVED:
-            raise InputError(f"{section}.{key}: removed; {REMOVED[f'{section}.{key}']}")
-        if key not in items:
-            raise InputError(unknown(f"{section}.{key}", key, "key", known))
-        if items[key].metadata:
-            check_value(f"{section}.{key}", value, hints[key], items[key].metadata)
+        name = f"{where}.{key}"
+        with faults.noted():
+            removed = REMOVED.get(f"{where.rpartition('.')[2]}.{key}")
+            if removed is not None:
+                raise InputError(name, f"removed; {removed}")
+            if key not in items:
+                raise unknown(name, key, "key", known)
+            read = items[key].metadata.get("read")
+            given[key] = (
+                check_value(name, value, hints[key], items[key].metadata)
+                if read is None
+                else read(name, value)
+            )
     for item in items.values():
-        required = item.default is MISSING and item.default_factory is MISSING
-        if required and item.name not in table:
+        if item.default is MISSING and item.name not in table:
             unit = item.metadata.get("unit", NONE)
-            told = f"{section}.{item.name}: missing; it must be given"
-            raise InputError(told if unit == NONE else f"{told} ({unit})")
+            with faults.noted():
+                more = "" if unit == NONE else f" ({unit})"
+                raise InputError(f"{where}.{item.name}", f"missing; it must be given{more}")
+    faults.check()
+    try:
+        return kind(**given)
+    except InputError as error:
+        raise error.within(where) from None
 
 
-def unknown(name: str, key: str, what: str, known: Iterable[str]) -> str:
-    """The sentence that refuses a key which is not among the known."""
+def build_kind(kinds: Mapping[str, type[T]], table: Any, where: str, **given: Any) -> T:
+    """The settings of a table whose entry `kind` says what it is; else as `build`."""
+    check_table(where, table)
+    kind = table.get("kind")
+    if kind is None:
+        raise InputError(f"{where}.kind", f"missing; it must be one of {', '.join(kinds)}")
+    if not isinstance(kind, str) or kind not in kinds:
+        shown = quoted(kind)
+        raise unknown(f"{where}.kind", shown.strip("'"), "kind", kinds, f"{shown}: ")
+    others = {key: value for key, value in table.items() if key != "kind"}
+    return build(kinds[kind], others, where, ("kind",), **given)
+
+
+def only_key(table: Any, where: str, known: Iterable[str]) -> str:
+    """The one key of a table that has exactly one of the known.
+
+    Raises:
+        InputError: it has none of them, several, or another.
+    """
+    check_table(where, table)
+    for key in table:
+        if key not in known:
+            raise unknown(f"{where}.{key}", key, "key", known)
+    if len(table) != 1:
+        found = " and ".join(table) if table else "none of them"
+        raise InputError(where, f"{found}; it must have exactly one of {', '.join(known)}")
+    return next(iter(table))
+
+
+def check_table(where: str, given: Any) -> None:
+    """Refuse what is no table."""
+    if not isinstance(given, Mapping):
+        raise InputError(where, f"{quoted(given)}; it must be a table of entries")
+
+
+def unknown(where: str, key: str, what: str, known: Iterable[str], shown: str = "") -> InputError:
+    """The error that refuses a key which is not among the known.
+
+    Args:
+        shown: the value, where the key is one, as the sentence begins with it.
+    """
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     names = shortened(", ".join(sorted(known)), _LONGEST_LIST)
-    return f"{shortened(name, _LONGEST_NAME)}: unknown {what}; {hint}known are {names}"
+    return InputError(where, f"{shown}unknown {what}; {hint}known are {names}")
 
 
 @cache
@@ -148,7 +231,8 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
     if one_of and value not in one_of:
         raise _refusal(name, value, f"one of {', '.join(map(str, one_of))}", {})
     if not one_of and not isinstance(value, hint):
-        raise _refusal(name, value, "true or false" if hint is bool else "a text in quotes", bounds)
+        allowed = {bool: "true or false", str: "a text in quotes"}.get(hint, hint.__name__)
+        raise _refusal(name, value, allowed, bounds)
     return value
 
 
@@ -201,5 +285,5 @@ def allowed_numbers(kind: type, bounds: Mapping[str, Any]) -> str:
 def _refusal(name: str, value: Any, allowed: str, metadata: Mapping[str, Any]) -> InputError:
     unit = metadata.get("unit", NONE)
     shown = quoted(list(value) if isinstance(value, tuple) else value)
-    told = f"{shortened(name, _LONGEST_NAME)}: {shown}; it must be {allowed}"
-    return InputError(told if unit == NONE else f"{told} ({unit})")
+    problem = f"{shown}; it must be {allowed}"
+    return InputError(name, problem if unit == NONE else f"{problem} ({unit})")

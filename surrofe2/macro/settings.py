@@ -53,7 +53,10 @@ class MacroSettings:
 class SurfaceSettings:
     """Which sides of the tissue have the surface law of their plant cells."""
 
-    on: tuple[str, ...] | Literal["free"] = FREE
+    on: tuple[str, ...] | Literal["free"] = setting(
+        FREE, 'list of boundaries; "free": all outer sides that no condition and no body names',
+        read=lambda where, on: checked_sides(on),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", checked_sides(self.on))

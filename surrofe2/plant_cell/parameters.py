@@ -118,11 +118,13 @@ class CellParameters:
     def preset(cls, name: str, **changes: Any) -> CellParameters:
         """The parameters called `name`, a key of `PRESETS`, with single fields changed."""
         if name not in PRESETS:
-            raise InputError(f"cell.preset: {quoted(name)}; it must be one of {', '.join(PRESETS)}")
+            raise InputError(
+                "cell.preset", f"{quoted(name)}; it must be one of {', '.join(PRESETS)}"
+            )
         known = {item.name for item in fields(cls)}
         for key in changes:
             if key not in known:
-                raise InputError(f"cell.{key}: unknown; known are {', '.join(sorted(known))}")
+                raise InputError(f"cell.{key}", f"unknown; known are {', '.join(sorted(known))}")
         return replace(PRESETS[name], **changes)
 
     @property
@@ -205,11 +207,11 @@ class CellParameters:
 def _check_arrangement(arrangement: str, cells: int) -> None:
     if arrangement == "voronoi" and cells < FEWEST_VORONOI:
         raise InputError(
-            f"cell.cells: {cells}; with arrangement voronoi it must be at least {FEWEST_VORONOI}"
+            "cell.cells", f"{cells}; with arrangement voronoi it must be at least {FEWEST_VORONOI}"
         )
     if arrangement != "voronoi" and isqrt(cells) ** 2 != cells:
         raise InputError(
-            f"cell.cells: {cells}; with arrangement {arrangement} it must be a square number"
+            "cell.cells", f"{cells}; with arrangement {arrangement} it must be a square number"
         )
 
 

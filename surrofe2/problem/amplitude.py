@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from bisect import bisect_right
+from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.settings import build_kind, check_settings, check_value, setting
 from surrofe2.base.units import NONE, TIME
 
 Value = tuple[float, float, float]
@@ -64,9 +65,9 @@ class Table(Amplitude):
     def __post_init__(self) -> None:
         super(Table, self).__post_init__()
         if not self.points:
-            raise InputError("amplitude.points: []; it must have at least one (time, factor)")
+            raise InputError("amplitude.points", "[]; it must have at least one (time, factor)")
         if (np.diff([t for t, _ in self.points]) <= 0.0).any():
-            raise InputError(f"amplitude.points: {list(self.points)}; times must increase")
+            raise InputError("amplitude.points", f"{list(self.points)}; times must increase")
 
     def at(self, t: float, within: float) -> Value:
         k = bisect_right(self.points, within, key=itemgetter(0))
@@ -95,7 +96,9 @@ class Ramp(Amplitude):
     def __post_init__(self) -> None:
         super(Ramp, self).__post_init__()
         if not self.end > self.begin:
-            raise InputError(f"amplitude.end: {self.end}; it must be after begin, {self.begin} µs")
+            raise InputError(
+                "amplitude.end", f"{self.end}; it must be after begin, {self.begin} µs"
+            )
 
     def at(self, t: float, within: float) -> Value:
         if within <= self.begin or within >= self.end:
@@ -177,7 +180,7 @@ class Pulse(Amplitude):
         return self.length / 8.0 if self.shape == "half-sine" else math.inf
 
 
-KINDS: dict[str, type] = {
+KINDS: dict[str, type[Amplitude]] = {
     "constant": Constant,
     "table": Table,
     "ramp": Ramp,
@@ -187,6 +190,20 @@ KINDS: dict[str, type] = {
 """Amplitudes by the name that recipes use."""
 
 ONE = Constant()
+IN_TIME = "its factor in time: a number, a list of (time, factor), or a table with `kind`"
+
+
+def amplitude_of(where: str, given: Any) -> Amplitude:
+    """The amplitude that a recipe states: a number, a list of (time, factor), a table with `kind`.
+
+    Raises:
+        InputError: naming the entry that is not what it must be.
+    """
+    if isinstance(given, list | tuple):
+        given = {"kind": "table", "points": given}
+    if not isinstance(given, Mapping):
+        return Constant(value=check_value(where, given, float, {}))
+    return build_kind(KINDS, given, where)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

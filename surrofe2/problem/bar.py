@@ -43,11 +43,11 @@ class LoadSettings:
         x, y = self.watched
         if not (0.0 <= x <= self.width and 0.0 <= y <= self.height):
             raise InputError(
-                f"load.watched: {self.watched}; it must lie within "
-                f"[0, {self.width}] x [0, {self.height}] µm"
+                "load.watched",
+                f"{self.watched}; it must lie within [0, {self.width}] x [0, {self.height}] µm",
             )
         if (np.diff([t for t, _ in self.amplitude]) <= 0.0).any():
-            raise InputError(f"load.amplitude: {self.amplitude}; times must increase")
+            raise InputError("load.amplitude", f"{self.amplitude}; times must increase")
 
     @property
     def conditions(self) -> tuple[Condition, ...]:

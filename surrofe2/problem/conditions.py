@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, quoted
-from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.settings import check_settings, check_value, setting
 from surrofe2.base.units import ACCELERATION, LENGTH
 from surrofe2.law.surface_law import SurfaceLaw
-from surrofe2.problem.amplitude import ONE, Amplitude
+from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude, amplitude_of
 
 SPEED = "µm/µs"
 LINE_FORCE = "µN/µm"
@@ -50,7 +50,7 @@ class Condition:
 class DrivenCondition(Condition):
     """A condition that follows an amplitude in time."""
 
-    amplitude: Amplitude = ONE
+    amplitude: Amplitude = setting(ONE, IN_TIME, read=amplitude_of)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,21 +68,32 @@ class Symmetry(Condition):
     on: str = setting(about="boundary")
 
 
+def _components_of(where: str, given: Any) -> tuple[float | None, float | None]:
+    """Components of a displacement, of which "free" ones are None."""
+    if isinstance(given, list | tuple):
+        given = [None if each == "free" else each for each in given]
+    found: tuple[float | None, float | None] = check_value(
+        where, given, tuple[float | None, float | None], {"unit": LENGTH}
+    )
+    return found
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrescribedMotion(DrivenCondition):
     """Components of displacement that follow an amplitude; None leaves a component free."""
 
     on: str = setting(about="boundary or region")
     displacement: tuple[float | None, float | None] = setting(
-        about='largest displacement in x and y; left out or "free": not prescribed', unit=LENGTH
-    )
+        about='largest displacement in x and y; "free": not prescribed', unit=LENGTH,
+        read=_components_of,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super(PrescribedMotion, self).__post_init__()
         if self.displacement == (None, None):
             raise InputError(
-                "prescribed_motion.displacement: both components are free; one must be a number "
-                f"({LENGTH})"
+                "prescribed_motion.displacement",
+                f"both components are free; one must be a number ({LENGTH})",
             )
 
 
@@ -121,7 +132,9 @@ class Foundation(Condition):
     def __post_init__(self) -> None:
         super(Foundation, self).__post_init__()
         if not (self.stiffness or self.damping):
-            raise InputError("foundation: stiffness 0 and damping 0; one of them must be positive")
+            raise InputError(
+                "foundation", "stiffness 0 and damping 0; one of them must be positive"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +171,7 @@ def checked_sides(on: Any) -> tuple[str, ...] | Literal["free"]:
     if isinstance(on, tuple | list) and on and all(isinstance(name, str) for name in on):
         return tuple(on)
     if on != FREE:
-        raise InputError(f'surface.on: {quoted(on)}; it must be names of boundaries, or "{FREE}"')
+        raise InputError("surface.on", f'{quoted(on)}; it must be names of boundaries, or "{FREE}"')
     return FREE
 
 

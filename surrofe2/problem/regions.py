@@ -47,7 +47,7 @@ class HalfPlane:
     def __post_init__(self) -> None:
         check_settings(self, "half_plane")
         if not any(self.normal):
-            raise InputError(f"half_plane.normal: {list(self.normal)}; it must not be zero")
+            raise InputError("half_plane.normal", f"{list(self.normal)}; it must not be zero")
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         slack = 1e-9 * abs(points).max(initial=1.0)

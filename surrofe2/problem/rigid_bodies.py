@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError
 from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import ACCELERATION, LENGTH, MASS, NONE
-from surrofe2.problem.amplitude import ONE, Amplitude
+from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude, amplitude_of
 from surrofe2.problem.contact_law import circle, corner
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Plane:
     def __post_init__(self) -> None:
         check_settings(self, "plane")
         if not np.linalg.norm(self.normal) > 0.0:
-            raise InputError(f"plane.normal: {list(self.normal)}; it must not be zero")
+            raise InputError("plane.normal", f"{list(self.normal)}; it must not be zero")
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
         normal = np.array(self.normal) / np.linalg.norm(self.normal)
@@ -70,7 +70,7 @@ class Corner:
     def __post_init__(self) -> None:
         check_settings(self, "corner")
         if not np.linalg.norm(self.axis) > 0.0:
-            raise InputError(f"corner.axis: {list(self.axis)}; it must not be zero")
+            raise InputError("corner.axis", f"{list(self.axis)}; it must not be zero")
 
     def gap(self, p: Array) -> tuple[Array, Array, Array]:
         gap, x, y, curvature = corner(p[:, 0], p[:, 1], self.wedge)
@@ -99,7 +99,7 @@ class RigidBody:
     on: str = setting(about="boundary of the tissue that may touch it")
     position: tuple[float, float] = setting(about="at t = 0", unit=LENGTH)
     displacement: tuple[float, float] = setting((0.0, 0.0), "largest displacement", LENGTH)
-    amplitude: Amplitude = ONE
+    amplitude: Amplitude = setting(ONE, IN_TIME, read=amplitude_of)
     mass: float | None = setting(
         None, "of a free body, per thickness of the sheet", MASS, above=0.0
     )
@@ -130,14 +130,16 @@ class RigidBody:
         moved = self.displacement != (0.0, 0.0)
         if self.mass is not None and moved:
             raise InputError(
-                f"bodies.{self.name}: mass {self.mass} and displacement {list(self.displacement)}; "
-                "a body is either free, with a mass, or moved"
+                f"bodies.{self.name}",
+                f"mass {self.mass} and displacement {list(self.displacement)}; "
+                "a body is either free, with a mass, or moved",
             )
         for name, value in (("velocity", self.velocity), ("acceleration", self.acceleration)):
             if self.mass is None and value != (0.0, 0.0):
                 raise InputError(
-                    f"bodies.{self.name}.{name}: {list(value)}; it is of a free body: give a mass, "
-                    "or a displacement with its amplitude"
+                    f"bodies.{self.name}.{name}",
+                    f"{list(value)}; it is of a free body: give a mass, "
+                    "or a displacement with its amplitude",
                 )
 
     @property
@@ -157,6 +159,7 @@ def check_outside(body: str, shape: Shape, position: Array, points: Array, allow
     if gap[deepest] < -allowed:
         x, y = points[deepest]
         raise InputError(
-            f"bodies.{body}.position: {position.tolist()}; the tissue begins {-gap[deepest]:.3g} "
-            f"µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside"
+            f"bodies.{body}.position",
+            f"{position.tolist()}; the tissue begins {-gap[deepest]:.3g} "
+            f"µm inside it, at ({x:.6g}, {y:.6g}) µm; it must begin outside",
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange
-from surrofe2.base.settings import check_entries, check_settings, check_value, from_table, setting
+from surrofe2.base.settings import Faults, build, check_settings, check_table, check_value, setting
 from surrofe2.macro.discretisation import points_by_region
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import region
@@ -97,27 +98,36 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
     """
     sections = {name: table[name] for name in SECTIONS if name in table}
     if "cells" not in table:
-        return {"": _cell_type(table.get("cell", {}), sections, (), ("preset",))}
+        faults = Faults()
+        cell = faults.take(_cell, table.get("cell", {}), "cell")
+        made = faults.take(_settings, sections)
+        faults.check()
+        return {"": CellType(**cell, **made, regions=())}
     cells = table["cells"]
     if not isinstance(cells, dict) or not cells:
         raise InputError(
-            f"cells: {quoted(cells)}; it must have a section [cells.NAME] for each cell"
+            "cells", f"{quoted(cells)}; it must have a section [cells.NAME] for each cell"
         )
     if "cell" in table:
-        raise InputError("cell: [cell] fills the tissue with one cell, [cells.NAME] with several; "
-                         "leave one out")  # fmt: skip
+        raise InputError(
+            "cell",
+            "[cell] fills the tissue with one cell, [cells.NAME] with several; leave one out",
+        )
     if "mesh" not in table:
         raise InputError(
-            "cells: [cells.NAME] fill regions of a mesh; the section [mesh] is missing"
+            "cells", "[cells.NAME] fill regions of a mesh; the section [mesh] is missing"
         )
     for section, key in _OWN:
         if key in sections.get(section, {}):
             raise InputError(
-                f"{section}.{key}: {quoted(sections[section][key])}; each cell has its own: give "
-                f"cells.NAME.{section}.{key}"
+                f"{section}.{key}",
+                f"{quoted(sections[section][key])}; each cell has its own: give "
+                f"cells.NAME.{section}.{key}",
             )
-    _settings(sections)  # what is wrong there is told of no cell
-    made = {name: _named_cell(name, entries, sections) for name, entries in cells.items()}
+    _settings(sections)  # what is wrong there is reported of no cell
+    faults = Faults()
+    made = {name: faults.take(_named_cell, name, one, sections) for name, one in cells.items()}
+    faults.check()
     for kind, files in (
         ("samples", {name: each.samples.file for name, each in made.items()}),
         ("training", {name: each.training_file for name, each in made.items()}),
@@ -126,7 +136,7 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
         for name, file in files.items():
             first = known.setdefault(str(Path(file)), name) if file is not None else name
             if first != name:
-                raise InputError(f"cells.{name}.{kind}.file: {quoted(file)}; that is {first}'s")
+                raise InputError(f"cells.{name}.{kind}.file", f"{quoted(file)}; that is {first}'s")
     return made
 
 
@@ -134,50 +144,51 @@ def _named_cell(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]
     """The cell of a section [cells.NAME]; what its own sections leave out is as in the shared."""
     where = f"cells.{name}"
     if not re.fullmatch(r"[\w-]+", name):
-        raise InputError(f"{where}: {quoted(name)}; a name must be of letters, digits, _ and -")
+        raise InputError(where, f"{quoted(name)}; a name must be of letters, digits, _ and -")
     if not isinstance(entries, dict):
-        raise InputError(f"{where}: {quoted(entries)}; it must be a section [{where}]")
-    given, sections = dict(entries), dict[str, Mapping[str, Any]]()
+        raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
+    given, sections, faults = dict(entries), dict[str, Mapping[str, Any]](), Faults()
+    with faults.noted():
+        regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})
+        if not regions:
+            raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
     for section in SECTIONS:
-        own = given.pop(section, {})
-        if not isinstance(own, dict):
-            raise InputError(f"{where}.{section}: {quoted(own)}; it must be a table")
-        if merged := {**shared.get(section, {}), **own}:
-            sections[section] = merged
-    regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})
-    if not regions:
-        raise InputError(f"{where}.regions: []; it must name a region of the mesh")
-    try:
-        return _cell_type(given, sections, regions, ("preset", "regions", *SECTIONS))
-    except InputError as error:
-        raise InputError(f"{where}.{str(error).removeprefix('cell.')}") from None
+        with faults.noted():
+            own = given.pop(section, {})
+            check_table(f"{where}.{section}", own)
+            if merged := {**shared.get(section, {}), **own}:
+                sections[section] = merged
+    cell = faults.take(_cell, given, where, ("regions", *SECTIONS))
+    made = faults.take(_settings, sections, f"{where}.")
+    faults.check()
+    return CellType(**cell, **made, regions=regions)
 
 
-def _cell_type(
-    entries: Mapping[str, Any],
-    sections: Mapping[str, Mapping[str, Any]],
-    regions: tuple[str, ...],
-    extras: tuple[str, ...],
-) -> CellType:
-    """A cell of these entries and sections; extras: keys that its section may have besides."""
+def _cell(entries: Mapping[str, Any], where: str, extras: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Preset and cell that entries state."""
     given = dict(entries)
-    preset = check_value("cell.preset", given.pop("preset", "printed"), str, {})
-    check_entries("cell", CellParameters, given, extras)
-    cell = CellParameters.preset(preset, **given)
-    return CellType(preset=preset, cell=cell, regions=regions, **_settings(sections))
+    preset = check_value(f"{where}.preset", given.pop("preset", "printed"), str, {})
+    make = partial(CellParameters.preset, preset)
+    cell = build(make, given, where, ("preset", *extras), of=CellParameters)
+    return {"preset": preset, "cell": cell}
 
 
-def _settings(sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _settings(sections: Mapping[str, Mapping[str, Any]], where: str = "") -> dict[str, Any]:
     """Range, samples, training and training_file that sections state."""
-    training = dict(sections.get("training", {}))
-    file = check_value("training.file", training.pop("file", None), str | None, {})
-    wanted = sections.get("range")
-    return {
-        "range": None if wanted is None else from_table("range", SamplingRange, wanted),
-        "samples": from_table("samples", SampleSettings, sections.get("samples", {})),
-        "training": from_table("training", TrainingSettings, training, ("file",)),
-        "training_file": file,
+    training, faults = dict(sections.get("training", {})), Faults()
+    file = training.pop("file", None)
+    made: dict[str, Any] = {
+        "training_file": faults.take(check_value, f"{where}training.file", file, str | None, {}),
+        "range": None,
+        "samples": faults.take(
+            build, SampleSettings, sections.get("samples", {}), f"{where}samples"
+        ),
+        "training": faults.take(build, TrainingSettings, training, f"{where}training", ("file",)),
     }
+    if "range" in sections:
+        made["range"] = faults.take(build, SamplingRange, sections["range"], f"{where}range")
+    faults.check()
+    return made
 
 
 def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
@@ -198,7 +209,9 @@ def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str
         filled[name] = np.union1d(filled[name], left)
     for name, elements in filled.items():
         if not elements.size:
-            raise InputError(f"cells.{name}.regions: {REST}; the other cells fill the whole mesh")
+            raise InputError(
+                f"cells.{name}.regions", f"{REST}; the other cells fill the whole mesh"
+            )
     return points_by_region(mesh.with_subdomains(filled), tuple(filled), "cells")
 
 
@@ -223,13 +236,13 @@ def kinds_of_cells(
             twice = inside & (kind >= 0) & (kind != k)
             if twice.any():
                 raise InputError(
-                    f"cells.{name}.regions: {part}; the plant cell at {at(twice)} is of another "
-                    "type, too"
+                    f"cells.{name}.regions",
+                    f"{part}; the plant cell at {at(twice)} is of another type, too",
                 )
             kind[inside] = k
     for k, each in enumerate(types.values()):
         if not each.regions or (REST in each.regions and REST not in known):
             kind[kind < 0] = k
     if (kind < 0).any():
-        raise InputError(f"cells: none fills the plant cell at {at(kind < 0)}; give it a type")
+        raise InputError("cells", f"none fills the plant cell at {at(kind < 0)}; give it a type")
     return kind

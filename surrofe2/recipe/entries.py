@@ -43,11 +43,11 @@ def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
             if isinstance(at, list):
                 at = _of_list(at, told, part)
             elif part not in at and way[0] in _NAMED and k == 1:
-                raise InputError(unknown(told, part, f"name in [{way[0]}]", at))
+                raise unknown(told, part, f"name in [{way[0]}]", at)
             else:
                 at = at.setdefault(part, {})
             if not isinstance(at, dict | list):
-                raise InputError(f"{told}: {quoted(at)}; it has no entry {last}")
+                raise InputError(told, f"{quoted(at)}; it has no entry {last}")
         if isinstance(at, list):
             _of_list(at, name, last)
             at[int(last)] = value
@@ -59,7 +59,7 @@ def with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
 def _of_list(found: list[Any], told: str, part: str) -> Any:
     if not (part.isdecimal() and int(part) < len(found)):
         raise InputError(
-            f"{told}: {quoted(part)}; it must be a number from 0 to {len(found) - 1} of a list"
+            told, f"{quoted(part)}; it must be a number from 0 to {len(found) - 1} of a list"
         )
     return found[int(part)]
 

@@ -17,7 +17,7 @@ import numpy as np
 import skfem
 
 from surrofe2.base.errors import FileError, InputError, quoted
-from surrofe2.base.settings import check_settings, check_value, from_table, setting
+from surrofe2.base.settings import Faults, build, check_settings, check_table, check_value, setting
 from surrofe2.base.units import LENGTH, TIME
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.problem.bar import LoadSettings
@@ -27,7 +27,7 @@ from surrofe2.problem.entries import (
     body_of,
     condition_of,
     entries_of_part,
-    parts_of,
+    part_of,
     sections_of,
 )
 from surrofe2.problem.mesh import (
@@ -46,6 +46,7 @@ from surrofe2.store.store import reported
 SECTIONS = ("mesh", "conditions", "bodies", "watch", "time")
 """Those that state a problem."""
 
+_PARTS_OF_MESH = ("boundaries", "regions")
 _ON_BOUNDARIES = (Traction, Pressure, Foundation)
 
 
@@ -64,11 +65,15 @@ class MeshSettings:
         numbers = {"width": self.width, "height": self.height, "elements": self.elements}
         for name, value in numbers.items():
             if self.file is None and value is None:
-                raise InputError(f"mesh.{name}: missing; a rectangle or a mesh.file must be given")
+                raise InputError(
+                    f"mesh.{name}", "missing; a rectangle or a mesh.file must be given"
+                )
             if self.file is not None and value is not None:
-                raise InputError(f"mesh.{name}: {quoted(value)}; a mesh from a file has its own")
+                raise InputError(f"mesh.{name}", f"{quoted(value)}; a mesh from a file has its own")
         if self.file is None and self.length_unit is not None:
-            raise InputError(f"mesh.length_unit: {quoted(self.length_unit)}; it is of a mesh.file")
+            raise InputError(
+                "mesh.length_unit", f"{quoted(self.length_unit)}; it is of a mesh.file"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +92,8 @@ class TimeSettings:
             object.__setattr__(self, "output_interval", self.duration / 500.0)
         elif self.output_interval > self.duration:
             raise InputError(
-                f"time.output_interval: {self.output_interval}; it must be at most the duration, "
-                f"{self.duration} µs"
+                "time.output_interval",
+                f"{self.output_interval}; it must be at most the duration, {self.duration} µs",
             )
 
 
@@ -149,7 +154,7 @@ class StatedProblem:
             try:
                 mesh = load_mesh(folder / given.file, given.length_unit or "µm")
             except InputError as error:
-                raise InputError(f"mesh.file: {error}") from None
+                raise InputError("mesh.file", str(error)) from None
         else:
             assert given.width is not None
             assert given.height is not None
@@ -160,7 +165,9 @@ class StatedProblem:
             ("regions", mesh.subdomains or {}, self.regions),
         ):
             for name in known.keys() & more.keys():
-                raise InputError(f"mesh.{kind}.{name}: the mesh has one of that name; take another")
+                raise InputError(
+                    f"mesh.{kind}.{name}", "the mesh has one of that name; take another"
+                )
         return mesh
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
@@ -201,56 +208,84 @@ def stated_problem(
     sections = [name for name in SECTIONS if name in table]
     if sections and "load" in table:
         raise InputError(
-            f"load: [load] states the paper's bar, [{sections[0]}] another problem; leave one out"
+            "load", f"[load] states the paper's bar, [{sections[0]}] another problem; leave one out"
         )
     if sections:
         return _stated(table, folder)
-    load = from_table("load", LoadSettings, table.get("load", {}))
+    load = build(LoadSettings, table.get("load", {}), "load")
     return replace(_stated(load.sections(elements), folder), section="load")
 
 
 def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem:
+    faults, sections = Faults(), dict[str, Any]()
     for name in SECTIONS:
+        sections[name] = table.get(name, {})
         lists = (list, dict) if name == "conditions" else dict
-        if not isinstance(table.get(name, {}), lists):
-            raise InputError(f"{name}: {quoted(table[name])}; it must be a section [{name}]")
+        if not isinstance(sections[name], lists):
+            with faults.noted():
+                raise InputError(name, f"{quoted(sections[name])}; it must be a section [{name}]")
+            sections[name] = {}
     if "mesh" not in table:
         first = next(name for name in SECTIONS if name in table)
-        raise InputError(f"mesh: missing; [{first}] needs the section [mesh]")
-    given = dict(table["mesh"])
-    parts = {
-        kind: parts_of(f"mesh.{kind}", given.pop(kind, {})) for kind in ("boundaries", "regions")
-    }
-    mesh = from_table("mesh", MeshSettings, given, parts)
-    sha256 = None
-    if mesh.file is not None:
-        path = folder / mesh.file
-        if not os.path.isfile(path):  # a device or a pipe might never end
-            raise FileError(f"mesh.file: {path}: cannot be read: no such file")
-        with reported(path, "read"):
-            sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    conditions, bodies = table.get("conditions", {}), table.get("bodies", {})
-    if not conditions and not bodies:
-        raise InputError("conditions: missing; something must hold or move the tissue")
+        with faults.noted():
+            raise InputError("mesh", f"missing; [{first}] needs the section [mesh]")
+    mesh, parts = dict(sections["mesh"]), dict[str, dict[str, Part]]()
+    for kind in _PARTS_OF_MESH:
+        stated = mesh.pop(kind, {})
+        parts[kind] = {}
+        with faults.noted():
+            check_table(f"mesh.{kind}", stated)
+            parts[kind] = {
+                name: faults.take(part_of, f"mesh.{kind}.{name}", one)
+                for name, one in stated.items()
+            }
+    made, sha256 = None, None
+    if isinstance(table.get("mesh"), dict):
+        with faults.noted():
+            made = build(MeshSettings, mesh, "mesh", _PARTS_OF_MESH)
+            sha256 = _digest_of(made, folder)
+    conditions, bodies = sections["conditions"], sections["bodies"]
+    if not table.get("conditions") and not table.get("bodies"):
+        with faults.noted():
+            raise InputError("conditions", "missing; something must hold or move the tissue")
     if isinstance(conditions, dict):
-        made = [condition_of(f"conditions.{name}", one, name) for name, one in conditions.items()]
+        named = [(f"conditions.{name}", one, name) for name, one in conditions.items()]
     else:
-        made = [condition_of(f"conditions[{k}]", one, None) for k, one in enumerate(conditions)]
-    names = [label(each) for each in made]
-    for k, name in enumerate(names):
-        if name in names[:k]:
-            raise InputError(f"conditions[{k}]: a second one called {name}; give it another name")
-    watched = table.get("watch", {})
+        named = [(f"conditions[{k}]", one, None) for k, one in enumerate(conditions)]
+    acting = dict[str, Condition]()
+    for where, one, name in named:
+        with faults.noted():
+            condition = condition_of(where, one, name)
+            called = label(condition)
+            if called in acting:
+                raise InputError(where, f"a second one called {called}; give it another name")
+            acting[called] = condition
+    watched = {
+        name: faults.take(check_value, f"watch.{name}", at, Point, {"unit": LENGTH})
+        for name, at in sections["watch"].items()
+    }
+    moving = tuple(faults.take(body_of, name, one) for name, one in bodies.items())
+    time = faults.take(build, TimeSettings, sections["time"], "time")
+    faults.check()
+    assert made is not None
     return StatedProblem(
-        mesh=mesh,
+        mesh=made,
         boundaries=parts["boundaries"],
         regions=parts["regions"],
-        conditions=tuple(made),
-        bodies=tuple(body_of(name, one) for name, one in bodies.items()),
-        watched={
-            name: check_value(f"watch.{name}", at, Point, {"unit": LENGTH})
-            for name, at in watched.items()
-        },
-        time=from_table("time", TimeSettings, table.get("time", {})),
+        conditions=tuple(acting.values()),
+        bodies=moving,
+        watched=watched,
+        time=time,
         sha256=sha256,
     )
+
+
+def _digest_of(mesh: MeshSettings, folder: Path) -> str | None:
+    """SHA-256 of the mesh file, if there is one."""
+    if mesh.file is None:
+        return None
+    path = folder / mesh.file
+    if not os.path.isfile(path):  # a device or a pipe might never end
+        raise FileError(f"mesh.file: {path}: cannot be read: no such file")
+    with reported(path, "read"):
+        return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError, InputError, quoted, shortened
 from surrofe2.base.sampling import SamplingRange
-from surrofe2.base.settings import check_value, from_table, unknown
+from surrofe2.base.settings import Faults, build, check_value, unknown
 from surrofe2.cache.settings import CacheSettings, TableSettings
 from surrofe2.macro.settings import MacroSettings, SurfaceSettings
 from surrofe2.plant_cell.parameters import CellParameters
@@ -79,7 +79,7 @@ class Recipe:
         """
         if name is not None and name not in {*self.cells} - {""}:
             known = [each or "[cell]" for each in self.cells]
-            raise InputError(unknown(f"--cell: {quoted(name)}", name, "cell", known))
+            raise unknown(f"--cell: {quoted(name)}", name, "cell", known)
         wanted = self.part if name is None else name
         names = self.cells if wanted is None else (wanted,)
         return {each: replace(self, part=each) for each in names}
@@ -288,35 +288,42 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     try:
         return make_recipe(with_changes(table, changes), path)
     except (FileError, InputError) as error:
-        raise type(error)(f"{path.name}: {error}") from None
+        told = type(error)(f"{path.name}: {error}")
+        told.faults = error.faults or (error,)
+        raise told from None
 
 
 def make_recipe(table: Mapping[str, Any], path: Path = Path("recipe.toml")) -> Recipe:
     """A recipe from the nested tables of a TOML file.
 
     Raises:
-        InputError: naming the section or key that is unknown or out of its range.
+        InputError: naming the section or key that is unknown or out of its range; its `faults`
+            are all that is wrong.
     """
+    faults, made = Faults(), dict[str, Any]()
+    tables = dict[str, Any]()
+    known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
     for name, section in table.items():
-        known = (*SECTIONS, *PROBLEM_SECTIONS, "cells")
-        if name not in known:
-            raise InputError(unknown(name, name, "section", known))
-        if name in SECTIONS and not isinstance(section, dict):
-            raise InputError(f"{name}: {quoted(section)}; it must be a section [{name}]")
-    macro = dict(table.get("macro", {}))
-    elements = check_value(
-        "macro.elements", macro.pop("elements", (4, 4)), tuple[int, int], {"least": 1}
-    )
-    stated, cells = stated_problem(table, path.parent, elements), cell_types(table)
-    _check_homes(table)
-    made: dict[str, Any] = {
-        name: from_table(name, kind, table.get(name, {}))
-        for name, kind in _SETTINGS.items()
-        if name != "macro" and (name in table or name != "surface")
-    }
-    settings = from_table("macro", MacroSettings, macro, ("elements",))
-    made["macro"] = changed(settings, frames=stated.time.frames)
-    return Recipe(path=path, cells=cells, stated=stated, **made)
+        with faults.noted():
+            if name not in known:
+                raise unknown(name, name, "section", known)
+            if name in SECTIONS and not isinstance(section, dict):
+                raise InputError(name, f"{quoted(section)}; it must be a section [{name}]")
+            tables[name] = section
+    macro = dict(tables.get("macro", {}))
+    given = macro.pop("elements", (4, 4))
+    elements = faults.take(check_value, "macro.elements", given, tuple[int, int], {"least": 1})
+    made["stated"] = faults.take(stated_problem, tables, path.parent, elements or (4, 4))
+    made["cells"] = faults.take(cell_types, tables)
+    faults.take(_check_homes, tables)
+    for name, kind in _SETTINGS.items():
+        if name == "macro":
+            made[name] = faults.take(build, kind, macro, name, ("elements",))
+        elif name in tables or name != "surface":
+            made[name] = faults.take(build, kind, tables.get(name, {}), name)
+    faults.check()
+    made["macro"] = changed(made["macro"], frames=made["stated"].time.frames)
+    return Recipe(path=path, **made)
 
 
 def changed(settings: T, **given: Any) -> T:
@@ -331,4 +338,6 @@ def _check_homes(table: Mapping[str, Any]) -> None:
     homes["frames"] = "time" if "frames" in table.get("time", {}) else ""
     for key, home in homes.items():
         if home and key in table.get("macro", {}):
-            raise InputError(f"macro.{key}: {quoted(table['macro'][key])}; it stands in [{home}]")
+            raise InputError(
+                f"macro.{key}", f"{quoted(table['macro'][key])}; it stands in [{home}]"
+            )

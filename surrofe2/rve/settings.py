@@ -37,5 +37,5 @@ class RveSettings:
         check_settings(self, "rve")
         if (self.initialisation, self.solver) == ("slow-manifold", "iterated"):
             raise InputError(
-                "rve.solver: 'iterated'; with initialisation slow-manifold it must be direct"
+                "rve.solver", "'iterated'; with initialisation slow-manifold it must be direct"
             )

@@ -40,7 +40,7 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         check_settings(self, "training")
         if not self.hidden:
-            raise InputError("training.hidden: []; it must be a list of at least one size")
+            raise InputError("training.hidden", "[]; it must be a list of at least one size")
 
 
 # The constants of calibration; `cache.trust` has those of audits.
@@ -85,6 +85,7 @@ class CalibrationSettings:
         for name, count in (("walks", self.walks), ("runs", self.runs)):
             if 0 < count < needed * (1.0 - 1e-9):
                 raise InputError(
-                    f"calibration.{name}: {count}; it must be 0 or at least {needed:.4g}, "
-                    f"1/alpha − 1, for an alpha of {self.alpha:g}"
+                    f"calibration.{name}",
+                    f"{count}; it must be 0 or at least {needed:.4g}, "
+                    f"1/alpha − 1, for an alpha of {self.alpha:g}",
                 )

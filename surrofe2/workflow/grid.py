@@ -103,7 +103,7 @@ def _planned(
     count = len(laws)
     for law in laws:
         if law not in LAWS:
-            raise InputError(unknown(f"--law: {quoted(law)}", law, "law", LAWS))
+            raise unknown(f"--law: {quoted(law)}", law, "law", LAWS)
     for name, each in values.items():
         count *= len(each)
         if not 0 < count <= MOST_RUNS:

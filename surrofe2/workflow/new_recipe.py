@@ -46,7 +46,7 @@ def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
         InputError: there is no such kind, or another file is there, and not `fresh`.
     """
     if kind not in KINDS:
-        raise InputError(unknown(f"--example: {kind!r}", kind, "kind", KINDS))
+        raise unknown(f"--example: {kind!r}", kind, "kind", KINDS)
     files = {path: _explained(_template(f"{kind}.toml").replace("NAME", path.stem))}
     if kind == "mesh":
         files[path.with_suffix(".msh")] = _template("mesh.msh")

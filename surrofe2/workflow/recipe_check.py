@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -10,70 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.base.errors import FileError, InputError, MismatchError
-from surrofe2.recipe.recipe import Recipe, load_recipe, make_recipe
+from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.workflow.samples import check_data
 
-_MOST_ROUNDS = 50
-_ANY_MESH = {"width": 100.0, "height": 100.0, "elements": [4, 4]}
-_ANY_CONDITION = {"kind": "fixed", "on": "left"}
-
 
 def recipe_faults(path: Path) -> list[str]:
-    """A sentence on each entry of a recipe that cannot be what it says, all in one go.
-
-    After each the entry is left out, or its section where that cannot do without, and the rest is
-    read again; so what such a section says besides may stay no_report.
-    """
+    """A sentence on each entry of a recipe that cannot be what it says, all in one go."""
     try:
         load_recipe(path)
     except (FileError, InputError) as error:
-        first = str(error)
-    else:
-        return []
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return [first]
-    told: dict[str, str] = {}
-    for _ in range(_MOST_ROUNDS):
-        try:
-            make_recipe(table, path)
-            break
-        except (FileError, InputError) as error:
-            name = str(error).partition(": ")[0]
-            names = name.split(".")
-            if name in told:  # it is needed: no more of its section
-                names = names[:1]
-            told.setdefault(name, f"{path.name}: {error}")
-            if not _leave_out(table, names):
-                break
-    return [*told.values()]
-
-
-def _leave_out(table: dict[str, Any], names: Sequence[str]) -> bool:
-    """Take out the entry that is called so, or the section that lacks it; whether there was one.
-
-    What has a name of its own ([conditions.NAME], [mesh.regions.NAME]) goes as a whole; a mesh or a
-    condition becomes another one, since there must be some.
-    """
-    names = names[: 3 if names[1:2] in (["regions"], ["boundaries"]) else 2]
-    while names:
-        *above, last = names
-        inner: Any = table
-        for name in above:
-            inner = inner.get(name) if isinstance(inner, dict) else None
-        if isinstance(inner, dict) and last in inner:
-            was = inner.pop(last)
-            if names == ["mesh"] and isinstance(was, dict) and was != _ANY_MESH:
-                parts = ("regions", "boundaries")
-                inner[last] = _ANY_MESH | {name: was[name] for name in parts if name in was}
-            elif above == ["conditions"] and was != _ANY_CONDITION:
-                inner[last] = dict(_ANY_CONDITION)
-            return True
-        names = above
-    return False
+        if not error.faults:
+            return [str(error)]
+        return [f"{path.name}: {fault}" for fault in error.faults]
+    return []
 
 
 def study_faults(recipe: Recipe, laws: Sequence[str], *, fresh: bool = False) -> list[str]:

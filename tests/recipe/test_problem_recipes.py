@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import tomllib
 
 import numpy as np
@@ -301,6 +302,29 @@ BOX = "box = [0.0, 100.0, 100.0, 100.0]"
 )  # fmt: skip
 def test_a_wrong_recipe_gets_one_sentence(changed, old, new, sentence):
     assert refusal(changed(old, new)).startswith(f"tissue.toml: {sentence}")
+
+
+def test_all_faults_of_a_recipe_are_data_of_one_error(changed):
+    path = changed('stiffness = 3.0\ncomponents = "x"', 'stiffness = -3.0\ncomponents = "z"')
+    text = path.read_text(encoding="utf-8").replace("radius = 5.0", "radius = 0.0, centre = 1")
+    text = text.replace("rate = 0.01", 'rate = "fast"\n[lood]').replace("end = 10.0", "end = -1.0")
+    path.write_text(text.replace("tip = [200.0, 50.0]", "tip = 3"), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_recipe(path)
+    faults = caught.value.faults
+    assert [fault.where for fault in faults] == [
+        "lood",
+        "conditions.pull.amplitude.end",
+        "conditions.soil.stiffness",
+        "conditions.soil.components",
+        "watch.tip",
+        "bodies.ball.circle.radius",
+        "bodies.ball.circle.centre",
+        "range.rate",
+    ]
+    assert all(str(fault) == f"{fault.where}: {fault.problem}" for fault in faults)
+    assert str(caught.value) == f"tissue.toml: {faults[0]}"
+    assert pickle.loads(pickle.dumps(faults[1])).where == "conditions.pull.amplitude.end"
 
 
 UNIT = {"width": 1.0, "height": 1.0, "elements": [1, 1]}
