@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import InputError, quoted
 from surrofe2.law.stress_law import Status
+from surrofe2.store.store import WORD
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.error_bound import REACH
 from surrofe2.surrogate.features import BEND
@@ -44,13 +46,23 @@ _HEAD = """\
 
 
 def c_source(law: SurrogateLaw) -> str:
-    """A surrogate as C source: value, tangents, domain and bound as in its compiled pass."""
+    """A surrogate as C source: value, tangents, domain and bound as in its compiled pass.
+
+    Raises:
+        InputError: a text of the surrogate is no single word, and could be more than a comment.
+    """
+    texts = {
+        "version": law.version,
+        "cell": law.cell.fingerprint,
+        "initialisation": law.initialisation,
+        "data": law.data_fingerprint,
+    }
+    for name, text in texts.items():
+        if not WORD.fullmatch(text):
+            raise InputError(f"{name} of the surrogate: {quoted(text)}; it must be {WORD.pattern}")
     low, high = law.range.stretch
     head = _HEAD.format(
-        version=law.version,
-        cell=law.cell.fingerprint,
-        initialisation=law.initialisation,
-        data=law.data_fingerprint,
+        **texts,
         low=low,
         high=high,
         shear=law.range.shear,
@@ -111,7 +123,8 @@ def _table(name: str, values: NDArray[Any]) -> Iterator[str]:
         values = np.zeros((1, *values.shape[1:]), dtype=values.dtype)
     kind = "int" if values.dtype.kind == "i" else "double"
     yield f"static const {kind} {name}{''.join(f'[{n}]' for n in values.shape)} = {{"
-    flat = [_number(value) for value in values.ravel().tolist()]
+    number = str if kind == "int" else _number
+    flat = [number(value) for value in values.ravel().tolist()]
     if values.ndim == 1:
         for first in range(0, len(flat), _PER_LINE):
             yield "    " + ", ".join(flat[first : first + _PER_LINE]) + ","
@@ -123,6 +136,5 @@ def _table(name: str, values: NDArray[Any]) -> Iterator[str]:
 
 
 def _number(value: float) -> str:
-    if isinstance(value, int):
-        return str(value)
+    value = float(value)  # a file may hold truths
     return "HUGE_VAL" if value == np.inf else "-HUGE_VAL" if value == -np.inf else repr(value)

@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import FileError, MismatchError, Surrofe2Error, shortened
+from surrofe2.base.errors import FileError, MismatchError, Surrofe2Error, quoted, shortened
 from surrofe2.base.interruption import held
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.units import NONE
@@ -30,6 +30,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
+    WORD,
     check_seal,
     plain,
     read_bytes,
@@ -220,6 +221,13 @@ class Stored:
             raise ValueError(f"{name}: missing, or no text")
         return value
 
+    def word(self, name: str) -> str:
+        """A text of the header that may go into sources and names of files."""
+        value = self.text(name)
+        if not WORD.fullmatch(value):
+            raise ValueError(f"{name}: {quoted(value)}; it must be a word of {WORD.pattern}")
+        return value
+
     def number(self, name: str) -> float:
         """A finite number of the header."""
         value = np.asarray(self.file.attrs.get(name))
@@ -244,7 +252,7 @@ class Stored:
         cell = CellParameters(**self.table("cell"))
         if cell.fingerprint != self.text("cell_fingerprint"):
             raise ValueError("cell: its parameters are not those that the answers are of")
-        return {"cell": cell, "initialisation": self.text("initialisation")}
+        return {"cell": cell, "initialisation": self.word("initialisation")}
 
     @property
     def range(self) -> SamplingRange:

@@ -548,6 +548,8 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
     if record.status != "finished" and not is_there:
         raise InputError(f"{folder}: the run is {record.status}; its command goes on with it")
     for name, wanted in record.files.items():
+        if name not in FILES:
+            raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")
         if digest(folder / name) != wanted:
             raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
     history = read_history(folder) if (folder / "history.csv").exists() else {}

@@ -44,6 +44,9 @@ NO_DIGEST = "0" * 64
 _WORD = SEAL.encode()
 _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
 
+WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
+"""Texts of files that may go into sources and names of files."""
+
 START_OVER = "change it back, write elsewhere or start over with --fresh"
 """The end of error messages that refuse output of other settings."""
 

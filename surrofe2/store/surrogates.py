@@ -78,8 +78,8 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
         domain: dict[str, Any] = stored.all_arrays("domain")
         return SurrogateLaw(
             **stored.whose,
-            version=stored.text("version"),
-            data_fingerprint=stored.text("data_fingerprint"),
+            version=stored.word("version"),
+            data_fingerprint=stored.word("data_fingerprint"),
             rest_length=stored.optional("rest_length"),
             range=stored.range,
             settings=TrainingSettings(**stored.table("settings")),

@@ -5,13 +5,16 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import Status
 from surrofe2.store.c_source import c_source
+from surrofe2.store.surrogates import read_surrogate, write_surrogate
 from tests.surrogate.networks import make_law, with_bound
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
@@ -52,6 +55,17 @@ def compiled(law, folder):
         return stress.reshape(-1, 2, 2), status, bound, slopes.reshape(2, -1, 2, 2, 2, 2)
 
     return respond
+
+
+@pytest.mark.parametrize("name", ["version", "data_fingerprint", "initialisation"])
+def test_text_of_a_file_does_not_become_code(tmp_path, name):
+    code = "*/ __attribute__((constructor)) static void f(void) {} /*"
+    law = replace(make_law(), **{name: code})
+    with pytest.raises(InputError, match="surrogate: "):
+        c_source(law)
+    write_surrogate(law, tmp_path / "law.h5")
+    with pytest.raises(FileError, match=f"{name}: "):
+        read_surrogate(tmp_path / "law.h5")
 
 
 def states(law, count=400, beyond=1.15):

@@ -20,7 +20,7 @@ from surrofe2.store.run_folder import (
     write_energies,
     write_record,
 )
-from surrofe2.store.store import write_json
+from surrofe2.store.store import read_json, write_json
 from tests.run_records import finished_record
 
 
@@ -52,6 +52,15 @@ def test_curve_comes_back_to_the_last_bit(tmp_path, curve):
 def test_energies_name_their_units(tmp_path):
     write_energies(tmp_path, np.array([0.0, 1.0]), {"kinetic": np.array([0.0, 2.5])})
     assert (tmp_path / "energies.csv").read_text() == "t_us,kinetic_pJ\n0.0,0.0\n1.0,2.5\n"
+
+
+def test_a_record_names_files_of_its_folder_alone(tmp_path, record, curve):
+    write_curve(tmp_path, curve)
+    write_record(tmp_path, record)
+    entries = read_json(tmp_path / "run.json")
+    write_json(tmp_path / "run.json", entries | {"files": {"/dev/zero": "0"}})
+    with pytest.raises(FileError, match="'/dev/zero' is no file of a run"):
+        read_run(tmp_path)
 
 
 def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
