@@ -16,6 +16,7 @@ from surrofe2.problem.conditions import CONDITIONS
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
 from surrofe2.recipe.recipe import SECTIONS
+from surrofe2.recipe.schema import TITLE, recipe_schema
 from surrofe2.store.store import read_bytes, write_text
 
 KINDS = {
@@ -27,6 +28,7 @@ KINDS = {
     "cells": "several kinds of plant cell by region",
 }
 """What there are templates for."""
+SCHEMA = "recipe.schema.json"
 _SECTIONS = SECTIONS | {"mesh": MeshSettings, "time": TimeSettings}
 _NAMED = {"cells": CellParameters, "bodies": RigidBody}
 _UNITS = """
@@ -40,19 +42,27 @@ _COLUMN, _WIDTH = 36, 100
 
 
 def write_recipe(path: Path, kind: str, *, fresh: bool = False) -> list[Path]:
-    """Write the recipe of a kind, and the mesh file that it names; what was written.
+    """Write the recipe of a kind, its mesh file and the schema for editors; what was written.
+
+    The recipe names the schema, which lies beside it, in its first line, as Taplo and Even Better
+    TOML read it; so it stays valid where the folder moves, and needs no network.
 
     Raises:
         InputError: there is no such kind, or another file is there, and not `fresh`.
     """
     if kind not in KINDS:
         raise unknown(f"--example: {kind!r}", kind, "kind", KINDS)
-    files = {path: _explained(_template(f"{kind}.toml").replace("NAME", path.stem))}
+    text = _explained(_template(f"{kind}.toml").replace("NAME", path.stem))
+    files = {path: f"#:schema ./{SCHEMA}\n\n{text}"}
     if kind == "mesh":
         files[path.with_suffix(".msh")] = _template("mesh.msh")
     for each, text in files.items():
         if each.exists() and not fresh and read_bytes(each) != text.encode("utf-8"):
             raise InputError(f"{each}: another file is there; --fresh writes this one in its place")
+    schema = path.with_name(SCHEMA)
+    if schema.exists() and not fresh and TITLE.encode() not in read_bytes(schema):
+        raise InputError(f"{schema}: another file is there; --fresh writes a schema in its place")
+    files[schema] = json.dumps(recipe_schema(), indent=1, ensure_ascii=False) + "\n"
     for each, text in files.items():
         write_text(each, text)
     return list(files)

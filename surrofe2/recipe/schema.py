@@ -1,0 +1,136 @@
+"""A JSON schema of recipes, by which editors complete keys, explain them and mark mistakes.
+
+It is made of the settings that read a recipe. What only the program sees (keys that exclude each
+other, names of boundaries, files) is left to `surrofe2 check`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from surrofe2.base.settings import hints_of
+from surrofe2.base.units import NONE
+from surrofe2.plant_cell.parameters import PRESETS
+from surrofe2.problem.amplitude import KINDS, Amplitude
+from surrofe2.problem.entries import KINDS_OF_CONDITION, PARTS, SHAPES, Point
+from surrofe2.problem.rigid_bodies import RigidBody
+from surrofe2.recipe.cell_types import SECTIONS as SECTIONS_OF_CELL
+from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
+from surrofe2.recipe.recipe import SECTIONS
+
+Schema = dict[str, Any]
+
+TITLE = "Recipe of surrofe2"
+_TEXT: Schema = {"type": "string"}
+_BOUNDS = {
+    "least": "minimum",
+    "most": "maximum",
+    "above": "exclusiveMinimum",
+    "below": "exclusiveMaximum",
+}
+_PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
+
+
+def recipe_schema() -> Schema:
+    """The schema, of JSON Schema's draft 7."""
+    sections = {name: _settings(kind) for name, kind in SECTIONS.items()}
+    sections["cell"]["properties"]["preset"] = {"enum": [*PRESETS]}
+    sections["training"]["properties"]["file"] = _TEXT
+    sections["macro"]["properties"]["elements"] = _value(tuple[int, int], {"least": 1})
+    shared = {name: {**sections[name], "required": []} for name in SECTIONS_OF_CELL}
+    names = {"type": "array", "items": _TEXT}
+    cell = _with(sections["cell"], {"regions": names, **shared})
+    outlines = {name: _settings(kind) for name, kind in PARTS.items()}
+    outlines["box"] = _value(tuple[float, float, float, float], {})
+    part = {"anyOf": [_table({name: each}, [name]) for name, each in outlines.items()]}
+    condition = {"anyOf": _kinds(KINDS_OF_CONDITION)}
+    body = _with(_settings(RigidBody), {name: _settings(kind) for name, kind in SHAPES.items()})
+    points = _value(tuple[tuple[float, float], ...], {})
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": TITLE,
+        "definitions": {"amplitude": {"anyOf": [{"type": "number"}, points, *_kinds(KINDS)]}},
+        **_table(
+            {
+                **sections,
+                "cells": _named(cell),
+                "mesh": _with(
+                    _settings(MeshSettings), {"boundaries": _named(part), "regions": _named(part)}
+                ),
+                "conditions": {"anyOf": [_named(condition), {"type": "array", "items": condition}]},
+                "bodies": _named(body),
+                "watch": _named(_value(Point, {})),
+                "time": _settings(TimeSettings),
+            }
+        ),
+    }
+
+
+def _table(properties: Schema, required: list[str] | None = None) -> Schema:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": required or [],
+        "additionalProperties": False,
+    }
+
+
+def _named(each: Schema) -> Schema:
+    """Tables under names of the user's."""
+    return {"type": "object", "additionalProperties": each}
+
+
+def _with(table: Schema, more: Schema) -> Schema:
+    return {**table, "properties": {**table["properties"], **more}}
+
+
+def _kinds(kinds: Any) -> list[Schema]:
+    """The tables whose `kind` says what they are."""
+    found = []
+    for name, kind in kinds.items():
+        table = _with(_settings(kind), {"kind": {"enum": [name]}})
+        found.append({**table, "required": ["kind", *table["required"]]})
+    return found
+
+
+def _settings(kind: type) -> Schema:
+    """The table of the fields of settings."""
+    hints, properties, required = hints_of(kind), dict[str, Schema](), list[str]()
+    for item in fields(kind):
+        if not item.metadata:
+            continue
+        unit = item.metadata.get("unit", NONE)
+        about = item.metadata["about"] + ("" if unit == NONE else f" ({unit})")
+        value = {"description": about, **_value(hints[item.name], item.metadata)}
+        if item.default is MISSING:
+            required.append(item.name)
+        elif isinstance(item.default, bool | int | float | str | tuple):
+            value["default"] = item.default
+        properties[item.name] = value
+    return {"description": " ".join((kind.__doc__ or "").split()), **_table(properties, required)}
+
+
+def _value(hint: Any, bounds: Any) -> Schema:
+    options = get_args(hint)
+    if hint is Amplitude:
+        return {"$ref": "#/definitions/amplitude"}
+    if get_origin(hint) in (Union, UnionType):
+        kinds = [_value(each, bounds) for each in options if each is not NoneType]
+        return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
+    if get_origin(hint) is tuple:
+        # a component that may be None is "free" in a recipe
+        entry = _value(options[0], bounds)
+        entry = (
+            {"anyOf": [entry, {"enum": ["free"]}]} if NoneType in get_args(options[0]) else entry
+        )
+        size = (
+            {} if options[-1] is Ellipsis else {k: len(options) for k in ("minItems", "maxItems")}
+        )
+        return {"type": "array", "items": entry, **size}
+    one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())
+    if one_of:
+        return {"enum": [*one_of]}
+    limits = {_BOUNDS[key]: bounds[key] for key in _BOUNDS if key in bounds}
+    return {"type": _PLAIN[hint], **(limits if hint in (float, int) else {})}
