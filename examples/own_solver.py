@@ -46,8 +46,7 @@ def solve(law, mesh=MESH, pull=PULL, element=ELEMENT, intorder=4, tolerance=1e-9
         if answer.status.any() or len(residuals) > 20:
             raise RuntimeError("no rest found; load in steps")
         state, by_F = answer.state, answer.tangents.P_by_F.reshape(*shape, 2, 2, 2, 2)
-        P = np.linalg.det(F)[:, None, None] * answer.stress @ np.linalg.inv(F).swapaxes(1, 2)
-        P = np.moveaxis(P.reshape(*shape, 2, 2), (2, 3), (0, 1))
+        P = np.moveaxis(answer.first_piola(F).reshape(*shape, 2, 2), (2, 3), (0, 1))
         force = load - internal.assemble(basis, P=DiscreteField(P))
         residuals.append(np.abs(force[free]).max() / np.abs(load).max())
         A = np.moveaxis(by_F, (2, 3, 4, 5), (0, 1, 2, 3))

@@ -170,10 +170,10 @@ def _without_stress(
     for _ in range(_ITERATIONS):
         F_dot[free] = (F[free] - base) / weight
         answer = _answer(law, F, F_dot, state, t, tangents=True)
-        P = (answer.stress @ cofactor(F[None]))[0]
+        P = answer.first_piola(F[None])[0]
         assert answer.tangents is not None
-        by_F, by_rate = answer.tangents.P_by_F[0], answer.tangents.P_by_F_dot[0]
-        step = np.linalg.solve((by_F + by_rate / weight)[free][(slice(None), *free)], P[free])
+        slope = answer.tangents.over_step(weight)[0]
+        step = np.linalg.solve(slope[free][(slice(None), *free)], P[free])
         if abs(step).max() <= _TOLERANCE:
             return answer
         F[free] -= step

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.tensors import cofactor
 
 Array = NDArray[np.float64]
 
@@ -63,6 +64,20 @@ class Tangents:
 
     P_by_F: Array
     P_by_F_dot: Array
+
+    def over_step(self, dt: float) -> Array:
+        """(n, 2, 2, 2, 2) ∂P/∂F + (1/dt) ∂P/∂Ḟ, µN/µm: the slope of the stress by F at the end of
+        a step in which F_dot = (F − F_old)/dt, so that it follows F.
+
+        Args:
+            dt: length of the step, µs; infinite for a rest.
+
+        Raises:
+            InputError: dt is not positive.
+        """
+        if not dt > 0.0:
+            raise InputError(f"dt: {dt}; it must be positive, or infinite at rest")
+        return self.P_by_F if dt == np.inf else self.P_by_F + self.P_by_F_dot / dt
 
     def cauchy(self, F: Array, stress: Array) -> tuple[Array, Array]:
         """∂σ/∂F and ∂σ/∂Ḟ, (n, 2, 2, 2, 2), from σ = P Fᵀ/det F.
@@ -129,6 +144,15 @@ class StressResponse:
     left_bifurcation: NDArray[np.bool_] | None = None
     reasons: Mapping[int, str] = field(default_factory=dict)
     sources: Callable[[], Sources] | None = None
+
+    def first_piola(self, F: Array) -> Array:
+        """(n, 2, 2) first Piola–Kirchhoff stress P = det F σ F⁻ᵀ, µN/µm: force per unloaded length.
+
+        Args:
+            F: (n, 2, 2) for which the law was asked.
+        """
+        P: Array = self.stress @ cofactor(F)
+        return P
 
     def __repr__(self) -> str:
         count, lost = len(self.status), int((self.status != 0).sum())

@@ -222,12 +222,11 @@ class GeneralisedAlpha:
         return factorised(matrix), float(abs(matrix.diagonal()).max()) * acceleration
 
     def _matrix(self, now: Evaluation, h: float) -> Matrix:
-        """S = (1 − α_m) M + (1 − α_f) (h γ C + h² β K), the derivative of the residual by a₁."""
+        """S = (1 − α_m) M + (1 − α_f) h² β (K + γ/(h β) C), slope of the residual by a₁."""
         w = self.weights
-        K, C = self._assembly.tangents(now)
+        K = self._assembly.over_step(now, h * w.beta / w.gamma)
         return scipy.sparse.csc_matrix(
-            (1.0 - w.alpha_m) * self._mass
-            + (1.0 - w.alpha_f) * (h * w.gamma * C + h**2 * w.beta * K)
+            (1.0 - w.alpha_m) * self._mass + (1.0 - w.alpha_f) * h**2 * w.beta * K
         )
 
     def _error(self, start: Evaluation, past: _Past, solved: Solved, h: float) -> float:

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
 from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import make_system
-from surrofe2.macro.tangents import (
-    make_assembly,
-)
+from surrofe2.macro.tangents import make_assembly
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.problem import Fixed, Problem
+from surrofe2.problem import Fixed, Foundation, Problem
 from surrofe2.rve import RveLaw, RveSettings
 from tests.laws import Fibres, KelvinVoigt, LinearFirstPiola
-from tests.macro.bars import distorted_bar, random_state
+from tests.macro.bars import distorted_bar, random_state, state_vector
 from tests.macro.meshes import plate
 
 
@@ -39,8 +38,10 @@ def differences(bar, law, u, v, step, state=None):
 def exact(bar, law, u, v, state=None):
     F, F_dot, _ = deformation_gradient(bar.discretisation, u, v)
     answer = law.respond(F, F_dot, state, tangents=True)
-    tangents = make_assembly(bar).internal(F, answer)
-    return tangents, answer
+    P, assembly, slopes = answer.first_piola(F), make_assembly(bar), answer.tangents
+    by_u = assembly.of_elements(F, P, slopes.P_by_F)
+    by_v = assembly.of_elements(F, 0.0 * P, slopes.P_by_F_dot)
+    return (assembly.sum(by_u), assembly.sum(by_v)), answer
 
 
 @pytest.mark.parametrize("law", [KelvinVoigt(), LinearFirstPiola(), Fibres()], ids=repr)
@@ -79,3 +80,16 @@ def test_tangents_of_rves_are_the_slopes_of_the_internal_force(rng, initialisati
     for tangent, slope in zip(tangents, slopes, strict=True):
         assert abs(slope).max() > 1.0
         assert abs(tangent.toarray() - slope).max() <= 1e-6 * abs(slope).max()
+
+
+def test_tangents_over_a_step_are_stiffness_and_damping_together(rng):
+    """With forces that have slopes of both kinds."""
+    held = Fixed(on="left"), Foundation(on="bottom", stiffness=0.3, damping=0.7)
+    problem = Problem(mesh=plate("quads", rng, (3, 2)), conditions=held)
+    system = make_system(problem, 0.08)
+    equations = EquationsOfMotion(system, KelvinVoigt())
+    y = state_vector(system, *random_state(system, rng))
+    now, assembly = equations.evaluate(0.0, y, tangents=True), make_assembly(system)
+    K, C = assembly.tangents(now)
+    whole = assembly.over_step(now, 0.2)
+    assert abs(whole - K - C / 0.2).max() < 1e-13 * abs(whole).max()

@@ -1,0 +1,44 @@
+"""What a foreign solver asks of an answer: first Piola stress, its slope over a step."""
+
+import numpy as np
+import pytest
+
+from surrofe2.base.errors import InputError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.rve import RveLaw, RveSettings
+from tests.laws import KelvinVoigt
+
+DT = 0.7
+
+
+@pytest.mark.parametrize(
+    "law",
+    [KelvinVoigt(), RveLaw(CellParameters.preset("printed"), RveSettings(tolerance=1e-11))],
+    ids=["closed form", "RVE"],
+)
+def test_the_slope_over_a_step_is_that_of_the_first_piola_stress(law):
+    """By central differences of P with F_dot = (F − F_old)/dt; P = det F σ F⁻ᵀ."""
+    rng = np.random.default_rng(5)
+    F, old = np.eye(2) + rng.uniform(-0.02, 0.02, (2, 6, 2, 2))
+    answer = law.respond(F, (F - old) / DT, tangents=True)
+    found, h = answer.tangents.over_step(DT), 1e-5
+
+    def first_piola(F):
+        return law.respond(F, (F - old) / DT, answer.state).first_piola(F)
+
+    inverse_T = np.linalg.inv(F).swapaxes(1, 2)
+    P = np.linalg.det(F)[:, None, None] * answer.stress @ inverse_T
+    np.testing.assert_allclose(answer.first_piola(F), P, atol=1e-13 * abs(P).max())
+    for k in np.ndindex(2, 2):
+        change = np.zeros((2, 2))
+        change[k] = h
+        slope = (first_piola(F + change) - first_piola(F - change)) / (2.0 * h)
+        assert abs(slope - found[:, :, :, *k]).max() < 2e-6 * abs(found).max()
+
+
+def test_a_step_has_a_length():
+    answer = KelvinVoigt().respond(np.eye(2)[None], np.zeros((1, 2, 2)), tangents=True)
+    np.testing.assert_array_equal(answer.tangents.over_step(np.inf), answer.tangents.P_by_F)
+    for dt in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match=r"dt: .* positive"):
+            answer.tangents.over_step(dt)
