@@ -6,8 +6,6 @@ and made when a command asks for the problem.
 
 from __future__ import annotations
 
-import hashlib
-import os.path
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -41,7 +39,7 @@ from surrofe2.problem.problem import Problem, label
 from surrofe2.problem.regions import Part
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.store.meshes import read_mesh
-from surrofe2.store.store import reported
+from surrofe2.store.store import digest
 
 SECTIONS = ("mesh", "conditions", "bodies", "watch", "time")
 """Those that state a problem."""
@@ -285,7 +283,7 @@ def _digest_of(mesh: MeshSettings, folder: Path) -> str | None:
     if mesh.file is None:
         return None
     path = folder / mesh.file
-    if not os.path.isfile(path):  # a device or a pipe might never end
-        raise FileError(f"mesh.file: {path}: cannot be read: no such file")
-    with reported(path, "read"):
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+    try:
+        return digest(path)
+    except FileError as error:
+        raise FileError(f"mesh.file: {error}") from None

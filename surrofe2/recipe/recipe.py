@@ -36,7 +36,7 @@ from surrofe2.recipe.entries import with_changes
 from surrofe2.recipe.problem_sections import SECTIONS as PROBLEM_SECTIONS
 from surrofe2.recipe.problem_sections import StatedProblem, stated_problem
 from surrofe2.rve.settings import RveSettings
-from surrofe2.store.store import plain
+from surrofe2.store.store import plain, read_text
 from surrofe2.surrogate.settings import CalibrationSettings, TrainingSettings
 from surrofe2.tissue.settings import TissueSettings
 
@@ -267,6 +267,10 @@ SECTIONS: dict[str, type] = {
 """Sections of settings by name; others state a problem, or several cells."""
 
 
+_MOST = 2**24
+"""Bytes of a recipe."""
+
+
 def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType({})) -> Recipe:
     """Read and check a study recipe.
 
@@ -280,9 +284,7 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     """
     path = Path(path)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read: {error.strerror}") from None
+        table = tomllib.loads(read_text(path, _MOST))
     except (ValueError, RecursionError) as error:  # an integer may have too many digits, too
         raise InputError(f"{path.name}: not TOML: {shortened(str(error), 150)}") from None
     try:

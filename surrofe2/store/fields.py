@@ -17,7 +17,7 @@ from surrofe2.base.errors import FileError
 from surrofe2.law.stress_law import TABLE
 from surrofe2.rve.particles import Particles
 from surrofe2.store.hdf5 import Kind, reading, store_array, writing
-from surrofe2.store.store import reported, write_text
+from surrofe2.store.store import read_text, write_text
 
 if TYPE_CHECKING:
     from surrofe2.macro.frames import Frames
@@ -216,8 +216,7 @@ def add_to_elements(folder: Path, added: Series) -> None:
         for name, values in of_frames.items():
             store_array(file, name, values)
     path = folder / f"{FIELDS}.xdmf"
-    with reported(path, "read"):
-        *grids, end = path.read_text(encoding="utf-8").split("</Grid>\n")
+    *grids, end = read_text(path).split("</Grid>\n")
     for k in range(len(grids) - 1):
         for name, values in added.items():
             words = _attribute(name, "Cell", _item(f"{name}.{k}", values[k]), 1)

@@ -8,6 +8,7 @@ interruption waits: HDF5 calls Python, and takes one for an error of its own.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -170,7 +171,7 @@ def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
     """
     of = kind or ANY
     advice = f"; {of.advice}" if of.advice else ""
-    content = read_bytes(path)
+    content = read_bytes(path, _memory() // 2, _SIGNATURE)
     try:
         if not content.startswith(_SIGNATURE):
             raise FileError(f"{path}: not an HDF5 file")
@@ -178,6 +179,7 @@ def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
         with held(), h5py.File(BytesIO(content)) as file:
             stored = Stored(file, of)
             file.visititems_links(_check_link)
+            file.visititems(_check_place)
             if kind is not None:
                 _check_schema(path, stored)
             yield stored
@@ -195,6 +197,16 @@ def reading(path: Path, kind: Kind | None = None) -> Iterator[Stored]:
 def _check_link(name: str, link: object) -> None:
     if not isinstance(link, h5py.HardLink):
         raise ValueError(f"{name}: a link, maybe to another file; it must be in this one")
+
+
+def _check_place(name: str, item: object) -> None:
+    if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
+        raise ValueError(f"{name}: its numbers are in other files; they must be in this one")
+
+
+def _memory() -> int:
+    """Bytes of this machine."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _check_schema(path: Path, stored: Stored) -> None:
@@ -264,8 +276,6 @@ class Stored:
         entry = self.file.get(name)
         if not isinstance(entry, h5py.Dataset):
             raise ValueError(f"{name}: missing")
-        if entry.is_virtual or entry.external:
-            raise ValueError(f"{name}: its numbers are in other files; they must be in this one")
         whole = len(entry.shape or ()) == len(shape) and entry.nbytes <= self.file.id.get_filesize()
         if not whole or any(n not in (None, m) for n, m in zip(shape, entry.shape, strict=True)):
             raise ValueError(f"{name}: shape {entry.shape}; it must be {shape}")

@@ -7,7 +7,6 @@ and boundaries (lines).
 from __future__ import annotations
 
 import io
-import os.path
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -18,6 +17,7 @@ import skfem
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError, InputError
+from surrofe2.store.store import read_bytes
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -27,6 +27,8 @@ Groups = dict[str, tuple[Index, ...]]
 UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
 """µm in each unit of length that a file may have."""
 
+_MOST = 2**28
+"""Bytes of a file."""
 _SURFACES = ("quad", "triangle", "triangle6")
 _LINES = ("line", "line3")
 
@@ -51,8 +53,7 @@ def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
 def _read(path: Path) -> Any:
     import meshio  # takes a third of a second, which recipes without a file do not spend
 
-    if not os.path.isfile(path):  # False, too, of what no file can be called
-        raise FileError(f"{path}: cannot be read: no such file")
+    read_bytes(path, _MOST)  # a file, and no more than that
     told = io.StringIO()
     try:
         # meshio prints what it thinks of a file and ends the process.

@@ -22,6 +22,7 @@ import math
 import os
 import platform
 import re
+import stat
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -86,10 +87,33 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def read_bytes(path: Path) -> bytes:
-    """What is in a file, or a FileError."""
+def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
+    """What is in a regular file of at most so many bytes, or a FileError.
+
+    Of a device, a pipe or a file that is too large nothing is read, and of one that does not begin
+    with `begin` no more than that.
+    """
     with reported(path, "read"):
-        return path.read_bytes()
+        try:  # a pipe without a writer would wait for one, but for O_NONBLOCK
+            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        except ValueError:  # a name with a zero in it
+            raise FileError(f"{path}: cannot be read: no such file") from None
+        with io.FileIO(descriptor) as file:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode):
+                raise FileError(f"{path}: cannot be read: not a regular file")
+            head = file.read(len(begin)) if begin else begin
+            if head != begin:
+                return head
+            if found.st_size > most:
+                size = f"{found.st_size / 1e9:.3g} GB; it must have at most {most / 1e9:.3g}"
+                raise FileError(f"{path}: cannot be read: {size}")
+            return head + file.read(most)
+
+
+def read_text(path: Path, most: int = 2**30) -> str:
+    """As `read_bytes`, as text with newlines of one kind; a ValueError where it is not UTF-8."""
+    return read_bytes(path, most).decode("utf-8").replace("\r\n", "\n")
 
 
 def remove(path: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from time import perf_counter
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -42,3 +45,25 @@ def test_changed_bytes(stored, number):
         check(path, damaged, read, whole)
 
     changed()
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe", "sparse file"])
+def test_a_file_without_end_is_refused_at_once(stored, kind):
+    path, content, read = stored
+    path.unlink()
+    if kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        with path.open("wb") as file:
+            file.write(bytes(content[:512]))
+            file.truncate(60 * 10**9)
+    begin = perf_counter()
+    try:
+        with answered(path.name, "cannot be read"):
+            assert read(path) is None  # as a reference state does
+        assert perf_counter() - begin < 1.0
+    finally:
+        path.unlink()
+        path.write_bytes(bytes(content))

@@ -244,7 +244,7 @@ def test_a_mesh_file_is_relative_to_the_recipe_and_told_by_its_digest(tmp_path):
     path.write_text(path.read_text().replace("leaf.msh", "none.msh"), encoding="utf-8")
     none = tmp_path / "meshes" / "none.msh"
     assert refusal(path, FileError) == (
-        f"leaf.toml: mesh.file: {none}: cannot be read: no such file"
+        f"leaf.toml: mesh.file: {none}: cannot be read: No such file or directory"
     )
 
 

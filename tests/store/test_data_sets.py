@@ -15,8 +15,14 @@ from surrofe2.base.sampling import SEQUENCE, sample
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store import samples
-from surrofe2.store.hdf5 import reading, write_checkpoint, writing_hdf5
-from surrofe2.store.samples import HarvestWriter, read_data_set, read_harvest, writing_data_set
+from surrofe2.store.hdf5 import reading, write_checkpoint, writing, writing_hdf5
+from surrofe2.store.samples import (
+    DATA_SET,
+    HarvestWriter,
+    read_data_set,
+    read_harvest,
+    writing_data_set,
+)
 from tests.laws import SoftLaw
 from tests.store.small_data_set import HEADER, RANGE, append_chunk, write_all
 
@@ -200,3 +206,21 @@ def test_later_schema(tmp_path, monkeypatch):
         write_all(path)
     with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
         read_data_set(path)
+
+
+@pytest.mark.parametrize("kind", ["external", "virtual"])
+@pytest.mark.parametrize("name", ["F", "of/no/schema"])
+def test_numbers_in_other_files_are_refused(tmp_path, kind, name):
+    (tmp_path / "elsewhere").write_bytes(bytes(32))
+    with writing(tmp_path / "a.h5", DATA_SET, {}) as file:
+        if kind == "external":
+            file.create_dataset(name, (4,), float, external=[(str(tmp_path / "elsewhere"), 0, 32)])
+        else:
+            layout = h5py.VirtualLayout((4,), float)
+            layout[:] = h5py.VirtualSource(tmp_path / "elsewhere", "F", (4,))
+            file.create_virtual_dataset(name, layout)
+    with (
+        pytest.raises(FileError, match=f"{name}: its numbers are in other files"),
+        reading(tmp_path / "a.h5", DATA_SET),
+    ):
+        pass

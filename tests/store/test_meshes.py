@@ -153,7 +153,7 @@ def test_elements_in_space_and_lines_alone(tmp_path):
 
 def test_what_meshio_cannot_read(tmp_path, written, capfd):
     none = tmp_path / "none.msh"
-    assert refusal(none, FileError) == f"{none}: cannot be read: no such file"
+    assert refusal(none, FileError) == f"{none}: cannot be read: No such file or directory"
     damaged = written("nonsense")
     assert refusal(damaged, FileError).startswith(f"{damaged}: not a mesh that meshio reads")
     foreign = tmp_path / "leaf.txt"
