@@ -10,7 +10,7 @@ In reading order, which is the order of the data:
     macro        finite elements of any problem, which ask a stress law at their points
     stress_law   the hinge between them: respond(F, F_dot) -> StressResponse
 
-Every name that docs/usage.md uses from Python is here, `dir(surrofe2)` lists them. Units are µm,
+Every name that docs/howto/python.md uses is here, `dir(surrofe2)` lists them. Units are µm,
 µs, ng throughout, see `surrofe2.base.units`.
 """
 

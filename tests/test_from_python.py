@@ -54,8 +54,7 @@ def test_public_names_are_there():
 
 def test_the_page_s_example_in_a_short_form(tmp_path, monkeypatch, caplog):
     """Fewer samples, paths and µs than the page has, and all of its lines."""
-    page = (ROOT / "docs" / "usage.md").read_text(encoding="utf-8")
-    _, _, part = page.partition("## From Python")
+    part = (ROOT / "docs/howto/python.md").read_text(encoding="utf-8")
     code = "".join(block.split("```")[0] for block in part.split("```python\n")[1:])
     for usual, short in {
         "duration=50.0": "duration=6.0",

@@ -200,8 +200,8 @@ def test_folders_without_a_run_or_its_fields(study, tmp_path):
 
 
 def test_the_example_of_the_docs(study, seen, tmp_path, monkeypatch):
-    text = (ROOT / "docs" / "usage.md").read_text(encoding="utf-8")
-    _, _, part = text.partition("### A look into the cells")
+    text = (ROOT / "docs/howto/results.md").read_text(encoding="utf-8")
+    _, _, part = text.partition("## Inside the plant cells")
     code = part.split("```python\n")[1].split("```")[0]
     shutil.copytree(study[1], tmp_path / "out" / "run")
     monkeypatch.chdir(tmp_path)
