@@ -21,7 +21,8 @@ HEAD = """# Keys of a recipe
 
 A recipe is a TOML file. Every key is optional unless its default reads *required*; a key that is
 not listed is an error. Files are relative to the recipe. The [how-to
-guides](howto/index.md) show how the sections work together; `data/` and `examples/` have recipes to start from.
+guides](howto/index.md) show how the sections work together; `data/` and `examples/` have recipes
+to start from.
 
 Written by `python docs/recipe_reference.py` from the settings of the package; do not edit.
 """
