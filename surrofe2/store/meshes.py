@@ -1,4 +1,4 @@
-"""Meshes from files by scikit-fem's bridge to meshio, and a sentence for each that is wrong.
+"""Meshes from files by meshio, in a process of its own, and a sentence for each that is wrong.
 
 Physical groups of Gmsh, and named sets of elements of other formats, become subdomains (surfaces)
 and boundaries (lines).
@@ -7,17 +7,21 @@ and boundaries (lines).
 from __future__ import annotations
 
 import io
+import json
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import FileError, InputError
-from surrofe2.store.store import read_bytes
+from surrofe2.base.errors import FileError, InputError, shortened
+from surrofe2.store.store import read_bytes, reported
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -27,10 +31,17 @@ Groups = dict[str, tuple[Index, ...]]
 UNITS = {"µm": 1.0, "um": 1.0, "mm": 1e3, "m": 1e6}
 """µm in each unit of length that a file may have."""
 
+FORMATS = {
+    ".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu", ".xdmf": "xdmf", ".xmf": "xdmf",
+    ".inp": "abaqus", ".mesh": "medit", ".meshb": "medit",
+}  # fmt: skip
+"""meshio's modules by the ends of names of files."""
+
 _MOST = 2**28
 """Bytes of a file."""
 _SURFACES = ("quad", "triangle", "triangle6")
 _LINES = ("line", "line3")
+_EMPTY = np.zeros(0, np.int64)
 
 
 def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
@@ -50,36 +61,104 @@ def read_mesh(path: Path, length_unit: str = "µm") -> skfem.Mesh:
         raise InputError(f"{path.name}: {error}") from None
 
 
-def _read(path: Path) -> Any:
-    import meshio  # takes a third of a second, which recipes without a file do not spend
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Cells (n, k) of one kind, as meshio calls it, and the number of the group of each."""
 
-    read_bytes(path, _MOST)  # a file, and no more than that
-    told = io.StringIO()
-    try:
-        # meshio prints what it thinks of a file and ends the process.
-        with redirect_stdout(told), redirect_stderr(told):
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split()) if isinstance(error, Exception) else ""
-        if "gmsh:physical" in reason:
-            reason = (
-                "some elements have physical groups and others none: export from Gmsh with "
-                "Mesh.SaveAll = 0"
+    type: str
+    data: Index
+    tags: Index | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Stored:
+    """What a file has; `sets` by block, `numbered` groups by name: number and dimension."""
+
+    points: Array
+    blocks: list[_Block]
+    sets: Groups
+    numbered: dict[str, tuple[int, int]]
+
+
+def _read(path: Path) -> _Stored:
+    """The content of a file, which a process of its own parses: libraries trust what they read."""
+    kind = FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise FileError(f"{path}: not a mesh file: its name must end in {', '.join(FORMATS)}")
+    size = len(read_bytes(path, _MOST))  # a file, and no more than that
+    memory, seconds = 2 * 10**9 + 20 * size, 20 + size // 10**6
+    reader = [sys.executable, "-P", str(Path(__file__).with_name("mesh_reader.py"))]
+    alone = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
+    with reported(path, "read"):
+        try:
+            done = subprocess.run(
+                [*reader, kind, str(path.absolute()), str(memory), str(seconds)],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=3 * seconds,
+                env=os.environ | alone,
+                check=False,
             )
-        raise FileError(
-            f"{path}: not a mesh that meshio reads{f' ({reason})' if reason else ''}"
-        ) from None
+            reason = shortened(" ".join(done.stderr.decode("utf-8", "replace").split()), 150)
+            is_late = done.returncode == -signal.SIGXCPU
+        except subprocess.TimeoutExpired:
+            is_late = True
+    if is_late:
+        reason = f"reading it takes more than {seconds} s"
+    elif done.returncode < 0:
+        reason = f"its reader ended by signal {-done.returncode}"
+    elif done.returncode == 0:
+        return _checked(path, done.stdout)
+    if "gmsh:physical" in reason:
+        reason = (
+            "some elements have physical groups and others none: export from Gmsh with "
+            "Mesh.SaveAll = 0"
+        )
+    raise FileError(f"{path}: not a mesh that meshio reads ({reason})")
 
 
-def _converted(stored: Any, unit: float) -> skfem.Mesh:
-    import meshio
+def _checked(path: Path, content: bytes) -> _Stored:
+    """What the reader wrote, whose numbers fit to each other."""
+    with np.load(io.BytesIO(content)) as archive:
+        arrays = dict(archive)
+    kinds, names, has_tags, numbered = json.loads(arrays["names"].tobytes())
+    points = arrays["points"]
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise FileError(f"{path}: points of shape {points.shape}; they must be (n, 2) or (n, 3)")
+    blocks = []
+    for k, kind in enumerate(kinds):
+        cells, tags = arrays[f"cells.{k}"], arrays.get(f"tags.{k}")
+        wrong = cells.ndim != 2 or (
+            cells.size and not 0 <= cells.min() <= cells.max() < len(points)
+        )
+        if wrong or (has_tags and (tags is None or tags.shape != cells.shape[:1])):
+            what = f"cells of kind {kind} have points, or groups, that are not there"
+            raise FileError(f"{path}: {what}; the file has {len(points)} points")
+        blocks.append(_Block(kind, cells, tags))
+    sets = {}
+    for k, name in enumerate(names):
+        sets[name] = tuple(arrays.get(f"sets.{k}.{j}", _EMPTY) for j in range(len(blocks)))
+        for part, block in zip(sets[name], blocks, strict=True):
+            if part.ndim != 1 or (
+                part.size and not 0 <= part.min() <= part.max() < len(block.data)
+            ):
+                raise FileError(
+                    f"{path}: group {shortened(name, 60)}: it has cells beyond the last"
+                )
+    return _Stored(
+        points, blocks, sets, {name: (tag, dim) for name, (tag, dim) in numbered.items()}
+    )
+
+
+def _converted(stored: _Stored, unit: float) -> skfem.Mesh:
+    import meshio  # takes a third of a second, which recipes without a file do not spend
     from skfem.io.meshio import from_meshio
 
-    blocks = [(block.type, np.asarray(block.data, np.int64)) for block in stored.cells]
+    blocks = [(block.type, block.data) for block in stored.blocks]
     kind = _kind_of_elements([name for name, _ in blocks], [len(cells) for _, cells in blocks])
-    groups = _groups(stored, blocks)
+    groups = _groups(stored)
     elements = np.concatenate([cells for name, cells in blocks if name == kind])
-    points = _in_plane(np.asarray(stored.points, np.float64), elements)
+    points = _in_plane(stored.points, elements)
     # Points of lines and vertices alone go; a point of no cell stays, for the mesh to refuse it.
     # Corners come first: scikit-fem finds the sides of six-node triangles by these numbers.
     alone = np.setdiff1d(np.arange(len(points)), np.concatenate([np.ravel(c) for _, c in blocks]))
@@ -144,46 +223,39 @@ def _in_plane(points: Array, elements: Index) -> Array:
     return points[:, :2].copy()
 
 
-def _groups(stored: Any, blocks: list[tuple[str, Index]]) -> Groups:
+def _groups(stored: _Stored) -> Groups:
     """Named groups of lines and surfaces."""
-    groups = {
-        name: tuple(np.asarray([] if part is None else part, np.int64) for part in parts)
-        for name, parts in stored.cell_sets.items()
-        if not name.startswith("gmsh:")
-    }
-    tags = stored.cell_data.get("gmsh:physical")
-    if tags is not None:
-        groups |= {name: parts for name, parts in _physical_groups(stored, blocks, tags)
-                   if name not in groups}  # fmt: skip
+    groups = dict(_physical_groups(stored)) | stored.sets
     for name, parts in groups.items():
-        dimension = stored.field_data.get(name, (0, 0))[1]
+        dimension = stored.numbered.get(name, (0, 0))[1]
         if dimension in (1, 2) and not any(map(len, parts)):
             what = "line" if dimension == 1 else "element"
             raise InputError(f"physical group {name}: it has no {what}")
-        kinds = {blocks[k][0] in _LINES for k, part in enumerate(parts)
-                 if len(part) and blocks[k][0] != "vertex"}  # fmt: skip
+        kinds = {block.type in _LINES for block, part in zip(stored.blocks, parts, strict=True)
+                 if len(part) and block.type != "vertex"}  # fmt: skip
         if len(kinds) > 1:
             raise InputError(f"group {name}: it has lines and surfaces; name them apart")
     return groups
 
 
-def _physical_groups(
-    stored: Any, blocks: list[tuple[str, Index]], tags: Any
-) -> Iterator[tuple[str, tuple[Index, ...]]]:
+def _physical_groups(stored: _Stored) -> Iterator[tuple[str, tuple[Index, ...]]]:
     """Groups by the number that each cell has; one without a name is refused."""
-    named = {(int(dim), int(tag)): name for name, (tag, dim) in stored.field_data.items()}
-    dimensions = [1 if kind in _LINES else 0 if kind == "vertex" else 2 for kind, _ in blocks]
-    for dimension, of_block in zip(dimensions, tags, strict=True):
-        for tag in np.unique(of_block):
+    named = {(dim, tag): name for name, (tag, dim) in stored.numbered.items()}
+    tagged = [
+        (1 if each.type in _LINES else 0 if each.type == "vertex" else 2, each.tags)
+        for each in stored.blocks
+        if each.tags is not None
+    ]
+    for dimension, tags in tagged:
+        for tag in np.unique(tags):
             if tag > 0 and dimension > 0 and (dimension, int(tag)) not in named:
                 what = "Curve" if dimension == 1 else "Surface"
                 raise InputError(
                     f"physical group {tag} of {what.lower()}s has no name; give it one in Gmsh: "
                     f'Physical {what}("name", {tag}) = …'
                 )
-    for (dimension, tag), name in named.items():
-        both = zip(dimensions, tags, strict=True)
-        yield name, tuple(np.flatnonzero((d == dimension) & (of == tag)) for d, of in both)
+    for (dimension, tag), name in named.items() if tagged else ():
+        yield name, tuple(np.flatnonzero((d == dimension) & (of == tag)) for d, of in tagged)
 
 
 def _at(point: Array) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import meshio
 import numpy as np
 import pytest
@@ -158,7 +160,10 @@ def test_what_meshio_cannot_read(tmp_path, written, capfd):
     assert refusal(damaged, FileError).startswith(f"{damaged}: not a mesh that meshio reads")
     foreign = tmp_path / "leaf.txt"
     foreign.write_text("nonsense")
-    assert refusal(foreign, FileError).startswith(f"{foreign}: not a mesh that meshio reads (")
+    assert refusal(foreign, FileError) == (
+        f"{foreign}: not a mesh file: its name must end in .msh, .vtk, .vtu, .xdmf, .xmf, .inp, "
+        ".mesh, .meshb"
+    )
     untagged = written(changed(QUADS, ("9 1 3 0 1 5", "9 1 3 0 0")))
     assert refusal(untagged, FileError) == (
         f"{untagged}: not a mesh that meshio reads (some elements have physical groups and others "
@@ -173,3 +178,27 @@ def test_a_mesh_that_no_tissue_has(tmp_path):
     meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("quad", [[0, 1, 2, 3]])]).write(path)
     told = "wrong.vtu: mesh: element 0 at (0.275, 0.275) µm is inverted; its corners must go round"
     assert refusal(path).startswith(told)
+
+
+def test_numbers_that_a_file_has_no_points_for(written):
+    """meshio would make an array of as many entries as the largest number of a node."""
+    path = written(changed(QUADS, ("6\n12\n0 0 0", "6\n4000000000\n0 0 0")))
+    assert "reading it takes more than 2 GB" in refusal(path, FileError)
+    vtk = path.with_suffix(".vtk")
+    vtk.write_text(
+        "# vtk DataFile Version 2.0\na\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 double\n"
+        "0 0 0 1 0 0 1 1 0 0 1 0\nCELLS 1 5\n4 0 1 2 9\nCELL_TYPES 1\n9\n"
+    )
+    told = "cells of kind quad have points, or groups, that are not there; the file has 4 points"
+    assert refusal(vtk, FileError) == f"{vtk}: {told}"
+
+
+def test_a_reader_that_does_not_end(written, monkeypatch):
+    path = written("")
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    assert "not a mesh that meshio reads" in refusal(path, FileError)
+    endless = path.with_name("reader")
+    endless.write_text("#!/bin/sh\nulimit -S -t 1\nwhile true; do :; done\n")
+    endless.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(endless))
+    assert "reading it takes more than 20 s" in refusal(path, FileError)
