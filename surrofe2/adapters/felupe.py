@@ -1,7 +1,7 @@
 """A stress law as the material of FElupe's `SolidBody`, in the plane.
 
 FElupe gives F at all points at once and keeps a state of each from substep to substep. The rate
-over a substep of `dt` is that of backward differences::
+over a substep of `dt` is that of backward differences, so that the slope is `Tangents.over_step`::
 
     Ḟ = (F − F₀)/dt,    ∂P/∂F (whole) = ∂P/∂F + (1/dt) ∂P/∂Ḟ
 
@@ -10,23 +10,39 @@ With `dt` infinite, as it is at first, the material is at rest: quasi-static wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError, SimulationError
-from surrofe2.base.tensors import cofactor
-from surrofe2.law.stress_law import StressLaw, StressResponse, describe
+from surrofe2.base.errors import SimulationError
+from surrofe2.law.stress_law import StressLaw, StressResponse, describe, require_tangents
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What the law answered at F (n, 2, 2), the substep begun at F₀ − 1 = `before` (n, 4)."""
+
+    dt: float
+    F: Array
+    before: Array
+    F_dot: Array
+    response: StressResponse
 
 
 class FelupeMaterial:
     """`umat` of `felupe.SolidBody(umat, field)` for fields in the plane.
 
-    A material belongs to one body, for it keeps warm starts of its points.
+    A material belongs to one body, for it keeps the law's states of its points. The law is asked
+    once for each iteration of Newton's method, always from the state at the begin of the substep.
+
+    At the end of a substep the law commits its answer. As one of the `plugins` of `felupe.Job` the
+    material does so at once, else when the next substep begins, so never for the last one.
 
     Args:
         law: gives stress and tangents; RVEs, a surrogate, or a law of one's own.
@@ -34,6 +50,9 @@ class FelupeMaterial:
     Attributes:
         dt: length of the substep, µs. Set it before a job, or before each of its substeps by a
             plugin of `felupe.Job` with a method `before_substep(context, state)`.
+        left_bifurcation: (n,) points that left their branch at a bifurcation in any substep so
+            far; None: none did. Each time more do, there is a warning, for other substeps may lead
+            to other branches.
         x: shapes of F and of the state, as FElupe asks for them: F and F − 1.
 
     Raises:
@@ -41,43 +60,81 @@ class FelupeMaterial:
     """
 
     def __init__(self, law: StressLaw) -> None:
-        if not law.has_tangents:
-            raise InputError("law: it has no tangents, which FElupe's Newton method needs")
+        require_tangents(law, "law")
         self.law, self.dt = law, np.inf
+        self.left_bifurcation: NDArray[np.bool_] | None = None
         self.x: list[Array] = [np.eye(2), np.zeros(4)]
         self._state: Any = None
+        self._last: _Answer | None = None
 
     def gradient(self, x: Sequence[Array]) -> list[Array]:
-        """[P (2, 2, q, c) in µN/µm, the state at the end of the substep (4, q, c)]."""
-        F, answer = self._answer(x)
-        P = answer.stress @ cofactor(F)
-        trailing = x[0].shape[2:]
-        return [_last(P, trailing), _last((F - np.eye(2)).reshape(-1, 4), trailing)]
-
-    def hessian(self, x: Sequence[Array]) -> list[Array]:
-        """[∂P/∂F (2, 2, 2, 2, q, c) over the substep, µN/µm]."""
-        _, answer = self._answer(x, tangents=True)
-        assert answer.tangents is not None
-        whole = answer.tangents.P_by_F + answer.tangents.P_by_F_dot / self.dt
-        return [_last(whole, x[0].shape[2:])]
-
-    def _answer(
-        self, x: Sequence[Array], *, tangents: bool = False
-    ) -> tuple[Array, StressResponse]:
-        """F (n, 2, 2) and the law's answer there.
+        """[P (2, 2, q, c) in µN/µm, the state at the end of the substep (4, q, c)].
 
         Raises:
-            SimulationError: a point has no stress.
+            SimulationError: a point has no stress, or the law does not accept the last substep.
         """
+        answer, trailing = self._answer(x), x[0].shape[2:]
+        P, end = answer.response.first_piola(answer.F), answer.F - np.eye(2)
+        return [_last(P, trailing), _last(end.reshape(-1, 4), trailing)]
+
+    def hessian(self, x: Sequence[Array]) -> list[Array]:
+        """[∂P/∂F (2, 2, 2, 2, q, c) over the substep, µN/µm]; raises as `gradient`."""
+        tangents = self._answer(x).response.tangents
+        assert tangents is not None
+        return [_last(tangents.over_step(self.dt), x[0].shape[2:])]
+
+    def after_substep(self, context: Any, state: Any) -> None:
+        """Commit the substep that has ended; called by `felupe.Job` if the material is a plugin.
+
+        Raises:
+            SimulationError: the law does not accept a point.
+        """
+        if self._last is None:
+            return
+        last, self._last = self._last, None
+        accepted = self.law.accept(last.F, last.F_dot, last.response)
+        _check(accepted.status, {})
+        self._state = accepted.state
+        for left in (last.response.left_bifurcation, accepted.left_bifurcation):
+            self._report(left)
+
+    def _answer(self, x: Sequence[Array]) -> _Answer:
         F, before = _first(x[0], (2, 2)), _first(x[1], (4,))
+        last = self._last
+        if last is not None and not np.array_equal(before, last.before):
+            # FElupe took over the state of the last answer: its substep has ended.
+            self.after_substep(None, None)
+        elif last is not None and last.dt == self.dt and np.array_equal(F, last.F):
+            return last
         F_dot = (F - np.eye(2) - before.reshape(-1, 2, 2)) / self.dt
-        answer = self.law.respond(F, F_dot, self._state, tangents=tangents)
-        failed = np.flatnonzero(answer.status)
-        if failed.size:
-            why = describe(answer.status[failed[0]])
-            raise SimulationError(f"point {failed[0]} of {len(F)}: {why}")
-        self._state = answer.state
-        return F, answer
+        response = self.law.respond(F, F_dot, self._state, tangents=True)
+        _check(response.status, response.reasons)
+        self._last = _Answer(self.dt, F, before, F_dot, response)
+        return self._last
+
+    def _report(self, left: NDArray[np.bool_] | None) -> None:
+        if left is None:
+            return
+        known = np.zeros_like(left) if self.left_bifurcation is None else self.left_bifurcation
+        new = np.flatnonzero(left & ~known)
+        if new.size:
+            self.left_bifurcation = known | left
+            warnings.warn(
+                f"law: {new.size} of {left.size} points left their branch at a bifurcation, the "
+                f"first is point {new[0]}; the stress is that of a stable equilibrium, but depends "
+                "on the way: compare with shorter substeps",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+
+
+def _check(status: NDArray[np.int8], reasons: Mapping[int, str]) -> None:
+    failed = np.flatnonzero(status)
+    if failed.size:
+        more = f": {reasons[failed[0]]}" if failed[0] in reasons else ""
+        raise SimulationError(
+            f"point {failed[0]} of {len(status)}: {describe(status[failed[0]])}{more}"
+        )
 
 
 def _first(values: Array, shape: tuple[int, ...]) -> Array:

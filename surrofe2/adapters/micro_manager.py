@@ -6,9 +6,11 @@ preCICE knows vectors of the mesh's two dimensions, so tensors travel by rows::
     written  Stress-1, Stress-2                 rows of the Cauchy stress, µN/µm
              P-ab-by-F-c, P-ab-by-F-dot-c       ∂P_ab/∂F_c1, ∂P_ab/∂F_c2; a, b, c from 1 to 2
 
-`SURROFE2_RECIPE` names the recipe, else it is recipe.toml in the working folder. With model
-switching, `surrofe2.adapters.micro_manager_surrogate` is the first model, stateless, this module
-the second and the one with the switching function, which asks the bound of the surrogate's error.
+`SURROFE2_RECIPE` names the recipe, else it is recipe.toml in the working folder. Where
+`SURROFE2_POINTS` names a folder, each output of the Micro Manager adds a line to the table of each
+point there. With model switching, `surrofe2.adapters.micro_manager_surrogate` is the first model,
+stateless, this module the second and the one with the switching function, which asks the bound of
+the surrogate's error.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,10 +34,9 @@ from surrofe2.workflow.laws import choose_law, true_law
 
 Array = NDArray[np.float64]
 
-RECIPE = "SURROFE2_RECIPE"
+RECIPE, POINTS = "SURROFE2_RECIPE", "SURROFE2_POINTS"
 _ROWS = (1, 2)
-_left_at: dict[bytes, float] = {}
-"""By location, begin of the time window in which the surrogate was left last."""
+_HEADER = [f"{name}_{a}{b}" for name in ("F", "F_dot", "stress") for a in _ROWS for b in _ROWS]
 
 
 @cache
@@ -80,6 +82,30 @@ class PointSimulation(MicroSimulationInterface):
         self._id, self._law = sim_id, law
         self._state: Any = None
         self._solved: tuple[Array, Array, StressResponse] | None = None
+
+    def initialize(self) -> dict[str, Array]:
+        """What `solve` gives at rest, by name, with which adaptivity can begin."""
+        F = np.eye(2)[None]
+        answer = self._law.respond(F, 0.0 * F, tangents=True)
+        _check(answer.status, answer.reasons)
+        return written(answer)
+
+    def output(self) -> None:
+        """Add F, Ḟ and the stress at the end of the time window to the point's table, if wanted.
+
+        A point has one table, whichever rank it is on.
+        """
+        folder = os.environ.get(POINTS)
+        if folder is None or self._solved is None:
+            return
+        F, F_dot, answer = self._solved
+        path = Path(folder, f"point-{self._id}.csv")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        values = np.concatenate([F.ravel(), F_dot.ravel(), answer.stress.ravel()])
+        with path.open("a", encoding="utf-8") as file:
+            if not file.tell():
+                file.write(",".join(_HEADER) + "\n")
+            file.write(",".join(f"{value:.17g}" for value in values) + "\n")
 
     def solve(self, micro_sim_input: Mapping[str, Any], dt: float) -> dict[str, Array]:
         """Stress and tangents by name from F and Ḟ by name.
@@ -134,21 +160,41 @@ class MicroSimulation(PointSimulation):
         super().__init__(sim_id, the_rve())
 
 
-def switching_function(
-    resolution: int, location: Any, t: float, input: Mapping[str, Any], prev_output: Any
-) -> int:
-    """+1 from the surrogate to the RVE where its risk, by the recipe's tolerance, exceeds 1.
+class Switching:
+    """The switching function, with what it must know of points: where they left the surrogate.
 
-    Back, −1, where it does not, but in a later time window: within one a point changes once, so
-    that its iterations converge.
+    Attributes:
+        window: begin of the time window under way.
+        left: by location, the window in which the point left the surrogate; of those points alone
+            that were asked for in this window or the last one, so of those of this rank.
     """
-    surrogate = the_bound()
-    status, _ = surrogate.status_and_risk(*deformation_of(input), 1.0)
-    here = np.asarray(location, dtype=np.float64).tobytes()
-    if resolution == 0 and status[0]:
-        _left_at[here] = t
-        return 1
-    return -1 if resolution == 1 and not status[0] and _left_at.get(here) != t else 0
+
+    def __init__(self) -> None:
+        self.window, self.left = np.nan, dict[bytes, float]()
+        self._last: dict[bytes, float] = {}
+
+    def __call__(
+        self, resolution: int, location: Any, t: float, input: Mapping[str, Any], prev_output: Any
+    ) -> int:
+        """+1 from the surrogate to the RVE where its risk, by the recipe's tolerance, exceeds 1.
+
+        Back, −1, where it does not, but in a later time window: within one a point changes once, so
+        that its iterations converge. A point that comes from another rank as an RVE counts as
+        changed, for that may have been in this window.
+        """
+        if t != self.window:
+            self.window, self._last, self.left = t, self.left, {}
+        here = np.asarray(location, dtype=np.float64).tobytes()
+        if here not in self.left:
+            self.left[here] = self._last.get(here, t if resolution == 1 else np.nan)
+        status, _ = the_bound().status_and_risk(*deformation_of(input), 1.0)
+        if resolution == 0 and status[0]:
+            self.left[here] = t
+            return 1
+        return -1 if resolution == 1 and not status[0] and self.left[here] != t else 0
+
+
+switching_function = Switching()
 
 
 def deformation_of(data: Mapping[str, Any]) -> tuple[Array, Array]:

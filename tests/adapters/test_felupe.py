@@ -8,7 +8,7 @@ import pytest
 from surrofe2 import Problem
 from surrofe2.adapters.felupe import FelupeMaterial
 from surrofe2.base.errors import SimulationError
-from surrofe2.law.stress_law import Status
+from surrofe2.law.stress_law import Acceptance, Status
 from surrofe2.macro.discretisation import reference_shapes
 from surrofe2.macro.rest import find_rest
 from surrofe2.problem.conditions import Fixed, Traction
@@ -100,6 +100,61 @@ def test_which_slope_of_felupe_s_triangle_is_wrong():
     assert np.abs(Triangle().gradient(at) - found).max() < 1e-9
     wrong = np.argwhere(np.abs(element.gradient(at) - found) > 1e-9).tolist()
     assert wrong == [[0, 1], [2, 1], [5, 1]]
+
+
+class Counted(KelvinVoigt):
+    """Counts what it is asked; a point whose accepted F₁₁ exceeds `limit` leaves its branch."""
+
+    def __init__(self, limit=np.inf):
+        super().__init__()
+        self.asked, self.accepted, self.limit = [], [], limit
+
+    def respond(self, F, F_dot, state=None, *, tangents=False):
+        self.asked.append(state)
+        return super().respond(F, F_dot, state, tangents=tangents)
+
+    def accept(self, F, F_dot, response):
+        self.accepted.append(F)
+        left = F[:, 0, 0] > self.limit
+        state = len(self.accepted)
+        return Acceptance(response.status, state, response.stress, left if left.any() else None)
+
+
+def stretched(material, substeps, plugins):
+    """A square pulled by a tenth in `substeps`: iterations of Newton's method of each."""
+    region = felupe.RegionQuad(felupe.Rectangle(n=4))
+    field = felupe.FieldContainer([felupe.Field(region, dim=2)])
+    boundaries = felupe.dof.uniaxial(field, clamped=True, return_loadcase=False)
+    ramp = {boundaries["move"]: np.linspace(0.0, 0.1, substeps + 1)[1:]}
+    body, iterations = felupe.SolidBody(material, field), []
+    step = felupe.Step(items=[body], ramp=ramp, boundaries=boundaries)
+    plugins = [lambda context, state: iterations.append(state.result.iterations), *plugins]
+    felupe.Job(steps=[step], plugins=plugins).evaluate(verbose=False)
+    return iterations
+
+
+@pytest.mark.parametrize("dt", [np.inf, 3.0])
+def test_the_law_is_asked_once_an_iteration_and_commits_each_substep(dt):
+    """Each substep begins with one question more, at its start; all from what was committed."""
+    material = FelupeMaterial(Counted())
+    material.dt = dt
+    iterations = stretched(material, 3, [material])
+    law = material.law
+    assert len(law.asked) == sum(iterations) + 3
+    assert len(law.accepted) == 3
+    assert max(law.accepted[-1][:, 0, 0]) > 1.1 - 1e-9
+    assert [state for state in law.asked if state is None] == [None] * (iterations[0] + 1)
+    assert law.asked[-1] == 2
+    later = FelupeMaterial(Counted())
+    stretched(later, 3, [])
+    assert len(later.law.accepted) == 2
+
+
+def test_a_bifurcation_is_reported():
+    material = FelupeMaterial(Counted(limit=1.06))
+    with pytest.warns(RuntimeWarning, match=r"of 36 points left their branch .* shorter substeps"):
+        stretched(material, 3, [material])
+    assert 0 < material.left_bifurcation.sum() <= 36
 
 
 def nodal_forces(mesh):

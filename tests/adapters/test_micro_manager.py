@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -254,6 +255,45 @@ def test_a_state_goes_to_another_simulation(adapter):
         assert (values == own[name]).all()
     other.set_global_id(one.get_global_id())
     assert other.get_global_id() == 3
+
+
+def test_a_point_that_moves_to_another_rank_keeps_its_state(adapter):
+    """Its RVE by what is sent, and that it may not come back to the surrogate in this window; of
+    points that are gone nothing is kept."""
+    inside = entries([[1.01, 0.0], [0.0, 1.0]], np.zeros((2, 2)))
+    outside = entries([[1.2, 0.0], [0.0, 1.0]], np.zeros((2, 2)))
+    here, there, at = adapter.Switching(), adapter.Switching(), np.array([1.5, 0.5])
+    assert here(0, at, 3.0, outside, None) == 1
+    assert here(1, at, 3.0, inside, None) == 0
+    one, other = adapter.MicroSimulation(3), adapter.MicroSimulation(3)
+    one.solve(inside, 1.0)
+    other.set_state(pickle.loads(pickle.dumps(one.get_state())))
+    for name, values in one.solve(inside, 1.0).items():
+        assert (values == other.solve(inside, 1.0)[name]).all()
+    assert there(1, at, 3.0, inside, None) == 0
+    assert there(1, at, 4.0, inside, None) == -1
+    assert here(1, at, 4.0, inside, None) == -1
+    for window in range(5, 40):
+        for k in range(10):
+            here(0, np.array([window, k]), float(window), inside, None)
+    assert len(here.left) == 10
+
+
+def test_the_manager_may_initialise_and_write_out(adapter, monkeypatch, tmp_path):
+    one, still = adapter.MicroSimulation(3), entries(np.eye(2), np.zeros((2, 2)))
+    assert one.requires_initialize()
+    assert one.requires_output()
+    for name, values in one.initialize().items():
+        assert (values == one.solve(still, 1.0)[name]).all()
+    one.output()
+    assert not [*tmp_path.iterdir()]
+    monkeypatch.setenv("SURROFE2_POINTS", str(tmp_path / "points"))
+    for k in range(2):
+        answer = one.solve(entries([[1.0 + 0.01 * k, 0.0], [0.0, 1.0]], np.zeros((2, 2))), 1.0)
+        one.output()
+    table = np.genfromtxt(tmp_path / "points" / "point-3.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["F_11"], [1.0, 1.01])
+    assert table["stress_11"][1] == answer["Stress-1"][0]
 
 
 def test_what_is_wrong_is_named(adapter, monkeypatch):
