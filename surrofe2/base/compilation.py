@@ -112,6 +112,18 @@ def seconds_compiling() -> float:
     return _waited[0]
 
 
+class Meter:
+    """Seconds from now on, after those of an earlier call; compilation is not counted."""
+
+    def __init__(self, before: float = 0.0) -> None:
+        self._begun = clock() - before
+
+    @property
+    def seconds(self) -> float:
+        """All until now."""
+        return clock() - self._begun
+
+
 def cpu_clock() -> float:
     """Seconds of CPU, but for those that this process compiles kernels or reads them."""
     now = _begun[0][1] if _begun else process_time()

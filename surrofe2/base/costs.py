@@ -1,4 +1,4 @@
-"""What work takes in seconds, added up over all calls that did it, and from when a cache pays."""
+"""On which processor work was done, and from when a cache pays."""
 
 from __future__ import annotations
 
@@ -6,20 +6,6 @@ import math
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-
-from surrofe2.base.compilation import clock
-
-
-class Meter:
-    """Seconds from now on, after those of an earlier call; compilation is not counted."""
-
-    def __init__(self, before: float = 0.0) -> None:
-        self._begun = clock() - before
-
-    @property
-    def seconds(self) -> float:
-        """All until now."""
-        return clock() - self._begun
 
 
 def processor() -> str:

@@ -8,15 +8,13 @@ from typing import Annotated
 import typer
 
 from surrofe2.cli import console
-from surrofe2.report.comparison import Comparison
+from surrofe2.report.comparison import Comparison, audit_sentence
 from surrofe2.store.run_folder import caches_of
 from surrofe2.workflow.comparison import (
     COMPARISON_FILES,
     compare_runs,
     missing_notes,
 )
-from surrofe2.workflow.report import write_report
-from surrofe2.workflow.run import audit_sentence
 
 
 def compare(
@@ -70,5 +68,7 @@ def report(
 
     Example: [bold]surrofe2 report out/rve out/cached[/bold]
     """
+    from surrofe2.workflow.report import write_report
+
     path = write_report(runs, runs[0].parent / "report.html" if out is None else out)
     console.done(path, f"{path.stat().st_size / 1e6:.2g} MB")

@@ -193,3 +193,22 @@ _COSTS: Mapping[str, Callable[[RunRecord], float]] = {
     "rve_solves": lambda record: record.counts.get("rve_solves", 0),
     "right_hand_sides": lambda record: record.counts.get("right_hand_sides", 0),
 }
+
+
+def audit_sentence(cache: Mapping[str, Any]) -> str:
+    """How many answers were audited and how wrong they were."""
+    audit, allowed = cache["audit"], float(cache["tolerance"]["absolute"])
+    if not audit["audited"]:
+        return "none of the cache's answers"
+    text = f"{audit['audited']} of {cache['accepted']['hits']} accepted answers"
+    if audit["quantiles"]:
+        text += (
+            f", error {audit['quantiles']['0.99']:.2g} µN/µm at 99 %, {audit['largest']:.2g} worst"
+        )
+    if allowed == float("inf"):
+        return f"{text}; no bound, so no tolerance is held"
+    text += f"; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"
+    wrong = audit.get("wrong_at_most")  # runs of earlier versions do not have it
+    if wrong is not None:
+        text += f", so with 95 % confidence at most {100.0 * wrong:.2g} % of all"
+    return text

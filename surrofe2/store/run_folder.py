@@ -18,7 +18,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
 from surrofe2.base.costs import Balance, processor
@@ -32,7 +31,6 @@ from surrofe2.base.errors import (
 )
 from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
-from surrofe2.problem.bar import LoadSettings
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
@@ -375,6 +373,8 @@ class RunFolder:
 
 def describe_origin() -> dict[str, Any]:
     """When and by what a record is made, by the names that it has."""
+    import numba  # late: who only reads runs needs none of it
+
     return {
         "package_version": version("surrofe2"),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -446,6 +446,8 @@ def _without_load(recipe: Mapping[str, Any]) -> Mapping[str, Any]:
     """The recipe of a run; earlier versions kept the bar as its sections [load] and [macro]."""
     if "load" not in recipe:
         return recipe
+    from surrofe2.problem.bar import LoadSettings
+
     elements = recipe["macro"]["elements"]
     macro = {key: value for key, value in recipe["macro"].items() if key != "elements"}
     others = {name: section for name, section in recipe.items() if name != "load"}

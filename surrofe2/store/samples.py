@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import cache_folder
-from surrofe2.base.costs import Meter
+from surrofe2.base.compilation import Meter, cache_folder
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.base.sampling import SEQUENCE, SamplingRange
 from surrofe2.base.units import RATE, STRESS, VISCOSITY

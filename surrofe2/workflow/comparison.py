@@ -13,9 +13,6 @@ from surrofe2.report.comparison import compare as compare_stored
 from surrofe2.report.comparison_plot import write_comparison_plot
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import digest, keep
-from surrofe2.workflow.cell_fields import recipes_of
-from surrofe2.workflow.laws import kept_reference
-from surrofe2.workflow.surfaces import missing_sentence
 
 COMPARISON_FILES = ("comparison.json", "comparison.png")
 
@@ -42,6 +39,11 @@ def missing_notes(folders: Sequence[str | Path]) -> list[str]:
     records = [read_run(folder).record for folder in folders]
     if all(record.law != "tissue" for record in records):
         return []
+    # what solves RVEs: reading files needs none of it
+    from surrofe2.workflow.cell_fields import recipes_of
+    from surrofe2.workflow.laws import kept_reference
+    from surrofe2.workflow.surfaces import missing_sentence
+
     found = []
     for folder, record in zip(folders, records, strict=True):
         with suppress(InputError):  # a law without plant cells

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from surrofe2.base.costs import Meter
+from surrofe2.base.compilation import Meter
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer

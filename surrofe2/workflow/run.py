@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from surrofe2.base.compilation import seconds_compiling
 from surrofe2.base.errors import InputError
@@ -14,6 +13,7 @@ from surrofe2.base.units import time_text
 from surrofe2.cache.branches import part_of, within
 from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.recipe.recipe import Recipe
+from surrofe2.report.comparison import audit_sentence
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -224,22 +224,3 @@ def cache_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:
             )
         for event in cache["trust"]["events"]:
             yield f"{of}cache, step {event['step']}: {event['finding']}", True
-
-
-def audit_sentence(cache: Mapping[str, Any]) -> str:
-    """How many answers were audited and how wrong they were."""
-    audit, allowed = cache["audit"], float(cache["tolerance"]["absolute"])
-    if not audit["audited"]:
-        return "none of the cache's answers"
-    text = f"{audit['audited']} of {cache['accepted']['hits']} accepted answers"
-    if audit["quantiles"]:
-        text += (
-            f", error {audit['quantiles']['0.99']:.2g} µN/µm at 99 %, {audit['largest']:.2g} worst"
-        )
-    if allowed == float("inf"):
-        return f"{text}; no bound, so no tolerance is held"
-    text += f"; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"
-    wrong = audit.get("wrong_at_most")  # runs of earlier versions do not have it
-    if wrong is not None:
-        text += f", so with 95 % confidence at most {100.0 * wrong:.2g} % of all"
-    return text

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surrofe2.base.costs import Meter
+from surrofe2.base.compilation import Meter
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.samples import StressSamples

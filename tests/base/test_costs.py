@@ -44,7 +44,7 @@ def test_a_data_set_counts_all_calls_that_made_it(recipe, monkeypatch):
         generate_data_set(recipe, law, chunk=8)
     before = read_seconds(recipe.data_path())
     assert 0.0 < before < 60.0
-    monkeypatch.setattr("surrofe2.base.costs.clock", lambda: next(moments))
+    monkeypatch.setattr("surrofe2.base.compilation.clock", lambda: next(moments))
     moments = iter(range(1000, 100_000, 7))
     generate_data_set(recipe, SoftLaw().of(recipe.cell, recipe.rve), chunk=8)
     more = read_seconds(recipe.data_path()) - before

@@ -33,6 +33,12 @@ def test_a_cached_run_imports_what_it_uses(invoke, changed_recipe, tmp_path):
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_comparing_runs_only_reads_files():
+    code = "import sys, surrofe2.cli.compare; print({'numba', 'skfem', 'torch'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
