@@ -14,8 +14,7 @@ import numpy as np
 
 from surrofe2 import CellParameters, LoadCase, MacroSettings, RveLaw, simulate
 from surrofe2.ranks.distributed_law import distributed
-from surrofe2.ranks.driver import Driver, serve
-from surrofe2.ranks.world import world
+from surrofe2.ranks.driver import Driver, serve, world
 from surrofe2.workflow.laws import use_threads
 
 SIZES = (8, 1024, 65_536, 1_048_576)
@@ -51,7 +50,7 @@ def _measured(given: argparse.Namespace, driver: Driver | None) -> dict[str, Any
     elements, settings = (given.elements, given.elements), MacroSettings()
     simulate(LoadCase(duration=given.duration / 20.0, elements=elements), law, settings)
     if driver is not None:
-        driver.reset_counts()
+        driver.tasks, driver.seconds = 0, {"computing": 0.0, "messages": 0.0}
     run = simulate(LoadCase(duration=given.duration, elements=elements), law, settings)
     return {
         **run.wall_time,

@@ -51,7 +51,7 @@ def check_states(law, there):
 def check_few_points(driver, there):
     """They go to one rank, in turns."""
     F = np.tile(np.eye(2), (8, 1, 1))
-    owners = [set(there.respond(F, 0.0 * F).state.places["owner"]) for _ in range(driver.ranks)]
+    owners = [set(there.respond(F, 0.0 * F).state.owner) for _ in range(driver.ranks)]
     assert all(len(each) == 1 for each in owners)
     assert set.union(*owners) == set(range(driver.ranks))
 
@@ -61,7 +61,7 @@ def fail(worker):
 
 
 def main():
-    distributed_law.LEAST = 1
+    distributed_law.LEAST, distributed_law.PIECE = 1, 16  # states of 99 points come in pieces
     law = RveLaw(CellParameters.preset("printed"))
     with Driver(MPI.COMM_WORLD) as driver:
         there = distributed(law, driver)

@@ -15,8 +15,16 @@ import typer
 
 from surrofe2.base.units import time_text
 from surrofe2.cli import console
-from surrofe2.ranks.driver import Driver, serve
-from surrofe2.ranks.world import is_first, leave, own_threads, watched, world, world_size
+from surrofe2.ranks.driver import (
+    Driver,
+    is_first,
+    leave,
+    own_threads,
+    serve,
+    watched,
+    world,
+    world_size,
+)
 from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.cell_laws import files_by_cell

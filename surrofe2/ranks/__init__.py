@@ -1,8 +1,8 @@
 """RVEs on several MPI ranks; rank 0 has the time loop.
 
-In reading order: `world` finds out whether there are ranks; `driver` is how rank 0 sends one task
-at a time to all ranks and collects their results; `distributed_law` is the stress law whose points
-the ranks share.
+In reading order: `driver` finds out whether there are ranks, and is how rank 0 sends one task at a
+time to all of them and collects their results; `distributed_law` is the stress law whose points the
+ranks share.
 """
 
 from __future__ import annotations

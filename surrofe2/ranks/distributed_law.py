@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from operator import itemgetter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,98 +21,81 @@ from surrofe2.law.stress_law import (
     check_deformation,
     require_tangents,
 )
-from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import tiles_for
 from surrofe2.ranks.driver import Driver, Worker, driver_at_work
 from surrofe2.rve.rve_law import RveLaw
-from surrofe2.rve.rve_state import RveState
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Shares = list[Index]
-"""For each rank the numbers of its points."""
-
 LEAST = 16
 """Tiles of a rank: fewer RVEs are solved sooner than they are sent, as those of an audit are."""
-_PLACE = [("owner", np.intp), ("number", np.intp), ("row", np.intp), ("left", np.bool_)]
+PIECE = 4096
+"""Points whose states rank 0 gets from a rank at once, so that no message holds a checkpoint."""
 
 
 class RankState:
     """Warm start of n points that stays on the ranks which own them; see `cache.PointStates`.
 
-    Rank 0 knows only the places. `take` and `put` rearrange these and send nothing: a point never
-    moves to another rank.
+    The states themselves never travel but for a checkpoint: a point stays on its rank.
 
     Attributes:
         law: whose state it is.
-        places: (n,) records of the rank that owns the point, the number of that rank's state which
-            has it, the row there, and whether the point left its branch at a bifurcation.
+        owner: (n,) rank of each point; a rank has its points in ascending order.
+        left_points: (n,) where the stress is one of several.
+        number: by which ranks know it, as long as this object lives.
     """
 
-    def __init__(self, law: DistributedLaw, places: NDArray[Any], kept: Mapping[int, _Kept]):
-        self.law, self.places = law, places
-        self._kept = {each: kept[each] for each in np.unique(places["number"]).tolist()}
+    def __init__(self, law: DistributedLaw, owner: Index, left: NDArray[np.bool_]) -> None:
+        self.law, self.owner, self.left_points = law, owner, left
+        self.number = law.driver.new_number()
 
-    @property
-    def points(self) -> int:
-        """n."""
-        return len(self.places)
+    def __del__(self) -> None:
+        self.law.driver.drop(self.number)
 
-    @property
-    def left_points(self) -> NDArray[np.bool_]:
-        """(n,) where the stress is one of several."""
-        left: NDArray[np.bool_] = self.places["left"]
-        return left
+    def shares(self) -> list[Index]:
+        """For each rank its points, in ascending order."""
+        counts = np.bincount(self.owner, minlength=self.law.driver.ranks)
+        return np.split(np.argsort(self.owner, kind="stable"), np.cumsum(counts)[:-1])
 
-    def shares(self) -> Shares:
-        """The points of each rank, in ascending order."""
-        owner = self.places["owner"]
-        counts = np.bincount(owner, minlength=self.law.driver.ranks)
-        return np.split(np.argsort(owner, kind="stable"), np.cumsum(counts)[:-1])
+    def rows(self) -> Index:
+        """(n,) which of the points of its rank each is."""
+        order = np.concatenate(self.shares())
+        rows: Index = np.argsort(order) - np.searchsorted(self.owner[order], self.owner)
+        return rows
 
     def take(self, index: Index) -> RankState:
         """The state of these points, in this order; a point may be taken twice."""
-        if len(index) == self.points and (index == np.arange(self.points)).all():
+        if np.array_equal(index, np.arange(len(self.owner))):
             return self
-        return RankState(self.law, self.places[index], self._kept)
+        number = np.full(len(index), self.number)
+        return self._joined(self.owner[index], self.left_points[index], number, self.rows()[index])
 
     def put(self, index: Index, part: RankState) -> RankState:
         """This state with that of these points replaced."""
-        places = self.places.copy()
-        places[index] = part.places
-        return RankState(self.law, places, {**self._kept, **part._kept})
+        owner, left, row = self.owner.copy(), self.left_points.copy(), self.rows()
+        number = np.full(len(owner), self.number)
+        owner[index], left[index] = part.owner, part.left_points
+        number[index], row[index] = part.number, part.rows()
+        return self._joined(owner, left, number, row)
+
+    def _joined(
+        self, owner: Index, left: NDArray[np.bool_], number: Index, row: Index
+    ) -> RankState:
+        """The state whose points are these rows of the states of these numbers, on their ranks."""
+        after = RankState(self.law, owner, left)
+        places = ((after.number, number[own], row[own]) for own in after.shares())
+        self.law.driver.do(_join, [each if len(each[1]) else None for each in places])
+        return after
 
     def to_arrays(self) -> dict[str, NDArray]:
         """All of it, as one `RveState` of all points would give it."""
-        number, shares = self.joined(), self.shares()
-        found = self.law.driver.do(_to_arrays, [(number,) if len(own) else None for own in shares])
-        names = next(each for each in found if each is not None)
-        return {name: _gathered(shares, found, itemgetter(name)) for name in names}
-
-    def joined(self) -> int:
-        """The number by which every rank has its points, in ascending order, in one state."""
-        (number, *others), shares = self._kept, self.shares()
-        rows = self.places["row"]
-        if others or not all((rows[own] == np.arange(len(own))).all() for own in shares):
-            kept = _Kept(self.law.driver)
-            number, parts = kept.number, [self.places[own] for own in shares]
-            tasks = [(number, part["number"], part["row"]) if len(part) else None for part in parts]
-            self.law.driver.do(_join, tasks)
-            for own in shares:  # so that the next answer from here finds them joined
-                self.places["row"][own] = np.arange(len(own))
-            self.places["number"], self._kept = number, {number: kept}
-        return number
-
-
-class _Kept:
-    """Ranks keep the state of this number as long as any `RankState` refers to it."""
-
-    def __init__(self, driver: Driver) -> None:
-        self._driver, self.number = driver, driver.new_number()
-
-    def __del__(self) -> None:
-        self._driver.drop(self.number)
+        whole, shares = dict[str, NDArray](), self.shares()
+        for begin in range(0, max(map(len, shares)), PIECE):
+            pieces = [own[begin : begin + PIECE] for own in shares]
+            tasks = [(self.number, begin, len(own)) if len(own) else None for own in pieces]
+            _collect(whole, len(self.owner), pieces, self.law.driver.do(_to_arrays, tasks))
+        return whole
 
 
 class DistributedLaw:
@@ -132,33 +113,15 @@ class DistributedLaw:
     def __init__(self, law: RveLaw, driver: Driver) -> None:
         self.law, self.driver = law, driver
         self._number, self._next = driver.new_number(), 0
+        self.cell, self.initialisation = law.cell, law.initialisation
+        self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
-
-    @property
-    def cell(self) -> CellParameters:
-        """Parameters of the plant cell."""
-        return self.law.cell
-
-    @property
-    def initialisation(self) -> str:
-        """How its RVE is initialised."""
-        return self.law.initialisation
-
-    @property
-    def density(self) -> float:
-        """Mass per reference area, ng/µm²."""
-        return self.law.density
-
-    @property
-    def has_tangents(self) -> bool:
-        """Whether `respond` gives tangents when asked."""
-        return self.law.has_tangents
 
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
         """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""
-        state, number = self._new_state(self._dealt(len(arrays["z"])), arrays["left"])
+        state = RankState(self, self._dealt(len(arrays["z"])), arrays["left"])
         parts = [{name: each[own] for name, each in arrays.items()} for own in state.shares()]
-        tasks = [(self._number, number, part) if len(part["z"]) else None for part in parts]
+        tasks = [(self._number, state.number, part) if len(part["z"]) else None for part in parts]
         self.driver.do(_from_arrays, tasks)
         return state
 
@@ -170,30 +133,17 @@ class DistributedLaw:
             require_tangents(self)
         if not len(F):
             return StressResponse(np.empty((0, 2, 2)), np.empty(0, np.int8), state, {})
-        before = None if state is None else self._checked(state, len(F)).joined()
-        owner = self._dealt(len(F)) if state is None else state.places["owner"]
-        after, number = self._new_state(owner, np.zeros(len(F), dtype=np.bool_))
-        shares = after.shares()
-        given = self._number, before, number, tangents
-        tasks = [(*given, F[own], F_dot[own]) if len(own) else None for own in shares]
-        answers: list[StressResponse | None] = self.driver.do(_respond, tasks)
-        after.places["left"] = _gathered(shares, answers, lambda each: each.state)
-        effort: Counter[str] = Counter()
-        for each in answers:
-            effort.update({} if each is None else each.effort)
-        slopes = None
-        if tangents:
-            slopes = Tangents(
-                _gathered(shares, answers, lambda each: each.tangents.P_by_F),
-                _gathered(shares, answers, lambda each: each.tangents.P_by_F_dot),
-            )
-        left = after.left_points
+        before = None if state is None else self._checked(state, len(F)).number
+        owner = self._dealt(len(F)) if state is None else state.owner
+        after = RankState(self, owner, np.zeros(len(F), dtype=np.bool_))
+        found, effort = self._done(_respond, (before, after.number, tangents), after, (F, F_dot))
+        after.left_points = left = found["left"]
         return StressResponse(
-            _gathered(shares, answers, lambda each: each.stress),
-            _gathered(shares, answers, lambda each: each.status),
+            found["stress"],
+            found["status"],
             after,
-            dict(effort),
-            slopes,
+            effort,
+            Tangents(found["P_by_F"], found["P_by_F_dot"]) if tangents else None,
             left_bifurcation=left if left.any() else None,
         )
 
@@ -201,21 +151,26 @@ class DistributedLaw:
         if not len(F):
             return Acceptance(response.status, response.state)
         F, F_dot = check_deformation(F, F_dot)
-        state = self._checked(response.state, len(F))
-        before, shares = state.joined(), state.shares()
-        after, number = self._new_state(state.places["owner"], state.left_points)
+        before = self._checked(response.state, len(F))
+        after = RankState(self, before.owner, before.left_points)
         answered = F, F_dot, response.stress, response.status
-        given = self._number, before, number
-        tasks = [(*given, *(a[own] for a in answered)) if len(own) else None for own in shares]
-        said = self.driver.do(_accept, tasks)
-        after.places["left"] = _gathered(shares, said, lambda each: each.state)
-        left = _gathered(shares, said, lambda each: each.left_bifurcation)
-        return Acceptance(
-            _gathered(shares, said, lambda each: each.status),
-            after,
-            _gathered(shares, said, lambda each: each.stress) if left.any() else None,
-            left if left.any() else None,
-        )
+        found, _ = self._done(_accept, (before.number, after.number), after, answered)
+        after.left_points, new = found["left"], found["newly_left"]
+        stress, newly_left = (found["stress"], new) if new.any() else (None, None)
+        return Acceptance(found["status"], after, stress, newly_left)
+
+    def _done(
+        self, work: Any, given: tuple[Any, ...], state: RankState, arrays: Iterable[NDArray]
+    ) -> tuple[dict[str, NDArray], dict[str, int]]:
+        """What ranks find of arrays (n, …) for the points of a state: arrays, and their effort."""
+        shares = state.shares()
+        tasks = [(self._number, *given, *(a[own] for a in arrays)) for own in shares]
+        results = self.driver.do(work, [task if len(task[-1]) else None for task in tasks])
+        whole, total = dict[str, NDArray](), Counter[str]()
+        _collect(whole, len(state.owner), shares, [each and each[0] for each in results])
+        for each in results:
+            total.update(each[1] if each else {})
+        return whole, dict(total)
 
     def _dealt(self, points: int) -> Index:
         """(points,) owners of points without a state."""
@@ -226,18 +181,8 @@ class DistributedLaw:
             owner, self._next = (owner + self._next) % ranks, self._next + sharing
         return owner
 
-    def _new_state(self, owner: Index, left: NDArray[np.bool_]) -> tuple[RankState, int]:
-        """A state that ranks are to have by this number."""
-        kept = _Kept(self.driver)
-        places = np.empty(len(owner), dtype=_PLACE)
-        places["owner"], places["number"], places["left"] = owner, kept.number, left
-        state = RankState(self, places, {kept.number: kept})
-        for own in state.shares():
-            places["row"][own] = np.arange(len(own))
-        return state, kept.number
-
     def _checked(self, state: Any, points: int) -> RankState:
-        if isinstance(state, RankState) and state.points == points and state.law is self:
+        if isinstance(state, RankState) and len(state.owner) == points and state.law is self:
             return state
         raise InputError(
             f"state: not a state of this DistributedLaw for {points} points; pass what an earlier "
@@ -245,13 +190,15 @@ class DistributedLaw:
         )
 
 
-def _gathered(shares: Shares, parts: Sequence[Any], values_of: Callable[[Any], Any]) -> NDArray:
-    """(n, …) the values of all ranks, None from ranks without points."""
-    found = [(own, values_of(part)) for own, part in zip(shares, parts, strict=True) if len(own)]
-    whole = np.empty((sum(map(len, shares)), *found[0][1].shape[1:]), found[0][1].dtype)
-    for own, values in found:
-        whole[own] = values
-    return whole
+def _collect(
+    whole: dict[str, NDArray], points: int, shares: Sequence[Index], parts: Sequence[Any]
+) -> None:
+    """Put what ranks found of their shares into arrays (points, …), made where there are none."""
+    for own, part in zip(shares, parts, strict=True):
+        for name, values in (part or {}).items():
+            if name not in whole:
+                whole[name] = np.empty((points, *values.shape[1:]), values.dtype)
+            whole[name][own] = values
 
 
 # Tasks: what each rank does, rank 0 too, with its `Worker` and the arguments scattered to it.
@@ -272,42 +219,33 @@ def _join(worker: Worker, after: int, numbers: Index, rows: Index) -> None:
 
 
 def _respond(
-    worker: Worker,
-    law: int,
-    before: int | None,
-    after: int,
-    tangents: bool,
-    F: Array,
-    F_dot: Array,
-) -> StressResponse:
-    """The answer; the place of its state, which stays here, is taken by `left_points`."""
+    worker: Worker, law: int, before: int | None, after: int, tangents: bool, *at: Array
+) -> tuple[dict[str, NDArray], Mapping[str, int]]:
+    """Arrays of the answer at (F, Ḟ), and its effort; its state stays here."""
     state = None if before is None else worker.states[before]
-    answer = worker.laws[law].respond(F, F_dot, state, tangents=tangents)
+    answer = worker.laws[law].respond(at[0], at[1], state, tangents=tangents)
     worker.states[after] = answer.state
-    return replace(answer, state=answer.state.left_points)
+    found = {"stress": answer.stress, "status": answer.status, "left": answer.state.left_points}
+    if answer.tangents is not None:
+        found |= {"P_by_F": answer.tangents.P_by_F, "P_by_F_dot": answer.tangents.P_by_F_dot}
+    return found, answer.effort
 
 
 def _accept(
-    worker: Worker,
-    law: int,
-    before: int,
-    after: int,
-    F: Array,
-    F_dot: Array,
-    stress: Array,
-    status: NDArray[np.int8],
-) -> Acceptance:
+    worker: Worker, law: int, before: int, after: int, *answered: Any
+) -> tuple[dict[str, NDArray], Mapping[str, int]]:
     """As of `_respond`, with stress and marks of a bifurcation filled in where there are none."""
+    F, F_dot, stress, status = answered
     said = worker.laws[law].accept(F, F_dot, StressResponse(stress, status, worker.states[before]))
-    state: RveState = said.state
-    worker.states[after] = state
-    left = np.zeros(len(F), np.bool_) if said.left_bifurcation is None else said.left_bifurcation
+    worker.states[after] = said.state
+    new = np.zeros(len(F), np.bool_) if said.left_bifurcation is None else said.left_bifurcation
     stress = stress if said.stress is None else said.stress
-    return Acceptance(said.status, state.left_points, stress, left)
+    left = said.state.left_points
+    return {"status": said.status, "stress": stress, "left": left, "newly_left": new}, {}
 
 
-def _to_arrays(worker: Worker, number: int) -> dict[str, NDArray]:
-    return worker.states[number].to_arrays()
+def _to_arrays(worker: Worker, number: int, begin: int, points: int) -> dict[str, NDArray]:
+    return worker.states[number].take(np.arange(begin, begin + points)).to_arrays()
 
 
 def _from_arrays(worker: Worker, law: int, number: int, arrays: Mapping[str, NDArray]) -> None:

@@ -1,18 +1,111 @@
-"""Rank 0 drives, all ranks work: one task at a time is scattered, and its results are gathered."""
+"""The ranks of MPI: whether there are any, told without loading MPI, and how rank 0 drives them.
+
+One task at a time is scattered to all ranks, and its results are gathered.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 
 from surrofe2.base.compilation import clock
-from surrofe2.base.errors import SimulationError, Surrofe2Error
+from surrofe2.base.errors import InputError, SimulationError, Surrofe2Error
 from surrofe2.base.interruption import exit_code, held
 from surrofe2.rve.rve_law import RveLaw
 from surrofe2.rve.rve_state import RveState
+
+_SIZES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE")
+_RANKS = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "MV2_COMM_WORLD_RANK", "PMIX_RANK")
+_LOCAL_SIZES = ("MPI_LOCALNRANKS", "OMPI_COMM_WORLD_LOCAL_SIZE", "MV2_COMM_WORLD_LOCAL_SIZE")
+_WATCH = 'read done || echo "$0" >&2'
+"""Says its sentence where its input ends without a line, whoever had the other end."""
+_Task = tuple[Callable[..., Any], tuple[Any, ...] | None, list[int]]
+"""For one rank: a function `work(worker, *arguments)`, no arguments where it has nothing to do, and
+the states to forget before."""
+_Result = tuple[Any, float, str | None]
+"""What a rank's task returned, after how many seconds, and its error message."""
+_drivers = list["Driver"]()
+
+
+def world_size() -> int:
+    """How many ranks whoever started this process has started with it; 1 without MPI."""
+    known = [os.environ[name] for name in _SIZES if name in os.environ]
+    if not known and "PMIX_RANK" in os.environ:
+        known = [os.environ.get("SLURM_STEP_NUM_TASKS", "1")]
+    return int(known[0]) if known and known[0].isdigit() else 1
+
+
+def is_first() -> bool:
+    """Whether this is rank 0, for what must be done before MPI is loaded."""
+    return "0" in [os.environ[name] for name in _RANKS if name in os.environ][:1]
+
+
+def world() -> Any:
+    """The communicator of all ranks; None where this process is alone.
+
+    Raises:
+        InputError: there are several, and mpi4py is not installed.
+    """
+    if world_size() < 2:
+        return None
+    try:
+        from mpi4py import MPI
+    except ImportError as error:
+        raise InputError(
+            f"mpiexec: {world_size()} ranks, but mpi4py cannot be loaded ({error}); "
+            "install surrofe2[mpi]"
+        ) from None
+    if MPI.COMM_WORLD.size != world_size():
+        raise InputError(
+            f"mpiexec: it started {world_size()} ranks, and mpi4py sees {MPI.COMM_WORLD.size}; "
+            "mpi4py must be built for the MPI that mpiexec belongs to"
+        )
+    return MPI.COMM_WORLD
+
+
+def own_threads() -> int:
+    """Cores for each rank: those that it is bound to, or its share of the machine's."""
+    bound, cores = len(os.sched_getaffinity(0)), os.cpu_count() or 1
+    local = [os.environ[name] for name in _LOCAL_SIZES if name in os.environ]
+    ranks = int(local[0]) if local and bound == cores else 1
+    return max(1, bound // ranks)
+
+
+@contextmanager
+def watched(what: str, arguments: Sequence[str]) -> Iterator[None]:
+    """Say a sentence even where this process is killed in the block.
+
+    A launcher that loses one rank kills the others, who can say nothing any more. A shell waits
+    beside this process and speaks where it ended without a word.
+
+    Args:
+        what: is kept; arguments: of the command that goes on.
+    """
+    again = shlex.join(["surrofe2", *(each for each in arguments if each != "--fresh")])
+    sentence = f"error: a rank died; {what}; any number of ranks goes on with: {again}"
+    watcher = subprocess.Popen(
+        ["/bin/sh", "-c", _WATCH, sentence], stdin=subprocess.PIPE, start_new_session=True
+    )
+    try:
+        yield
+    finally:
+        watcher.communicate(b"done\n")
+
+
+def leave() -> None:
+    """Take leave of MPI, which takes a rank that ends without for one that was lost."""
+    if "mpi4py" in sys.modules:
+        from mpi4py import MPI
+
+        MPI.Finalize()
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,25 +114,6 @@ class Worker:
 
     laws: dict[int, RveLaw] = field(default_factory=dict)
     states: dict[int, RveState] = field(default_factory=dict)
-
-
-class Task(NamedTuple):
-    """A function for one rank: `work(worker, *arguments)`; states `dropped` are forgotten before.
-
-    No arguments (None): this rank has nothing to do.
-    """
-
-    work: Callable[..., Any]
-    arguments: tuple[Any, ...] | None
-    dropped: list[int]
-
-
-class Result(NamedTuple):
-    """What a rank's task returned after so many seconds, or its error message."""
-
-    value: Any
-    seconds: float
-    error: str | None
 
 
 class Driver:
@@ -56,7 +130,7 @@ class Driver:
     def __init__(self, comm: Any) -> None:
         self._comm = comm
         self.ranks = int(comm.size)
-        self.reset_counts()
+        self.tasks, self.seconds = 0, {"computing": 0.0, "messages": 0.0}
         self._worker = Worker()
         self._dropped: list[int] = []
         self._numbers = 0
@@ -78,11 +152,6 @@ class Driver:
             with held():
                 self._comm.scatter([code] * self.ranks)
 
-    def reset_counts(self) -> None:
-        """Set `seconds` and `tasks` to zero."""
-        self.seconds = {"computing": 0.0, "messages": 0.0}
-        self.tasks = 0
-
     def new_number(self) -> int:
         """A number for a law or a state."""
         self._numbers += 1
@@ -103,26 +172,22 @@ class Driver:
         with held():
             dropped, self._dropped = self._dropped, []
             began = clock()
-            own = self._comm.scatter([Task(work, each, dropped) for each in arguments])
-            results: list[Result] = self._comm.gather(_done(self._worker, own))
+            own = self._comm.scatter([(work, each, dropped) for each in arguments])
+            results: list[_Result] = self._comm.gather(_done(self._worker, own))
             elapsed = clock() - began
-        slowest = max(each.seconds for each in results)
+        slowest = max(seconds for _, seconds, _ in results)
         self.tasks += 1
         self.seconds["computing"] += slowest
         self.seconds["messages"] += max(0.0, elapsed - slowest)
-        for rank, each in enumerate(results):
-            if each.error is not None:
-                raise SimulationError(f"rank {rank} of {self.ranks} gave up: {each.error}")
-        return [each.value for each in results]
+        for rank, (_, _, error) in enumerate(results):
+            if error is not None:
+                raise SimulationError(f"rank {rank} of {self.ranks} gave up: {error}")
+        return [value for value, _, _ in results]
 
     def report(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        return {
-            "ranks": self.ranks,
-            "threads": numba.get_num_threads(),
-            "tasks": self.tasks,
-            **self.seconds,
-        }
+        threads = numba.get_num_threads()
+        return {"ranks": self.ranks, "threads": threads, "tasks": self.tasks, **self.seconds}
 
 
 def serve(comm: Any) -> int:
@@ -139,16 +204,14 @@ def driver_at_work() -> Driver | None:
     return _drivers[-1] if _drivers else None
 
 
-def _done(worker: Worker, task: Task) -> Result:
-    for number in task.dropped:
+def _done(worker: Worker, task: _Task) -> _Result:
+    work, arguments, dropped = task
+    for number in dropped:
         worker.states.pop(number, None)
     began, value, error = clock(), None, None
     try:
-        if task.arguments is not None:
-            value = task.work(worker, *task.arguments)
+        if arguments is not None:
+            value = work(worker, *arguments)
     except Exception as problem:
         error = f"{type(problem).__name__}: {problem}"
-    return Result(value, clock() - began, error)
-
-
-_drivers: list[Driver] = []
+    return value, clock() - began, error
