@@ -1,14 +1,14 @@
 # make demo   set up and run the main job: data set, training, true and cached FE², comparison
 # make test   set up and run the tests
-# make bench  set up and run the benchmarks in full, on a quiet machine; MODE=quick: less of each
-# make accept-cache  set up and audit every answer of the cache on five bars, into docs/trust.md
+# make bench  set up and measure in full, on a quiet machine, into docs/measured.json; MODE=quick: less
+# make accept-cache  set up and audit every answer of the cache on five bars, into docs/measured.json
 # make docs   set up and build the documentation site, into out/site/index.html
 # make paper  set up and reproduce the paper's figures with both presets, into out/paper
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: paper demo docs test test-slow lint bench bench-quick accept-cache clean
+.PHONY: paper demo docs test test-slow lint bench accept-cache clean
 
 demo: .venv/.installed
 	$(BIN)/surrofe2 study data/bending-bar.toml --out out/demo
@@ -31,11 +31,9 @@ lint: .venv/.installed
 bench: .venv/.installed
 	$(BIN)/python -m benchmarks $(if $(filter quick,$(MODE)),--quick)
 
-bench-quick: .venv/.installed
-	$(BIN)/python -m benchmarks --quick
 
 accept-cache: .venv/.installed
-	$(BIN)/python -m benchmarks --only trust
+	$(BIN)/python -m benchmarks trust || exit 1
 	for preset in printed water; do \
 	    $(BIN)/python -m validation worst-answer --cell $$preset --out out/bench --fresh || exit 1; \
 	done

@@ -1,8 +1,4 @@
-"""Whole commands: `surrofe2 run` by true and by cached FE², each a process of its own, warm.
-
-What a command takes besides the run itself is its start: Python, imports, reading recipe and
-surrogate, kernels from disk, the kept reference state, and writing the run folder.
-"""
+"""surrofe2's commands as a user starts them, each a process of its own, and what they leave."""
 
 from __future__ import annotations
 
@@ -11,92 +7,80 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from shutil import rmtree
 from time import perf_counter
+from typing import Any
 
-import numpy as np
-
-from benchmarks.row import Row
-from benchmarks.setting import RECIPES, ROOT, Setting
-from benchmarks.timing import Timing, all_cores
-
-TITLE = "Whole commands"
-PRESET = "printed"
-SHORT = 1.0
-"""µs of the bar of Voronoi cells."""
+from benchmarks.measured import ROOT
+from surrofe2.recipe.recipe import Recipe, load_recipe
 
 
-def run(setting: Setting) -> list[Row]:
-    """Both laws on the default bar, in turns, and the start with nine Voronoi plant cells."""
-    setting.surrogate(PRESET)
-    surrogate = setting.recipe(PRESET).training_path()
-    recipe = ROOT / "data" / RECIPES[PRESET]
-    commands = {
-        "rve": [str(recipe), "--law", "rve"],
-        "cached": [str(recipe), "--law", "cached", "--surrogate", str(surrogate)],
-    }
-    whole: dict[str, list[float]] = {law: [] for law in commands}
-    start: dict[str, list[float]] = {law: [] for law in commands}
-    for k in range(setting.pick(7, 2) + 1):
-        for law, command in commands.items():
-            seconds, of_run = _timed(command, setting.out / "commands" / law)
-            if k:  # the first of each warms what it needs on disk
-                whole[law].append(seconds)
-                start[law].append(seconds - of_run)
-    true, cached = (Timing(tuple(whole[law])) for law in commands)
-    rows = [
-        Row(
-            name="surrofe2 run --law cached, default bar, whole process",
-            value=cached.median,
-            spread=cached.spread,
-            unit="s",
-            baseline="--law rve",
-            baseline_value=true.median,
-            ratio=float(np.median(np.divide(true.samples, cached.samples))),
-            threads=all_cores(),
-            note="pairs of processes; at least twice as fast is wanted",
-        )
-    ]
-    for law, limit in (("rve", 1.2), ("cached", 0.8)):
-        rows.append(_start(f"start of --law {law} besides the run", start[law], limit))
-    return [*rows, _voronoi(setting)]
-
-
-def _voronoi(setting: Setting) -> Row:
-    text = (ROOT / "data" / "voronoi-bar.toml").read_text(encoding="utf-8")
-    recipe = setting.out / "commands" / "voronoi-bar.toml"
-    shorter = text.replace("duration = 250.0", f"duration = {SHORT}")
-    recipe.write_text(shorter, encoding="utf-8")
-    folder = setting.out / "commands" / "voronoi"
-    taken = [_timed([str(recipe), "--law", "rve"], folder) for _ in range(setting.pick(5, 2) + 1)]
-    start = [seconds - of_run for seconds, of_run in taken[1:]]
-    return _start("start with nine Voronoi plant cells an RVE, --law rve", start, 2.0)
-
-
-def _start(name: str, samples: list[float], limit: float) -> Row:
-    timing = Timing(tuple(samples))
-    return Row(
-        name=name,
-        value=timing.median,
-        spread=timing.spread,
-        unit="s",
-        limit=limit,
-        threads=all_cores(),
-    )
-
-
-def _timed(arguments: list[str], folder: Path) -> tuple[float, float]:
-    """Seconds of the process, and of the run in it as it says itself."""
-    rmtree(folder, ignore_errors=True)
-    command = [sys.executable, "-m", "surrofe2", "run", *arguments, "--out", str(folder)]
-    environment = dict(os.environ)
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # without bytecode, imports take twice as long
+def surrofe2(*arguments: str | Path, ranks: int = 1, **environment: str) -> float:
+    """Seconds of the whole process; a command that fails is an error with its last line."""
+    command = [sys.executable, "-m", "surrofe2", *map(str, arguments)]
+    if ranks > 1:
+        command = [str(Path(sys.executable).with_name("mpiexec")), "-n", str(ranks), *command]
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     begin = perf_counter()
     done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        command, cwd=ROOT, env=kept | environment, capture_output=True, text=True, check=False
     )
     seconds = perf_counter() - begin
     if done.returncode:
-        raise RuntimeError(f"surrofe2 run failed: {done.stderr.strip().splitlines()[-1]}")
-    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    return seconds, record["wall_time"]["total"]
+        words = [line for line in done.stderr.splitlines() if line.strip()] or ["no message"]
+        raise RuntimeError(f"surrofe2 {' '.join(map(str, arguments))}: {words[-1]}")
+    return seconds
+
+
+_WATCH = """import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, capture_output=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def peak_memory(*arguments: str | Path) -> float:
+    """Bytes, the largest resident memory of a command."""
+    command = [sys.executable, "-c", _WATCH, sys.executable, "-m", "surrofe2", *map(str, arguments)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return 1024.0 * float(done.stdout)  # KiB on Linux
+
+
+def run(recipe: Path, law: str, out: Path, *options: str, **more: Any) -> dict[str, Any]:
+    """`run.json` of a run from scratch, and under "process" the seconds of the command."""
+    seconds = surrofe2("run", recipe, "--law", law, "--out", out, "--fresh", *options, **more)
+    return record(out) | {"process": seconds}
+
+
+def record(folder: Path) -> dict[str, Any]:
+    """`run.json` of a run folder."""
+    found: dict[str, Any] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    return found
+
+
+def compared(reference: Path, *folders: Path, out: Path) -> dict[str, dict[str, Any]]:
+    """What `surrofe2 compare` finds of runs against a reference, by the name of their folder."""
+    surrofe2("compare", reference, *folders, "--out", out, "--fresh")
+    found = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+    return {each["name"]: each for each in found["runs"]}
+
+
+def shipped(name: str, out: Path, old: str = "", new: str = "") -> Path:
+    """A copy of a recipe of data/ in `out`, where its files will lie too; `old` becomes `new`."""
+    text = (ROOT / "data" / name).read_text(encoding="utf-8")
+    if old not in text:
+        raise ValueError(f"data/{name} has no line {old!r}")
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / name
+    path.write_text(text.replace("../training/", "trained-").replace(old, new), encoding="utf-8")
+    return path
+
+
+def made(recipe: Path) -> Recipe:
+    """The recipe, its data set and surrogate made unless they are there."""
+    surrofe2("generate", recipe)
+    surrofe2("train", recipe)
+    return load_recipe(recipe)
+
+
+def seconds_to_make(run: dict[str, Any]) -> float:
+    """Seconds of data set, training and calibration behind a cached run."""
+    return float(sum(run["surrogate"]["seconds"].values()))

@@ -8,9 +8,12 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 import scripts
+
+from benchmarks.measured import substitutions
 
 project = "surrofe2"
 author = "the surrofe2 authors"
@@ -34,7 +37,15 @@ extensions = [
 ]
 suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]
 
-myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath", "fieldlist"]
+myst_enable_extensions = [
+    "attrs_inline",
+    "colon_fence",
+    "deflist",
+    "dollarmath",
+    "fieldlist",
+    "substitution",
+]
+myst_substitutions = substitutions()  # measured figures by their names
 myst_fence_as_directive = ["math", "recorded"]
 myst_heading_anchors = 4
 myst_dmath_double_inline = True

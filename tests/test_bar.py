@@ -55,6 +55,7 @@ def test_the_integration_dissipates_less_as_the_tolerances_tighten():
     assert errors[1] < 0.1 * errors[0]
 
 
+@pytest.mark.slow
 def test_the_papers_iteration_moves_the_bar_as_the_direct_solve_does():
     """At the paper's loose stop (1.0 µN) for a tenth of the run: within 1 %."""
     load, cell = LoadCase(duration=25.0), CellParameters.preset("printed")

@@ -1,19 +1,18 @@
 """Does the cache accept any state with an error above its tolerance? A search for the worst.
 
 From the worst of `STATES` states of the sampling range a (1 + 1) evolution strategy climbs, once
-the error over its bound, once the error over what is allowed, among accepted states only. The
-preset's row in docs/trust.md is replaced by what a whole search finds.
+the error over its bound, once the error over what is allowed, among accepted states only. What a
+whole search finds goes into docs/measured.json.
 """
 
 from __future__ import annotations
 
-import re
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.trust import SEARCH
+from benchmarks.measured import MEASURED, Bench, merge
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import stress_error, unrotated
 from surrofe2.cache import CacheSettings
@@ -21,7 +20,6 @@ from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import RveLaw
-from surrofe2.store.store import write_text
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.deformation_paths import (
     DeformationPaths,
@@ -30,7 +28,7 @@ from surrofe2.surrogate.deformation_paths import (
 )
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate
-from validation.setting import ROOT, Setting
+from validation.setting import Setting
 
 Array = NDArray[np.float64]
 
@@ -168,7 +166,7 @@ def worst_answer(setting: Setting) -> Study:
     effort = (2000, 20, 5) if setting.quick else (STATES, STARTS, GENERATIONS)
     rows = search(Search(surrogate, RveLaw(recipe.cell, recipe.rve), CacheSettings()), *effort)
     if not setting.quick:
-        publish(setting.of.name, rows)
+        publish(setting, rows)
     curves = (
         Curve(_GOALS[row.goal], np.linspace(0.0, 100.0, row.values.size), np.sort(row.values),
               markers=False)
@@ -181,12 +179,16 @@ def worst_answer(setting: Setting) -> Study:
     )
 
 
-def publish(preset: str, rows: list[Found]) -> None:
-    """Replace the preset's row in docs/trust.md."""
-    page = ROOT / "docs" / "trust.md"
-    before, heading, section = page.read_text(encoding="utf-8").partition(SEARCH)
-    ratios = " | ".join(f"{value:.2g}" for row in rows for value in (row.random, row.climbed))
+def publish(setting: Setting, rows: list[Found]) -> None:
+    """Record what a whole search found, for docs/trust.md."""
+    preset = setting.of.name
+    bench = Bench(False, setting.out, f"python -m validation worst-answer --cell {preset}")
+    name = f"trust.{preset}.search"
+    bench.add(f"{name}.accepted", 100.0 * rows[0].accepted, "%", "states that the cache accepts")
+    for row in rows:
+        about = f"largest {_GOALS[row.goal]}"
+        bench.add(f"{name}.{row.goal}", row.random, "", f"{about} of all states")
+        bench.add(f"{name}.{row.goal}_climbed", row.climbed, "", f"{about} that a search finds")
     above = max(row.above for row in rows)
-    line = f"| {preset} | {100.0 * rows[0].accepted:.1f} % | {ratios} | {above} |"
-    section = re.sub(rf"(?m)^\| {re.escape(preset)} \|.*$", line, section)
-    write_text(page, before + heading + section)
+    bench.add(f"{name}.above", above, "", "states above what is allowed", at_most=0.0)
+    merge(MEASURED, bench.figures)

@@ -3,7 +3,8 @@
 numba's own cache looks at the file of the outermost function alone and would go on using machine
 code whose inner functions, or constants from other files, have changed. Here the cache folder
 carries a digest of every source file of the package, so that machine code always belongs to the
-sources it is run with. Where that folder cannot be written, kernels are compiled in memory.
+sources it is run with. Each file in it ends in its SHA-256, and a damaged one is compiled again
+before anything of it runs. Where that folder cannot be written, kernels are compiled in memory.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import fcntl
 import hashlib
 import logging
 import os
+import pickle
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +28,7 @@ from typing import Any
 os.environ.setdefault("GOMP_SPINCOUNT", "2000")
 
 import numba
+from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
 from surrofe2.base.machine_code import own_code
@@ -135,6 +138,49 @@ def _tell_once(why: str) -> None:
     log.warning("kernels are compiled in memory and not kept, which takes a minute: %s", why)
 
 
+class CheckedFiles(IndexDataCacheFile):
+    """numba's files of a kernel, each ending in its SHA-256; a damaged one counts as absent."""
+
+    def _load_index(self) -> dict[Any, str]:
+        content = self._content(self._index_path)
+        if content is None:
+            return {}
+        version, stamp, overloads = pickle.loads(content)
+        return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        self._store(self._index_path, (self._version, self._source_stamp, overloads))
+
+    def _load_data(self, name: str) -> Any:
+        content = self._content(self._data_path(name))
+        if content is None:
+            raise FileNotFoundError(name)  # numba then compiles the kernel and saves it again
+        return pickle.loads(content)
+
+    def _save_data(self, name: str, data: Any) -> None:
+        self._store(self._data_path(name), data)
+
+    def _content(self, path: str) -> bytes | None:
+        try:
+            stored = Path(path).read_bytes()
+        except FileNotFoundError:
+            return None
+        if hashlib.sha256(stored[:-32]).digest() == stored[-32:]:
+            return stored[:-32]
+        _tell_damaged(self._cache_path)
+        return None
+
+    def _store(self, path: str, value: Any) -> None:
+        content = self._dump(value)
+        with self._open_for_write(path) as file:
+            file.write(content + hashlib.sha256(content).digest())
+
+
+@cache
+def _tell_damaged(folder: str) -> None:
+    log.warning("%s: damaged files of compiled kernels; they are compiled again", folder)
+
+
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with options of one's own, cached here."""
     options = {"cache": True, "no_cfunc_wrapper": True} | OPTIONS | options
@@ -149,6 +195,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             made = numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
+        made._cache._cache_file.__class__ = CheckedFiles  # numba has no place to choose it
         made._cache.save_overload = _saving(made._cache.save_overload, folder)
         return _own(made)
 

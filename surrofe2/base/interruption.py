@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM end a command soon, once, and wherever it is.
+"""SIGINT (Ctrl-C), SIGTERM and SIGHUP end a command soon, once, and wherever it is.
 
 While a command starts, there is nothing to keep, and it ends at once. Later a signal becomes a
 KeyboardInterrupt, so that work stores what it has. Where a library swallows that, it is raised
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _AGAIN = 0.25
 """s until an interruption that was swallowed or put off is raised anew."""
 NOT_CUT = ("_numba_unpickle", "_raw_object_cache_getbuffer", "_raw_object_cache_notify")
@@ -35,9 +36,10 @@ _state = _State()
 
 
 def watch() -> None:
-    """Take both signals from now on; the command starts."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _take)
+    """Take these signals from now on; the command starts. An ignored SIGHUP (nohup) stays so."""
+    for number in SIGNALS:
+        if (number, signal.getsignal(number)) != (signal.SIGHUP, signal.SIG_IGN):
+            signal.signal(number, _take)
 
 
 def begin_work() -> None:
@@ -48,7 +50,7 @@ def begin_work() -> None:
 def end_work() -> None:
     """The command is over, and nothing can interrupt it any more."""
     signal.setitimer(signal.ITIMER_REAL, 0.0)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         if signal.getsignal(number) is _take:
             signal.signal(number, signal.SIG_IGN)
 

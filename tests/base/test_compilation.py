@@ -91,3 +91,34 @@ def test_without_a_place_to_keep_them_kernels_are_compiled_in_memory(copy, setti
     assert "kernels are compiled in memory and not kept, which takes a minute: " in line
     assert why in line
     assert not [*copy.parent.rglob("*.nbc")]
+
+
+DAMAGES = {
+    "a flipped bit in machine code": ("*.nbc", lambda content: flipped(content, 0.5)),
+    "truncated code": ("*.nbc", lambda content: content[: len(content) // 2]),
+    "empty code": ("*.nbc", lambda content: b""),
+    "a flipped bit in an index": ("*.nbi", lambda content: flipped(content, 0.3)),
+    "an empty index": ("*.nbi", lambda content: b""),
+}
+
+
+def flipped(content, place):
+    k = int(place * len(content))
+    return content[:k] + bytes([content[k] ^ 16]) + content[k + 1 :]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_kernel_is_compiled_again_with_one_note(copy, damage):
+    pattern, change = DAMAGES[damage]
+    assert inputs_of_a_law(start(copy))[0] == 7
+    files = [*(copy.parent / "kernels").rglob(pattern)]
+    assert files
+    for path in files:
+        path.write_bytes(change(path.read_bytes()))
+    process = start(copy)
+    out, said = process.communicate()
+    assert process.returncode == 0, said
+    assert out.split()[0] == "7"
+    (line,) = said.splitlines()
+    assert "damaged files of compiled kernels; they are compiled again" in line
+    assert inputs_of_a_law(start(copy)) == (7, 1, 0)

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM at any instant end a command soon, with a sentence that says how to go on.
+"""SIGINT, SIGTERM and SIGHUP at any instant end a command soon, which says how to resume it.
 
 `SURROFE2_SIGNALS` is how many signals the long tests send to each command; default: 100.
 """
@@ -98,10 +98,10 @@ def first_arguments(command, recipe, folder):
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
 @pytest.mark.parametrize("command", ["generate", "run"])
 def test_a_signal_ends_a_command(long_recipe, tmp_path, command):
-    number = signal.SIGINT if command == "run" else signal.SIGTERM
+    first, second = (signal.SIGINT, signal.SIGHUP) if command == "run" else [signal.SIGTERM] * 2
     arguments = first_arguments(command, long_recipe, tmp_path)
-    again, _ = struck(start(arguments, tmp_path), number, 2.0, tmp_path)
-    struck(start(again or arguments, tmp_path), number, 1.5, tmp_path)
+    again, _ = struck(start(arguments, tmp_path), first, 2.0, tmp_path)
+    struck(start(again or arguments, tmp_path), second, 1.5, tmp_path)
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_signals_at_random_instants_end_every_command(
     random, times, wrong, arguments = np.random.default_rng(SIGNALS), [], [], None
     with server() as forked:
         for k, instant in enumerate(random.uniform(0.0, 5.0, size=SIGNALS)):
-            number = (signal.SIGINT, signal.SIGTERM)[random.integers(2)]
+            number = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[random.integers(3)]
             begin = forked
             if arguments is None or k % 10 == 0:
                 begin, folder = of_its_own, tmp_path / str(k)

@@ -29,6 +29,7 @@ def test_at_a_rate_initialisations_rank_against_the_integrated_line():
     assert sorted(error, key=error.get) == list(names)
 
 
+@pytest.mark.slow
 def test_orders_in_the_rate():
     errors = rve.rate_errors(WATER, (1.0, 2.0, 4.0), times=(0.0, 8.0, 14.0))
     for name, order in rve.EXPECTED.items():

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.arrangements`: what docs/arrangements.md states of RVEs of several cells.
+"""`python -m validation.arrangements`: what docs/arrangements.md states of RVEs of several cells.
 
 Writes `arrangements.json` and `arrangements.png`.
 """
@@ -120,7 +120,7 @@ def factorisations(repeats: int) -> list[dict[str, Any]]:
         made = make_arrangement(cell)
         patches = make_patches(cell, start_positions(cell), made.tessellation.lattice)
         topology = patches[-1].topology
-        owner = np.append(np.arange(made.particles), topology.owner)
+        owner = np.append(np.arange(made.particles, dtype=np.int32), topology.owner)
         sparse = make_pattern(*interacting_groups(made, owner[topology.contacts]))
         dense = make_pattern(np.zeros(made.particles, dtype=np.int32), [])
         unknowns = 2 * made.particles - 2
@@ -207,7 +207,7 @@ def picture(preset: str, path: Path) -> None:
 
 def main() -> None:
     """Measure and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.arrangements", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.arrangements", description=__doc__)
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/arrangements"))
     parser.add_argument("--preset", choices=("printed", "water"), default="printed")
     given = parser.parse_args()
