@@ -47,17 +47,19 @@ class Balance:
     def sentence(self) -> str:
         """What it comes to."""
         if self.made is None:
-            return "what its surrogate cost is not known; train it anew to have it counted"
-        text = (
-            f"{self.made:.3g} s to make and {self.run:.3g} s to run against {self.true:.3g} s: "
-            f"{self.gain:.2g} times as fast with everything counted"
+            return "the time to make its surrogate is not known; train again to have it counted"
+        gain = self.true / (self.made + self.run)
+        text = f"including data and training ({self.made:.3g} s), " + (
+            f"{gain:.2g} times faster than full FE²"
+            if gain >= 1.0
+            else f"{1.0 / gain:.2g} times slower than full FE²"
         )
         if self.pays_from is None:
-            return f"{text}; it never pays, since the true run is faster"
+            return f"{text}; it never pays off, since full FE² is faster"
         if self.pays_from == 1:
-            return f"{text}; it pays from the first run"
+            return f"{text}; it pays off in the first run"
         times = self.made / (self.true - self.run)
         return (
-            f"{text}; it pays from {self.pays_from} such runs, or from {times:.2g} times the "
-            "elements at as many steps"
+            f"{text}; it pays off after {self.pays_from} such runs, or on {times:.2g} times as "
+            "many elements"
         )

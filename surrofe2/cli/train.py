@@ -69,8 +69,8 @@ def _train(study: Recipe, add: Sequence[Path], fresh: bool) -> None:
     quantities: list[Quantity[str]] = [
         Quantity("stress", "", "", lambda name: name),
         Quantity("spread", "µN/µm", ".3g", lambda name: errors["spread"][name]),
-        Quantity("RMS", "", percent(".2g"), lambda name: errors["rms"][name]),
-        Quantity("worst", "", percent(".2g"), lambda name: errors["worst"][name]),
+        Quantity("RMS", "", percent(2), lambda name: errors["rms"][name]),
+        Quantity("worst", "", percent(2), lambda name: errors["worst"][name]),
     ]
     of = study.cell_name and f" of {study.cell_name}"
     title = f"Held-out errors{of}, {errors['points']} samples"

@@ -45,16 +45,16 @@ class ComparedRun:
 
 QUANTITIES: tuple[Quantity[ComparedRun], ...] = (
     Quantity("run", "", "", lambda run: run.name),
-    Quantity("largest difference", "", percent(".3g"), lambda run: run.difference.largest),
-    Quantity("of largest", "", percent("+.2g"), lambda run: run.difference.of_largest),
-    Quantity("RMS", "", percent(".3g"), lambda run: run.difference.rms),
+    Quantity("largest difference", "", percent(3), lambda run: run.difference.largest),
+    Quantity("of largest", "", None, lambda run: run.difference.of_largest),
+    Quantity("RMS", "", percent(3), lambda run: run.difference.rms),
     Quantity("wall time", "s", ".3g", lambda run: run.wall_time),
     Quantity("speed-up", "×", ".3g", lambda run: run.speed_up["wall_time"]),
     Quantity(
-        "all counted", "×", ".3g", lambda run: None if run.balance is None else run.balance.gain
+        "first run", "×", ".3g", lambda run: None if run.balance is None else run.balance.gain
     ),
     Quantity("RVE solves", "", ",", lambda run: run.counts.get("rve_solves", 0)),
-    Quantity("fewer solves", "×", ".3g", lambda run: run.speed_up["rve_solves"]),
+    Quantity("fewer solves", "×", None, lambda run: run.speed_up["rve_solves"]),
     Quantity("fallbacks", "", ",", lambda run: run.counts.get("fallbacks")),
 )
 
@@ -63,8 +63,8 @@ FORCE_QUANTITIES: tuple[Quantity[Mapping[str, Any]], ...] = (
     Quantity("run", "", ""),
     Quantity("force", "", ""),
     Quantity("largest", "µN", ".4g"),
-    Quantity("largest difference", "", percent(".3g")),
-    Quantity("of largest", "", percent("+.2g")),
+    Quantity("largest difference", "", percent(3)),
+    Quantity("of largest", "", None),
 )
 
 

@@ -103,11 +103,11 @@ def _fact(name: str, unit: str, format: str | Callable[[Any], str] | None) -> Qu
 
 QUANTITIES = (
     _fact("largest displacement", "µm", ".5g"),
-    _fact("displacement error", "", percent(".2g")),
-    _fact("stress error", "", percent(".2g")),
+    _fact("displacement error", "", percent(2)),
+    _fact("stress error", "", percent(2)),
     _fact("largest stress error", "", None),
     _fact("above", "", ""),
-    _fact("hits", "", percent(".3g")),
+    _fact("hits", "", percent(3)),
     _fact("wall time", "s", ".3g"),
     _fact("speed-up", "×", ".3g"),
     _fact("all counted", "×", ".3g"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -109,9 +110,18 @@ def is_missing(value: Any) -> bool:
     return value is None or (isinstance(value, float | np.floating) and bool(np.isnan(value)))
 
 
-def percent(spec: str) -> Callable[[float], str]:
-    """A format of shares: percent(".2g")(0.123) is "12 %"."""
-    return lambda share: f"{100.0 * share:{spec}} %"
+def figure(value: float, digits: int = 3) -> str:
+    """A number of so many significant digits, without an exponent."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    text = f"{value:,.{max(0, decimals)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def percent(digits: int) -> Callable[[float], str]:
+    """A format of shares: percent(2)(0.123) is "12 %"; rounding errors are "0 %"."""
+    return lambda share: f"{figure(100.0 * share if abs(share) > 1e-12 else 0.0, digits)} %"
 
 
 def _field(value: Any) -> str:

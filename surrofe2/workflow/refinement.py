@@ -101,15 +101,15 @@ class Round:
 QUANTITIES: tuple[Quantity[Round], ...] = (
     Quantity("round", "", "", lambda row: row.round),
     Quantity("cell", "", "", lambda row: row.cell or None),
-    Quantity("hits", "", percent(".4g"), lambda row: row.hits),
+    Quantity("hits", "", percent(4), lambda row: row.hits),
     Quantity("unknown", "", "", lambda row: row.unknown),
     Quantity("samples", "", "", lambda row: row.samples),
-    Quantity("held-out RMS", "", percent(".2g"), lambda row: row.held_out),
+    Quantity("held-out RMS", "", percent(2), lambda row: row.held_out),
     Quantity(
         "audit 99 %",
         "",
         "",  # a column even where no round was audited
-        lambda row: NONE if row.audit is None else percent(".2g")(row.audit),
+        lambda row: NONE if row.audit is None else percent(2)(row.audit),
     ),
     Quantity("time", "", time_text, lambda row: row.seconds),
 )

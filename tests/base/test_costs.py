@@ -20,9 +20,9 @@ from tests.laws import SoftLaw, StoppingLaw
 @pytest.mark.parametrize(
     ("costs", "gain", "pays_from", "sentence"),
     [
-        ((7.6, 0.2, 0.4), 0.4 / 7.8, 38, "it pays from 38 such runs, or from 38 times the elem"),
-        ((1.0, 1.0, 20.0), 10.0, 1, "10 times as fast with everything counted; it pays from the"),
-        ((1.0, 0.5, 0.4), 0.4 / 1.5, None, "it never pays, since the true run is faster"),
+        ((7.6, 0.2, 0.4), 0.4 / 7.8, 38, "it pays off after 38 such runs, or on 38 times as many"),
+        ((1.0, 1.0, 20.0), 10.0, 1, "10 times faster than full FE²; it pays off in the first"),
+        ((1.0, 0.5, 0.4), 0.4 / 1.5, None, "it never pays off, since full FE² is faster"),
         ((None, 0.2, 0.4), None, None, "is not known"),
     ],
 )

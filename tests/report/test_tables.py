@@ -8,7 +8,7 @@ QUANTITIES = (
     Quantity("run", "", "", lambda row: row[0]),
     Quantity("first minimum", "µm", ".2f", lambda row: row[1]),
     Quantity("period off", "%", "+.1f", lambda row: row[2]),
-    Quantity("hits", "", percent(".3g"), lambda row: row[3]),
+    Quantity("hits", "", percent(3), lambda row: row[3]),
     Quantity("seed", "", None, lambda row: 7),
 )
 TABLE = Table(QUANTITIES, (("a, b", -1.234, None, 0.5), ("c", float("nan"), None, 0.1234)))
@@ -44,6 +44,6 @@ def test_json_has_values_by_name_and_their_units():
     assert TABLE.units == {"first_minimum": "µm", "period_off": "%"}
 
 
-@pytest.mark.parametrize(("share", "text"), [(0.1, "10 %"), (0.00123, "0.123 %")])
+@pytest.mark.parametrize(("share", "text"), [(0.1, "10 %"), (0.00123, "0.123 %"), (4e-7, "0.00004 %"), (1e-15, "0 %")])
 def test_shares_are_written_in_percent(share, text):
-    assert percent(".3g")(share) == text
+    assert percent(3)(share) == text

@@ -36,7 +36,7 @@ def page_of(seen: ReportData) -> str:
             paragraph(
                 f"{run.name} differs from {seen.runs[0].name} by at most "
                 f"{100.0 * run.difference.largest:.2g} % of the largest displacement"
-                + (f" and is {faster:.3g} times as fast by itself." if faster else "."),
+                + (f" and is {faster:.3g} times faster by itself." if faster else "."),
                 "headline",
             )
         )

@@ -171,14 +171,14 @@ def _break_even(name: str, balance: Balance) -> str:
     most = max(2.0, _MOST_RUNS * (balance.pays_from or 5))
     runs = np.array([0.0, most])
     curves = (
-        Curve("reference", runs, balance.true * runs, "true runs", markers=False),
+        Curve("reference", runs, balance.true * runs, "full FE²", markers=False),
         Curve("", runs, balance.made + balance.run * runs, f"{name}, all counted", markers=False),
     )
     gain = f"{balance.true / balance.run:.3g}" if balance.run else "–"
     return figure(
         chart(Panel("number of runs", "seconds in all", curves)),
-        f"{name}: {gain} times as fast as a true run by itself; with everything counted it pays "
-        + (f"from {balance.pays_from} runs on" if balance.pays_from else "never"),
+        f"{name}: {gain} times faster than full FE² by itself; with data and training it pays off "
+        + (f"after {balance.pays_from} runs" if balance.pays_from else "never"),
     )
 
 
