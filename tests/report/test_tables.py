@@ -44,6 +44,8 @@ def test_json_has_values_by_name_and_their_units():
     assert TABLE.units == {"first_minimum": "µm", "period_off": "%"}
 
 
-@pytest.mark.parametrize(("share", "text"), [(0.1, "10 %"), (0.00123, "0.123 %"), (4e-7, "0.00004 %"), (1e-15, "0 %")])
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.1, "10 %"), (0.00123, "0.123 %"), (4e-7, "0.00004 %"), (1e-15, "0 %")]
+)
 def test_shares_are_written_in_percent(share, text):
     assert percent(3)(share) == text
