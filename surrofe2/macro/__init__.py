@@ -1,9 +1,8 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings; discretisation, internal_force (space); forces, contact, free_sides,
-surface_patches, surface_elements, mass, system (what acts on it); evaluation, equations_of_motion,
-time_stepping, dormand_prince (explicit); tangents, generalised_alpha (implicit); extremes, frames,
-history, chunks (of a law that audits itself), simulation (a run). Without time: rest, modes.
+Reading order: settings; discretisation, internal_force (space); forces, contact, free_sides, system
+(what acts on it); equations_of_motion, time_stepping, dormand_prince (explicit); tangents,
+generalised_alpha (implicit); frames, history, simulation (a run). Without time: rest, modes.
 """
 
 from __future__ import annotations
@@ -14,8 +13,7 @@ from surrofe2.base.public_names import public_names
 
 if TYPE_CHECKING:
     from surrofe2.macro.discretisation import points_by_region
-    from surrofe2.macro.extremes import MetRange
-    from surrofe2.macro.frames import Frames
+    from surrofe2.macro.frames import Frames, MetRange
     from surrofe2.macro.history import MacroState
     from surrofe2.macro.modes import Modes, find_modes
     from surrofe2.macro.rest import Rest, find_rest

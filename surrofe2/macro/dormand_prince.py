@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.macro.evaluation import Evaluation, Switched
+from surrofe2.macro.equations_of_motion import Evaluation, Switched
 from surrofe2.macro.time_stepping import NO_MEMORY, StepControl, StepResult
 
 Array = NDArray[np.float64]

@@ -1,19 +1,46 @@
-"""Free sides of a tissue: which they are, beside which element, and whose law they take."""
+"""Free sides of elements, whose tension a surface law gives (docs/theory.md, free sides).
+
+T is the undeformed direction of a side, L its length, and F̄ the mean deformation gradient of the
+outer plant cell there (`stretched_nodes`). With g = F̄ T, λ = |g|, n = g/λ, λ̇ = n·ġ and D_a the
+slope of g by node a, the force on it and the slopes are
+
+    f_a = −L P_s(λ, λ̇) n D_a,
+    −∂f_a/∂u_b = L D_a D_b [∂P_s/∂λ n⊗n + ∂P_s/∂λ̇ n⊗(ġ − λ̇ n)/λ + P_s/λ (I − n⊗n)],
+    −∂f_a/∂v_b = L D_a D_b ∂P_s/∂λ̇ n⊗n,
+
+so that f·v = −L P_s λ̇. The law stands for the outer plant cells and not for their outermost points.
+With the stretch of the edge itself waves of an element's length would buckle where ∂P_s/∂λ < 0. The
+unknowns count from the rest under surface tension, F̄ from the undeformed state.
+
+A law acts at the depth d below the outline and takes the mean stretch over the width w of a plant
+cell along it. Of the points q of a mesh, with areas A_q and depths y_q below a side, those count
+that are within w/2 of its middle and above 2d, and all of the element beside it:
+
+    F̄ = Σ_q A_q (1 + β (y_q − ȳ)) F_q / Σ_q A_q,    β = (d − ȳ) / (mean of (y_q − ȳ)²)
+
+with ȳ the mean depth. So F̄ is F at the depth d where F is linear across, whatever the mesh. In
+elements finer than w the mean keeps waves of an element's length from buckling.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import scipy.sparse
 import skfem
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
-from surrofe2.law.surface_law import SurfaceLaw
+from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
+from surrofe2.macro.discretisation import Discretisation
+from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes, region
-from surrofe2.problem.problem import Problem
+from surrofe2.problem.problem import SURFACE, Problem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -101,3 +128,229 @@ def _laws(
             f"{claims[elements[wrong[0]]]} of {', '.join([*surface.law])}; it must be in one"
         )
     return tuple(surface.law.values()), law[elements]
+
+
+_EVEN = 1e-12
+"""Squared spread of depths over that of the patch, below which they are all the same."""
+
+
+def stretched_nodes(sides: FreeSides, space: Discretisation) -> tuple[Index, Array]:
+    """(m, k) nodes and D_a, 1/µm, of F̄ T = T + Σ_a u_a D_a of all sides; D is 0 where k is less."""
+    n_q = space.points_per_element - space.pressure_apart
+    position = space.point_positions().reshape(len(space.elements), -1, 2)[:, :n_q]
+    corners = space.nodes[sides.nodes[:, :2]]
+    found = []
+    for p, element in enumerate(sides.elements):
+        law = sides.laws[sides.law[p]]
+        middle, along = corners[p].mean(axis=0), corners[p, 1] - corners[p, 0]
+        along = along / np.linalg.norm(along)
+        inward = np.array([-along[1], along[0]])
+        if inward @ (position[element].mean(axis=0) - middle) < 0.0:
+            inward = -inward
+        ahead, depth = (position - middle) @ along, (position - middle) @ inward
+        taken = (abs(ahead) <= 0.5 * law.width) & (depth >= 0.0) & (depth <= 2.0 * law.depth)
+        taken[element] = True
+        own, q = np.nonzero(taken)
+        weights = _weights(space.weights[own, q], depth[taken], law.depth)
+        slopes = weights[:, None] * (space.gradients[own, q] @ along)
+        nodes, place = np.unique(space.elements[own], return_inverse=True)
+        found.append((nodes, np.bincount(place.ravel(), slopes.ravel())))
+    most = max(len(nodes) for nodes, _ in found)
+    every, by_node = np.zeros((len(found), most), np.int64), np.zeros((len(found), most))
+    for p, (nodes, slopes) in enumerate(found):
+        every[p], every[p, : len(nodes)] = nodes[0], nodes
+        by_node[p, : len(nodes)] = slopes
+    return every, by_node
+
+
+def _weights(areas: Array, depths: Array, wanted: float) -> Array:
+    """Those of points, whose mean depth is the wanted one."""
+    shares = areas / areas.sum()
+    apart = depths - shares @ depths
+    spread = float(shares @ apart**2)
+    if spread <= _EVEN * areas.sum():
+        return shares
+    weights: Array = shares * (1.0 + (wanted - shares @ depths) / spread * apart)
+    return weights
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceForce:
+    """The force of all free sides.
+
+    Attributes:
+        sides: which they are.
+        nodes: (m, k) on which the stretch of each depends.
+        slopes_of_shape: (m, k) D_a, 1/µm.
+        lengths: (m,) L, µm.
+        directions: (m, 2) g where the unknowns are zero.
+        share: of the tension that acts, below 1 on the way to rest.
+    """
+
+    sides: FreeSides
+    nodes: Index
+    slopes_of_shape: Array
+    lengths: Array
+    directions: Array
+    share: float = 1.0
+
+    @property
+    def name(self) -> str:
+        return SURFACE
+
+    def at(self, t: float, within: float, u: Array, v: Array) -> Array:
+        """As of `Force`; NaN where a law has no answer."""
+        g, stretch, rate = self._stretches(u, v)
+        tension = self.share * self._ask(stretch, rate).tension
+        force: Array = side_forces(
+            self.nodes, self.slopes_of_shape, self.lengths, g, stretch, tension, len(u)
+        )
+        return force
+
+    def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
+        g, stretch, rate = self._stretches(u, v)
+        answer = self._ask(stretch, rate, tangents=True)
+        assert answer.tangent is not None
+        assert answer.rate_tangent is not None
+        n = g / stretch[:, None]
+        along = np.einsum("pi,pj->pij", n, n)
+        across = np.eye(2) - along
+        g_dot = np.einsum("ma,mai->mi", self.slopes_of_shape, v[self.nodes])
+        turning = np.einsum("pi,pj->pij", n, (g_dot - rate[:, None] * n) / stretch[:, None])
+        by_g = answer.tangent[:, None, None] * along + answer.rate_tangent[:, None, None] * turning
+        by_g += (answer.tension / stretch)[:, None, None] * across
+        by_g_dot = answer.rate_tangent[:, None, None] * along
+        both = self.share * by_g, self.share * by_g_dot
+        return self._assembled(both[0], u.size), self._assembled(both[1], u.size)
+
+    def dissipation_rates(self, u: Array, v: Array) -> Array:
+        """(b,) ∫ (P_s(λ, λ̇) − P_s(λ, 0)) λ̇ dS along each of `FreeSides.names`, pJ/µs."""
+        _, stretch, rate = self._stretches(u, v)
+        excess = self._ask(stretch, rate).tension - self._ask(stretch, 0.0 * rate).tension
+        power = self.lengths * excess * rate
+        return np.bincount(self.sides.boundary, power, len(self.sides.names)).astype(np.float64)
+
+    def from_rest(self, u: Array) -> SurfaceForce:
+        """The same with unknowns that count from the displacement u (n, 2)."""
+        moved = np.einsum("ma,mai->mi", self.slopes_of_shape, u[self.nodes])
+        return replace(self, directions=self.directions + moved)
+
+    def mass(self, inside: Array, n: int) -> Matrix:
+        """(n, n) mass excess of one displacement component, ng.
+
+        Args:
+            inside: (n_el,) factor of the sides beside each element.
+        """
+        per_length = np.array([law.mass for law in self.sides.laws])[self.sides.law]
+        per_length = per_length * inside[self.sides.elements]
+        masses = (self.lengths * per_length)[:, None, None]
+        blocks = masses * _UNIT_MASS[self.sides.nodes.shape[1]]
+        row, column = np.broadcast_arrays(
+            self.sides.nodes[:, :, None], self.sides.nodes[:, None, :]
+        )
+        entries = blocks.ravel(), (row.ravel(), column.ravel())
+        return scipy.sparse.csc_matrix(entries, shape=(n, n))
+
+    def refusal(self, nodes: Array, u: Array, v: Array) -> str:
+        """Where a law has no answer, and for which stretch."""
+        _, stretch, rate = self._stretches(u, v)
+        p = int(np.argmin(self._ask(stretch, rate).valid))
+        x, y = nodes[self.sides.nodes[p, :2]].mean(axis=0)
+        return (
+            f"free side at ({x:.6g}, {y:.6g}) µm, stretch {stretch[p]:.6g}, rate {rate[p]:.6g} "
+            "1/µs: its surface law has no answer there"
+        )
+
+    def _stretches(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
+        """(p, 2) g, (p,) λ and λ̇."""
+        g, stretch, rate = side_stretches(self.nodes, self.slopes_of_shape, self.directions, u, v)
+        return g, stretch, rate
+
+    def _ask(self, stretch: Array, rate: Array, *, tangents: bool = False) -> SurfaceResponse:
+        laws = self.sides.laws
+        if len(laws) == 1:
+            return laws[0].respond(stretch, rate, tangents=tangents)
+        tension, by_stretch, by_rate = np.zeros((3, stretch.size))
+        valid = np.zeros(stretch.size, dtype=bool)
+        for k, law in enumerate(laws):
+            own = np.flatnonzero(self.sides.law == k)
+            answer = law.respond(stretch[own], rate[own], tangents=tangents)
+            tension[own], valid[own] = answer.tension, answer.valid
+            if answer.tangent is not None and answer.rate_tangent is not None:
+                by_stretch[own], by_rate[own] = answer.tangent, answer.rate_tangent
+        return SurfaceResponse(tension, valid, by_stretch, by_rate)
+
+    def _assembled(self, by_g: Array, size: int) -> scipy.sparse.csc_matrix:
+        """Σ L D_a D_b of matrices (m, 2, 2), (size, size)."""
+        slopes, nodes = self.slopes_of_shape, self.nodes
+        blocks = np.einsum("m,ma,mb,mij->maibj", self.lengths, slopes, slopes, by_g)
+        unknowns = (2 * nodes[:, :, None] + np.arange(2)).reshape(len(nodes), -1)
+        row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+        entries = blocks.ravel(), (row.ravel(), column.ravel())
+        return scipy.sparse.csc_matrix(entries, shape=(size, size))
+
+
+_UNIT_MASS = {
+    2: np.array([[2.0, 1.0], [1.0, 2.0]]) / 6.0,
+    3: np.array([[4.0, -1.0, 2.0], [-1.0, 4.0, 2.0], [2.0, 2.0, 16.0]]) / 30.0,
+}
+"""∫ N_a N_b over a side of length 1, of a curved one as if it were straight."""
+
+
+def make_surface(problem: Problem, space: Discretisation) -> SurfaceForce:
+    """The free sides of a problem that has a surface, at the undeformed mesh."""
+    sides = free_sides(problem)
+    ends = space.nodes[sides.nodes[:, :2]]
+    along = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(along, axis=1)
+    directions = along / lengths[:, None]
+    nodes, slopes = stretched_nodes(sides, space)
+    return SurfaceForce(
+        sides=sides,
+        nodes=nodes,
+        slopes_of_shape=slopes,
+        lengths=lengths,
+        directions=directions,
+    )
+
+
+@kernel
+def side_stretches(nodes: Any, slopes: Any, directions: Any, u: Any, v: Any) -> Any:
+    """g = g₀ + Σ_a u_a D_a, λ = |g| and λ̇ = g·Σ_a v_a D_a/λ of all sides.
+
+    Args:
+        nodes: (m, k) rows of u and v. slopes: (m, k) D_a. directions: (m, 2) g₀.
+
+    Returns:
+        (m, 2), (m,) and (m,).
+    """
+    m, k = slopes.shape
+    g, stretch, rate = np.empty((m, 2)), np.empty(m), np.empty(m)
+    for e in range(m):
+        gx, gy, wx, wy = directions[e, 0], directions[e, 1], 0.0, 0.0
+        for a in range(k):
+            row, slope = nodes[e, a], slopes[e, a]
+            gx += slope * u[row, 0]
+            gy += slope * u[row, 1]
+            wx += slope * v[row, 0]
+            wy += slope * v[row, 1]
+        length = np.sqrt(gx * gx + gy * gy)
+        g[e, 0], g[e, 1] = gx, gy
+        stretch[e], rate[e] = length, (gx * wx + gy * wy) / length
+    return g, stretch, rate
+
+
+@kernel
+def side_forces(
+    nodes: Any, slopes: Any, lengths: Any, g: Any, stretch: Any, tension: Any, n: Any
+) -> Any:
+    """f_a = −L P_s g/λ D_a, (n, 2) µN; sides add up in their order."""
+    m, k = slopes.shape
+    force = np.zeros((n, 2))
+    for e in range(m):
+        pull = lengths[e] * tension[e] / stretch[e]
+        for a in range(k):
+            row, slope = nodes[e, a], slopes[e, a]
+            force[row, 0] -= pull * slope * g[e, 0]
+            force[row, 1] -= pull * slope * g[e, 1]
+    return force

@@ -25,8 +25,7 @@ import scipy  # scipy.sparse is loaded where a step is implicit
 from numpy.typing import NDArray
 
 from surrofe2.law.stress_law import require_tangents
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.evaluation import Evaluation, Switched
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, Switched
 from surrofe2.macro.forces import Matrix
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import clock, cpu_clock
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.evaluation import Evaluation
-from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
-from surrofe2.macro.frames import NOTHING, POINTS_EVERY, Frames
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
+from surrofe2.macro.frames import NO_EXTREMES, NOTHING, POINTS_EVERY, Frames, widen_extremes
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult

@@ -25,11 +25,15 @@ from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.stress_law import StressLaw, require_tangents
 from surrofe2.macro.contact import Contact, Grip
 from surrofe2.macro.discretisation import displacement_basis
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Tally
-from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
-from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
+from surrofe2.macro.equations_of_motion import (
+    EquationsOfMotion,
+    Evaluation,
+    NoStress,
+    Switched,
+    Tally,
+)
 from surrofe2.macro.forces import Matrix, Slopes
-from surrofe2.macro.frames import Frames
+from surrofe2.macro.frames import NO_EXTREMES, Frames, widen_extremes
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
 from surrofe2.macro.tangents import Assembly, factorised, make_assembly

@@ -17,14 +17,11 @@ from surrofe2.base.compilation import clock
 from surrofe2.base.errors import MismatchError, SimulationError
 from surrofe2.base.threads import one_blas_thread
 from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
-from surrofe2.law.stress_law import StressLaw
-from surrofe2.macro.chunks import Chunks
+from surrofe2.law.stress_law import AuditedLaw, StressLaw
 from surrofe2.macro.discretisation import displacement_basis
 from surrofe2.macro.dormand_prince import DormandPrince
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.evaluation import NoStress, Switched
-from surrofe2.macro.extremes import MetRange
-from surrofe2.macro.frames import Frames
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, NoStress, Switched
+from surrofe2.macro.frames import Frames, MetRange
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
 from surrofe2.macro.history import MacroState, Recorder, columns_of
 from surrofe2.macro.rest import settle
@@ -39,6 +36,45 @@ from surrofe2.run.loop import carry_out
 from surrofe2.run.views import Facts, ViewedRun, course
 
 Array = NDArray[np.float64]
+
+
+class Chunks:
+    """Asks the law of a run after every step whether what was recorded stands.
+
+    Args:
+        resume: that the run goes on from; its chunk goes on too where the law knows of it.
+    """
+
+    def __init__(
+        self, equations: EquationsOfMotion, recorder: Recorder, resume: MacroState | None
+    ) -> None:
+        law = equations.law
+        self._law = law if isinstance(law, AuditedLaw) and law.is_audited else None
+        self._equations, self._recorder = equations, recorder
+        known = resume is not None and resume.mark is not None and resume.law_state is not None
+        if self._law is not None and not known:
+            self._mark(self._law)
+
+    def settle(self, *, final: bool = False) -> MacroState | None:
+        """The state to go back to where the steps since the mark do not stand, else None.
+
+        final: no step follows, or none can.
+        """
+        back, equations = None, self._equations
+        if self._law is not None:
+            equations.is_committing = True
+            stands, t = self._law.verdict(final=final), self._recorder.t
+            if stands:
+                self._mark(self._law)
+            elif stands is not None:
+                equations.law_state = self._law.roll_back(t)
+                back = self._recorder.go_back()
+        equations.is_committing = False
+        return back
+
+    def _mark(self, law: AuditedLaw) -> None:
+        law.mark(self._recorder.t, self._equations.law_state)
+        self._recorder.mark()
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import StressResponse, Tangents
-from surrofe2.macro.evaluation import Evaluation
+from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.system import System
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import SimulationError
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.evaluation import Evaluation, NoStress, Switched
+from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, NoStress, Switched
 from surrofe2.macro.settings import MacroSettings
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, simulate
-from surrofe2.macro.extremes import NO_EXTREMES, widen_extremes
+from surrofe2.macro.frames import NO_EXTREMES, widen_extremes
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws

@@ -6,7 +6,7 @@ import pytest
 from surrofe2 import LoadCase
 from surrofe2.base.tensors import det
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.extremes import widen_extremes
+from surrofe2.macro.frames import widen_extremes
 from surrofe2.macro.internal_force import (
     MANY,
     deformation_gradient,

@@ -6,8 +6,7 @@ import numpy as np
 import scipy.sparse
 
 from surrofe2 import LoadCase
-from surrofe2.macro.mass import mass_solver
-from surrofe2.macro.system import make_system
+from surrofe2.macro.system import make_system, mass_solver
 
 
 def test_a_large_mass_is_inverted(rng):
