@@ -22,7 +22,7 @@ from surrofe2.workflow import workers
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.workers import ATTEMPTS, executor_of, in_pieces
 from tests.conftest import RECIPE
-from tests.some_work import squares, squares_or_death
+from tests.some_work import squares, squares_cut_off, squares_or_death
 
 ALL = range(5, 61)
 
@@ -63,6 +63,15 @@ def test_what_a_lost_process_had_is_done_again(tmp_path):
     with executor_of(2) as executor:
         assert joined(partial(squares_or_death, str(tmp_path), 2), executor) == joined(squares)
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_process_that_dies_while_it_writes_its_result_keeps_no_one_waiting(tmp_path):
+    signal.alarm(60)  # ends the test where it waits for ever
+    with executor_of(2) as executor:
+        work = partial(squares_cut_off, str(tmp_path))
+        pieces = [result for _, _, (result, _) in in_pieces(work, range(60), 3, executor)]
+    signal.alarm(0)
+    assert [number for each in pieces for number in each] == [k * k for k in range(60)]
 
 
 def test_work_that_kills_every_process_ends_with_a_sentence(tmp_path):

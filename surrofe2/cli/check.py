@@ -70,7 +70,8 @@ def check(
         f"{run.points} points, asked about {run.calls:.2g} times: {run.solves:.1g} RVEs to solve, "
         f"about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by --law rve"
     )
-    console.done(recipe, f"take --law {advised_law(study, by_rves)}")
+    # without the seconds of the check, which would read as those of the law
+    console.done(recipe, f"take --law {advised_law(study, by_rves)}", timed=False)
 
 
 def _show_ranges(run: DryRun, duration: float, margin: float) -> None:

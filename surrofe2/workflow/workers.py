@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import logging
 import os
+import pickle
 import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context, parent_process
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkstemp
 from threading import Thread
 from typing import Any
 
@@ -48,11 +52,13 @@ class Processes:
     """An executor of `workers` processes of this machine that replaces those it loses.
 
     It is a `concurrent.futures.Executor` but for the class, since its pool may change. Kernels of
-    a worker take an equal share of this process's threads.
+    a worker take an equal share of this process's threads. Results come back by files: a process
+    that died while it wrote one into the pool's pipe would leave the reader waiting for ever.
     """
 
     workers: int
     _pool: ProcessPoolExecutor | None = field(default=None, init=False)
+    _folder: TemporaryDirectory[str] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -61,13 +67,28 @@ class Processes:
     def submit(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Have `work(*arguments)` done by one of the processes."""
         try:
-            return self._open().submit(work, *arguments)
+            return self._submit(work, arguments)
         except BrokenExecutor:  # a process was lost, and what the others had is lost with it
-            self.close()
-            return self._open().submit(work, *arguments)
+            self._end()
+            return self._submit(work, arguments)
+
+    def _submit(self, work: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
+        if self._folder is None:
+            self._folder = TemporaryDirectory(prefix="surrofe2-")
+        result: Future[Any] = Future()
+        written = self._open().submit(_write_result, self._folder.name, work, arguments)
+        result.set_running_or_notify_cancel()
+        written.add_done_callback(partial(_pass_on, result))
+        return result
 
     def close(self) -> None:
         """End all processes at once, whatever they do."""
+        self._end()
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _end(self) -> None:
         if self._pool is None:
             return
         processes = list((self._pool._processes or {}).values())
@@ -88,6 +109,29 @@ class Processes:
                 initargs=(threads,),
             )
         return self._pool
+
+
+def _write_result(folder: str, work: Callable[..., Any], arguments: tuple[Any, ...]) -> str:
+    """The file that has what the work gives; its name takes one write to a pipe, whole or none."""
+    result = work(*arguments)
+    handle, name = mkstemp(dir=folder)
+    with open(handle, "wb") as file:
+        pickle.dump(result, file, pickle.HIGHEST_PROTOCOL)
+    return name
+
+
+def _pass_on(result: Future[Any], written: Future[str]) -> None:
+    """Give a future what is in the file of another, or its error."""
+    try:
+        path = Path(written.result())
+        value = pickle.loads(path.read_bytes())
+        path.unlink()
+    except CancelledError:  # with the pool
+        result.set_exception(BrokenExecutor("its process was ended"))
+    except Exception as error:
+        result.set_exception(error)
+    else:
+        result.set_result(value)
 
 
 def _begin(threads: int) -> None:
