@@ -1,4 +1,4 @@
-"""`python -m validation.arrangements`: what docs/arrangements.md states of RVEs of several cells.
+"""`python -m validation.arrangements`: what docs/validation/arrangements.md states.
 
 Writes `arrangements.json` and `arrangements.png`.
 """

@@ -202,7 +202,7 @@ def test_a_side_that_is_free_has_no_stress_across():
 
 
 def test_a_strip_pulled_between_grips_has_the_force_of_slab_and_surface():
-    # Tensile strips of docs/tissue.md: force at a stretch of 1.03 beyond that at 1.
+    # Tensile strips of docs/validation/tissue.md: force at a stretch of 1.03 beyond that at 1.
     for preset, forces in (("water", {4: 1244.8, 8: 2614.2}), ("printed", {4: 2445.5, 8: 5004.7})):
         law = slab(preset, rows=8)
         along, still = np.array([1.0, 1.03]), np.zeros(2)

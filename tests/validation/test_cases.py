@@ -157,7 +157,7 @@ def test_small_oscillations_are_those_of_a_run_under_a_small_load():
 
 @pytest.mark.slow
 def test_bar_with_water_has_the_model_s_decrements():
-    """docs/paper.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
+    """docs/validation/paper.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
     for name, decrement in (("elastic", 0.0678), (FE2, 0.0411)):
         run = bar(WATER, name, 4).compute()
         assert run.fit.first.period == pytest.approx(49.5, abs=0.05)
@@ -167,7 +167,7 @@ def test_bar_with_water_has_the_model_s_decrements():
 
 @pytest.mark.slow
 def test_strip_is_too_stiff_by_its_surface_and_less_so_where_it_is_wider():
-    """docs/tissue.md: 0.4 plant cells of `water`, whatever the width."""
+    """docs/validation/tissue.md: 0.4 plant cells of `water`, whatever the width."""
     cases = [case for case in problem_cases(WATER, (4, 8)) if "strip" in case.problem]
     narrow, wide = (row for row in compare([case.compute() for case in cases]) if row.off)
     assert 0.3 < narrow.c < 0.5
