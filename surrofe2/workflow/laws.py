@@ -105,6 +105,7 @@ def choose_law(
         on_true_answer: is given true answers at accepted steps, see `CachedLaw`.
 
     Raises:
+        FileError: the surrogate is not there or cannot be read.
         InputError: tables for a law that takes none, or the recipe has several cells.
         MismatchError: surrogate or table are of other cell parameters or initialisation.
     """
@@ -119,6 +120,10 @@ def choose_law(
         law = CachedLaw(table, rve, recipe.cache, on_true_answer)
         return ChosenLaw(law, _record_of(tables), {recipe.cell_name: table})
     path = surrogate_file or recipe.training_path()
+    if surrogate_file is None and not path.exists():
+        raise FileError(
+            f"{path}: cannot be read: no such file; make it with `surrofe2 train {recipe.path}`"
+        )
     surrogate = read_surrogate(path)
     record: dict[str, Any] = {
         "file": path.name,

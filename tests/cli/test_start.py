@@ -39,6 +39,12 @@ def test_comparing_runs_only_reads_files():
     assert done.stdout == "set()\n"
 
 
+def test_a_run_without_its_surrogate_names_the_command_that_makes_it(invoke, recipe_path, tmp_path):
+    done = invoke("run", recipe_path, "--law", "cached", "--out", tmp_path / "run")
+    assert done.exit_code == 1
+    assert f"make it with `surrofe2 train {recipe_path}`" in done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
