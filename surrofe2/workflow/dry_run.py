@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 MARGIN = 0.2
 SECONDS = 5.0
 """Longest dry run on one mesh; where it is too short for the whole run, a coarser mesh follows."""
+ALL_SECONDS = 12.0
+"""Longest dry runs on all meshes; the range then says until when it was met."""
 _COARSEST = 4
 _TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 4.0
 """RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
@@ -101,7 +103,7 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
 
     Where `seconds` are too short for the whole run, rectangles are meshed with half as many
     elements each way until they suffice: for the range and the steps; calls are those of the
-    recipe's mesh, extrapolated.
+    recipe's mesh, extrapolated. All of them take at most `ALL_SECONDS`, or twice `seconds`.
 
     Args:
         seconds: of the run on one mesh.
@@ -110,10 +112,11 @@ def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report
     Raises:
         SimulationError: the run could not be carried on.
     """
+    end = clock() + max(ALL_SECONDS, 2.0 * seconds)
     found = best = _dry_run(recipe, seconds, report)
     coarse = recipe
-    while best.reached < 1.0 and (coarser := _coarser(coarse)) is not None:
-        coarse, best = coarser, _dry_run(coarser, seconds, report)
+    while best.reached < 1.0 and clock() < end and (coarser := _coarser(coarse)) is not None:
+        coarse, best = coarser, _dry_run(coarser, min(seconds, end - clock()), report)
     return replace(best, points=found.points, calls=found.calls, seconds=found.seconds)
 
 

@@ -9,8 +9,9 @@ import re
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.workflow import dry_run as module
 from surrofe2.workflow import laws
-from surrofe2.workflow.dry_run import advised_law, dry_run, seconds_by_rves
+from surrofe2.workflow.dry_run import DryRun, advised_law, dry_run, seconds_by_rves
 from surrofe2.workflow.recipe_check import recipe_faults
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
@@ -190,3 +191,21 @@ def test_the_advice(recipe_path, changed_recipe, invoke):
     start, end = table.index("[range]"), table.index("[samples]")
     recipe_path.write_text(table[:start] + table[end:], encoding="utf-8")
     assert advised_law(load_recipe(recipe_path), 1000.0) == "rve"
+
+
+def test_dry_runs_on_all_meshes_end_in_their_time(recipe_path, monkeypatch):
+    """Every mesh would take all of its seconds, and there are meshes for minutes."""
+    now, given = [0.0], list[float]()
+
+    def cut_short(recipe, seconds, report):
+        given.append(seconds)
+        now[0] += seconds
+        return DryRun(
+            points=4, calls=8.0, seconds=1.0, reached=0.5, met={}, steps={}, shares={"": 1.0}
+        )
+
+    monkeypatch.setattr(module, "_dry_run", cut_short)
+    monkeypatch.setattr(module, "clock", lambda: now[0])
+    run = dry_run(load_recipe(recipe_path, {"macro.elements": [512, 512]}), 5.0)
+    assert given == [5.0, 5.0, 2.0]
+    assert run.reached == 0.5
