@@ -2,7 +2,7 @@
 
 Every contender learns from the first n samples of one Sobol sequence and is measured on another:
 error by `stress_error`, relative to the spread of stress there; cost of a query by the wall time of
-80 points at once, the number of the paper's bar. docs/validation/ablation.md says what the figures show.
+80 points at once, the number of the paper's bar. docs/validation/ablation.md explains them.
 
 The other regressors read the scaled inputs of the network (U and RᵀḞ, so rotations are out) folded
 by the square cell's group into difference ≥ 0 and shear ≥ 0, and answer in components of P̂ = RᵀP.

@@ -157,7 +157,7 @@ def test_small_oscillations_are_those_of_a_run_under_a_small_load():
 
 @pytest.mark.slow
 def test_bar_with_water_has_the_model_s_decrements():
-    """docs/validation/paper.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
+    """validation/paper.md, 4 × 4: period 49.5, decrement 0.0678 elastic, 0.0411 slow manifold."""
     for name, decrement in (("elastic", 0.0678), (FE2, 0.0411)):
         run = bar(WATER, name, 4).compute()
         assert run.fit.first.period == pytest.approx(49.5, abs=0.05)
