@@ -209,6 +209,7 @@ def _keys(pairs: NDArray[np.integer]) -> NDArray[np.int64]:
     turned = (i > j) | ((i == j) & ((a < 0) | ((a == 0) & (b < 0))))
     i, j = np.where(turned, j, i), np.where(turned, i, j)
     a, b = np.where(turned, -a, a), np.where(turned, -b, b)
+    # i, j, a, b side by side in 64 bits; shifts are raised by half of `_SHIFTS` to be positive
     return ((i << 32) | j) * _SHIFTS**2 + (a + _SHIFTS // 2) * _SHIFTS + b + _SHIFTS // 2
 
 

@@ -209,6 +209,7 @@ class Solution:
         before, z, iterations = self.before, self.before.z.copy(), self.answer.iterations
         self.state = replace(self.state, z=z)
         if self.cold:
+            # −1, as where `chord` failed: such a point is left to Newton's method
             iterations[np.abs(self.drive.F - before.F).max(axis=(1, 2)) > _NEAR] = -1
         at = Drive(before.F, dashpot_rate(self.initialisation, before.F_dot))
         tolerance = self.settings.tolerance
@@ -221,9 +222,9 @@ class Solution:
         iterations, far = self.answer.iterations, np.zeros_like(self.needs_longer_list)
         if self.cold:
             far = is_far(self.drive.F)
-        iterations[far] = 1  # not to be solved from here
+        iterations[far] = 1  # looks solved, so that Newton's method passes it over
         self._newton(z, renewed=self.cold)
-        iterations[far] = -1
+        iterations[far] = -1  # open again: the path has to lead there
         astray = (iterations < 0) | (self.status == Status.UNSTABLE)
         if astray.any():
             self._follow(z, z_before, astray)
