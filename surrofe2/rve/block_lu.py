@@ -84,6 +84,9 @@ def _eliminate(a, pattern, g, h, k, symmetric):
     width, own = pattern.width[g], pattern.offset[g, g]
     there, at = pattern.width[h], pattern.offset[h, g] + k
     count, panel = min(PANEL, size - k), pattern.start[g] + k * width
+    # Row i of h, in pairs: its part in columns of g becomes multipliers at `at`; then, for each
+    # group c right of it, row i −= multipliers · panel, from `begin` in the panel to `to` in row i.
+    # If symmetric, what lies left of the diagonal is skipped, and multipliers come from `mirror`.
     for i in range(k + count if h == g else 0, rows, 2):
         row = pattern.start[h] + i * there
         _set_multipliers(
