@@ -17,8 +17,9 @@ from tests.source_contract import ROOT, circles, import_graph, local_imports, so
 
 HEAVY = {
     *("torch", "matplotlib", "meshio", "scipy", "skfem", "distributed", "mpi4py", "numba"),
-    # of the package what brings numba or scikit-fem, where most commands only read files
+    # of the package what brings torch, numba or scikit-fem, where most commands only read files
     *("surrofe2.problem.bar", "surrofe2.workflow.cell_fields", "surrofe2.workflow.laws"),
+    "surrofe2.surrogate.training",
     *("surrofe2.workflow.report", "surrofe2.workflow.surfaces"),
 }
 """What a function may import."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -385,7 +385,10 @@ def describe_origin() -> dict[str, Any]:
 
 def describe_platform() -> dict[str, str]:
     """Processor, cores, system and library versions; nothing that identifies the machine."""
-    libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "torch")}
+    libraries = {}
+    for name in ("numpy", "scipy", "numba", "torch"):
+        with suppress(PackageNotFoundError):  # runs do without torch
+            libraries[name] = version(name)
     return {
         "processor": processor(),
         "cores": str(os.cpu_count()),

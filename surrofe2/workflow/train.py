@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +28,6 @@ from surrofe2.store.surrogates import (
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.settings import WISH
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
-from surrofe2.surrogate.training import TrainingState, train
 from surrofe2.workflow import laws
 from surrofe2.workflow.calibrate import (
     bound_summary,
@@ -37,6 +38,9 @@ from surrofe2.workflow.calibrate import (
 from surrofe2.workflow.generate import counts_of
 from surrofe2.workflow.progress import Report, Stage, no_stage
 from surrofe2.workflow.samples import SampleSource
+
+if TYPE_CHECKING:
+    from surrofe2.surrogate.training import TrainingState
 
 STRESSES = ("xx", "xy", "yx", "yy")
 _BOUNDS = "bounds"
@@ -84,6 +88,8 @@ def train_surrogate(
     Raises:
         MismatchError: data set, surrogate or interrupted training are of other settings or data.
     """
+    if find_spec("torch") is None:
+        raise InputError("training needs PyTorch, which is not installed: pip install torch")
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
     source = SampleSource(recipe, [*recipe.added_paths(), *add], range, stage)
     surrogate, begun, fingerprint = None, _Begun(), ""
@@ -158,6 +164,8 @@ class _Begun:
 def _read_unfinished(path: Path) -> _Begun:
     identity, iterations, arrays = read_training(path)
     before, *bounds = arrays.pop(_BOUNDS, np.array([math.inf])).tolist()
+    from surrofe2.surrogate.training import TrainingState  # torch, which runs do without
+
     state = TrainingState(identity, iterations, arrays)
     return _Begun(state, read_seconds(path) or 0.0, before, tuple(bounds))
 
@@ -210,6 +218,8 @@ def _train_once(
     """
     path, wanted = unfinished_training(recipe), WISH * recipe.training.bound
     meter, bounds = Meter(begun.seconds), list(begun.bounds)
+
+    from surrofe2.surrogate.training import train
 
     def keep(state: TrainingState) -> None:
         arrays = {**state.arrays, _BOUNDS: np.array([begun.before, *bounds])}

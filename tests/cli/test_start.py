@@ -33,6 +33,40 @@ def test_a_cached_run_imports_what_it_uses(invoke, changed_recipe, tmp_path):
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+WITHOUT_TORCH = """
+import importlib.metadata, importlib.machinery
+known, found = importlib.metadata.version, importlib.machinery.PathFinder.find_spec
+def find_spec(name, *rest):
+    return None if name == "torch" else found(name, *rest)
+importlib.machinery.PathFinder.find_spec = find_spec
+def version(name):
+    if name == "torch":
+        raise importlib.metadata.PackageNotFoundError(name)
+    return known(name)
+importlib.metadata.version = version
+from surrofe2.cli import main
+main()
+"""
+
+
+def test_without_torch_runs_go_on_and_training_says_what_it_needs(changed_recipe, tmp_path):
+    recipe = changed_recipe("duration = 4.0", "duration = 0.1")
+
+    def done(*words):
+        command = [sys.executable, "-c", WITHOUT_TORCH, *map(str, words)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    ran = done("run", recipe, "--law", "rve", "--out", tmp_path / "run")
+    assert (ran.returncode, ran.stderr) == (0, "")
+    for command in ("check", "study"):
+        assert done(command, "--help").returncode == 0
+    told = done("train", recipe)
+    assert told.returncode == 1
+    assert told.stderr == (
+        "error: training needs PyTorch, which is not installed: pip install torch\n"
+    )
+
+
 def test_comparing_runs_only_reads_files():
     code = "import sys, surrofe2.cli.compare; print({'numba', 'skfem', 'torch'} & {*sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
