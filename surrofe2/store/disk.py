@@ -8,12 +8,13 @@ new one, whole.
 from __future__ import annotations
 
 import os
+from io import FileIO
 from pathlib import Path
 
 
 def write(path: Path, content: bytes | memoryview) -> None:
-    """Write a new file."""
-    with path.open("wb", buffering=0) as file:
+    """Write a new file; never through a link, which others may have put there."""
+    with FileIO(path, "wb", opener=lambda at, how: os.open(at, how | os.O_NOFOLLOW, 0o666)) as file:
         rest = memoryview(content)
         while rest:
             rest = rest[file.write(rest) :]

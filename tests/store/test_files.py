@@ -12,6 +12,7 @@ from surrofe2.store import disk
 from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
+    partial_of,
     plain,
     read_json,
     sealed,
@@ -37,6 +38,14 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert str(caught.value) == f"{path}: cannot be written: No space left on device"
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nothing_is_written_through_a_link(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    partial_of(tmp_path / "a.txt").symlink_to(tmp_path / "mine")
+    with pytest.raises(FileError):
+        write_text(tmp_path / "a.txt", "text")
+    assert (tmp_path / "mine").read_text() == "mine"
 
 
 def test_no_write_permission(unwritable):
