@@ -20,7 +20,7 @@ from benchmarks.measured import (
 )
 from benchmarks.trust import digest, picture_digest, shown
 
-PAGES = ("performance.md", "scaling.md", "trust.md")
+PAGES = ("performance.md", "scaling.md", "trust.md", "explanation/cache.md")
 
 
 def test_readme_has_the_measured_figures():

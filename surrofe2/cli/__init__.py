@@ -46,7 +46,7 @@ _HELP = """
 FE² for plant tissue, true or through a learnt stress cache.
 
 A study is one TOML recipe, which all commands take. Called again, a command keeps what is finished
-and goes on with what was interrupted; [bold]--fresh[/bold] starts over.
+and resumes what was interrupted; [bold]--fresh[/bold] starts over.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """
@@ -130,7 +130,7 @@ def _ended(message: str, code: int) -> typer.Exit:
 
 
 def _again(ctx: Any, has_begun: bool) -> str:
-    """The command that goes on where this one was interrupted."""
+    """The command that resumes this one."""
     arguments = ctx.meta["arguments"]
     return shlex.join(["surrofe2", *(a for a in arguments if a != "--fresh" or not has_begun)])
 

@@ -42,7 +42,7 @@ def check(
     run by the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long,
     proposes the [bold]\\[range][/bold], to be copied into the recipe. It knows neither stiffening
     nor loss of stability; the margin is for that. The number of RVEs to solve and the time of one
-    give the order of magnitude of a run by true RVEs. Nothing is written.
+    give the order of magnitude of a run by RVEs. Nothing is written.
 
     Example: [bold]surrofe2 check data/large-bar.toml[/bold]
 
@@ -51,7 +51,7 @@ def check(
     faults = recipe_faults(recipe)
     if not faults:
         study = open_study(recipe, threads)
-        # a recipe may be for true runs alone: what a surrogate lacks is told, and is no fault
+        # a recipe may be for RVEs alone: what a surrogate lacks is reported, and is no fault
         faults = study_faults(study, ("rve",))
     for sentence in faults:
         console.print_warning(sentence)

@@ -24,7 +24,7 @@ def compare(
 ) -> None:
     """Compare displacement curves, forces and costs of runs of one load case.
 
-    The reference is the first full tissue, else the first run by true RVEs, else the first one.
+    The reference is the first full tissue, else the first run by RVEs, else the first one.
     Writes comparison.json and comparison.png: difference relative to the largest displacement, at
     any time and of the largest ones; the same of every force on the tissue; speed-up of wall time
     and of RVE solves.
@@ -63,8 +63,8 @@ def report(
 
     The tissue in motion, displacements of all runs and their difference, speed-up with all costs
     counted, where and when the cache fell back, audited errors, the range that was met,
-    energies, provenance, and how to run it all again. What a folder lacks is left out with a
-    sentence; `run --cell-fields` adds the stretch of walls, `zoom` the plant cells at a point.
+    energies, provenance, and how to run it all again. The page says what a folder
+    lacks; `run --cell-fields` adds the stretch of walls, `zoom` the plant cells at a point.
 
     Example: [bold]surrofe2 report out/rve out/cached[/bold]
     """

@@ -39,7 +39,7 @@ def on_interrupt(what: str, begun: Sequence[Path] = ()) -> Iterator[None]:
     """Say what was kept where Ctrl-C ends the block; how to go on is said after it.
 
     Args:
-        begun: files of which the block writes one anew as soon as something is kept.
+        begun: files of which the block writes one again as soon as something is kept.
 
     Raises:
         InterruptedWork: Ctrl-C.

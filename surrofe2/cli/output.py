@@ -159,7 +159,7 @@ def note_errors() -> None:
 
 
 def leave(code: int) -> None:
-    """End the process without taking its objects apart; 1 in the place of 0 if words were lost."""
+    """End the process without taking its objects apart; 1 instead of 0 if words were lost."""
     for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
         if stream is not None:
             stream.flush()

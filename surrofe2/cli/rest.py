@@ -36,9 +36,9 @@ def rest(
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Find the tissue at rest under the recipe's loads, by true FE², without time.
+    """Find the tissue at rest under the recipe's loads, by full FE², without time.
 
-    The load goes on in steps, Newton's method with line search solves each. DIR receives run.json
+    The load rises in steps; Newton's method with line search solves each. DIR receives run.json
     (configuration, costs), path.csv (factor of the load, displacement of the watched point in µm),
     history.csv and energies.csv (forces and works over the factor) and fields.xdmf for ParaView,
     where the factor stands for the time.
@@ -68,7 +68,7 @@ def modes(
     out: console.JsonFile = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Period and damping of the tissue's small oscillations, by true FE² and its exact tangents.
+    """Period and damping of the tissue's small oscillations, by full FE² and its exact tangents.
 
     About the tissue without load, and about its rest under the recipe's loads. The decrement is
     logarithmic, a period; the damping ratio is 1 where nothing oscillates any more.

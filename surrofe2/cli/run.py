@@ -46,7 +46,7 @@ def run(
         Literal["rve", "surrogate", "cached", "table"],
         typer.Option(
             metavar="LAW",
-            help="rve: true RVEs; surrogate: it alone; cached: RVEs where it is out of its range; "
+            help="rve: RVEs; surrogate: network only; cached: network with RVE fallback; "
             "table: one that learns from RVEs as it goes, without any training.",
         ),
     ],
@@ -69,7 +69,7 @@ def run(
         typer.Option(
             "--cell-fields",
             help="Fields of wall stretch and tension, turgor, area and contact pressure too, by "
-            "a true RVE for each element and frame.",
+            "an RVE for each element and frame.",
         ),
     ] = False,
     initialisation: console.Initialisation = None,

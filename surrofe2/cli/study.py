@@ -27,22 +27,22 @@ def study(
         Literal["cached", "table"],
         typer.Option(
             metavar="LAW",
-            help="Beside true RVEs: cached, by the surrogate; or table, which needs no training.",
+            help="Beside full FE²: cached, by the surrogate; or table, which needs no training.",
         ),
     ] = "cached",
     true: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="A true run to compare with; then none is made."),
+        typer.Option(metavar="DIR", help="A full run to compare with; then none is made."),
     ] = None,
     without_true: Annotated[
-        bool, typer.Option("--without-true", help="No true run, so nothing to compare with.")
+        bool, typer.Option("--without-true", help="No full run, so nothing to compare with.")
     ] = False,
     fresh: console.Fresh = False,
     threads: console.Threads = None,
 ) -> None:
-    """All of a recipe: data set, training, true run, cached run, comparison.
+    """All of a recipe: data set, training, full run, cached run, comparison.
 
-    Does what is missing of these, and goes on where it was interrupted. DIR receives a run folder
+    Runs every missing step, and resumes one that was interrupted. DIR receives a run folder
     for each law, [bold]rve[/bold] and [bold]cached[/bold], [bold]comparison[/bold], and all of it
     on one page, report.html; data set and surrogate are the recipe's.
 
