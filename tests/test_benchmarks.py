@@ -20,7 +20,13 @@ from benchmarks.measured import (
 )
 from benchmarks.trust import digest, picture_digest, shown
 
-PAGES = ("performance.md", "scaling.md", "trust.md", "explanation/cache.md")
+PAGES = (
+    "performance.md",
+    "scaling.md",
+    "trust.md",
+    "explanation/cache.md",
+    "validation/arrangements.md",
+)
 
 
 def test_readme_has_the_measured_figures():
