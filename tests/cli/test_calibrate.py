@@ -141,7 +141,7 @@ def test_interrupted_while_calibrating(invoke, recipe_path, surrogate_path, monk
     fresh = read_surrogate(surrogate_path)
     assert not fresh.is_calibrated
     trainings = []
-    monkeypatch.setattr("surrofe2.workflow.train.train", lambda *_: trainings.append(1))
+    monkeypatch.setattr("surrofe2.surrogate.training.train", lambda *_: trainings.append(1))
     done = invoke("train", recipe_path)
     assert done.exit_code == 0, done.output
     assert not trainings

@@ -152,7 +152,6 @@ def test_a_pressed_mesh_from_a_file(invoke, written, tmp_path):
     table = compared.stdout[compared.stdout.index("Forces on the tissue") :]
     assert f"{found['scale']:.4g}" in table
     assert f"{100.0 * found['largest']:.3g} %" in table
-    assert f"{100.0 * found['of_largest']:+.2g} %" in table
 
 
 def test_errors_found_where_a_run_starts_name_the_recipe(invoke, written, tmp_path):

@@ -105,7 +105,7 @@ def test_a_new_training_that_ends_at_once_goes_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("surrofe2.workflow.train.train", interrupted)
+        patch.setattr("surrofe2.surrogate.training.train", interrupted)
         stopped = invoke("train", recipe_path, "--fresh")
     assert stopped.exit_code == 130
     assert surrogate_path.read_bytes() == before

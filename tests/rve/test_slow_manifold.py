@@ -43,7 +43,7 @@ def error(preset, drive, initialisation):
     return np.abs(stress - driven(preset, drive))[1:].max()
 
 
-@pytest.mark.parametrize(("preset", "drive"), zip(PRESETS, DRIVES, strict=True))
+@pytest.mark.parametrize(("preset", "drive"), list(zip(PRESETS, DRIVES, strict=True)))
 def test_initialisations_rank_as_the_model_reports(preset, drive):
     """docs/theory.md: Cauchy–Born 0.8 to 2.2, elastic 0.013 to 0.040, constrained runs 0.005 to
     0.010, slow manifold 0.0001 to 0.0009 µN/µm."""
