@@ -14,8 +14,9 @@ import hashlib
 import logging
 import os
 import pickle
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -49,40 +50,75 @@ OPTIONS = {"error_model": "numpy", "fastmath": FAST}
 """Of all that is compiled; `numba.extending.overload` takes them as jit_options."""
 
 
-@cache
-def source_digest() -> str:
-    """16 hexadecimal digits of the names and contents of all source files of the package."""
-    package, digest = Path(__file__).parents[1], hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
+PACKAGE = Path(__file__).parents[1]
+_IMPORT = re.compile(
+    r"^\s*(?:from|import)\s+surrofe2\.?([\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.M
+)
+
+
+def _digest(sources: Iterable[Path]) -> str:
+    """16 hexadecimal digits of the names and contents of source files."""
+    digest = hashlib.sha256()
+    for source in sorted(sources):
         content = source.read_bytes()
-        digest.update(f"{source.relative_to(package).as_posix()} {len(content)}\n".encode())
+        name = source.relative_to(PACKAGE) if source.is_relative_to(PACKAGE) else source
+        digest.update(f"{name.as_posix()} {len(content)}\n".encode())
         digest.update(content)
     return digest.hexdigest()[:16]
 
 
 @cache
+def _imported(source: Path) -> frozenset[Path]:
+    """The files of the package that a source file names in its imports; of a room, all its files."""
+    files: set[Path] = set()
+    for name, imported in _IMPORT.findall(source.read_text(encoding="utf-8")):
+        place = PACKAGE.joinpath(*name.split(".")) if name else PACKAGE
+        if place.is_dir():
+            modules = {place / f"{word}.py" for word in re.findall(r"\w+", imported)}
+            found = {module for module in modules if module.is_file()}
+            files |= found or {*place.rglob("*.py")}
+        else:
+            files.add(place.with_suffix(".py"))
+    return frozenset(files)
+
+
+@cache
+def _digest_of_kernels(source: Path) -> str:
+    """That of all sources on which the machine code of this file's kernels can depend."""
+    sources, new = set(), {source}
+    while new:
+        sources |= new
+        new = {each for one in new for each in _imported(one)} - sources
+    return _digest(sources)
+
+
+@cache
 def cache_folder() -> Path:
-    """Where compiled kernels of exactly these sources are kept between processes."""
+    """Where results of exactly these sources are kept between processes."""
+    return _cache_root() / _digest(PACKAGE.rglob("*.py"))
+
+
+def _cache_root() -> Path:
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     try:
         base = Path(home) if home else Path.home() / ".cache"
     except RuntimeError:  # a user without a home; below this, nothing can be kept
         base = Path(os.devnull)
-    return base / "surrofe2" / source_digest()
+    return base / "surrofe2"
 
 
 @cache
-def _writable_folder() -> Path | None:
-    """The cache folder, made where it is not there; None where it cannot be written."""
+def _kernels_root() -> Path | None:
+    """Where kernels of all sources are kept; None where that cannot be written."""
     try:
-        folder = cache_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=folder) as file:
+        root = _cache_root() / "kernels"
+        root.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=root) as file:
             file.write(bytes(4096))
     except OSError as error:
         _tell_once(f"{error}")
         return None
-    return folder
+    return root
 
 
 _waited = [0.0, 0.0]
@@ -186,16 +222,21 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     options = {"cache": True, "no_cfunc_wrapper": True} | OPTIONS | options
 
     def decorate(function: Callable[..., Any]) -> Any:
-        folder = _writable_folder() if options["cache"] else None
-        if folder is None:
+        source = Path(function.__code__.co_filename)
+        root = _kernels_root() if options["cache"] else None
+        if root is None:
             return _own(numba.njit(**options | {"cache": False})(function))
+        folder = root / _digest_of_kernels(source)
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
         try:
             made = numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
-        made._cache._cache_file.__class__ = CheckedFiles  # numba has no place to choose it
+        # numba has no place to choose its files; without path and time of the source in them,
+        # a package at another place uses the same kernels
+        name = made._cache._impl.filename_base
+        made._cache._cache_file = CheckedFiles(str(folder), name, folder.name)
         made._cache.save_overload = _saving(made._cache.save_overload, folder)
         return _own(made)
 
