@@ -69,7 +69,7 @@ def _digest(sources: Iterable[Path]) -> str:
 
 @cache
 def _imported(source: Path) -> frozenset[Path]:
-    """The files of the package that a source file names in its imports; of a room, all its files."""
+    """The files of the package that a source file imports; all files of a room it imports from."""
     files: set[Path] = set()
     for name, imported in _IMPORT.findall(source.read_text(encoding="utf-8")):
         place = PACKAGE.joinpath(*name.split(".")) if name else PACKAGE
