@@ -87,7 +87,9 @@ class Bench:
 
     def add(self, name: str, value: float, unit: str, about: str, **more: float | None) -> None:
         """Record a figure, `more` as in `Figure`, and print it."""
-        limits = {k: v for k, v in more.items() if not (self.quick and k.startswith("at_"))}
+        limits: dict[str, Any] = {
+            k: v for k, v in more.items() if not (self.quick and k.startswith("at_"))
+        }
         figure = Figure(
             value=float(value),
             unit=unit,
@@ -96,7 +98,7 @@ class Bench:
             version=version("surrofe2"),
             machine=machine(),
             command=self.command,
-            **limits,  # type: ignore[arg-type]
+            **limits,
         )
         self.figures[name] = figure
         verdict = {None: "", True: "  (kept)", False: "  (LIMIT MISSED)"}[figure.holds]

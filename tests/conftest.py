@@ -62,8 +62,14 @@ def pytest_configure(config):
     numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS // workers))
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """One worker begins to compile the kernels of RVEs while the others test what has none."""
+    """What is nightly is slow, too. One worker begins to compile the kernels of RVEs while the
+    others test what has none.
+    """
+    for item in items:
+        if item.get_closest_marker("nightly"):
+            item.add_marker(pytest.mark.slow)
     sizes = Counter(item.path for item in items)
     solving = re.compile(r"\brve\b|Rve|CliRunner|[Tt]issue")
 

@@ -70,7 +70,7 @@ def test_figures_are_merged_and_told_by_name(tmp_path):
     assert figures["bar.speed"].machine
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("topic", ["runs", "large", "solve", "tissue", "start", "trust", "ranks"])
 def test_each_topic_runs_in_quick_mode(tmp_path, topic):
     command = [sys.executable, "-m", "benchmarks", topic, "--quick", "--out", str(tmp_path)]

@@ -223,7 +223,7 @@ def deflection(upper, lower):
     return force * length**3 / (3.0 * stiffness) + force * length * (flow**2 / G).sum() * dy
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
 def test_cached_is_true_within_a_thousandth(path, tmp_path):
     """Data set, training, both runs and their comparison, as the commands do it."""

@@ -113,7 +113,7 @@ def set_duration(folder, duration):
     path.write_text(text, encoding="utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", commands.COMMANDS)
 def test_every_fault_of_every_command(name, kind, tmp_path, learnt):

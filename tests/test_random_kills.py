@@ -68,7 +68,7 @@ def wanted(tmp_path_factory, learnt, server):
 
 ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGINT, 130)}
 """Signal and exit code."""
-TIMES = [("killed", 1), *(pytest.param(how, KILLS, marks=pytest.mark.slow) for how in ENDS)]
+TIMES = [("killed", 1), *(pytest.param(how, KILLS, marks=pytest.mark.nightly) for how in ENDS)]
 
 
 @pytest.mark.parametrize(("how", "times"), TIMES)

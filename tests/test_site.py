@@ -30,6 +30,7 @@ def module_of(path):
 record = module_of(DOCS / "record.py")
 
 
+@pytest.mark.slow
 def test_it_builds_without_a_warning(tmp_path):
     """-W makes a page that is not as recorded an error, too."""
     build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-c", "docs"]

@@ -104,7 +104,7 @@ def test_a_signal_ends_a_command(long_recipe, tmp_path, command):
     struck(start(again or arguments, tmp_path), second, 1.5, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_signals_at_random_instants_end_every_command(

@@ -36,9 +36,9 @@ def examples(number):
 
 
 def few_and_all(few, all_of_them):
-    """Parameters `number`: a few examples in the fast suite, all in the slow one."""
-    slow = pytest.param(all_of_them, marks=pytest.mark.slow)
-    return pytest.mark.parametrize("number", [few, slow])
+    """Parameters `number`: a few examples in the quick tests, all in the nightly ones."""
+    every = pytest.param(all_of_them, marks=pytest.mark.nightly)
+    return pytest.mark.parametrize("number", [few, every])
 
 
 @contextmanager

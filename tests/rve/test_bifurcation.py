@@ -234,7 +234,7 @@ def test_states_carry_where_they_left_with_them():
     assert not rest.put(np.array([2]), rest.take(np.array([5]))).left.any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("initialisation", ["elastic", "constrained-runs", "slow-manifold"])
 def test_none_of_10000_solves_near_the_reference_fails(preset, initialisation):
@@ -242,7 +242,7 @@ def test_none_of_10000_solves_near_the_reference_fails(preset, initialisation):
     assert not law(preset, initialisation).respond(F, F_dot).status.any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", PRESETS)
 def test_10000_equilibria_near_the_reference_are_minima(preset):
     F, _ = near(preset, 10_000, seed=1)
@@ -250,7 +250,7 @@ def test_10000_equilibria_near_the_reference_are_minima(preset):
     assert_stable(preset, F, answer)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", PRESETS)
 def test_far_answers_are_minima_or_failures(preset):
     """Beyond, out to stretch 1.5 and shear 0.6."""

@@ -84,8 +84,8 @@ class Study:
     scope="module",
     params=[
         pytest.param(QUICK, id="quick"),
-        *(pytest.param(one, id="-".join(one[:2]), marks=pytest.mark.slow) for one in FULL),
-        pytest.param(UNSTABLE, id="unstable-corners", marks=pytest.mark.slow),
+        *(pytest.param(one, id="-".join(one[:2]), marks=pytest.mark.nightly) for one in FULL),
+        pytest.param(UNSTABLE, id="unstable-corners", marks=pytest.mark.nightly),
     ],
 )
 def study(request):
