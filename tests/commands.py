@@ -17,13 +17,13 @@ from pathlib import Path
 from unittest import mock
 
 import numba
+from matplotlib.figure import Figure
 
 from surrofe2.base.interruption import begin_work, exit_code, watch
 from surrofe2.recipe import cell_types
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.report import figures
 from surrofe2.store import samples
-from surrofe2.store.store import SEAL, write_bytes
+from surrofe2.store.store import SEAL
 from surrofe2.workflow import laws, rest, run, tissue
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.run import run_study
@@ -108,7 +108,7 @@ def checkpointed(name):
         patch(cell_types, "FIRST_COUNT", 40)
         patch(cell_types, "MOST_COUNT", 160)
         patch(generate_data_set, "__kwdefaults__", generate_data_set.__kwdefaults__ | {"chunk": 8})
-        patch(figures, "write_png", lambda path, figure: write_bytes(path, b"drawn"))
+        patch(Figure, "savefig", lambda self, target, **_: target.write(b"drawn"))
         yield
 
 

@@ -33,9 +33,9 @@ from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonica
 from surrofe2.base.tensors import stress_error, stress_spread, to_inputs
 from surrofe2.cache import StressTable
 from surrofe2.law.samples import StressSamples
-from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import train
 from surrofe2.surrogate.features import input_scale

@@ -19,9 +19,9 @@ from surrofe2.macro.tangents import factorised, mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import BodyForce, Surface
 from surrofe2.recipe.recipe import Recipe, make_recipe
-from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import NamedCell
 from surrofe2.report.tables import Quantity
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.store.store import plain, read_json, write_json
 from surrofe2.surface.cell_surface import CellSurface, table_within

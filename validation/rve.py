@@ -23,9 +23,9 @@ from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.tiles import pack
 from surrofe2.questions.memory import steady_shear
-from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import INITIALISATIONS, RveLaw, RveSettings
 from surrofe2.rve.constrained_runs import Stepping, iterate
 from surrofe2.rve.micro_integration import integrate_rve

@@ -16,9 +16,9 @@ from benchmarks.measured import MEASURED, Bench, merge
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.tensors import stress_error, unrotated
 from surrofe2.cache import CacheSettings
-from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.deformation_paths import (

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.report.figures import Curve, Panel
 from surrofe2.report.study import Study
 from surrofe2.report.tables import Quantity, Table
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.rve.continuation import Continuation
 

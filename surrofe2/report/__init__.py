@@ -1,11 +1,11 @@
-"""Reports: tables, figures and files of studies, and comparisons of finished runs.
+"""Reports: tables, figures and files of studies, comparisons of finished runs, and their page.
 
-tables           one list of quantities, rendered for console, CSV, JSON and Markdown
-figures          panels of curves in one style, as PNG
-study            what a study hands over, and its files
-comparison       runs against a reference
-comparison_plot  their picture
-particle_plot    a look into RVEs
-page             runs as one HTML page
-grid             a parameter study
+tables      one list of quantities, rendered for console, CSV, JSON and Markdown
+figures     tissues with supports and rigid bodies, and plant cells
+study       what a study hands over, and its files
+comparison  runs against a reference, and its picture
+grid        a parameter study
+html        elements of a page
+player      what a page has of runs, and the tissue in motion
+page        runs as one HTML page, with `page.css` and `page.js`
 """

@@ -1,19 +1,22 @@
-"""How far displacement curves of one load case are apart, and what each run cost."""
+"""How far displacement curves of one load case are apart, what each run cost, and its picture."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from surrofe2.base.costs import Balance
 from surrofe2.base.errors import InputError, MismatchError
-from surrofe2.report.tables import Quantity, Table, percent
+from surrofe2.plant_cell.parameters import PRESETS
+from surrofe2.report.tables import Quantity, Table, figure, percent
+from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
-from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, presets_of
-from surrofe2.store.store import flat
+from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, caches_of, presets_of
+from surrofe2.store.store import flat, write_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,15 +203,171 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
     audit, allowed = cache["audit"], float(cache["tolerance"]["absolute"])
     if not audit["audited"]:
         return "none of the cache's answers"
-    text = f"{audit['audited']} of {cache['accepted']['hits']} accepted answers"
+    text = f"{audit['audited']:,} of {cache['accepted']['hits']:,} accepted answers"
     if audit["quantiles"]:
         text += (
-            f", error {audit['quantiles']['0.99']:.2g} µN/µm at 99 %, {audit['largest']:.2g} worst"
+            f", error {figure(audit['quantiles']['0.99'], 2)} µN/µm at 99 %, "
+            f"{figure(audit['largest'], 2)} worst"
         )
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
-    text += f"; {audit['violations']} above the tolerance of {allowed:.2g} µN/µm"
+    text += f"; {audit['violations']} above the tolerance of {figure(allowed, 2)} µN/µm"
     wrong = audit.get("wrong_at_most")  # runs of earlier versions do not have it
     if wrong is not None:
         text += f", so with 95 % confidence at most {100.0 * wrong:.2g} % of all"
     return text
+
+
+# The picture.
+
+_SEEN = 0.02
+"""Relative to the largest displacement: from there on a component has a panel."""
+_TOGETHER = 0.003
+"""Relative to the largest displacement: curves that are closer are drawn as one line."""
+_MOST_NAMED = 3
+
+
+def write_comparison_plot(path: Path, runs: Sequence[StoredRun]) -> None:
+    """Draw displacements, their differences and audited errors."""
+    panels = [*displacement_panels(runs), *difference_panels(runs), *audit_panels(runs)]
+    write_bytes(path, encoded(draw_panels(panels, title=comparison_title(runs)), "png"))
+
+
+def displacement_panels(runs: Sequence[StoredRun]) -> list[Panel]:
+    """The watched point's displacement by all runs, each component that counts in a panel.
+
+    Runs that nobody could tell from the reference are named at its line.
+    """
+    reference, *others = order_runs(runs) if len(runs) > 1 else runs
+    largest = abs(reference.curve.displacement).max(axis=0)
+    apart = {k: difference(run.curve, reference.curve).largest for k, run in enumerate(others)}
+    close = [k for k in apart if apart[k] < _TOGETHER]
+    label = ", ".join(_label(run, reference) for run in (reference, *(others[k] for k in close)))
+    if close:
+        label += f" (at most {percent(2)(max(apart[k] for k in close))} apart)"
+    name = "reference" if len(close) < len(others) else ""
+    panels: list[Panel] = []
+    for axis in np.argsort(-largest).tolist():
+        if panels and largest[axis] < _SEEN * largest.max():
+            continue
+        t, u = reference.curve.t, reference.curve.displacement[:, axis]
+        curves = [Curve(name, t, u, label, markers=False, colour=0)]
+        for k, run in enumerate(others):
+            if k not in close:
+                u = run.curve.displacement[:, axis]
+                what = _label(run, reference)
+                curves.append(Curve("", run.curve.t, u, what, markers=False, colour=k))
+        y_label, title = f"displacement $u_{'xy'[axis]}$ (µm)", "" if panels else label
+        title = "" if len(curves) > 1 else title
+        height = 0.55 if panels else 1.0
+        panels.append(Panel(clock_of(reference), y_label, tuple(curves), title, height=height))
+    return panels
+
+
+def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
+    """How far each run's displacement is from the reference's, relative to the largest."""
+    reference, *others = order_runs(runs)
+    t, there = reference.curve.t, reference.curve.displacement
+    scale = np.linalg.norm(there, axis=1).max() or 1.0
+    differences = []
+    for k, run in enumerate(others):
+        u = run.curve.displacement
+        apart = [u[:, i] - np.interp(run.curve.t, t, there[:, i]) for i in range(2)]
+        relative = 100.0 * np.linalg.norm(apart, axis=0) / scale
+        label = _label(run, reference)
+        differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
+    names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
+    title = f"Difference of {names}{reference.folder.name}, relative to the largest displacement"
+    panel = Panel(clock_of(reference), "difference (%)", tuple(differences), title, height=0.6)
+    return [panel]
+
+
+def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
+    """How many audited answers of the caches have at most which error; none without audits."""
+    curves: list[Curve] = []
+    for k, run in enumerate(order_runs(runs)[1:] if len(runs) > 1 else runs):
+        for name, cache in caches_of(run.record.cache).items():
+            if cache["audit"]["quantiles"]:
+                of = f"{run.folder.name}, {name}" if name else run.folder.name
+                curves += audit_curves(cache["audit"], k, of)
+    title = "Errors of the cache's stress found by audits"
+    labels = "error of the stress (µN/µm)", "answers with at\nmost this error (%)"
+    panel = Panel(*labels, tuple(curves), title, log_x=True, zero=True, height=0.6)
+    return [panel] if curves else []
+
+
+def audit_curves(audit: Mapping[str, Any], k: int, of: str) -> list[Curve]:
+    """Audited answers of run k with at most an error over that error, and the tolerance."""
+    histogram = audit["histogram"]
+    bins = np.array(histogram["bins"])
+    order = np.argsort(bins)
+    counts = np.array(histogram["counts"], dtype=np.float64)[order]
+    bins = np.concatenate([bins[order][:1] - 1, bins[order]])
+    # Bin k ends at the smallest edge times 10^(k / bins a decade).
+    errors = histogram["smallest_edge"] * 10.0 ** (bins / histogram["bins_a_decade"])
+    below = 100.0 * np.concatenate([[0.0], np.cumsum(counts) / counts.sum()])
+    curves = [Curve("", errors, below, f"{of}: audited errors", False, k, "-")]
+    if np.isfinite(tolerance := float(audit["tolerance"])):
+        label = f"tolerance: {audit['violations']} of {audit['audited']:,} above"
+        line = np.full(2, tolerance), np.array([0.0, 100.0])
+        curves.append(Curve("", *line, label, False, k, "--"))
+    return curves
+
+
+def clock_of(run: StoredRun) -> str:
+    """What a run's curves are over."""
+    return "load factor" if "rest" in run.record.recipe else "time (µs)"
+
+
+def comparison_title(runs: Sequence[StoredRun]) -> str:
+    """Watched point, problem, plant cell, and the initialisation that the runs have in common."""
+    reference = (order_runs(runs) if len(runs) > 1 else runs)[0]
+    recipe, usual = reference.record.recipe, reference.record.initialisation
+    watched = reference.record.problem.get("watched") or recipe.get("watch", {})
+    point = "Watched point"
+    for name, at in [(name, at) for name, at in watched.items() if at][:1]:
+        label = "" if name == "point" else f" “{name}”"
+        point = f"Watched point{label} ({at[0]:g}, {at[1]:g}) µm"
+    details = ", ".join(filter(None, [_cells_of(recipe), usual.replace("none", "")]))
+    return f"{point}: {_problem_of(recipe)}" + (details and f",\n{details}")
+
+
+def _problem_of(recipe: Mapping[str, Any]) -> str:
+    """What a run computes, in a line: the bar, or the mesh and all that acts on it."""
+    mesh, conditions, bodies = recipe["mesh"], recipe["conditions"], recipe["bodies"]
+    acting = [*conditions, *bodies]
+    if mesh.get("file"):
+        return f"{mesh['file']}: {', '.join(acting)}"
+    number = mesh["elements"]  # one number where the mesh was made in Python
+    elements = f"{number if isinstance(number, int) else '{} × {}'.format(*number)} elements"
+    of = f"{mesh['width']:g} × {mesh['height']:g} µm"
+    if acting == ["clamp", "load"] and "acceleration" in conditions["load"]:
+        g_x, g_y = (f"{g:g}".replace("-", "−") for g in conditions["load"]["acceleration"])
+        return f"{of} tissue, body force ({g_x}, {g_y}) µm/µs², {elements}"
+    return f"{of}, {elements}: {', '.join(acting)}"
+
+
+def _cells_of(recipe: Mapping[str, Any]) -> str:
+    """The preset of each cell, with the constants that are not the preset's."""
+    cells = {"": recipe["cell"]} if "cell" in recipe else recipe.get("cells", {})
+    titles = []
+    for name, cell in cells.items():
+        preset = str(cell.get("preset", "none"))
+        known = PRESETS[preset].to_dict() if preset in PRESETS else {}
+        changed = [f"{key} {cell[key]}" for key in known if cell.get(key, known[key]) != known[key]]
+        if len(changed) > _MOST_NAMED:
+            changed = [*changed[:_MOST_NAMED], f"{len(changed) - _MOST_NAMED} more constants"]
+        but = f" but {', '.join(changed)}" if changed else ""
+        titles.append(f"cell {name and name + ' '}by preset “{preset}”{but}")
+    return ", ".join(titles)
+
+
+def _label(run: StoredRun, reference: StoredRun) -> str:
+    """The folder, and what differs from the title's cell and initialisation."""
+    record, usual = run.record, reference.record
+    notes = [] if run.folder.name == record.law else [record.law]
+    if _cells_of(record.recipe) != _cells_of(usual.recipe):
+        notes.append(_cells_of(record.recipe))
+    if record.initialisation not in ("none", usual.initialisation):
+        notes.append(record.initialisation)
+    return f"{run.folder.name} ({', '.join(notes)})" if notes else run.folder.name

@@ -1,248 +1,368 @@
-"""Figures: panels of curves in one style, and how they become PNG files."""
+"""Figures of tissues with supports and rigid bodies, and of plant cells."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError
-from surrofe2.report.tables import Table
-from surrofe2.store.store import write_bytes
+from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape
+from surrofe2.run.charts import VERMILION
+from surrofe2.rve.particles import Particles
+from surrofe2.store.fields import StoredFields
 
 Array = NDArray[np.float64]
 
-# Okabe and Ito's palette, told apart by readers of every colour vision.
-BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
-VERMILION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
-_REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
-# A grid of 41 x 41 points fills a panel of _PANEL_SIZE without gaps.
-_TILE = ((-1.0, -0.62), (1.0, -0.62), (1.0, 0.62), (-1.0, 0.62))
-_AREA: dict[str, Any] = {
-    "linestyle": "none", "marker": _TILE, "markersize": 7.0, "fillstyle": "full", "mew": 0.0,
-}  # fmt: skip
-_STYLES: dict[str, dict[str, Any]] = {
-    "cauchy-born": {"color": PURPLE, "linestyle": ":", "marker": "^"},
-    "elastic": {"color": VERMILION, "linestyle": "--", "marker": "s"},
-    "constrained-runs": {"color": BLUE, "linestyle": "-.", "marker": "o"},
-    "slow-manifold": {"color": GREEN, "linestyle": "-", "marker": "x", "zorder": 1.5},
-    "direct": {"color": SKY, "linestyle": "-", "marker": "D"},
-    "micro-integration": _REFERENCE,
-    "tissue": _REFERENCE,
-    "reference": _REFERENCE,
-    "stable": _AREA | {"color": BLUE},
-    "stable after leaving a bifurcation": _AREA | {"color": ORANGE},
-    "no stable state found": _AREA | {"color": PURPLE},
-    "solve failed": _AREA | {"color": "black"},
-}
-PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-"""Colours of curves without a style of their own, in turn."""
-_TURNS: tuple[dict[str, str], ...] = (
-    {"marker": "o", "linestyle": "-"},
-    {"marker": "s", "linestyle": "--"},
-    {"marker": "^", "linestyle": ":"},
-)
-_DASHES = ("-", "--", "-.", ":")
-"""Of lines without markers, in turn."""
-_PANEL_SIZE = (4.6, 3.1)  # inches
-_LEGEND_HEIGHT, _LINE_HEIGHT = 0.7, 0.32
+MARGIN = 0.08
+"""Room about a tissue with bodies, as a fraction of its size."""
+_LEAST_SPAN = 0.02
+"""Of colours, relative to the largest value: smaller differences are noise and look like it."""
+_BOTH_SIGNS = 0.05
+"""Of the largest value: from there on a value of the other sign makes colours diverge."""
+_SIDES = 5000
+"""Elements from which on their sides are not drawn."""
+_ARC = 48
+"""Sides of a drawn circle."""
+_STILL = 1e-6
+"""Of the largest displacement: what moves less is held."""
+_PANELS = 6
+"""Times at which plant cells are drawn."""
+_COPIES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+def rounded_up(value: float) -> float:
+    """The next of 1, 2, 2.5, 5 or 10 times a power of ten."""
+    if value <= 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(k for k in (1.0, 2.0, 2.5, 5.0, 10.0) if k * power >= value * 0.9999) * power)
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """One line of a panel.
+class Colours:
+    """What values look like: a colour map between round limits, and words with the unit."""
 
-    Attributes:
-        name: decides colour, dash and marker, so that a name looks alike in all figures.
-        x, y: (m,) values in the units of the panel's axes; NaN leaves a gap, as does a value that a
-            logarithm does not show.
-        label: for the legend; empty: the name.
-        markers: whether single points are marked.
-        colour: which one of those for curves without a style; None: the next one.
-        dash: of matplotlib; empty: as the name or the turn has it.
-        steps: whether y holds from the point before on, filled below; for histograms.
-    """
-
+    label: str
+    low: float
+    high: float
     name: str
-    x: Array
-    y: Array
-    label: str = ""
-    markers: bool = True
-    colour: int | None = None
-    dash: str = ""
-    steps: bool = False
 
-    def __post_init__(self) -> None:
-        if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
-            raise InputError(
-                f"curve {self.name}: x {np.shape(self.x)} and y {np.shape(self.y)}; both must be "
-                "(m,)"
-            )
+    @classmethod
+    def of(cls, label: str, values: Array, name: str = "viridis") -> Colours:
+        """For these values; a map that diverges from 0 where they have both signs."""
+        known = values[np.isfinite(values)]
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        largest = max(abs(low), abs(high)) or 1.0
+        if min(-low, high) > _BOTH_SIGNS * largest:
+            end = rounded_up(largest)
+            return cls(label, -end, end, "RdBu_r")
+        lacking = 0.5 * max(_LEAST_SPAN * largest - (high - low), 0.0)
+        step = rounded_up(0.2 * (high - low + 2.0 * lacking))
+        ends = np.floor((low - lacking) / step + 1e-6), np.ceil((high + lacking) / step - 1e-6)
+        return cls(label, float(ends[0] * step), float(ends[1] * step), name)
+
+    def paint(self, drawn: Collection, values: Array) -> Any:
+        """Colour a collection by values, grey where they are unknown."""
+        colours = colormaps[self.name].with_extremes(bad="0.6")
+        drawn.set(array=values, cmap=colours, clim=(self.low, self.high))
+        return drawn
+
+    def bar(self, places: Axes | Sequence[Axes], drawn: Any) -> None:
+        """The colour bar beside one or more axes."""
+        places = [places] if isinstance(places, Axes) else [*places]
+        figure = places[0].get_figure()
+        assert figure is not None
+        bar = figure.colorbar(drawn, ax=places, label=self.label, shrink=0.8, aspect=25)
+        bar.locator = MaxNLocator(5)
+        bar.update_ticks()
+        bar.ax.ticklabel_format(useOffset=False)
+
+
+def draw_scale_bar(axes: Axes, low: Array, high: Array) -> None:
+    """A bar of round length below a box of two corners, and room for it."""
+    width, room = float(high[0] - low[0]), 0.07 * float(max(high - low))
+    length = rounded_up(0.12 * width)
+    y = low[1] - room
+    axes.plot([low[0], low[0] + length], [y, y], color="black", linewidth=2.5, clip_on=False)
+    text = f"{length / 1000.0:g} mm" if length >= 1000.0 else f"{length:g} µm"
+    axes.text(low[0] + 0.5 * length, y - 0.3 * room, text, ha="center", va="top", fontsize=8)
+    axes.set(xlim=(low[0], high[0]), ylim=(y - 2.0 * room, high[1]), aspect="equal")
+    axes.axis("off")
+
+
+# A tissue, its supports and rigid bodies.
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
-    """One pair of axes; labels carry units.
+class DrawnBody:
+    """A body at the times of the fields.
 
     Attributes:
-        x_ticks: where x is marked, by these numbers; empty: wherever it suits.
-        x_names: what stands there in the place of the numbers.
-        zero: whether the line y = 0 is drawn and in sight.
-        height: of the panel, relative to the usual.
+        outline: (n, 2) where it began, a plane's and a corner's cut off far from the tissue, µm.
+        moved: (m, 2) how far it is from there, µm.
     """
 
-    x_label: str
-    y_label: str
-    curves: tuple[Curve, ...]
-    title: str = ""
-    log_x: bool = False
-    log_y: bool = False
-    x_ticks: tuple[float, ...] = ()
-    x_names: tuple[str, ...] = ()
-    zero: bool = False
-    height: float = 1.0
+    outline: Array
+    moved: Array
+
+    def at(self, k: int, factor: float) -> Array:
+        """(n, 2) outline at time k, its displacement multiplied as the tissue's is."""
+        return self.outline + factor * self.moved[k]
 
 
-def write_figure(
-    path: Path,
+def drawn_bodies(
+    bodies: Iterable[RigidBody], t: Array, history: Mapping[str, Array], fields: StoredFields
+) -> list[DrawnBody]:
+    """Rigid bodies at the times of the fields; history: of a run, at its times t."""
+    far, drawn = 4.0 * float(np.ptp(fields.points, axis=0).max()), []
+    for body in bodies:
+        moved = np.zeros((len(fields.t), 2))
+        if f"position {body.name} x" in history:  # counted from where the body began
+            position = [history[f"position {body.name} {axis}"] for axis in "xy"]
+            moved = np.stack([np.interp(fields.t, t, each) for each in position], axis=1)
+        drawn.append(DrawnBody(np.array(body.position) + outline(body.shape, far), moved))
+    return drawn
+
+
+def outline(shape: Shape, far: float) -> Array:
+    """(n, 2) closed line of a shape about its position, cut off at a distance of some `far`, µm."""
+    if isinstance(shape, Plane):
+        x, y = np.array(shape.normal) / np.linalg.norm(shape.normal)
+        along, inward = far * np.array([-y, x]), -far * np.array([x, y])
+        return np.stack([along, -along, inward - along, inward + along])
+    if isinstance(shape, Circle):
+        turn = 2.0 * np.pi * np.arange(_ARC) / _ARC
+        return shape.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    assert isinstance(shape, Corner)
+    x, y, cosine, sine, radius = shape.wedge
+    axis, across = np.array([x, y]), np.array([-y, x])
+    half = np.arctan2(sine, cosine)
+    turn = np.linspace(half + 0.5 * np.pi, 1.5 * np.pi - half, _ARC)[:, None]
+    arc = radius * (axis + np.cos(turn) * axis + np.sin(turn) * across)
+    ends = [arc[k] + far * (cosine * axis + side * sine * across) for k, side in ((0, 1), (-1, -1))]
+    return np.vstack([ends[0], arc, ends[1]])
+
+
+def rim(fields: StoredFields) -> list[int]:
+    """Order of an element's nodes along its sides."""
+    corners = fields.cells.shape[1]
+    return [0, 3, 1, 4, 2, 5] if corners == 6 else [*range(corners)]
+
+
+def box(at: Array, bodies: Sequence[DrawnBody]) -> tuple[Array, Array]:
+    """Lower left and upper right corner of what is shown of positions (…, 2); bodies need room."""
+    points = at.reshape(-1, 2)
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = MARGIN * float((high - low).max()) if bodies else 0.0
+    return low - room, high + room
+
+
+def draw_tissue(
+    axes: Axes,
+    fields: StoredFields,
+    k: int,
+    values: Array,
+    colours: Colours,
+    *,
+    factor: float = 1.0,
+    bodies: Sequence[DrawnBody] = (),
+) -> Any:
+    """The tissue at time k with supports, rigid bodies and a scale bar; what a colour bar takes.
+
+    A half with a line of symmetry at its end is drawn whole.
+
+    Args:
+        values: (e,) of the elements.
+        factor: displacements are drawn so many times as large.
+    """
+    at, order = fields.points + factor * fields.displacement[k], rim(fields)
+    sides = _held_sides(fields)
+    mirrors: list[tuple[int, float]] = []  # axis, and where on it
+    for axis in (0, 1):
+        places = {float(fields.points[side.nodes[0], axis]) for side in sides if side.still == axis}
+        if len(places) == 1 and places <= {*fields.points[:, axis][[*_ends(fields.points, axis)]]}:
+            mirrors.append((axis, places.pop()))
+    copies = [at]
+    for axis, place in mirrors:
+        copies += [np.where(np.arange(2) == axis, 2.0 * place - each, each) for each in copies]
+    low, high = box(np.concatenate(copies), bodies)
+    for body in bodies:
+        axes.fill(*body.at(k, factor).T, facecolor="0.85", edgecolor="0.4", linewidth=1.0)
+    for each in copies:
+        corners = [*each[fields.cells[:, order]]]
+        width = 0.3 * (len(corners) < _SIDES)
+        drawn: Collection = PolyCollection(corners, edgecolors="0.4", linewidths=width)
+        if fields.cells.shape[1] == 2:  # the springs of a full tissue
+            drawn = LineCollection(corners, linewidths=0.8)
+        axes.add_collection(colours.paint(drawn, values))
+    depth = 0.035 * float(max(high - low))
+    for side in sides:
+        for each in copies:
+            ends = each[[*side.nodes]]
+            if side.still == _BOTH:
+                out = depth * _outward(ends, each[side.inside])
+                band = np.vstack([ends, ends[::-1] + out])
+                axes.fill(*band.T, facecolor="none", edgecolor="0.4", hatch="/////", linewidth=0.0)
+                low, high = np.minimum(low, band.min(axis=0)), np.maximum(high, band.max(axis=0))
+            if side.still in (_BOTH, _RIGID):
+                axes.plot(*ends.T, color="0.15", linewidth=2.5, solid_capstyle="butt")
+            else:  # a line of symmetry
+                axes.plot(*ends.T, color="0.15", linewidth=0.8, dashes=(8, 2, 2, 2))
+    draw_scale_bar(axes, low, high)
+    return drawn
+
+
+_BOTH, _RIGID = 2, 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """A side of an element on the boundary that is held.
+
+    nodes: its ends. inside: a node across. still: the component, 0 or 1, that does not move; _BOTH;
+    or _RIGID of a side that moves as it is.
+    """
+
+    nodes: tuple[int, int]
+    inside: int
+    still: int
+
+
+def _held_sides(fields: StoredFields) -> list[_Side]:
+    """Sides on the boundary that supports or grips hold, by how they move in all of the fields."""
+    corners = {3: 3, 4: 4, 6: 3}.get(fields.cells.shape[1], 0)
+    u = fields.displacement
+    still = _STILL * float(abs(u).max())
+    if not corners or not still:
+        return []
+    owners: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    for element in fields.cells[:, :corners].tolist():
+        for j in range(corners):
+            a, b, inside = element[j], element[(j + 1) % corners], element[(j + 2) % corners]
+            owners.setdefault((min(a, b), max(a, b)), []).append((a, b, inside))
+    found = []
+    for (a, b, inside), *others in owners.values():
+        if others:
+            continue
+        along = abs(fields.points[b] - fields.points[a])
+        fixed = abs(u[:, [a, b]]).max(axis=(0, 1)) <= still
+        if fixed.all():
+            found.append(_Side((a, b), inside, _BOTH))
+        elif abs(u[:, a] - u[:, b]).max() <= still:
+            found.append(_Side((a, b), inside, _RIGID))
+        elif fixed.any() and along[fixed.argmax()] < 1e-6 * along.sum():
+            found.append(_Side((a, b), inside, int(fixed.argmax())))
+    return found
+
+
+def _ends(points: Array, axis: int) -> tuple[int, int]:
+    return int(points[:, axis].argmin()), int(points[:, axis].argmax())
+
+
+def _outward(ends: Array, inside: Array) -> Array:
+    along = ends[1] - ends[0]
+    normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    return normal if normal @ (ends[0] - inside) > 0.0 else -normal
+
+
+# Plant cells.
+
+
+def draw_cells(
+    axes: Axes, seen: Particles, k: int, walls: Colours, fluid: Colours, half: float = 0.0
+) -> tuple[Any, Any]:
+    """RVE k with its neighbours: walls by stretch, fluid by turgor; what colour bars take.
+
+    half: of the width of the window about its centre, µm; 0: the RVE and a little more.
+    """
+    lattice = seen.F[k] @ seen.lattice
+    copies = _COPIES @ lattice.T
+    x, n_walls = seen.position[k], int(seen.is_wall.sum())
+    half = half or 0.75 * float(abs(lattice).sum(axis=0).max())
+    first, second = x[seen.bonds[:, 0]], x[seen.bonds[:, 1]] + seen.bond_shift @ lattice.T
+    segments = (np.stack([first, second], axis=1)[None] + copies[:, None, None]).reshape(-1, 2, 2)
+    drawn = LineCollection([*segments], linewidths=2.2, capstyle="round")
+    axes.add_collection(walls.paint(drawn, np.tile(seen.stretch[k], len(copies))))
+    dots = (x[n_walls:][None] + copies[:, None]).reshape(-1, 2)
+    size = 14.0 * min(1.0, (20.0 / half) ** 2)
+    points = axes.scatter(
+        dots[:, 0], dots[:, 1], s=max(size, 2.0), edgecolors="0.5", linewidths=0.3
+    )
+    fluid.paint(points, np.tile(seen.pressure[k], len(copies)))
+    centre = x[:n_walls].mean(axis=0) + 0.25 * lattice.sum(axis=1)
+    draw_scale_bar(axes, centre - half, centre + half)
+    window = Rectangle(centre - half, 2.0 * half, 2.0 * half, transform=axes.transData)
+    for each in (drawn, points):
+        each.set_clip_path(window)
+    return drawn, points
+
+
+def cell_colours(seen: Particles) -> tuple[Colours, Colours]:
+    """Of walls and fluid, over all RVEs."""
+    return (
+        Colours.of("wall length / rest length", seen.stretch, "viridis"),
+        Colours.of("turgor (µN/µm)", seen.pressure, "Blues"),
+    )
+
+
+def cell_figure(
     title: str,
-    panels: Sequence[Panel],
-    columns: int = 1,
-    table: Table[Any] | None = None,
-) -> None:
-    """Draw panels, so many in a row, into a PNG; below all of them the table and one legend."""
-    figure = make_figure(panels, columns=columns, table=table)
-    figure.suptitle(title, fontsize=11)
-    write_png(path, figure)
-
-
-def make_figure(
-    panels: Sequence[Panel],
-    size: tuple[float, float] | None = None,
-    columns: int = 1,
-    table: Table[Any] | None = None,
+    seen: Particles,
+    fields: StoredFields,
+    element: int,
+    point: Sequence[float],
+    clock: str = "t = {:.4g} µs",
 ) -> Figure:
-    """A figure of panels, so many in a row; below all of them the table and one legend.
+    """A look into the plant cells at a point: where it is, wall stretch over time, six times.
 
-    size: width and height in inches; None: as the panels need.
+    Args:
+        seen: the RVE of an element at the times of the fields.
+        point: that was asked for, in the undeformed tissue, µm.
+        clock: how a time is written.
     """
-    rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
-    heights = [_PANEL_SIZE[1] * max(panel.height for panel in row) for row in rows]
-    if table is not None:
-        heights.append(_LINE_HEIGHT * (len(table.rows) + 2))
-    if size is None:
-        width = max(_PANEL_SIZE[0] * columns, 6.4 if table is None else 8.0)
-        size = (width, sum(heights) + _LEGEND_HEIGHT)
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    if not heights:
-        return figure
-    axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
-    for place in axes.flat[len(panels) :]:
-        place.axis("off")
-    for place, panel in zip(axes.flat, panels, strict=False):
-        _draw_panel(place, panel)
-    if table is not None:
-        _draw_table(axes[-1, 0], table)
-    _draw_legend(figure, axes.flat)
+    t = fields.t
+    chosen = np.unique(np.linspace(0, len(t) - 1, min(_PANELS, len(t))).round().astype(int))
+    columns = min(3, len(chosen))
+    rows = -(-len(chosen) // columns)
+    figure = Figure(figsize=(3.0 * columns + 1.8, 3.0 * rows + 2.6), layout="constrained")
+    figure.suptitle(title, fontsize=11)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(2.2, 3.0 * rows))
+    above, below = parts
+    place, curve = above.subplots(1, 2, width_ratios=(1.0, 1.4))
+
+    still = fields.points[fields.cells[:, rim(fields)]]
+    place.add_collection(PolyCollection([*still], facecolors="0.93", edgecolors="0.6"))
+    place.add_collection(PolyCollection([still[element]], facecolors="0.6"))
+    place.plot(*point, "x", color=VERMILION, markersize=8.0, mew=2.0)
+    draw_scale_bar(place, *box(fields.points, ()))
+    place.set_title("element and point (×)", fontsize=9)
+
+    stretch = seen.extremes()["largest_wall_stretch"]
+    curve.plot(t, stretch, color="0.3", linewidth=1.2)
+    curve.plot(t[chosen], stretch[chosen], "o", color=VERMILION, markersize=5.0)
+    curve.set_xlabel("time (µs)" if "µs" in clock else "load factor")
+    curve.set_ylabel("largest wall length\n/ rest length")
+    curve.ticklabel_format(useOffset=False)
+    curve.set_title("dots: the times below", fontsize=9)
+    curve.grid(alpha=0.25)
+
+    walls, fluid = cell_colours(seen)
+    half = 0.75 * float(abs(np.einsum("nij,jk->nki", seen.F, seen.lattice)).sum(axis=1).max())
+    places = below.subplots(rows, columns, squeeze=False)
+    for axes, k in zip(places.flat, chosen, strict=False):
+        drawn = draw_cells(axes, seen, int(k), walls, fluid, half)
+        axes.set_title(clock.format(t[k]), fontsize=9)
+    for axes in places.flat[len(chosen) :]:
+        axes.axis("off")
+    for colours, of in zip((walls, fluid), drawn, strict=True):
+        colours.bar(places.ravel().tolist(), of)
     return figure
-
-
-def drawn(figure: Figure, form: str = "png") -> bytes:
-    """A figure as PNG, or as SVG, whose words stay words."""
-    picture, options = BytesIO(), {"dpi": 150} if form == "png" else {"metadata": {"Date": None}}
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "surrofe2"}):
-        figure.savefig(picture, format=form, **options)
-    return picture.getvalue()
-
-
-def write_png(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG."""
-    write_bytes(path, drawn(figure))
-
-
-def _draw_table(axes: Axes, table: Table[Any]) -> None:
-    headings, rows = table.for_people()
-    drawn = axes.table(rows, colLabels=headings, loc="center", cellLoc="center", edges="horizontal")
-    drawn.auto_set_font_size(False)
-    drawn.set_fontsize(min(8.0, 64.0 / len(headings)))
-    drawn.auto_set_column_width(range(len(headings)))
-    drawn.scale(1.0, 1.25)
-    for entry in drawn.get_celld().values():
-        entry.set_linewidth(0.5)
-        entry.set_edgecolor("0.6")
-
-
-def _draw_panel(axes: Axes, panel: Panel) -> None:
-    """Draw curves, labels and scales."""
-    others = 0
-    for curve in panel.curves:
-        style = _STYLES.get(curve.name)
-        if style is None:
-            style = _other_style(others if curve.colour is None else curve.colour, curve.markers)
-            others += 1
-        style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **style}
-        if not curve.markers:
-            style.pop("marker", None)
-        if curve.dash:
-            style["linestyle"] = curve.dash
-        y = np.where(np.asarray(curve.y) > 0.0, curve.y, np.nan) if panel.log_y else curve.y
-        if curve.steps:
-            axes.fill_between(curve.x, y, step="pre", color=style["color"], alpha=0.25, linewidth=0)
-            style["drawstyle"] = "steps-pre"
-        axes.plot(curve.x, y, label=curve.label or curve.name, **style)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
-    if panel.title:
-        axes.set_title(panel.title, fontsize=10)
-    if not panel.log_x:
-        axes.xaxis.set_major_locator(MaxNLocator(6))
-    elif any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves):
-        axes.set_xscale("symlog", linthresh=1.0, linscale=0.3)
-    else:
-        axes.set_xscale("log")
-    if panel.log_y:
-        axes.set_yscale("log")
-    if panel.x_ticks:
-        axes.set_xticks(panel.x_ticks, panel.x_names or [f"{x:g}" for x in panel.x_ticks])
-        axes.set_xticks([], minor=True)
-    if panel.zero:
-        axes.axhline(0.0, color="black", linewidth=0.8)
-    axes.grid(alpha=0.25)
-    axes.margins(x=0.03)
-
-
-def _other_style(k: int, markers: bool) -> dict[str, str]:
-    """Colours in turn; where they begin anew, with another marker and dash."""
-    colour = PALETTE[k % len(PALETTE)]
-    if not markers:
-        return {"color": colour, "linestyle": _DASHES[k % len(_DASHES)]}
-    return {"color": colour, **_TURNS[k // len(PALETTE) % len(_TURNS)]}
-
-
-def _draw_legend(figure: Figure, places: Iterable[Axes]) -> None:
-    """One legend below all axes, each label once; none for a single label."""
-    handles: dict[str, Any] = {}
-    for place in places:
-        for handle, label in zip(*place.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    if len(handles) > 1:
-        figure.legend(
-            list(handles.values()),
-            list(handles),
-            loc="outside lower center",
-            ncols=3 if figure.get_figwidth() > 8.0 else 2,
-            frameon=False,
-            fontsize=9,
-            handlelength=2.8,
-        )

@@ -13,9 +13,10 @@ from surrofe2.base.units import NONE
 from surrofe2.recipe.entries import text_of
 from surrofe2.recipe.recipe import SECTIONS
 from surrofe2.report.comparison import compared_run
-from surrofe2.report.figures import Curve, Panel, write_figure
 from surrofe2.report.tables import Quantity, Table, percent
+from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.store.run_folder import StoredRun, caches_of
+from surrofe2.store.store import write_bytes
 
 _MOST_CURVES = 12
 """Of displacements over time that are drawn; more are not told apart."""
@@ -224,7 +225,8 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
         if curves and not (name == "wall time" and panels[-1].title == "speed-up"):
             panels.append(_panel(grid, changing[0], name, axis, curves, log_y))
     of = ", ".join(f"{name} {_ends(values)}" for name, values in grid.values.items())
-    write_figure(path, f"{grid.recipe}: {of}", panels, columns=2)
+    figure = draw_panels(panels, 2, title=f"{grid.recipe}: {of}")
+    write_bytes(path, encoded(figure, "png"))
 
 
 def _ends(values: tuple[Any, ...]) -> str:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.report.figures import Panel, write_figure
 from surrofe2.report.tables import Table, to_csv
-from surrofe2.store.store import keep, write_text
+from surrofe2.run.charts import Panel, draw_panels, encoded
+from surrofe2.store.store import keep, write_bytes, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,8 @@ def keep_study(
         studies.append(study)
         write_text(md, study.table.to_markdown())
         write_text(csv, study.to_csv())
-        write_figure(png, f"{study.title}, {of}", study.panels, study.columns)
+        title = f"{study.title}, {of}"
+        write_bytes(png, encoded(draw_panels(study.panels, study.columns, title=title), "png"))
         return {"study": stem, **study.to_record(), "fingerprint": of.cell.fingerprint}
 
     keep(json, known, compute, fresh=fresh)

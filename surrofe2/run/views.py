@@ -7,7 +7,6 @@ from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from importlib import import_module
-from io import BytesIO
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import ENERGY, FORCE, LENGTH
+from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import DisplacementCurve
 
 Array = NDArray[np.float64]
@@ -29,6 +29,10 @@ class Viewed(ABC):
     @abstractmethod
     def facts(self) -> Facts:
         """What matters of it, by name."""
+
+    def __repr__(self) -> str:
+        facts = ", ".join(f"{name} {value}" for name, value in self.facts().items())
+        return f"<{type(self).__name__}: {facts}>"
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -90,23 +94,26 @@ class ViewedRun(Viewed):
         """
         import matplotlib.pyplot as plt
 
-        groups: dict[str, dict[str, Series]] = {}
-        for name, each in self.series().items():
-            groups.setdefault(each.group, {})[name] = each
-        shown = {g: groups[g] for g in ("displacement", "force", "energy") if g in groups}
-        figure, axes = plt.subplots(
-            len(shown), sharex=True, squeeze=False, layout="constrained",
-            figsize=(7, 2.6 * len(shown)),
-        )  # fmt: skip
-        for place, (group, those) in zip(axes[:, 0], shown.items(), strict=True):
-            for name, each in those.items():
-                place.plot(self.curve.t, each.values, label=name.removeprefix(f"{group} "))
-            place.set_ylabel(f"{group} ({next(iter(those.values())).unit})")
-            place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-            place.grid(alpha=0.3)
-        axes[-1, 0].set_xlabel("time t (µs)")
-        figure.align_ylabels()
-        return axes[:, 0]
+        panels = self.panels()
+        return np.array(draw_panels(panels, figure=plt.figure()).axes)
+
+    def panels(self) -> list[Panel]:
+        """Displacements, forces and energies over time, where there are any."""
+        found = []
+        for group in ("displacement", "force", "energy"):
+            curves = {
+                name.removeprefix(f"{group} "): each
+                for name, each in self.series().items()
+                if each.group == group
+            }
+            if curves:
+                lines = (
+                    Curve("", self.curve.t, each.values, name, markers=False)
+                    for name, each in curves.items()
+                )
+                unit = next(iter(curves.values())).unit
+                found.append(Panel("time (µs)", f"{group} ({unit})", tuple(lines), height=0.8))
+        return found
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame` over t in µs of displacements, forces and energies.
@@ -138,7 +145,7 @@ class ViewedRun(Viewed):
         return xarray.Dataset(fields, coordinates, {"source": repr(self)})
 
     def _repr_html_(self) -> str:
-        return super()._repr_html_().removesuffix("</div>") + f"{_drawn(self.curve)}</div>"
+        return super()._repr_html_().removesuffix("</div>") + f"{_picture(self)}</div>"
 
 
 def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[str, int]) -> Facts:
@@ -151,22 +158,12 @@ def course(curve: DisplacementCurve, wall: Mapping[str, float], counts: Mapping[
     }
 
 
-def _drawn(curve: DisplacementCurve) -> str:
-    """The components of a displacement over time, as a picture."""
-    if curve.t.size < 2:
+def _picture(run: ViewedRun) -> str:
+    """The displacements over time."""
+    if run.curve.t.size < 2:
         return ""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.5, 2.0), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(curve.t, curve.displacement, label=["$u_x$", "$u_y$"])
-    axes.set(xlabel="time t (µs)", ylabel="displacement (µm)")
-    axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
-    picture = BytesIO()
-    figure.savefig(picture, format="png")
-    source = b64encode(picture.getvalue()).decode()
-    return f'<img alt="displacement over time" src="data:image/png;base64,{source}"/>'
+    source = b64encode(encoded(draw_panels(run.panels()[:1]))).decode()
+    return f'<img alt="displacement over time" src="data:image/svg+xml;base64,{source}"/>'
 
 
 def _library(name: str, method: str) -> Any:

@@ -162,7 +162,7 @@ class RunRecord:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class StoredRun(ViewedRun):
     """A run read back from its folder; `history` as `MacroRun` has it, empty without the file."""
 

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from surrofe2.base.errors import InputError
-from surrofe2.report.comparison import Comparison
+from surrofe2.report.comparison import Comparison, write_comparison_plot
 from surrofe2.report.comparison import compare as compare_stored
-from surrofe2.report.comparison_plot import write_comparison_plot
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import digest, keep
 
@@ -27,7 +26,7 @@ def compare_runs(
     of = {run.folder.name: digest(run.folder / "run.json")[:16] for run in runs}
 
     def make() -> dict[str, Any]:
-        write_comparison_plot(out / COMPARISON_FILES[1], result, runs)
+        write_comparison_plot(out / COMPARISON_FILES[1], runs)
         return result.to_dict()
 
     keep(out / COMPARISON_FILES[0], {"of": of}, make, folder=out, fresh=fresh)

@@ -9,8 +9,8 @@ from typing import Any
 
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.report.comparison import compare, order_runs
-from surrofe2.report.page.document import page_of
-from surrofe2.report.page.report_data import OF_ELEMENTS, OF_POINTS, ReportData, RunData
+from surrofe2.report.page import page_of
+from surrofe2.report.player import OF_ELEMENTS, OF_POINTS, ReportData, RunData
 from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
 from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
 from surrofe2.store.store import read_bytes, read_columns, write_text

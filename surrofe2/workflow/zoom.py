@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import describe
 from surrofe2.macro.discretisation import find_element
-from surrofe2.report.particle_plot import write_particle_picture
+from surrofe2.report.figures import cell_figure
+from surrofe2.run.charts import encoded
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
 from surrofe2.store.fields import F_DOT_NAME, F_NAME, StoredFields, write_rve_fields
 from surrofe2.store.run_folder import RunRecord, read_record
-from surrofe2.store.store import locked_folder, write_columns
+from surrofe2.store.store import locked_folder, write_bytes, write_columns
 from surrofe2.workflow.cell_fields import cell_numbers, read_motion, recipes_of
 from surrofe2.workflow.laws import true_law
 from surrofe2.workflow.progress import Report, no_report
@@ -29,19 +30,24 @@ class Zoom:
     """The RVE of one element over time.
 
     Attributes:
-        element: number of the element. centre: (2,) mean position of its nodes, unloaded, µm.
-        t: (n,) µs, of a rest the factor of the load.
+        point: that was asked for, unloaded, µm.
+        element: number of its element. motion: the fields of the run.
         seen: the particles at these times.
         is_rest: whether the run is a rest.
         cell: name of its plant cell, of several.
     """
 
+    point: tuple[float, float]
     element: int
-    centre: Array
-    t: Array
+    motion: StoredFields
     seen: Particles
     is_rest: bool
     cell: str = ""
+
+    @property
+    def t(self) -> Array:
+        """(n,) µs, of a rest the factor of the load."""
+        return self.motion.t
 
 
 def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
@@ -71,9 +77,8 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
     for k in np.flatnonzero(answer.status)[:1]:
         why = describe(answer.status[k])
         raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
-    centre = motion.points[motion.cells[element]].mean(axis=0)
     seen = law.particles(F, F_dot, answer.state)
-    return Zoom(element, centre, motion.t, seen, "rest" in record.recipe, name)
+    return Zoom(point, element, motion, seen, "rest" in record.recipe, name)
 
 
 def _law_at(record: RunRecord, motion: StoredFields, element: int) -> tuple[str, RveLaw]:
@@ -92,13 +97,14 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
     """
     out = Path(out)
     clock = "load factor {:.4g}" if found.is_rest else "t = {:.4g} µs"
-    x, y = found.centre
-    of = found.cell and f"{found.cell}, "
-    title = f"RVE of {of}element {found.element} about ({x:.4g}, {y:.4g}) µm"
+    x, y = found.point
+    of = found.cell and f" “{found.cell}”"
+    title = f"Plant cells{of} at ({x:.4g}, {y:.4g}) µm, element {found.element}"
     columns = {"factor" if found.is_rest else "t_us": found.t, **found.seen.extremes()}
     with locked_folder(out):
         report(0.1, "picture")
-        write_particle_picture(out / "zoom.png", title, found.seen, found.t, clock)
+        figure = cell_figure(title, found.seen, found.motion, found.element, found.point, clock)
+        write_bytes(out / "zoom.png", encoded(figure, "png"))
         report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", columns)
         write_rve_fields(out, found.seen, found.t)

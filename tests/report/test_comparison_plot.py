@@ -1,16 +1,30 @@
-"""The histogram of audited errors."""
+"""The picture of a comparison: audited errors, and curves that nobody tells apart."""
+
+from __future__ import annotations
 
 import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
-from surrofe2.report.comparison_plot import coarse_histogram
+from surrofe2.report.comparison import audit_curves, displacement_panels
+from surrofe2.store.run_folder import read_run
+from tests.report.made_runs import made_runs
 
 
-def test_each_error_is_counted_in_its_bin():
+def test_each_audited_error_is_counted_once():
     errors = 10.0 ** np.random.default_rng(1).uniform(-6.0, 0.0, 1000)
     record = ErrorRecord(0.1)
     record.add(errors)
-    edges, shares = coarse_histogram(record.to_dict()["histogram"])
-    counts = ((errors > edges[:-1, None]) & (errors <= edges[1:, None])).sum(axis=1)
-    np.testing.assert_allclose(shares, counts / 1000.0, atol=1e-12)
-    np.testing.assert_allclose(np.diff(np.log10(edges)), 0.1, rtol=1e-9)
+    curve, tolerance = audit_curves(record.to_dict(), 0, "cached")
+    below = 100.0 * (errors <= curve.x[:, None]).mean(axis=1)
+    np.testing.assert_allclose(curve.y, below, atol=1e-9)
+    assert (tolerance.x == 0.1).all()
+
+
+def test_curves_that_coincide_are_one_line_with_both_names(recipe, tmp_path):
+    runs = [read_run(folder) for folder in made_runs(recipe, tmp_path)]  # 0.1 % apart
+    assert [len(panel.curves) for panel in displacement_panels(runs)] == [1]
+    (panel,) = displacement_panels(runs)
+    assert panel.curves[0].label == "rve, cached (at most 0.1 % apart)"
+    runs[1].curve.displacement[:] *= 1.1
+    (panel,) = displacement_panels(runs)
+    assert [curve.label for curve in panel.curves] == ["rve", "cached"]

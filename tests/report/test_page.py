@@ -16,14 +16,14 @@ import pytest
 from surrofe2 import Fixed, Problem, Ramp, RigidBody, rectangle, save_run, simulate
 from surrofe2.base.errors import InputError
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane
-from surrofe2.report.figures import Curve, Panel
-from surrofe2.report.page.html import chart
-from surrofe2.report.page.motion import bodies_of, motion_section, outline
-from surrofe2.report.page.report_data import ReportData
+from surrofe2.report.figures import outline
+from surrofe2.report.html import chart
+from surrofe2.report.player import bodies_of, motion_section
+from surrofe2.run.charts import Curve, Panel
 from surrofe2.store.run_folder import read_record, write_record
 from surrofe2.workflow.report import load_runs, write_report
 from tests.laws import KelvinVoigt
-from tests.report.page.made_runs import EVIL, RISK, made_runs
+from tests.report.made_runs import EVIL, RISK, made_runs
 
 VOID = {"meta", "input", "img", "br"}
 
@@ -74,7 +74,7 @@ def test_what_ran_stands_in_the_page(page):
         "cached differs from rve by at most 0.1 % of the largest displacement and is 6 times",
         "including data and training (20 s), 6.8 times slower than full FE²",
         "it pays off after 8 such runs",
-        "200 answers of kept steps came from the cache, 6 from true RVEs (6 out of range), 2.91 %",
+        "200 answers of kept steps came from the cache, 6 from RVEs (6 out of range), 2.91 %",
         "cached, step 3: a finding",
         "40 answers audited, 0 above the tolerance, so with 95 % confidence at most 7.2 % of all "
         "answers are; the worst error is 0.003 µN/µm",
@@ -165,8 +165,8 @@ def test_bodies_are_where_they_touch_the_tissue(tmp_path):
     assert body.outline[:2, 1] == pytest.approx([101.0, 101.0])
     assert body.at(-1, 1.0)[:2, 1] == pytest.approx([95.0, 95.0])
     assert last[:, 1].max() == pytest.approx(95.0, abs=0.1)
-    drawn, (data,) = motion_section(ReportData((run,)))
-    assert drawn.count("<img") == 1
+    parts, (data,) = motion_section((run,))
+    assert "".join(parts).count("<img") == 1
     np.testing.assert_allclose(data["bodies"][0]["moved"], body.moved, atol=1e-3)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from surrofe2.workflow.report import write_report
 from tests.report.browser import PROGRAM, Browser
-from tests.report.page.made_runs import made_runs
+from tests.report.made_runs import made_runs
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium here")
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 from matplotlib.image import imread
 
-from tests.report.page.made_runs import made_runs
+from tests.report.made_runs import made_runs
 from tests.source_contract import ROOT
 
 

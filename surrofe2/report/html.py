@@ -1,4 +1,4 @@
-"""Elements of the page, charts among them."""
+"""Elements of a page, charts among them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from surrofe2.report.figures import PALETTE, Panel, drawn, make_figure
+from matplotlib.figure import Figure
+
 from surrofe2.report.tables import Table
+from surrofe2.report.tables import figure as number
+from surrofe2.run.charts import PALETTE, Panel, draw_panels, encoded
 
 _BAR_ROW, _AXIS, _LEGEND_ROW = 0.6, 0.8, 0.25
 """Inches."""
@@ -38,32 +41,33 @@ def chart(panel: Panel) -> str:
     """The curves of a panel with its axes and legend."""
     named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
     what = f"{panel.title or panel.y_label} over {panel.x_label}"
-    return image(drawn(make_figure([panel]), "svg"), f"{what}: {named}" if named else what)
+    return image(encoded(draw_panels([panel])), f"{what}: {named}" if named else what)
 
 
 def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
     """A bar for each row, its parts by name one after the other, with their sum."""
     names = list(dict.fromkeys(name for _, parts in rows for name in parts))
     legend = _LEGEND_ROW * -(-len(names) // 3)
-    figure = make_figure([], (4.6, _BAR_ROW * len(rows) + _AXIS + legend))
-    axes = figure.subplots()
+    size = 4.6, _BAR_ROW * len(rows) + _AXIS + legend
+    drawn = Figure(figsize=size, layout="constrained")
+    axes = drawn.subplots()
     for k, (label, parts) in enumerate(rows):
         left = 0.0
-        axes.text(0.0, k - 0.36, f"{label}: {sum(parts.values()):.3g} {unit}", fontsize=9)
+        axes.text(0.0, k - 0.36, f"{label}: {number(sum(parts.values()))} {unit}", fontsize=9)
         for name, value in parts.items():
             colour = PALETTE[names.index(name) % len(PALETTE)]
             axes.barh(k, value, left=left, height=0.5, color=colour, label=name)
             left += value
     axes.set_yticks([])
     axes.set_ylim(len(rows) - 0.5, -0.85)
-    axes.set_xlabel(unit)
+    axes.set_xlabel(f"time ({unit})")
     handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
+    drawn.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
     alternative = "; ".join(
-        f"{label}: " + ", ".join(f"{name} {value:.3g} {unit}" for name, value in parts.items())
+        f"{label}: " + ", ".join(f"{name} {number(value)} {unit}" for name, value in parts.items())
         for label, parts in rows
     )
-    return image(drawn(figure, "svg"), alternative)
+    return image(encoded(drawn), alternative)
 
 
 def figure(content: str, caption: str) -> str:
@@ -86,20 +90,18 @@ def folded(summary: str, content: str) -> str:
     return f"<details><summary>{escape(summary)}</summary>{content}</details>"
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[Any]], names: int = 1) -> str:
-    """A table that scrolls by itself where it is wider than the page.
-
-    names: so many first columns name a row, the others are figures.
-    """
+def table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, words: bool = False) -> str:
+    """A table that scrolls by itself where it is wider than the page; words: of text, wrapped."""
     head = "".join(f'<th scope="col">{escape(str(each))}</th>' for each in headings)
-
-    def cell(k: int, value: Any) -> str:
-        text = escape(str(value))
-        return f'<th scope="row">{text}</th>' if k < names else f"<td>{text}</td>"
-
-    body = "".join(f"<tr>{''.join(cell(k, v) for k, v in enumerate(row))}</tr>" for row in rows)
+    body = "".join(
+        f'<tr><th scope="row">{escape(str(name))}</th>'
+        + "".join(f"<td>{escape(str(value))}</td>" for value in values)
+        + "</tr>"
+        for name, *values in rows
+    )
+    kind = "wide words" if words else "wide"
     return (
-        '<div class="wide" tabindex="0"><table><thead><tr>'
+        f'<div class="{kind}" tabindex="0"><table><thead><tr>'
         f"{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 

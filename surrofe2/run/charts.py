@@ -1,0 +1,241 @@
+"""Charts: panels of curves in one style, for figures, the page and notebooks.
+
+matplotlib is loaded where a chart is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+# The palette of Okabe and Ito, told apart by readers of every colour vision.
+BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
+VERMILION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
+PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+"""Colours of curves without a style of their own, in turn."""
+_REFERENCE: dict[str, Any] = {"color": "black", "linewidth": 2.8, "alpha": 0.4, "zorder": 1}
+# A grid of 41 x 41 points fills a panel of _PANEL_SIZE without gaps.
+_TILE = ((-1.0, -0.62), (1.0, -0.62), (1.0, 0.62), (-1.0, 0.62))
+_AREA: dict[str, Any] = {
+    "linestyle": "none", "marker": _TILE, "markersize": 7.0, "fillstyle": "full", "mew": 0.0,
+}  # fmt: skip
+_STYLES: dict[str, dict[str, Any]] = {
+    "cauchy-born": {"color": PURPLE, "linestyle": ":", "marker": "^"},
+    "elastic": {"color": VERMILION, "linestyle": "--", "marker": "s"},
+    "constrained-runs": {"color": BLUE, "linestyle": "-.", "marker": "o"},
+    "slow-manifold": {"color": GREEN, "linestyle": "-", "marker": "x", "zorder": 1.5},
+    "direct": {"color": SKY, "linestyle": "-", "marker": "D"},
+    "micro-integration": _REFERENCE,
+    "tissue": _REFERENCE,
+    "reference": _REFERENCE,
+    "stable": _AREA | {"color": BLUE},
+    "stable after leaving a bifurcation": _AREA | {"color": "#C6DBEF"},
+    "no stable state found": _AREA | {"color": ORANGE},
+    "solve failed": _AREA | {"color": "black"},
+}
+_TURNS = (("o", "-"), ("s", "--"), ("^", ":"))
+"""Marker and dash; the next ones where the colours begin again."""
+_DASHES = ("-", "--", "-.", ":")
+"""Of lines without markers, in turn."""
+_PANEL_SIZE = (4.6, 3.1)  # inches
+_LEGEND_ROW, _LEGEND_ROOM, _TITLE_ROW = 0.2, 0.15, 0.2
+_MOST_INSIDE = 3
+"""Lines that a legend inside a panel names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One line of a panel.
+
+    Attributes:
+        name: decides colour, dash and marker, so that a name looks alike in all figures.
+        x, y: (m,) values in the units of the panel's axes; NaN leaves a gap, as does a value that a
+            logarithm does not show.
+        label: for the legend; empty: the name.
+        markers: whether single points are marked.
+        colour: which one of those for curves without a style; None: the next one.
+        dash: of matplotlib; empty: as the name or the turn has it.
+    """
+
+    name: str
+    x: Array
+    y: Array
+    label: str = ""
+    markers: bool = True
+    colour: int | None = None
+    dash: str = ""
+
+    def __post_init__(self) -> None:
+        if np.shape(self.x) != np.shape(self.y) or np.ndim(self.x) != 1:
+            raise InputError(
+                f"curve {self.name}: x {np.shape(self.x)} and y {np.shape(self.y)}; both must be "
+                "(m,)"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One pair of axes; labels carry units.
+
+    Attributes:
+        x_ticks: where x is marked, by these numbers; empty: wherever it suits.
+        x_names: what stands there instead of the numbers.
+        zero: whether the line y = 0 is drawn and in sight.
+        height: of the panel, relative to the usual.
+    """
+
+    x_label: str
+    y_label: str
+    curves: tuple[Curve, ...]
+    title: str = ""
+    log_x: bool = False
+    log_y: bool = False
+    x_ticks: tuple[float, ...] = ()
+    x_names: tuple[str, ...] = ()
+    zero: bool = False
+    height: float = 1.0
+
+
+def draw_panels(
+    panels: Sequence[Panel], columns: int = 1, *, title: str = "", figure: Figure | None = None
+) -> Figure:
+    """A figure of panels, so many in a row, with one legend where they have the same lines.
+
+    figure: where to draw; None: a new one, which no window shows.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if figure is None:
+        figure = Figure()
+        FigureCanvasAgg(figure)
+    rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
+    heights = [_PANEL_SIZE[1] * max(panel.height for panel in row) for row in rows]
+    figure.set_layout_engine("constrained")
+    if not heights:
+        return figure
+    axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
+    for place in axes.flat[len(panels) :]:
+        place.axis("off")
+    for place, panel in zip(axes.flat, panels, strict=False):
+        _draw_panel(place, panel)
+    width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)
+    legend = _draw_legends(figure, width)
+    title = "\n".join(
+        wrapped for line in title.split("\n") for wrapped in wrap(line, int(11 * width))
+    )
+    lines = title.count("\n") + 1 if title else 0
+    figure.set_size_inches(width, sum(heights) + legend + _TITLE_ROW * lines)
+    figure.align_ylabels()
+    if title:
+        figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def encoded(figure: Figure, form: str = "svg") -> bytes:
+    """A figure as "png" of 300 dpi, "pdf", or "svg", whose words stay words."""
+    from matplotlib import rc_context
+
+    picture = BytesIO()
+    options: dict[str, Any] = {"dpi": 300}
+    if form == "svg":  # the same figure gives the same file
+        options = {"metadata": {"Date": None}}
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "surrofe2"}):
+        figure.savefig(picture, format=form, **options)
+    return picture.getvalue()
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    others = 0
+    for curve in panel.curves:
+        style = _STYLES.get(curve.name)
+        if style is None:
+            style = _other_style(others if curve.colour is None else curve.colour, curve.markers)
+            others += 1
+        style = {"linewidth": 1.3, "markersize": 4.5, "fillstyle": "none", **style}
+        if not curve.markers:
+            style.pop("marker", None)
+        if curve.dash:
+            style["linestyle"] = curve.dash
+        y = np.where(np.asarray(curve.y) > 0.0, curve.y, np.nan) if panel.log_y else curve.y
+        axes.plot(curve.x, y, label=curve.label or curve.name, **style)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    if panel.title:
+        axes.set_title(panel.title, fontsize=10)
+    if not panel.log_x:
+        axes.xaxis.set_major_locator(MaxNLocator(6))
+    elif any(bool(np.any(np.asarray(curve.x) == 0.0)) for curve in panel.curves):
+        axes.set_xscale("symlog", linthresh=1.0, linscale=0.3)
+    else:
+        axes.set_xscale("log")
+    if panel.log_y:
+        axes.set_yscale("log")
+    if panel.x_ticks:
+        axes.set_xticks(panel.x_ticks, panel.x_names or [f"{x:g}" for x in panel.x_ticks])
+        axes.set_xticks([], minor=True)
+    if panel.zero:
+        axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.grid(alpha=0.25)
+    axes.margins(x=0.03)
+
+
+def _other_style(k: int, markers: bool) -> dict[str, str]:
+    colour = PALETTE[k % len(PALETTE)]
+    if not markers:
+        return {"color": colour, "linestyle": _DASHES[k % len(_DASHES)]}
+    marker, dash = _TURNS[k // len(PALETTE) % len(_TURNS)]
+    return {"color": colour, "marker": marker, "linestyle": dash}
+
+
+def _draw_legends(figure: Figure, width: float) -> float:
+    """Legends where there is more than one line; the height in inches of the one below all axes."""
+    handles: dict[str, Any] = {}
+    labels = []
+    for place in figure.axes:
+        here = place.get_legend_handles_labels()
+        for handle, label in zip(*here, strict=True):
+            handles.setdefault(label, handle)
+        labels.append({*here[1]})
+    if len(handles) < 2:
+        return 0.0
+    several = [each for each in labels if len(each) > 1]
+    if all(2 * len(each) > len(handles) for each in several):
+        return _legend_below(figure, handles, width)
+    for place, each in zip(figure.axes, labels, strict=True):
+        if len(each) > _MOST_INSIDE:
+            place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        elif len(each) > 1:
+            place.legend(loc="best", fontsize=8, framealpha=0.8)
+    return 0.0
+
+
+def _legend_below(figure: Figure, handles: dict[str, Any], width: float) -> float:
+    longest = max(map(len, handles))
+    columns = max(1, min(3, int(width / (0.6 + 0.075 * longest))))
+    figure.legend(
+        list(handles.values()),
+        list(handles),
+        loc="outside lower center",
+        ncols=columns,
+        frameon=False,
+        fontsize=9,
+        handlelength=2.4,
+    )
+    return _LEGEND_ROOM + _LEGEND_ROW * -(-len(handles) // columns)
