@@ -1,11 +1,11 @@
-"""The paper's bending bar by true FE² moves as docs/theory.md says, for every way to initialise."""
+"""The paper's bending bar by full FE² moves as the prototype's did, by every initialisation."""
 
 import numpy as np
 import pytest
 
 from surrofe2 import CellParameters, LoadCase, MacroSettings, RveLaw, simulate
 
-# first minimum (µm) and, of `water`, the period (µs) on 4 × 4 elements, from docs/theory.md
+# first minimum (µm) and, of `water`, the period (µs) on 4 × 4 elements, of the prototype
 REPORTED = {
     ("printed", "cauchy-born"): (-25.4, None),
     ("printed", "constrained-runs"): (-26.9, None),

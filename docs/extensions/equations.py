@@ -6,7 +6,13 @@ from pathlib import Path
 from docutils import nodes
 
 THEORY = "docs/theory"
-PAGES = (THEORY, "docs/explanation/initialisations", "docs/explanation/cache", "docs/paper")
+PAGES = (
+    THEORY,
+    "docs/explanation/initialisations",
+    "docs/explanation/cache",
+    "docs/validation/paper",
+    "docs/validation/thin",
+)
 TAG = re.compile(r"\\tag\{([^}]+)\}")
 NAMED = re.compile(r"\((A?\d{1,2}b?)(?:(?:–|, )\d{1,2}b?)?\)")
 NO_TEXT = (nodes.literal, nodes.literal_block, nodes.reference, nodes.math, nodes.title)

@@ -79,7 +79,7 @@ def test_overdamped_motions_creep():
 
 
 def test_bar_of_rves_has_the_period_and_damping_of_its_motion():
-    """docs/theory.md, `water` on 4 × 4: fits over 250 µs gave period 49.5 and these decrements."""
+    """`water` on 4 × 4 (validation/paper.md), 250 µs: period 49.5 and these decrements."""
     for name, decrement in (
         ("elastic", 0.0678),
         ("constrained-runs", 0.0495),

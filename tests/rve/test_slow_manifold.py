@@ -17,12 +17,12 @@ from tests.rve.rves import PRESETS, deformations, law, particles
 
 
 def shear(t):
-    """The first drive of docs/theory.md, integration in time."""
+    """The first drive of docs/validation/paper.md, prototype."""
     return np.array([[1.0, 0.01 * t], [0.0, 1.0]]), np.array([[0.0, 0.01], [0.0, 0.0]])
 
 
 def oscillation(t):
-    """The second drive of docs/theory.md, integration in time."""
+    """The second drive of docs/validation/paper.md, prototype."""
     omega = 2.0 * np.pi / 40.0
     way = np.array([[0.04, 0.05], [0.0, 0.0]])
     return np.eye(2) + np.sin(omega * t) * way, omega * np.cos(omega * t) * way
@@ -45,7 +45,7 @@ def error(preset, drive, initialisation):
 
 @pytest.mark.parametrize(("preset", "drive"), list(zip(PRESETS, DRIVES, strict=True)))
 def test_initialisations_rank_as_the_model_reports(preset, drive):
-    """docs/theory.md: Cauchy–Born 0.8 to 2.2, elastic 0.013 to 0.040, constrained runs 0.005 to
+    """The prototype: Cauchy–Born 0.8 to 2.2, elastic 0.013 to 0.040, constrained runs 0.005 to
     0.010, slow manifold 0.0001 to 0.0009 µN/µm."""
     assert 0.7 < error(preset, drive, "cauchy-born") < 2.3
     assert 0.012 < error(preset, drive, "elastic") < 0.041
