@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from types import NoneType, UnionType
@@ -127,6 +127,8 @@ def _allowed(hint: Any, bounds: Any) -> str:
         return "number, list, table"
     if get_origin(hint) in (Union, UnionType):
         return " or ".join(_allowed(each, bounds) for each in options if each is not NoneType)
+    if get_origin(hint) is Mapping:
+        return "table"
     if get_origin(hint) is tuple:
         many = "list" if options[-1] is Ellipsis else f"list of {len(options)}"
         return f"{many}: {_allowed(options[0], bounds)}"

@@ -54,8 +54,10 @@ if TYPE_CHECKING:
         Traction as Traction,
     )
     from surrofe2.macro.discretisation import points_by_region as points_by_region
-    from surrofe2.problem.regions import Box as Box, Disc as Disc, HalfPlane as HalfPlane
     from surrofe2.problem.mesh import (
+        Box as Box,
+        Disc as Disc,
+        HalfPlane as HalfPlane,
         rectangle as rectangle,
         with_boundaries as with_boundaries,
         with_regions as with_regions,

@@ -8,9 +8,7 @@ In reading order:
     settings         bounds of settings, stated once at the field
     costs            seconds, and from when a cache pays
     interruption     signals
-    threads          how many, and whose
-    machine_code     the same bits in every process
-    compilation      numba's flags, and where compiled kernels are kept
+    compilation      numba's flags, where compiled kernels are kept, threads of BLAS
     simd             eight lanes of numbers in kernels
     tensors          polar inputs of (F, Ḟ), measure of errors
     square_symmetry  the eight symmetries of a square sample

@@ -54,6 +54,12 @@ class SamplingRange:
                 f"{self.shear}; it must be below the lowest stretch {low}, so that det U > 0",
             )
 
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """(7,) lowest and highest of each of `QUANTITIES`."""
+        (low, high), both = self.stretch, np.array([self.shear, *[self.rate] * 4])
+        return np.array([low, low, *-both]), np.array([high, high, *both])
+
 
 def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple[Array, Array]:
     """Points `start` to `start + count` of a scrambled Sobol sequence over the range.
@@ -70,9 +76,7 @@ def sample(range: SamplingRange, count: int, seed: int, start: int = 0) -> tuple
             raise InputError(f"{name}: {value!r}; it must be an integer of at least 0")
     if start + count > _MOST_SAMPLES:
         raise InputError(f"count: {count} from {start}; the sequence ends at {_MOST_SAMPLES}")
-    low, high = range.stretch
-    upper = np.array([high, high, range.shear, *[range.rate] * 4])
-    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    lower, upper = range.ends
     points = lower + (upper - lower) * _sobol(int(count), int(seed), int(start))
     return points[:, [0, 2, 2, 1]].reshape(-1, 2, 2), points[:, 3:].reshape(-1, 2, 2).copy()
 
@@ -122,9 +126,7 @@ def farthest_out(
     """
     U, A, _ = unrotated(F, F_dot)
     values = np.concatenate([U.reshape(-1, 4)[:, [0, 3, 1]], A.reshape(-1, 4)], axis=1)
-    low, high = range.stretch
-    upper = np.array([high, high, range.shear, *[range.rate] * 4])
-    lower = np.array([low, low, -range.shear, *[-range.rate] * 4])
+    lower, upper = range.ends
     bound = np.where(values > 0.5 * (upper + lower), upper, lower)
     half = np.maximum(0.5 * (upper - lower), SLACK)
     beyond = np.abs(values - 0.5 * (upper + lower)) / half
@@ -168,9 +170,8 @@ def neighbours(
     random = np.random.default_rng(seed)
     at = random.permutation(len(F))[np.arange(count) % len(F)]
     U, A, _ = unrotated(F[at], F_dot[at])
-    low, high = range.stretch
-    half = distance * np.array([0.5 * (high - low)] * 2 + [range.shear] + [range.rate] * 4)
-    moved = half * random.uniform(-1.0, 1.0, (count, INPUTS))
+    lower, upper = range.ends
+    moved = 0.5 * distance * (upper - lower) * random.uniform(-1.0, 1.0, (count, INPUTS))
     U = U + moved[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
     return 0.5 * (U + transpose(U)), A + moved[:, 3:].reshape(-1, 2, 2)
 

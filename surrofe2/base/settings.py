@@ -14,7 +14,7 @@ import difflib
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import MISSING, field, fields
+from dataclasses import MISSING, asdict, field, fields, is_dataclass
 from functools import cache
 from operator import attrgetter
 from types import NoneType
@@ -49,7 +49,7 @@ def setting(default: Any = MISSING, about: str = "", unit: str = NONE, **bounds:
     Args:
         bounds: of numbers, also those in a list: `least`, `most`, `above`, `below`, and `inf=True`
             where infinity is allowed; of a text: `one_of`. `read` (name, entry) gives the value of
-            an entry that a recipe states otherwise. Other entries are kept as metadata.
+            an entry that a recipe states otherwise.
     """
     return field(default=default, metadata={"about": about, "unit": unit, **bounds})
 
@@ -103,7 +103,7 @@ def build(
     where: str,
     extras: Iterable[str] = (),
     of: type | None = None,
-    **given: Any,
+    **fixed: Any,
 ) -> T:
     """The settings that the entries of a table state, with those in it that are tables themselves.
 
@@ -112,43 +112,44 @@ def build(
         where: dotted name of the table.
         extras: keys that it may have besides, which are read elsewhere.
         of: the dataclass, where `kind` is none.
-        given: fields that are no entries.
+        fixed: fields that are no entries.
 
     Raises:
         InputError: an entry is unknown, missing or not what it must be; `faults` has all of them.
     """
     check_table(where, table)
     form: Any = of or kind
-    items = {item.name: item for item in fields(form) if item.metadata and item.name not in given}
-    hints, faults, known = hints_of(form), Faults(), [*items, *extras]
+    items = {item.name: item for item in fields(form) if item.metadata and item.name not in fixed}
+    hints, faults, values = hints_of(form), Faults(), dict(fixed)
+    prefix = f"{where}." if where else ""
     for key, value in table.items():
-        name = f"{where}.{key}"
+        name = f"{prefix}{key}"
         with faults.noted():
             removed = REMOVED.get(f"{where.rpartition('.')[2]}.{key}")
             if removed is not None:
                 raise InputError(name, f"removed; {removed}")
             if key not in items:
-                raise unknown(name, key, "key", known)
+                raise unknown(name, key, "key", [*items, *extras])
             read = items[key].metadata.get("read")
-            given[key] = (
+            values[key] = (
                 check_value(name, value, hints[key], items[key].metadata)
                 if read is None
                 else read(name, value)
             )
     for item in items.values():
         if item.default is MISSING and item.name not in table:
-            unit = item.metadata.get("unit", NONE)
+            unit = item.metadata["unit"]
+            more = "" if unit == NONE else f" ({unit})"
             with faults.noted():
-                more = "" if unit == NONE else f" ({unit})"
-                raise InputError(f"{where}.{item.name}", f"missing; it must be given{more}")
+                raise InputError(f"{prefix}{item.name}", f"missing; it must be given{more}")
     faults.check()
     try:
-        return kind(**given)
+        return kind(**values)
     except InputError as error:
         raise error.within(where) from None
 
 
-def build_kind(kinds: Mapping[str, type[T]], table: Any, where: str, **given: Any) -> T:
+def build_kind(kinds: Mapping[str, type[T]], table: Any, where: str, **fixed: Any) -> T:
     """The settings of a table whose entry `kind` says what it is; else as `build`."""
     check_table(where, table)
     kind = table.get("kind")
@@ -158,36 +159,48 @@ def build_kind(kinds: Mapping[str, type[T]], table: Any, where: str, **given: An
         shown = quoted(kind)
         raise unknown(f"{where}.kind", shown.strip("'"), "kind", kinds, f"{shown}: ")
     others = {key: value for key, value in table.items() if key != "kind"}
-    return build(kinds[kind], others, where, ("kind",), **given)
+    return build(kinds[kind], others, where, ("kind",), **fixed)
 
 
-def only_key(table: Any, where: str, known: Iterable[str]) -> str:
-    """The one key of a table that has exactly one of the known.
+def build_only(kinds: Mapping[str, Any], table: Any, where: str) -> Any:
+    """The settings under the one key of a table, which says what they are.
 
     Raises:
-        InputError: it has none of them, several, or another.
+        InputError: it has none of the keys, several, or another.
     """
     check_table(where, table)
     for key in table:
-        if key not in known:
-            raise unknown(f"{where}.{key}", key, "key", known)
+        if key not in kinds:
+            raise unknown(f"{where}.{key}", key, "key", kinds)
     if len(table) != 1:
         found = " and ".join(table) if table else "none of them"
-        raise InputError(where, f"{found}; it must have exactly one of {', '.join(known)}")
-    return next(iter(table))
+        raise InputError(where, f"{found}; it must have exactly one of {', '.join(kinds)}")
+    key = next(iter(table))
+    kind, where, entry = kinds[key], f"{where}.{key}", table[key]
+    # what a class inherits reads its whole family
+    return kind.read(where, entry) if "read" in vars(kind) else build(kind, entry, where)
 
 
-def check_table(where: str, given: Any) -> None:
+def with_kind(settings: Any, kinds: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Kind and entries; of a class that recipes do not know, its name alone."""
+    for name, kind in kinds.items():
+        if isinstance(settings, kind):
+            return name, asdict(settings)
+    return type(settings).__name__, {}
+
+
+def check_table(where: str, value: Any) -> None:
     """Refuse what is no table."""
-    if not isinstance(given, Mapping):
-        raise InputError(where, f"{quoted(given)}; it must be a table of entries")
+    if not isinstance(value, Mapping):
+        what = f"a section [{where}]" if where.isidentifier() else "a table of entries"
+        raise InputError(where, f"{quoted(value)}; it must be {what}")
 
 
 def unknown(where: str, key: str, what: str, known: Iterable[str], shown: str = "") -> InputError:
     """The error that refuses a key which is not among the known.
 
     Args:
-        shown: the value, where the key is one, as the sentence begins with it.
+        shown: the value, where the key is one, as the message begins with it.
     """
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
@@ -205,35 +218,45 @@ def check_value(name: str, value: Any, hint: Any, bounds: Mapping[str, Any]) -> 
     """The value as its type has it.
 
     Args:
-        name: whose value it is, for the sentence.
-        hint: its type: float, int, bool, str, Literal, a tuple or Mapping of these, or one of
-            them or None.
+        name: whose value it is, for the message.
+        hint: its type: float, int, bool, str, Literal, settings, a tuple or Mapping of these, or
+            one of them or None. A class may `read` (name, value) what recipes state otherwise.
         bounds: as `setting` takes them.
 
     Raises:
         InputError: it is of another type or out of its bounds.
     """
     options = get_args(hint)
+    if hint is Any:
+        return value
     if NoneType in options:
         inner = next(option for option in options if option is not NoneType)
         return None if value is None else check_value(name, value, inner, bounds)
     if get_origin(hint) is tuple:
         return _list(name, value, options, bounds)
     if get_origin(hint) is Mapping:
-        if not isinstance(value, Mapping):
-            raise _refusal(name, value, "a table of entries", bounds)
-        own = options[1] in (str, float, int)
-        return {k: check_value(f"{name}.{k}", v, options[1], {}) if own else v
-                for k, v in value.items()}  # fmt: skip
+        check_table(name, value)
+        faults = Faults()
+        checked = {
+            key: faults.take(check_value, f"{name}.{key}", each, options[1], bounds)
+            for key, each in value.items()
+        }
+        faults.check()
+        return checked
     if hint in (float, int):
         return _number(name, value, hint, bounds)
     one_of = options if get_origin(hint) is Literal else bounds.get("one_of", ())
     if one_of and value not in one_of:
         raise _refusal(name, value, f"one of {', '.join(map(str, one_of))}", {})
-    if not one_of and not isinstance(value, hint):
-        allowed = {bool: "true or false", str: "a text in quotes"}.get(hint, hint.__name__)
-        raise _refusal(name, value, allowed, bounds)
-    return value
+    if one_of or isinstance(value, hint):
+        return value
+    if hasattr(hint, "read"):
+        return hint.read(name, value)
+    if is_dataclass(hint):
+        make: Any = hint
+        return build(make, value, name)
+    allowed = {bool: "true or false", str: "a text in quotes"}.get(hint, hint.__name__)
+    raise _refusal(name, value, allowed, bounds)
 
 
 def _list(name: str, value: Any, options: tuple[Any, ...], bounds: Mapping[str, Any]) -> Any:

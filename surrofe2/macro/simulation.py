@@ -13,9 +13,8 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import clock
+from surrofe2.base.compilation import clock, one_blas_thread
 from surrofe2.base.errors import MismatchError, SimulationError
-from surrofe2.base.threads import one_blas_thread
 from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
 from surrofe2.law.stress_law import AuditedLaw, StressLaw
 from surrofe2.macro.discretisation import displacement_basis

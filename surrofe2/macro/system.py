@@ -26,8 +26,14 @@ from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.problem.amplitude import Proportional
 from surrofe2.problem.conditions import InitialVelocity
 from surrofe2.problem.mesh import boundary, facet_nodes, nodes_on, region
-from surrofe2.problem.problem import SURFACE, Problem, label
-from surrofe2.problem.supports import Support, supports_of, without_overlap
+from surrofe2.problem.problem import (
+    SURFACE,
+    Problem,
+    Support,
+    label,
+    supports_of,
+    without_overlap,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -1,8 +1,8 @@
 """What is computed, for finite elements and for a full tissue of particles alike.
 
-Reading order: regions (of the plane), mesh; amplitude (factors in time), contact_law, rigid_bodies;
-conditions (what holds and loads a tissue), problem (all of it), supports (what is held, each
-component once); entries (of a recipe, and back), bar (of the paper).
+Reading order: mesh (and its parts); amplitude (factors in time), contact_law, rigid_bodies;
+conditions (what holds and loads a tissue), problem (all of it, and what is held), bar (of the
+paper).
 """
 
 from __future__ import annotations
@@ -24,9 +24,15 @@ if TYPE_CHECKING:
         Symmetry,
         Traction,
     )
-    from surrofe2.problem.mesh import rectangle, with_boundaries, with_regions
+    from surrofe2.problem.mesh import (
+        Box,
+        Disc,
+        HalfPlane,
+        rectangle,
+        with_boundaries,
+        with_regions,
+    )
     from surrofe2.problem.problem import Problem
-    from surrofe2.problem.regions import Box, Disc, HalfPlane
     from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
 
 __getattr__, __dir__ = public_names(__name__)

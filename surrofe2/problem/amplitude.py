@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, Literal
@@ -18,7 +17,13 @@ from typing import Any, Literal
 import numpy as np
 
 from surrofe2.base.errors import InputError
-from surrofe2.base.settings import build_kind, check_settings, check_value, setting
+from surrofe2.base.settings import (
+    build_kind,
+    check_settings,
+    check_value,
+    setting,
+    with_kind,
+)
 from surrofe2.base.units import NONE, TIME
 
 Value = tuple[float, float, float]
@@ -31,6 +36,20 @@ class Amplitude(ABC):
 
     def __post_init__(self) -> None:
         check_settings(self, "amplitude")
+
+    @staticmethod
+    def read(where: str, entry: Any) -> Amplitude:
+        """What a recipe states: a number, a list of (time, factor), or a table with `kind`."""
+        if isinstance(entry, list | tuple):
+            entry = {"kind": "table", "points": entry}
+        if not isinstance(entry, dict):
+            return Constant(value=check_value(where, entry, float, {}))
+        return build_kind(KINDS, entry, where)
+
+    def entry(self) -> dict[str, Any]:
+        """The table that a recipe has; of a class that recipes do not know, its name alone."""
+        kind, entries = with_kind(self, KINDS)
+        return {"kind": kind, **entries}
 
     @abstractmethod
     def at(self, t: float, within: float) -> Value:
@@ -78,7 +97,6 @@ class Table(Amplitude):
         return first + slope * (t - begin), slope, 0.0
 
     def corners(self) -> tuple[float, ...]:
-        """The times of the table."""
         return tuple(t for t, _ in self.points)
 
 
@@ -112,12 +130,10 @@ class Ramp(Amplitude):
         return value, rate, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2
 
     def corners(self) -> tuple[float, ...]:
-        """Begin and end."""
         return self.begin, self.end
 
     @property
     def resolved_by(self) -> float:
-        """An eighth of a smooth ramp."""
         return (self.end - self.begin) / 8.0 if self.smooth else math.inf
 
 
@@ -139,12 +155,10 @@ class Sine(Amplitude):
         return self.offset + math.sin(angle), rate, -(omega**2) * math.sin(angle)
 
     def corners(self) -> tuple[float, ...]:
-        """Where it begins."""
         return (self.begin,)
 
     @property
     def resolved_by(self) -> float:
-        """An eighth of a period."""
         return 1.0 / (8.0 * self.frequency)
 
 
@@ -170,13 +184,11 @@ class Pulse(Amplitude):
         return value, omega * math.cos(math.pi * s), -(omega**2) * value
 
     def corners(self) -> tuple[float, ...]:
-        """Begin, end, and the top of a triangle."""
         middle = (self.begin + 0.5 * self.length,) if self.shape == "triangle" else ()
         return self.begin, *middle, self.begin + self.length
 
     @property
     def resolved_by(self) -> float:
-        """An eighth of a half sine."""
         return self.length / 8.0 if self.shape == "half-sine" else math.inf
 
 
@@ -193,23 +205,9 @@ ONE = Constant()
 IN_TIME = "its factor in time: a number, a list of (time, factor), or a table with `kind`"
 
 
-def amplitude_of(where: str, given: Any) -> Amplitude:
-    """The amplitude that a recipe states: a number, a list of (time, factor), a table with `kind`.
-
-    Raises:
-        InputError: naming the entry that is not what it must be.
-    """
-    if isinstance(given, list | tuple):
-        given = {"kind": "table", "points": given}
-    if not isinstance(given, Mapping):
-        return Constant(value=check_value(where, given, float, {}))
-    return build_kind(KINDS, given, where)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proportional(Amplitude):
     """Loads that grow together by a load factor instead of time; what they move has no velocity."""
 
     def at(self, t: float, within: float) -> Value:
-        # nothing moves in a load factor
         return t, 0.0, 0.0

@@ -12,9 +12,8 @@ from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.units import ACCELERATION, LENGTH, NONE, TIME
 from surrofe2.problem.amplitude import ONE, Table
 from surrofe2.problem.conditions import BodyForce, Condition, Fixed
-from surrofe2.problem.entries import sections_of
 from surrofe2.problem.mesh import rectangle
-from surrofe2.problem.problem import Problem
+from surrofe2.problem.problem import Problem, sections_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

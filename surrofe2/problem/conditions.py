@@ -8,17 +8,17 @@ amplitude give their largest value, which the amplitude multiplies in time.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError, quoted
-from surrofe2.base.settings import check_settings, check_value, setting
+from surrofe2.base.settings import build_kind, check_settings, check_value, setting
 from surrofe2.base.units import ACCELERATION, LENGTH
 from surrofe2.law.surface_law import SurfaceLaw
-from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude, amplitude_of
+from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
 
 SPEED = "µm/µs"
 LINE_FORCE = "µN/µm"
@@ -45,12 +45,31 @@ class Condition:
         letters = (f"_{letter.lower()}" if letter.isupper() else letter for letter in cls.__name__)
         return "".join(letters)[1:]
 
+    @staticmethod
+    def read(where: str, entry: Any, name: str | None = None) -> Condition:
+        """What a recipe states; `name` is that of its section."""
+        kinds = {each.kind(): each for each in CONDITIONS}
+        if name is None:
+            return build_kind(kinds, entry, where)
+        if isinstance(entry, Mapping) and "name" in entry:
+            raise InputError(f"{where}.name", f"{quoted(entry['name'])}; its section names it")
+        return build_kind(kinds, entry, where, name=name)
+
+    def entry(self) -> dict[str, Any]:
+        """What a recipe has under its name."""
+        entries = {"kind": self.kind(), **asdict(self)}
+        del entries["name"]
+        return entries
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrivenCondition(Condition):
     """A condition that follows an amplitude in time."""
 
-    amplitude: Amplitude = setting(ONE, IN_TIME, read=amplitude_of)
+    amplitude: Amplitude = setting(ONE, IN_TIME)
+
+    def entry(self) -> dict[str, Any]:
+        return super(DrivenCondition, self).entry() | {"amplitude": self.amplitude.entry()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

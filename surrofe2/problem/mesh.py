@@ -1,4 +1,4 @@
-"""Meshes are those of scikit-fem: what a problem asks of one, and names for its parts.
+"""Meshes are those of scikit-fem: what a problem needs of one, and names for its parts.
 
 Quadrilaterals are `skfem.MeshQuad1`, triangles `skfem.MeshTri2` with six nodes; a `skfem.MeshTri1`
 gets the middles of its sides. Lengths are in µm. Boundaries are named sets of outer facets, regions
@@ -9,7 +9,10 @@ the unknowns of `mesh.elem`: unknown 2 a + i of its `ElementVector` is component
 from __future__ import annotations
 
 import difflib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import skfem
@@ -18,13 +21,94 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from surrofe2.base.errors import InputError
-from surrofe2.problem.regions import Box, Part
+from surrofe2.base.settings import build_only, check_settings, check_value, setting, with_kind
+from surrofe2.base.units import LENGTH
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MOST_ELEMENTS = 10_000_000
 _ELEMENTS = skfem.ElementQuad1, skfem.ElementTriP1, skfem.ElementTriP2
+
+
+class Part(ABC):
+    """A part of the plane, by which a boundary or a region gets its name."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """(n,) whether each of the points (n, 2) is in it."""
+
+    @staticmethod
+    def read(where: str, entry: Any) -> Part:
+        """What a recipe states: a box, a half plane or a circle."""
+        return build_only(PARTS, entry, where)
+
+    def entry(self) -> dict[str, Any]:
+        """What a recipe has under its name."""
+        return dict([with_kind(self, PARTS)])
+
+
+@dataclass(frozen=True, slots=True)
+class Box(Part):
+    """x from low[0] to high[0], y from low[1] to high[1], edges included, µm."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        low, high = np.array(self.low), np.array(self.high)
+        width = high - low
+        slack = 1e-9 * np.max(width[np.isfinite(width)], initial=1.0)  # for rounding
+        return ((points >= low - slack) & (points <= high + slack)).all(axis=1)
+
+    @staticmethod
+    def read(where: str, entry: Any) -> Box:
+        ends = tuple[float, float, float, float]
+        x0, y0, x1, y1 = check_value(where, entry, ends, {"unit": LENGTH, "inf": True})
+        if x0 > x1 or y0 > y1:
+            raise InputError(where, f"{[x0, y0, x1, y1]}; it must be [x0, y0, x1, y1], low to high")
+        return Box((x0, y0), (x1, y1))
+
+    def entry(self) -> dict[str, Any]:
+        return {"box": [*self.low, *self.high]}
+
+
+@dataclass(frozen=True, slots=True)
+class HalfPlane(Part):
+    """All points p with (p − through)·normal ≥ 0, µm."""
+
+    through: tuple[float, float] = setting(about="a point of its edge", unit=LENGTH)
+    normal: tuple[float, float] = setting(about="pointing into it")
+
+    def __post_init__(self) -> None:
+        check_settings(self, "half_plane")
+        if not any(self.normal):
+            raise InputError("half_plane.normal", f"{list(self.normal)}; it must not be zero")
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        slack = 1e-9 * abs(points).max(initial=1.0)
+        normal = np.array(self.normal) / np.linalg.norm(self.normal)
+        return (points - np.array(self.through)) @ normal >= -slack
+
+
+@dataclass(frozen=True, slots=True)
+class Disc(Part):
+    """All points at most `radius` from the centre, µm."""
+
+    centre: tuple[float, float] = setting(about="its middle", unit=LENGTH)
+    radius: float = setting(about="of its edge", unit=LENGTH, above=0.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "circle")
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        distance = np.linalg.norm(points - np.array(self.centre), axis=1)
+        return distance <= self.radius * (1.0 + 1e-9)
+
+
+PARTS: dict[str, type[Part]] = {"box": Box, "half_plane": HalfPlane, "circle": Disc}
 
 
 def rectangle(width: float, height: float, elements: tuple[int, int]) -> skfem.MeshQuad1:

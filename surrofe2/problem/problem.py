@@ -1,10 +1,13 @@
-"""What is computed: a mesh, what acts on it, for how long, and what is watched."""
+"""What is computed: a mesh, what acts on it, for how long, and what is watched.
+
+`Support` says which components are held or moved, each owned by one condition.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,20 +15,31 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError, quoted
-from surrofe2.problem.amplitude import Amplitude, Constant
+from surrofe2.base.errors import InputError
+from surrofe2.problem.amplitude import ONE, Amplitude, Constant
 from surrofe2.problem.conditions import (
     Condition,
     DrivenCondition,
+    Fixed,
     InitialVelocity,
     PrescribedMotion,
     Surface,
+    Symmetry,
 )
-from surrofe2.problem.mesh import check_mesh, extent, with_boundaries, with_regions
-from surrofe2.problem.regions import Part
+from surrofe2.problem.mesh import (
+    Part,
+    check_mesh,
+    extent,
+    nodes_on,
+    region,
+    with_boundaries,
+    with_regions,
+)
 from surrofe2.problem.rigid_bodies import RigidBody
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Point = tuple[float, float]
 
 MOST_ROWS = 1_000_000
 SURFACE = "surface"
@@ -64,7 +78,7 @@ class Problem:
     bodies: tuple[RigidBody, ...] = ()
     duration: float = 250.0
     output_interval: float = 0.5
-    watched: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    watched: Mapping[str, Point] = field(default_factory=dict)
     boundaries: Mapping[str, Part] = field(default_factory=dict)
     regions: Mapping[str, Part] = field(default_factory=dict)
     surface: Surface | None = None
@@ -73,15 +87,6 @@ class Problem:
         mesh = with_boundaries(check_mesh(self.mesh), **self.boundaries)
         object.__setattr__(self, "mesh", with_regions(mesh, **self.regions))
         self._check_times()
-        _check_all(Condition, self.conditions)
-        _check_all(RigidBody, self.bodies)
-        if not isinstance(self.surface, Surface | None):
-            raise InputError(f"problem.surface: {quoted(self.surface)}; it must be a Surface")
-        for amplitude in self.amplitudes():
-            if not isinstance(amplitude, Amplitude):
-                raise InputError(
-                    f"problem: amplitude: {quoted(amplitude)}; it must be an Amplitude, as Table"
-                )
         self._check_names()
         if not self.watched:
             middle = 0.5 * np.add(*extent(self.mesh))
@@ -163,6 +168,18 @@ class Problem:
         places = self.places()
         return [name for name in self.mesh.boundaries or {} if name in places]
 
+    def cells_inside(self, name: str, cells: tuple[int, int], side: float) -> NDArray[np.bool_]:
+        """(n, m) which square plant cells of a `side` in µm have their middle in a region.
+
+        Raises:
+            InputError: there is no region of that name.
+        """
+        middles = side * (np.indices(cells).reshape(2, -1).T + np.array(0.5))
+        if name in self.regions:
+            return self.regions[name].holds(middles).reshape(cells)
+        elements = self.mesh.element_finder()(*middles.T)
+        return np.isin(elements, region(self.mesh, name)).reshape(cells)
+
     def corners(self) -> Array:
         """(m,) times in µs at which a step must end, from 0 to the end of the run."""
         inner = [t for amplitude in self.amplitudes() for t in amplitude.corners()]
@@ -188,9 +205,99 @@ def label(condition: Condition) -> str:
     return f"{condition.kind()} {condition.on}" if condition.on else condition.kind()
 
 
-def _check_all(kind: type, given: Any) -> None:
-    """Refuse what is no tuple of `kind`, as a single condition is not."""
-    is_many = isinstance(given, tuple | list)
-    for one in given if is_many else (given,):
-        if not (is_many and isinstance(one, kind)):
-            raise InputError(f"problem: {quoted(one)}; there must be a tuple of {kind.__name__}")
+def sections_of(
+    conditions: Iterable[Condition], bodies: Iterable[RigidBody], watched: Mapping[str, Point]
+) -> dict[str, dict[str, Any]]:
+    """What acts on a tissue and what is watched, as a recipe has it."""
+    return {
+        "conditions": {label(each): each.entry() for each in conditions},
+        "bodies": {body.name: body.entry() for body in bodies},
+        "watch": dict(watched),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """Unknowns that a condition holds or moves: `largest` times the amplitude, µm.
+
+    Places are nodes of a mesh or particles of a tissue; component i of place a is unknown 2 a + i.
+    """
+
+    name: str
+    unknowns: Index
+    largest: Array
+    amplitude: Amplitude
+
+
+def supports_of(problem: Problem, places_of: Callable[[Condition], Index]) -> list[Support]:
+    """A support for each condition that is one; they may share unknowns.
+
+    Args:
+        places_of: the places that a condition holds or moves.
+    """
+    found = []
+    for condition in problem.conditions:
+        match condition:
+            case Fixed():
+                components = [k for k in (0, 1) if "xy"[k] in condition.components]
+                largest: dict[int, float] = dict.fromkeys(components, 0.0)
+            case Symmetry():
+                largest = {_normal_component(problem.mesh, condition): 0.0}
+            case PrescribedMotion():
+                given = enumerate(condition.displacement)
+                largest = {k: value for k, value in given if value is not None}
+            case _:
+                continue
+        places = places_of(condition)
+        unknowns = (2 * places[:, None] + np.array([*largest], dtype=np.int64)).ravel()
+        amplitude = condition.amplitude if isinstance(condition, PrescribedMotion) else ONE
+        values = np.tile([*largest.values()], places.size)
+        found.append(Support(label(condition), unknowns, values, amplitude))
+    return found
+
+
+def without_overlap(
+    supports: Sequence[Support], at: Array, what: str = "node"
+) -> tuple[Support, ...]:
+    """Supports that share no unknown: fixed ones may meet, what moves must agree.
+
+    Args:
+        at: (n, 2) where the places are that may be shared, µm.
+        what: a place is.
+
+    Raises:
+        InputError: two move one component differently.
+    """
+    size = max((int(each.unknowns.max(initial=-1)) for each in supports), default=-1) + 1
+    owner, value, kept = np.full(size, -1), np.zeros(size), list[Support]()
+    for k, support in enumerate(supports):
+        before = owner[support.unknowns]
+        others = [j for j in np.unique(before) if j >= 0]
+        unlike = [j for j in others if supports[j].amplitude != support.amplitude]
+        moves_apart = (support.largest != 0.0) & np.isin(before, unlike)
+        clash = (before >= 0) & ((support.largest != value[support.unknowns]) | moves_apart)
+        if clash.any():
+            first = int(clash.argmax())
+            place, component = divmod(int(support.unknowns[first]), 2)
+            x, y = at[place]
+            raise InputError(
+                f"{support.name}: component {'xy'[component]} of the {what} at "
+                f"({x:.6g}, {y:.6g}) µm; {supports[before[first]].name} prescribes it otherwise, "
+                "and only one may"
+            )
+        mine = before < 0
+        owned = replace(support, unknowns=support.unknowns[mine], largest=support.largest[mine])
+        owner[owned.unknowns], value[owned.unknowns] = k, owned.largest
+        kept.append(owned)
+    return tuple(kept)
+
+
+def _normal_component(mesh: skfem.Mesh, condition: Symmetry) -> int:
+    nodes = mesh.p.T[nodes_on(mesh, condition.on, "symmetry.on")]
+    extent = np.ptp(nodes, axis=0)
+    component = int(extent.argmin())
+    if extent[component] > 1e-9 * extent.max():
+        raise InputError(
+            f"{label(condition)}.on: {condition.on}; a symmetry must be straight along x or along y"
+        )
+    return component

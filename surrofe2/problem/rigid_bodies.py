@@ -7,16 +7,24 @@ level line, so that ∂n/∂p = κ (I − n nᵀ).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError
-from surrofe2.base.settings import check_settings, setting
+from surrofe2.base.errors import InputError, quoted
+from surrofe2.base.settings import (
+    Faults,
+    build,
+    build_only,
+    check_settings,
+    check_table,
+    setting,
+    with_kind,
+)
 from surrofe2.base.units import ACCELERATION, LENGTH, MASS, NONE
-from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude, amplitude_of
+from surrofe2.problem.amplitude import IN_TIME, ONE, Amplitude
 from surrofe2.problem.contact_law import circle, corner
 
 Array = NDArray[np.float64]
@@ -84,6 +92,9 @@ class Corner:
         return float(x), float(y), float(np.cos(half)), float(np.sin(half)), self.radius
 
 
+SHAPES: dict[str, type[Shape]] = {"plane": Plane, "circle": Circle, "corner": Corner}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigidBody:
     """A rigid body that a boundary of the tissue may touch.
@@ -99,7 +110,7 @@ class RigidBody:
     on: str = setting(about="boundary of the tissue that may touch it")
     position: tuple[float, float] = setting(about="at t = 0", unit=LENGTH)
     displacement: tuple[float, float] = setting((0.0, 0.0), "largest displacement", LENGTH)
-    amplitude: Amplitude = setting(ONE, IN_TIME, read=amplitude_of)
+    amplitude: Amplitude = setting(ONE, IN_TIME)
     mass: float | None = setting(
         None, "of a free body, per thickness of the sheet", MASS, above=0.0
     )
@@ -141,6 +152,32 @@ class RigidBody:
                     f"{list(value)}; it is of a free body: give a mass, "
                     "or a displacement with its amplitude",
                 )
+
+    @staticmethod
+    def read(where: str, entry: Any) -> RigidBody:
+        """What a recipe states in its section of bodies."""
+        faults = Faults()
+        check_table(where, entry)
+        shapes = {key: entry[key] for key in SHAPES if key in entry}
+        others = {key: value for key, value in entry.items() if key not in SHAPES}
+        name = where.removeprefix("bodies.")
+        shape = faults.take(build_only, SHAPES, shapes, where)
+        if "amplitude" in entry and "displacement" not in entry:
+            with faults.noted():
+                raise InputError(
+                    f"{where}.amplitude",
+                    f"{quoted(entry['amplitude'])}; it is of a displacement, which is missing",
+                )
+        with faults.noted():
+            body = build(RigidBody, others, where, SHAPES, name=name, shape=shape)
+        faults.check()
+        return body
+
+    def entry(self) -> dict[str, Any]:
+        """What a recipe has under its name."""
+        entries = asdict(self) | {"amplitude": self.amplitude.entry()}
+        del entries["name"], entries["shape"]
+        return entries | dict([with_kind(self.shape, SHAPES)])
 
     @property
     def moves(self) -> bool:

@@ -21,7 +21,6 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import region
 from surrofe2.problem.problem import Problem
 from surrofe2.surrogate.settings import TrainingSettings
-from surrofe2.tissue.conditions import inside_region
 
 T = TypeVar("T")
 Index = NDArray[np.int64]
@@ -96,13 +95,9 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
     Raises:
         InputError: naming the entry that is not what it must be.
     """
-    sections = {name: table[name] for name in SECTIONS if name in table}
+    shared = {name: table[name] for name in SECTIONS if name in table}
     if "cells" not in table:
-        faults = Faults()
-        cell = faults.take(_cell, table.get("cell", {}), "cell")
-        made = faults.take(_settings, sections)
-        faults.check()
-        return {"": CellType(**cell, **made, regions=())}
+        return {"": _cell_type("", table.get("cell", {}), shared)}
     cells = table["cells"]
     if not isinstance(cells, dict) or not cells:
         raise InputError(
@@ -118,77 +113,72 @@ def cell_types(table: Mapping[str, Any]) -> dict[str, CellType]:
             "cells", "[cells.NAME] fill regions of a mesh; the section [mesh] is missing"
         )
     for section, key in _OWN:
-        if key in sections.get(section, {}):
+        if key in shared.get(section, {}):
             raise InputError(
                 f"{section}.{key}",
-                f"{quoted(sections[section][key])}; each cell has its own: give "
+                f"{quoted(shared[section][key])}; each cell has its own: give "
                 f"cells.NAME.{section}.{key}",
             )
-    _settings(sections)  # what is wrong there is reported of no cell
+    _settings(shared, "")  # what is wrong there is reported once, of no cell
     faults = Faults()
-    made = {name: faults.take(_named_cell, name, one, sections) for name, one in cells.items()}
+    types = {name: faults.take(_cell_type, name, one, shared) for name, one in cells.items()}
     faults.check()
     for kind, files in (
-        ("samples", {name: each.samples.file for name, each in made.items()}),
-        ("training", {name: each.training_file for name, each in made.items()}),
+        ("samples", {name: each.samples.file for name, each in types.items()}),
+        ("training", {name: each.training_file for name, each in types.items()}),
     ):
         known: dict[str, str] = {}
         for name, file in files.items():
             first = known.setdefault(str(Path(file)), name) if file is not None else name
             if first != name:
                 raise InputError(f"cells.{name}.{kind}.file", f"{quoted(file)}; that is {first}'s")
-    return made
+    return types
 
 
-def _named_cell(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
-    """The cell of a section [cells.NAME]; what its own sections leave out is as in the shared."""
-    where = f"cells.{name}"
-    if not re.fullmatch(r"[\w-]+", name):
+def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]]) -> CellType:
+    """The cell of [cell], called "", or [cells.NAME]; what its sections leave out is shared."""
+    where, faults = f"cells.{name}" if name else "cell", Faults()
+    if name and not re.fullmatch(r"[\w-]+", name):
         raise InputError(where, f"{quoted(name)}; a name must be of letters, digits, _ and -")
     if not isinstance(entries, dict):
         raise InputError(where, f"{quoted(entries)}; it must be a section [{where}]")
-    given, sections, faults = dict(entries), dict[str, Mapping[str, Any]](), Faults()
-    with faults.noted():
-        regions = check_value(f"{where}.regions", given.pop("regions", [name]), tuple[str, ...], {})
-        if not regions:
-            raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
-    for section in SECTIONS:
+    entries, sections, regions = dict(entries), dict[str, Mapping[str, Any]](shared), ()
+    if name:
         with faults.noted():
-            own = given.pop(section, {})
-            check_table(f"{where}.{section}", own)
-            if merged := {**shared.get(section, {}), **own}:
-                sections[section] = merged
-    cell = faults.take(_cell, given, where, ("regions", *SECTIONS))
-    made = faults.take(_settings, sections, f"{where}.")
+            stated = entries.pop("regions", [name])
+            regions = check_value(f"{where}.regions", stated, tuple[str, ...], {})
+            if not regions:
+                raise InputError(f"{where}.regions", "[]; it must name a region of the mesh")
+        for section in SECTIONS:
+            with faults.noted():
+                own = entries.pop(section, {})
+                check_table(f"{where}.{section}", own)
+                if merged := {**shared.get(section, {}), **own}:
+                    sections[section] = merged
+    with faults.noted():
+        preset = check_value(f"{where}.preset", entries.pop("preset", "printed"), str, {})
+        extras = ("preset", "regions", *SECTIONS) if name else ("preset",)
+        make = partial(CellParameters.preset, preset)
+        cell = build(make, entries, where, extras, of=CellParameters)
+    settings = faults.take(_settings, sections, f"{where}." if name else "")
     faults.check()
-    return CellType(**cell, **made, regions=regions)
+    return CellType(preset=preset, cell=cell, regions=regions, **settings)
 
 
-def _cell(entries: Mapping[str, Any], where: str, extras: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Preset and cell that entries state."""
-    given = dict(entries)
-    preset = check_value(f"{where}.preset", given.pop("preset", "printed"), str, {})
-    make = partial(CellParameters.preset, preset)
-    cell = build(make, given, where, ("preset", *extras), of=CellParameters)
-    return {"preset": preset, "cell": cell}
-
-
-def _settings(sections: Mapping[str, Mapping[str, Any]], where: str = "") -> dict[str, Any]:
+def _settings(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, Any]:
     """Range, samples, training and training_file that sections state."""
     training, faults = dict(sections.get("training", {})), Faults()
-    file = training.pop("file", None)
-    made: dict[str, Any] = {
+    file, samples = training.pop("file", None), sections.get("samples", {})
+    settings = {
         "training_file": faults.take(check_value, f"{where}training.file", file, str | None, {}),
-        "range": None,
-        "samples": faults.take(
-            build, SampleSettings, sections.get("samples", {}), f"{where}samples"
-        ),
+        "samples": faults.take(build, SampleSettings, samples, f"{where}samples"),
         "training": faults.take(build, TrainingSettings, training, f"{where}training", ("file",)),
+        "range": None,
     }
     if "range" in sections:
-        made["range"] = faults.take(build, SamplingRange, sections["range"], f"{where}range")
+        settings["range"] = faults.take(build, SamplingRange, sections["range"], f"{where}range")
     faults.check()
-    return made
+    return settings
 
 
 def points_of_cells(mesh: skfem.Mesh, types: Mapping[str, CellType]) -> dict[str, Index]:
@@ -232,7 +222,7 @@ def kinds_of_cells(
 
     for k, (name, each) in enumerate(types.items()):
         for part in (part for part in each.regions if part in known):
-            inside = inside_region(problem, part, counts, side)
+            inside = problem.cells_inside(part, counts, side)
             twice = inside & (kind >= 0) & (kind != k)
             if twice.any():
                 raise InputError(

@@ -1,13 +1,14 @@
 """Sections of a recipe that state a problem: mesh, conditions, bodies, watched points, time.
 
 What they say is checked when the recipe is loaded, all but what needs the mesh itself; that is read
-and made when a command asks for the problem.
+and made when a command needs the problem.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,36 +16,20 @@ import numpy as np
 import skfem
 
 from surrofe2.base.errors import FileError, InputError, quoted
-from surrofe2.base.settings import Faults, build, check_settings, check_table, check_value, setting
+from surrofe2.base.settings import Faults, build, check_settings, check_value, setting
 from surrofe2.base.units import LENGTH, TIME
 from surrofe2.macro.discretisation import make_discretisation
 from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import BodyForce, Condition, Foundation, Pressure, Traction
-from surrofe2.problem.entries import (
-    Point,
-    body_of,
-    condition_of,
-    entries_of_part,
-    part_of,
-    sections_of,
-)
-from surrofe2.problem.mesh import (
-    boundary,
-    check_mesh,
-    nodes_on,
-    rectangle,
-    region,
-)
-from surrofe2.problem.problem import Problem, label
-from surrofe2.problem.regions import Part
+from surrofe2.problem.mesh import Part, boundary, check_mesh, nodes_on, rectangle, region
+from surrofe2.problem.problem import Point, Problem, label, sections_of
 from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.store.meshes import read_mesh
 from surrofe2.store.store import digest
 
-SECTIONS = ("mesh", "conditions", "bodies", "watch", "time")
+SECTIONS = ("mesh", "conditions", "watch", "bodies", "time")
 """Those that state a problem."""
 
-_PARTS_OF_MESH = ("boundaries", "regions")
 _ON_BOUNDARIES = (Traction, Pressure, Foundation)
 
 
@@ -57,6 +42,12 @@ class MeshSettings:
     elements: tuple[int, int] | None = setting(None, "elements in x and in y", least=1)
     file: str | None = setting(None, "mesh file, relative to the recipe")
     length_unit: Literal["µm", "um", "mm", "m"] | None = setting(None, "of the file; µm")
+    boundaries: Mapping[str, Part] | None = setting(
+        None, "parts of the plane that hold outer sides"
+    )
+    regions: Mapping[str, Part] | None = setting(
+        None, "parts of the plane that hold elements' centres"
+    )
 
     def __post_init__(self) -> None:
         check_settings(self, "mesh")
@@ -72,6 +63,36 @@ class MeshSettings:
             raise InputError(
                 "mesh.length_unit", f"{quoted(self.length_unit)}; it is of a mesh.file"
             )
+
+    def mesh(self, folder: Path) -> skfem.Mesh:
+        """The mesh with the boundaries and regions that it has by itself."""
+        if self.file is None:
+            assert self.width is not None
+            assert self.height is not None
+            assert self.elements is not None
+            mesh = rectangle(self.width, self.height, self.elements)
+        else:
+            try:
+                mesh = load_mesh(folder / self.file, self.length_unit or "µm")
+            except InputError as error:
+                raise InputError("mesh.file", str(error)) from None
+        for kind, known, more in (
+            ("boundaries", mesh.boundaries, self.boundaries),
+            ("regions", mesh.subdomains, self.regions),
+        ):
+            for name in {*(known or ())} & {*(more or ())}:
+                raise InputError(
+                    f"mesh.{kind}.{name}", "the mesh has one of that name; take another"
+                )
+        return mesh
+
+    def to_dict(self) -> dict[str, Any]:
+        """The section, defaults filled in."""
+        parts = {
+            kind: {name: part.entry() for name, part in (stated or {}).items()}
+            for kind, stated in (("boundaries", self.boundaries), ("regions", self.regions))
+        }
+        return asdict(self) | parts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +116,31 @@ class TimeSettings:
             )
 
 
+def _conditions(where: str, entry: Any) -> tuple[Condition, ...]:
+    """Conditions by name, or in a list."""
+    if not isinstance(entry, list | dict):
+        raise InputError(where, f"{quoted(entry)}; it must be a section [{where}]")
+    if isinstance(entry, dict):
+        named = [(f"{where}.{name}", one, name) for name, one in entry.items()]
+    else:
+        named = [(f"{where}[{k}]", one, None) for k, one in enumerate(entry)]
+    acting, faults = dict[str, Condition](), Faults()
+    for place, one, name in named:
+        with faults.noted():
+            condition = Condition.read(place, one, name)
+            if label(condition) in acting:
+                raise InputError(
+                    place, f"a second one called {label(condition)}; give it another name"
+                )
+            acting[label(condition)] = condition
+    faults.check()
+    return tuple(acting.values())
+
+
+def _bodies(where: str, entry: Any) -> tuple[RigidBody, ...]:
+    return tuple(check_value(where, entry, Mapping[str, RigidBody], {}).values())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedProblem:
     """A problem as a recipe states it.
@@ -104,15 +150,18 @@ class StatedProblem:
         section: that states its extent, "mesh" or "load".
     """
 
-    mesh: MeshSettings
-    boundaries: Mapping[str, Part]
-    regions: Mapping[str, Part]
-    conditions: tuple[Condition, ...]
-    bodies: tuple[RigidBody, ...]
-    watched: Mapping[str, Point]
-    time: TimeSettings
-    sha256: str | None
+    mesh: MeshSettings = setting(about="the tissue")
+    conditions: tuple[Condition, ...] = setting((), "what holds and loads it", read=_conditions)
+    watch: Mapping[str, Point] | None = setting(None, "points by name", LENGTH)
+    bodies: tuple[RigidBody, ...] = setting((), "that it touches", read=_bodies)
+    time: TimeSettings = setting(TimeSettings(), "of the run")
+    sha256: str | None = None
     section: str = "mesh"
+
+    @property
+    def watched(self) -> Mapping[str, Point]:
+        """Watched points by name, µm."""
+        return self.watch or {}
 
     def problem(self, folder: Path) -> Problem:
         """The problem; its files lie relative to `folder`.
@@ -121,14 +170,14 @@ class StatedProblem:
             InputError: the mesh is none, or has not what the sections name.
         """
         problem = Problem(
-            mesh=self._mesh(folder),
+            mesh=self.mesh.mesh(folder),
             conditions=self.conditions,
             bodies=self.bodies,
             duration=self.time.duration,
             output_interval=self.time.output_interval or self.time.duration,
             watched=self.watched,
-            boundaries=self.boundaries,
-            regions=self.regions,
+            boundaries=self.mesh.boundaries or {},
+            regions=self.mesh.regions or {},
         )
         mesh, space = problem.mesh, make_discretisation(problem.mesh)
         for condition in self.conditions:
@@ -145,35 +194,10 @@ class StatedProblem:
             space.locate(np.array(at), f"watch.{name}")
         return problem
 
-    def _mesh(self, folder: Path) -> skfem.Mesh:
-        """The mesh with the boundaries and regions that it has by itself."""
-        given = self.mesh
-        if given.file is not None:
-            try:
-                mesh = load_mesh(folder / given.file, given.length_unit or "µm")
-            except InputError as error:
-                raise InputError("mesh.file", str(error)) from None
-        else:
-            assert given.width is not None
-            assert given.height is not None
-            assert given.elements is not None
-            mesh = rectangle(given.width, given.height, given.elements)
-        for kind, known, more in (
-            ("boundaries", mesh.boundaries or {}, self.boundaries),
-            ("regions", mesh.subdomains or {}, self.regions),
-        ):
-            for name in known.keys() & more.keys():
-                raise InputError(
-                    f"mesh.{kind}.{name}", "the mesh has one of that name; take another"
-                )
-        return mesh
-
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """The sections, defaults filled in; conditions by the names that results have."""
-        mesh = {**asdict(self.mesh), "sha256": self.sha256}
-        mesh["boundaries"] = {name: entries_of_part(part) for name, part in self.boundaries.items()}
-        mesh["regions"] = {name: entries_of_part(part) for name, part in self.regions.items()}
         acts = sections_of(self.conditions, self.bodies, self.watched)
+        mesh = self.mesh.to_dict() | {"sha256": self.sha256}
         return {"mesh": mesh, **acts, "time": asdict(self.time)}
 
 
@@ -203,86 +227,32 @@ def stated_problem(
         InputError: naming the entry that is not what it must be.
         FileError: there is no such mesh file.
     """
-    sections = [name for name in SECTIONS if name in table]
+    sections, section = {name: table[name] for name in SECTIONS if name in table}, "mesh"
     if sections and "load" in table:
+        first = next(iter(sections))
         raise InputError(
-            "load", f"[load] states the paper's bar, [{sections[0]}] another problem; leave one out"
+            "load", f"[load] states the paper's bar, [{first}] another problem; leave one out"
         )
-    if sections:
-        return _stated(table, folder)
-    load = build(LoadSettings, table.get("load", {}), "load")
-    return replace(_stated(load.sections(elements), folder), section="load")
-
-
-def _stated(table: Mapping[str, Any], folder: Path) -> StatedProblem:
-    faults, sections = Faults(), dict[str, Any]()
-    for name in SECTIONS:
-        sections[name] = table.get(name, {})
-        lists = (list, dict) if name == "conditions" else dict
-        if not isinstance(sections[name], lists):
-            with faults.noted():
-                raise InputError(name, f"{quoted(sections[name])}; it must be a section [{name}]")
-            sections[name] = {}
-    if "mesh" not in table:
-        first = next(name for name in SECTIONS if name in table)
+    if not sections:
+        section = "load"
+        sections = build(LoadSettings, table.get("load", {}), "load").sections(elements)
+    faults, fixed = Faults(), dict[str, Any](section=section)
+    if "mesh" not in sections:
+        fixed["mesh"] = None
         with faults.noted():
-            raise InputError("mesh", f"missing; [{first}] needs the section [mesh]")
-    mesh, parts = dict(sections["mesh"]), dict[str, dict[str, Part]]()
-    for kind in _PARTS_OF_MESH:
-        stated = mesh.pop(kind, {})
-        parts[kind] = {}
-        with faults.noted():
-            check_table(f"mesh.{kind}", stated)
-            parts[kind] = {
-                name: faults.take(part_of, f"mesh.{kind}.{name}", one)
-                for name, one in stated.items()
-            }
-    made, sha256 = None, None
-    if isinstance(table.get("mesh"), dict):
-        with faults.noted():
-            made = build(MeshSettings, mesh, "mesh", _PARTS_OF_MESH)
-            sha256 = _digest_of(made, folder)
-    conditions, bodies = sections["conditions"], sections["bodies"]
-    if not table.get("conditions") and not table.get("bodies"):
+            raise InputError("mesh", f"missing; [{next(iter(sections))}] needs the section [mesh]")
+    stated = faults.take(partial(build, StatedProblem, sections, "", **fixed))
+    if not any(sections.get(name, {}) not in ({}, []) for name in ("conditions", "bodies")):
         with faults.noted():
             raise InputError("conditions", "missing; something must hold or move the tissue")
-    if isinstance(conditions, dict):
-        named = [(f"conditions.{name}", one, name) for name, one in conditions.items()]
-    else:
-        named = [(f"conditions[{k}]", one, None) for k, one in enumerate(conditions)]
-    acting = dict[str, Condition]()
-    for where, one, name in named:
-        with faults.noted():
-            condition = condition_of(where, one, name)
-            called = label(condition)
-            if called in acting:
-                raise InputError(where, f"a second one called {called}; give it another name")
-            acting[called] = condition
-    watched = {
-        name: faults.take(check_value, f"watch.{name}", at, Point, {"unit": LENGTH})
-        for name, at in sections["watch"].items()
-    }
-    moving = tuple(faults.take(body_of, name, one) for name, one in bodies.items())
-    time = faults.take(build, TimeSettings, sections["time"], "time")
+    file = sections["mesh"].get("file") if isinstance(sections.get("mesh"), dict) else None
+    sha256 = faults.take(_digest_of, folder / file) if isinstance(file, str) else None
     faults.check()
-    assert made is not None
-    return StatedProblem(
-        mesh=made,
-        boundaries=parts["boundaries"],
-        regions=parts["regions"],
-        conditions=tuple(acting.values()),
-        bodies=moving,
-        watched=watched,
-        time=time,
-        sha256=sha256,
-    )
+    return replace(stated, sha256=sha256)
 
 
-def _digest_of(mesh: MeshSettings, folder: Path) -> str | None:
-    """SHA-256 of the mesh file, if there is one."""
-    if mesh.file is None:
-        return None
-    path = folder / mesh.file
+def _digest_of(path: Path) -> str:
+    """SHA-256 of a mesh file."""
     try:
         return digest(path)
     except FileError as error:

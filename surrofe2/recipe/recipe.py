@@ -275,8 +275,8 @@ def load_recipe(path: str | Path, changes: Mapping[str, Any] = MappingProxyType(
     """Read and check a study recipe.
 
     Args:
-        changes: values by dotted name of the entry, {"cell.wall_stiffness": 3000.0}, in the place
-            of those in the file.
+        changes: values by dotted name of the entry, {"cell.wall_stiffness": 3000.0}, instead of
+            those in the file.
 
     Raises:
         FileError: the file is not there or cannot be read.
@@ -336,10 +336,9 @@ def changed(settings: T, **given: Any) -> T:
 
 def _check_homes(table: Mapping[str, Any]) -> None:
     """Refuse keys of [macro] that another section of the recipe has."""
+    macro, time = table.get("macro", {}), table.get("time")
     homes = {"elements": "mesh" if set(PROBLEM_SECTIONS) & table.keys() else ""}
-    homes["frames"] = "time" if "frames" in table.get("time", {}) else ""
+    homes["frames"] = "time" if isinstance(time, dict) and "frames" in time else ""
     for key, home in homes.items():
-        if home and key in table.get("macro", {}):
-            raise InputError(
-                f"macro.{key}", f"{quoted(table['macro'][key])}; it stands in [{home}]"
-            )
+        if home and key in macro:
+            raise InputError(f"macro.{key}", f"{quoted(macro[key])}; it stands in [{home}]")

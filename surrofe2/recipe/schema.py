@@ -6,7 +6,8 @@ other, names of boundaries, files) is left to `surrofe2 check`.
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -14,8 +15,10 @@ from surrofe2.base.settings import hints_of
 from surrofe2.base.units import NONE
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem.amplitude import KINDS, Amplitude
-from surrofe2.problem.entries import KINDS_OF_CONDITION, PARTS, SHAPES, Point
-from surrofe2.problem.rigid_bodies import RigidBody
+from surrofe2.problem.conditions import CONDITIONS
+from surrofe2.problem.mesh import PARTS, Box, Part
+from surrofe2.problem.problem import Point
+from surrofe2.problem.rigid_bodies import SHAPES, RigidBody
 from surrofe2.recipe.cell_types import SECTIONS as SECTIONS_OF_CELL
 from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
 from surrofe2.recipe.recipe import SECTIONS
@@ -42,10 +45,7 @@ def recipe_schema() -> Schema:
     shared = {name: {**sections[name], "required": []} for name in SECTIONS_OF_CELL}
     names = {"type": "array", "items": _TEXT}
     cell = _with(sections["cell"], {"regions": names, **shared})
-    outlines = {name: _settings(kind) for name, kind in PARTS.items()}
-    outlines["box"] = _value(tuple[float, float, float, float], {})
-    part = {"anyOf": [_table({name: each}, [name]) for name, each in outlines.items()]}
-    condition = {"anyOf": _kinds(KINDS_OF_CONDITION)}
+    condition = {"anyOf": _kinds({each.kind(): each for each in CONDITIONS})}
     body = _with(_settings(RigidBody), {name: _settings(kind) for name, kind in SHAPES.items()})
     points = _value(tuple[tuple[float, float], ...], {})
     return {
@@ -56,9 +56,7 @@ def recipe_schema() -> Schema:
             {
                 **sections,
                 "cells": _named(cell),
-                "mesh": _with(
-                    _settings(MeshSettings), {"boundaries": _named(part), "regions": _named(part)}
-                ),
+                "mesh": _settings(MeshSettings),
                 "conditions": {"anyOf": [_named(condition), {"type": "array", "items": condition}]},
                 "bodies": _named(body),
                 "watch": _named(_value(Point, {})),
@@ -95,7 +93,7 @@ def _kinds(kinds: Any) -> list[Schema]:
     return found
 
 
-def _settings(kind: type) -> Schema:
+def _settings(kind: Any) -> Schema:
     """The table of the fields of settings."""
     hints, properties, required = hints_of(kind), dict[str, Schema](), list[str]()
     for item in fields(kind):
@@ -116,6 +114,14 @@ def _value(hint: Any, bounds: Any) -> Schema:
     options = get_args(hint)
     if hint is Amplitude:
         return {"$ref": "#/definitions/amplitude"}
+    if hint is Box:
+        return _value(tuple[float, float, float, float], {})
+    if hint is Part:
+        return {"anyOf": [_table({name: _value(each, {})}, [name]) for name, each in PARTS.items()]}
+    if is_dataclass(hint):
+        return _settings(hint)
+    if get_origin(hint) is Mapping:
+        return _named(_value(options[1], bounds))
     if get_origin(hint) in (Union, UnionType):
         kinds = [_value(each, bounds) for each in options if each is not NoneType]
         return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surrofe2.law.stress_law import SURROGATE, TABLE, Status
-from surrofe2.problem.entries import body_of
+from surrofe2.problem.rigid_bodies import RigidBody
 from surrofe2.report.comparison import Comparison
 from surrofe2.report.figures import Colours, DrawnBody, box, draw_tissue, drawn_bodies, rim
 from surrofe2.report.html import figure, grid, image, missing
@@ -213,7 +213,7 @@ def bodies_of(run: RunData) -> list[DrawnBody]:
     if run.fields is None:
         return []
     stated = run.record.recipe.get("bodies", {})
-    bodies = [body_of(name, table) for name, table in stated.items()]
+    bodies = [RigidBody.read(f"bodies.{name}", table) for name, table in stated.items()]
     return drawn_bodies(bodies, run.run.curve.t, run.run.history, run.fields)
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.compilation import one_blas_thread
 from surrofe2.base.simd import TILE
-from surrofe2.base.threads import one_blas_thread
 from surrofe2.law.stress_law import Array, Status, Tangents
 from surrofe2.plant_cell.tiles import pack, put_points, unpack
 from surrofe2.rve.constrained_runs import Stepping, iterate

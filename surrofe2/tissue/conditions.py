@@ -22,10 +22,9 @@ from surrofe2.problem.conditions import (
     Pressure,
     Traction,
 )
-from surrofe2.problem.mesh import boundary, region
-from surrofe2.problem.problem import Problem, label
+from surrofe2.problem.mesh import boundary
+from surrofe2.problem.problem import Problem, Support, label, supports_of, without_overlap
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
-from surrofe2.problem.supports import Support, supports_of, without_overlap
 from surrofe2.tissue.acting import NO_DRIVE, Drive, Edges
 from surrofe2.tissue.contact import CIRCLE, CORNER, NO_PLATES, PLANE, Plates
 from surrofe2.tissue.layout import Tissue, shares
@@ -287,7 +286,7 @@ class Conditions:
         tissue, name = self.tissue, condition.on
         if name is None:
             return np.ones(tissue.particles)
-        inside = inside_region(self.problem, name, tissue.cells, tissue.cell.cell_side)
+        inside = self.problem.cells_inside(name, tissue.cells, tissue.cell.cell_side)
         if not inside.any():
             raise InputError(f"region {name}: it holds the middle of no plant cell")
         mine, whole = (
@@ -346,18 +345,6 @@ class Conditions:
     def _bonds(self) -> Index:
         """(b, 2) bonded particles."""
         return bonded_particles(self.tissue)
-
-
-def inside_region(
-    problem: Problem, name: str, cells: tuple[int, int], side: float
-) -> NDArray[np.bool_]:
-    """(n, m) which plant cells of a side in µm have their middle in a region."""
-    corners: Array = np.indices(cells).reshape(2, -1).T.astype(np.float64)
-    middles, part = side * (corners + 0.5), problem.regions.get(name)
-    if part is not None:
-        return part.holds(middles).reshape(cells)
-    found = problem.mesh.element_finder()(*middles.T)
-    return np.isin(found, region(problem.mesh, name)).reshape(cells)
 
 
 def _outline(name: str, shape: Shape) -> tuple[int, tuple[float, ...]]:

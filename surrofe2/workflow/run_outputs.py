@@ -28,9 +28,8 @@ from surrofe2.macro.frames import Frames
 from surrofe2.macro.internal_force import deformation_gradient
 from surrofe2.plant_cell.parameters import PRESETS, CellParameters
 from surrofe2.problem import Problem
-from surrofe2.problem.entries import sections_of
 from surrofe2.problem.mesh import element_nodes, extent
-from surrofe2.problem.problem import label
+from surrofe2.problem.problem import label, sections_of
 from surrofe2.ranks.distributed_law import own_part
 from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe

@@ -127,7 +127,7 @@ def resized(recipe: Recipe, cells: tuple[int, int]) -> Recipe:
         name: (x * width / stated.mesh.width, y * height / stated.mesh.height)
         for name, (x, y) in stated.watched.items()
     }
-    return replace(recipe, stated=replace(stated, mesh=mesh, watched=watched))
+    return replace(recipe, stated=replace(stated, mesh=mesh, watch=watched))
 
 
 def tissue_summary(record: RunRecord) -> str:

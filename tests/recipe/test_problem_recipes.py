@@ -338,6 +338,8 @@ UNIT = {"width": 1.0, "height": 1.0, "elements": [1, 1]}
         ({"mesh": UNIT}, "conditions: missing; something must hold or move the tissue"),
         ({"mesh": UNIT, "conditions": [{"kind": "fixed", "on": "left"}] * 2},
          "conditions[1]: a second one called fixed left; give it another name"),
+        ({"mesh": UNIT, "conditions": {"c": {"kind": "fixed", "on": "left"}}, "time": 0},
+         "time: 0; it must be a section [time]"),
         ({"mesh": UNIT, "conditions": [3]}, "conditions[0]: 3; it must be a table of entries"),
     ],
 )  # fmt: skip
@@ -368,8 +370,6 @@ def test_a_body_that_begins_inside_the_tissue_is_refused(shape, position, depth)
 
 def test_wrong_calls_get_a_sentence():
     mesh = rectangle(2.0, 1.0, (2, 1))
-    with pytest.raises(InputError, match="problem: 'left'; there must be a tuple of Condition"):
-        Problem(mesh=mesh, conditions=("left",))
     with pytest.raises(InputError, match=r"mesh.width, mesh.height: -2.0, 1.0; they must be pos"):
         rectangle(-2.0, 1.0, (2, 1))
     with pytest.raises(InputError, match=r"mesh: 2 elements of the same nodes at \(0.5, 0.5\) µm"):
