@@ -24,11 +24,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 NAME = f"surrofe2-{PROJECT['version']}"
 
 
-def test_all_state_one_version():
+def test_all_state_one_version_one_address_and_the_same_authors():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == PROJECT["version"]
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.search(r"^## (\S+)", changes, re.MULTILINE)[1] == PROJECT["version"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"git clone {PROJECT['urls']['Source']} " in readme
     names = {author["name"] for author in PROJECT["authors"]}
     assert set(re.findall(r'^  - name: "(.*)"$', citation, re.MULTILINE)) == names
 
