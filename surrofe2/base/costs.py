@@ -7,6 +7,8 @@ import platform
 from dataclasses import dataclass
 from pathlib import Path
 
+from surrofe2.base.units import number
+
 
 def processor() -> str:
     """The name of the processor."""
@@ -49,17 +51,15 @@ class Balance:
         if self.made is None:
             return "the time to make its surrogate is not known; train again to have it counted"
         gain = self.true / (self.made + self.run)
-        text = f"including data and training ({self.made:.3g} s), " + (
-            f"{gain:.2g} times faster than full FE²"
+        text = f"including data and training ({number(self.made)} s), " + (
+            f"{number(gain, 2)} times faster than full FE²"
             if gain >= 1.0
-            else f"{1.0 / gain:.2g} times slower than full FE²"
+            else f"{number(1.0 / gain, 2)} times slower than full FE²"
         )
         if self.pays_from is None:
             return f"{text}; it never pays off, since full FE² is faster"
         if self.pays_from == 1:
             return f"{text}; it pays off in the first run"
         times = self.made / (self.true - self.run)
-        return (
-            f"{text}; it pays off after {self.pays_from} such runs, or on {times:.2g} times as "
-            "many elements"
-        )
+        runs = f"it pays off after {self.pays_from:,} such runs"
+        return f"{text}; {runs}, or on {number(times, 2)} times as many elements"

@@ -21,6 +21,10 @@ rate of deformation    1/µs            1e6 1/s
 A 2D stress divided by the tissue thickness in µm is a 3D stress in MPa (µN/µm² = MPa).
 """
 
+from __future__ import annotations
+
+import math
+
 LENGTH = "µm"
 TIME = "µs"
 MASS = "ng"
@@ -48,3 +52,13 @@ def rough_time(seconds: float) -> str:
     units = {"days": 86400.0, "h": 3600.0, "min": 60.0}
     unit, size = next(((u, s) for u, s in units.items() if seconds >= 1.5 * s), ("s", 1.0))
     return f"{float(f'{seconds / size:.1g}'):g} {unit}"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number of so many significant digits, without an exponent."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    thousands = "," if abs(value) >= 1e4 else ""
+    text = f"{value:{thousands}.{max(0, decimals)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

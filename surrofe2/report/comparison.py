@@ -11,8 +11,9 @@ import numpy as np
 
 from surrofe2.base.costs import Balance
 from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.base.units import number
 from surrofe2.plant_cell.parameters import PRESETS
-from surrofe2.report.tables import Quantity, Table, figure, percent
+from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel, draw_panels, encoded
 from surrofe2.run.displacement_curve import CurveDifference, DisplacementCurve, difference
 from surrofe2.store.run_folder import RunRecord, StoredRun, balance_of, caches_of, presets_of
@@ -206,12 +207,12 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
     text = f"{audit['audited']:,} of {cache['accepted']['hits']:,} accepted answers"
     if audit["quantiles"]:
         text += (
-            f", error {figure(audit['quantiles']['0.99'], 2)} µN/µm at 99 %, "
-            f"{figure(audit['largest'], 2)} worst"
+            f", error {number(audit['quantiles']['0.99'], 2)} µN/µm at 99 %, "
+            f"{number(audit['largest'], 2)} worst"
         )
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
-    text += f"; {audit['violations']} above the tolerance of {figure(allowed, 2)} µN/µm"
+    text += f"; {audit['violations']} above the tolerance of {number(allowed, 2)} µN/µm"
     wrong = audit.get("wrong_at_most")  # runs of earlier versions do not have it
     if wrong is not None:
         text += f", so with 95 % confidence at most {100.0 * wrong:.2g} % of all"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ def grid_row(
     true: StoredRun | None,
     error: str | None,
 ) -> GridRow:
-    """A row; true: the run of the same values by true RVEs, if there is one."""
+    """A row; true: the run of the same values by RVEs, if there is one."""
     facts: dict[str, Any] = {"run": name, "error": error, **(_facts_of(run) if run else {})}
     if run is not None and true is not None and law != "rve":
         against = compared_run(run, true)
@@ -107,7 +107,7 @@ QUANTITIES = (
     _fact("displacement error", "", percent(2)),
     _fact("stress error", "", percent(2)),
     _fact("largest stress error", "", None),
-    _fact("above", "", ""),
+    _fact("above", "", None),
     _fact("hits", "", percent(3)),
     _fact("wall time", "s", ".3g"),
     _fact("speed-up", "×", ".3g"),
@@ -120,7 +120,7 @@ QUANTITIES = (
     _fact("error", "", lambda sentence: "failed"),
 )
 """Stresses relative to their spread; the stress error is what 99 % of the audited answers keep,
-right-hand sides are relative to those of true FE²."""
+right-hand sides are relative to those of full FE²."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,12 @@ class Grid:
         """What people read of it."""
         law: Quantity[GridRow] = Quantity("law", "", "", lambda row: row.law)
         entries = [_of_entry(name, self.values) for name in self.values] + [law] * self.has_laws
-        return Table((*entries, *QUANTITIES), self.rows)
+        known = {fact for row in self.rows for fact in row.facts}
+        shown = (  # either seconds or how many times faster: a line has 80 columns
+            replace(each, format=None) if each.name == "wall time" and "speed-up" in known else each
+            for each in QUANTITIES
+        )
+        return Table((*entries, *shown), self.rows)
 
     @property
     def failed(self) -> dict[str, str]:
@@ -193,12 +198,12 @@ def _is_number(value: Any) -> bool:
 
 
 _PANELS = (
-    ("largest displacement", "µm", False),
-    ("displacement error", "relative to the largest", True),
-    ("stress error", "relative to the spread of stress", True),
-    ("hits", "share of the stresses", False),
-    ("speed-up", "times faster than true FE²", False),
-    ("wall time", "s", False),
+    ("largest displacement", "largest displacement (µm)", False),
+    ("displacement error", "displacement error\n/ largest displacement", True),
+    ("stress error", "stress error\n/ spread of stress", True),
+    ("hits", "stresses from the cache (1)", False),
+    ("speed-up", "times faster than full FE²", False),
+    ("wall time", "wall time (s)", False),
 )
 """Quantities that are drawn over the values, label of their axis, and whether it is logarithmic."""
 
@@ -207,23 +212,29 @@ def write_grid_plot(path: Path, grid: Grid) -> None:
     """Draw displacements over time, and what runs came to over the first entry that changes."""
     changing = [name for name, values in grid.values.items() if len(values) > 1]
 
-    def label(row: GridRow, names: list[str]) -> str:
+    def label(row: GridRow, names: list[str], law: bool = grid.has_laws) -> str:
         known = [name for name in names if name in row.values]
         parts = [f"{_short(name, grid.values)} {text_of(row.values[name])}" for name in known]
-        return ", ".join([*parts, *([row.law] if grid.has_laws else [])])
+        return ", ".join([*parts, *([row.law] if law else [])])
 
-    drawn = [row for row in grid.rows if row.run is not None]
-    some = np.unique(np.linspace(0, len(drawn) - 1, min(len(drawn), _MOST_CURVES)).round())
-    shown = [drawn[int(k)] for k in some]
-    panels = [_over_time(shown, [label(row, changing) for row in shown])] if shown else []
+    # the curves of other laws would lie on those of the first
+    finished = [row for row in grid.rows if row.run is not None and row.law == grid.rows[0].law]
+    some = np.linspace(0, len(finished) - 1, min(len(finished), _MOST_CURVES)).round()
+    shown = [finished[int(k)] for k in np.unique(some)]
+    lines = {label(row, changing, law=not changing): row.run for row in shown}
+    panels = [_over_time({name: run for name, run in lines.items() if run})] if lines else []
     groups: dict[str, list[GridRow]] = {}
     for row in grid.rows if changing else ():
         if changing[0] in row.values:
             groups.setdefault(label(row, changing[1:]), []).append(row)
+    drawn: set[str] = set()
     for name, axis, log_y in _PANELS if groups else ():
-        curves = _over_values(grid, changing[0], name, groups)
-        if curves and not (name == "wall time" and panels[-1].title == "speed-up"):
-            panels.append(_panel(grid, changing[0], name, axis, curves, log_y))
+        if name == "wall time" and "speed-up" in drawn:
+            continue
+        panel = _over_values(grid, changing[0], groups, name, axis, log_y)
+        if panel.curves:
+            drawn.add(name)
+            panels.append(panel)
     of = ", ".join(f"{name} {_ends(values)}" for name, values in grid.values.items())
     figure = draw_panels(panels, 2, title=f"{grid.recipe}: {of}")
     write_bytes(path, encoded(figure, "png"))
@@ -234,58 +245,47 @@ def _ends(values: tuple[Any, ...]) -> str:
     return first if len(values) == 1 else f"{first} … {last}"
 
 
-def _over_time(rows: list[GridRow], labels: list[str]) -> Panel:
+def _over_time(runs: Mapping[str, StoredRun]) -> Panel:
     """The larger component of the watched displacement."""
-    curves_shown = [row.run.curve for row in rows if row.run is not None]
-    sizes = np.array([abs(curve.displacement).max(axis=0) for curve in curves_shown])
+    curves = [run.curve for run in runs.values()]
+    sizes = np.array([abs(curve.displacement).max(axis=0) for curve in curves])
     axis = int(sizes.max(axis=0).argmax())
-    curves = [
-        Curve("", curve.t, curve.displacement[:, axis], label, markers=False, colour=k)
-        for k, (curve, label) in enumerate(zip(curves_shown, labels, strict=True))
-    ]
-    title = "displacement of the watched point"
-    return Panel("time $t$ (µs)", f"$u_{'xy'[axis]}$ (µm)", tuple(curves), title)
-
-
-def _places(grid: Grid, over: str) -> dict[str, float]:
-    """Where each value stands on the axis, by its text; those that are no numbers one by one."""
-    values = grid.values[over]
-    are_numbers = all(map(_is_number, values))
-    return {text_of(each): float(each if are_numbers else k) for k, each in enumerate(values)}
+    lines = (
+        Curve("", curve.t, curve.displacement[:, axis], label, markers=False)
+        for label, curve in zip(runs, curves, strict=True)
+    )
+    return Panel("time (µs)", f"displacement $u_{'xy'[axis]}$ (µm)", tuple(lines))
 
 
 def _over_values(
-    grid: Grid, over: str, name: str, groups: Mapping[str, list[GridRow]]
-) -> list[Curve]:
-    places = _places(grid, over)
+    grid: Grid, over: str, groups: Mapping[str, list[GridRow]], name: str, axis: str, log_y: bool
+) -> Panel:
+    """A quantity over an entry, whose values are marked one by one where they are no numbers."""
+    values = grid.values[over]
+    are_numbers = all(map(_is_number, values))
+    places = {text_of(each): float(each if are_numbers else k) for k, each in enumerate(values)}
     curves = []
     for k, (label, rows) in enumerate(groups.items()):
-        x = np.array([places[text_of(row.values[over])] for row in rows])
-        order = np.argsort(x)
-
-        def fact(name: str, rows: list[GridRow] = rows, order: Any = order) -> Any:
-            return np.array([row.facts.get(name) for row in rows], dtype=np.float64)[order]
-
-        y = fact(name)  # None: NaN
-        if np.isnan(y).all():
+        if name == "largest displacement" and rows[0].law != grid.rows[0].law:
             continue
-        curves.append(Curve("", x[order], y, label or grid.recipe, colour=k))
-        if name == "stress error":
-            curves.append(Curve("reference", x[order], fact("tolerance"), "tolerance of stress"))
-    return curves
-
-
-def _panel(grid: Grid, over: str, name: str, axis: str, curves: list[Curve], log_y: bool) -> Panel:
-    places, are_numbers = _places(grid, over), all(map(_is_number, grid.values[over]))
-    x = [*places.values()]
+        rows = sorted(rows, key=lambda row: places[text_of(row.values[over])])
+        x = np.array([places[text_of(row.values[over])] for row in rows])
+        y, tolerance = (
+            np.array([row.facts.get(fact) for row in rows], dtype=np.float64)  # None: NaN
+            for fact in (name, "tolerance")
+        )
+        if not np.isnan(y).all():
+            curves.append(Curve("", x, y, label or grid.recipe, colour=k))
+            if name == "stress error":
+                curves.append(Curve("reference", x, tolerance, "tolerance of stress"))
+    x_ticks = [*places.values()]
     return Panel(
         _of_entry(over, grid.values).heading,
         axis,
         tuple(curves),
-        name,
-        log_x=are_numbers and min(x) > 0.0 and max(x) > _DECADE * min(x),
+        log_x=are_numbers and min(x_ticks) > 0.0 and max(x_ticks) > _DECADE * min(x_ticks),
         log_y=log_y,
-        x_ticks=() if are_numbers else tuple(x),
+        x_ticks=() if are_numbers else tuple(x_ticks),
         x_names=() if are_numbers else tuple(places),
         zero=not log_y and name != "largest displacement",
     )

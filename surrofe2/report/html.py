@@ -10,8 +10,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from surrofe2.base.units import number
 from surrofe2.report.tables import Table
-from surrofe2.report.tables import figure as number
 from surrofe2.run.charts import PALETTE, Panel, draw_panels, encoded
 
 _BAR_ROW, _AXIS, _LEGEND_ROW = 0.6, 0.8, 0.25

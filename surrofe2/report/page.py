@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from surrofe2.base.units import number
 from surrofe2.law.stress_law import SURROGATE, TABLE
 from surrofe2.report.comparison import (
     audit_curves,
@@ -36,7 +37,6 @@ from surrofe2.report.html import (
     table_of,
 )
 from surrofe2.report.player import SOURCES, ReportData, RunData, motion_section, tissue_image
-from surrofe2.report.tables import figure as number
 from surrofe2.report.tables import percent
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.store.fields import RISK_NAME, SOURCE_NAME

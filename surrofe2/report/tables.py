@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -12,8 +11,13 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from surrofe2.base.units import number
+
 Row = TypeVar("Row")
 NONE = "–"
+_ROUNDED, _PLAIN = re.compile(r"\.(\d)g"), (1e-4, 1e7)
+"""Formats of so many significant digits, and sizes that are written without an exponent."""
+_LEAST_SHARE = 1e-7, "0.00001"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,12 @@ class Quantity(Generic[Row]):
         value = self.get(row)
         if is_missing(value):
             return NONE
-        return format(value, self.format or "") if not callable(self.format) else self.format(value)
+        if callable(self.format):
+            return self.format(value)
+        rounded = _ROUNDED.fullmatch(self.format or "")
+        if rounded and (value == 0.0 or _PLAIN[0] <= abs(value) < _PLAIN[1]):
+            return number(value, int(rounded[1]))  # 1470 and not 1.47e+03
+        return format(value, self.format or "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,18 +119,16 @@ def is_missing(value: Any) -> bool:
     return value is None or (isinstance(value, float | np.floating) and bool(np.isnan(value)))
 
 
-def figure(value: float, digits: int = 3) -> str:
-    """A number of so many significant digits, without an exponent."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    decimals = digits - 1 - math.floor(math.log10(abs(value)))
-    text = f"{value:,.{max(0, decimals)}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
 def percent(digits: int) -> Callable[[float], str]:
-    """A format of shares: percent(2)(0.123) is "12 %"; rounding errors are "0 %"."""
-    return lambda share: f"{figure(100.0 * share if abs(share) > 1e-12 else 0.0, digits)} %"
+    """A format of fractions: percent(2)(0.123) is "12 %"; rounding errors are "0 %"."""
+
+    def text(fraction: float) -> str:
+        least, words = _LEAST_SHARE
+        if 1e-12 < abs(fraction) < least:
+            return f"< {words} %"
+        return f"{number(100.0 * fraction if abs(fraction) > 1e-12 else 0.0, digits)} %"
+
+    return text
 
 
 def _field(value: Any) -> str:

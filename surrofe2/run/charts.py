@@ -53,8 +53,10 @@ _DASHES = ("-", "--", "-.", ":")
 """Of lines without markers, in turn."""
 _PANEL_SIZE = (4.6, 3.1)  # inches
 _LEGEND_ROW, _LEGEND_ROOM, _TITLE_ROW = 0.2, 0.15, 0.2
-_MOST_INSIDE = 3
+_MOST_INSIDE = 2
 """Lines that a legend inside a panel names."""
+_LONG = 30
+"""Letters of labels of which there is one in a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,7 @@ def draw_panels(
     for place, panel in zip(axes.flat, panels, strict=False):
         _draw_panel(place, panel)
     width = max(_PANEL_SIZE[0] * columns, 6.4 if title else 0.0)
-    legend = _draw_legends(figure, width)
+    legend = _draw_legends(figure, width, columns)
     title = "\n".join(
         wrapped for line in title.split("\n") for wrapped in wrap(line, int(11 * width))
     )
@@ -204,7 +206,7 @@ def _other_style(k: int, markers: bool) -> dict[str, str]:
     return {"color": colour, "marker": marker, "linestyle": dash}
 
 
-def _draw_legends(figure: Figure, width: float) -> float:
+def _draw_legends(figure: Figure, width: float, columns: int) -> float:
     """Legends where there is more than one line; the height in inches of the one below all axes."""
     handles: dict[str, Any] = {}
     labels = []
@@ -219,8 +221,16 @@ def _draw_legends(figure: Figure, width: float) -> float:
     if all(2 * len(each) > len(handles) for each in several):
         return _legend_below(figure, handles, width)
     for place, each in zip(figure.axes, labels, strict=True):
-        if len(each) > _MOST_INSIDE:
+        if len(each) > _MOST_INSIDE and columns == 1:
             place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        elif len(each) > _MOST_INSIDE:
+            place.legend(
+                loc="upper center",
+                bbox_to_anchor=(0.5, -0.2),
+                ncols=1 if max(map(len, each)) > _LONG else 2,
+                frameon=False,
+                fontsize=8,
+            )
         elif len(each) > 1:
             place.legend(loc="best", fontsize=8, framealpha=0.8)
     return 0.0
