@@ -61,7 +61,7 @@ def train(recipe, folder):
 
 
 def refine(recipe, folder):
-    from surrofe2.workflow.refinement import refine_surrogate
+    from surrofe2.workflow.refine import refine_surrogate
 
     refine_surrogate(recipe, folder / "out")
 
@@ -174,7 +174,7 @@ def _has_ended(process):
 
 def serve():
     """Start processes as the docstring of this file says; all is imported once, before them."""
-    from surrofe2.workflow import refinement  # noqa: F401 - torch too
+    from surrofe2.workflow import refine  # noqa: F401 - torch too
 
     sys.stdout.write("ready\n")
     sys.stdout.flush()

@@ -72,7 +72,7 @@ from tests.some_work import squares
 if __name__ == "__main__":
     with MPIPoolExecutor() as executor:
         assert executor.num_workers == 2
-        parts = [part for _, _, part in in_pieces(squares, range(5, 61), 3, executor)]
+        parts = [*in_pieces(squares, range(5, 61), 3, executor)]
         assert sum(parts, []) == [k * k for k in range(5, 61)]
         run_grid("recipe.toml", {values}, "out", laws={laws}, threads=1, executor=executor)
 """

@@ -1,9 +1,11 @@
-"""From a declared range of (F, Ḟ) to a data set of stresses."""
+"""From a declared range of (F, Ḟ) to a data set of stresses, and what training takes of it."""
 
 from __future__ import annotations
 
 import builtins
+import logging
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -13,20 +15,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import FileError, InputError, MismatchError
 from surrofe2.base.sampling import SamplingRange, training_points
+from surrofe2.base.tensors import stress_error, stress_spread
 from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import StressLaw, StressResponse, describe
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.rve import RveLaw
-from surrofe2.store.samples import DataSetHeader, stored_count, writing_data_set
+from surrofe2.store.samples import (
+    DataSetHeader,
+    Harvest,
+    check_harvest,
+    read_data_set,
+    read_harvest,
+    stored_count,
+    writing_data_set,
+)
 from surrofe2.workflow import laws
-from surrofe2.workflow.progress import Report, no_report
+from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
 from surrofe2.workflow.workers import in_pieces
 
+log = logging.getLogger(__name__)
+
 Array = NDArray[np.float64]
+Part = tuple[Array, Array, StressResponse]
+"""F and Ḟ of some samples, and the answer there."""
 
 CHUNK = 512
+_SAME = 1e-6
+"""Fraction of the spread of stress within which two stresses are the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +69,8 @@ def counts_of(recipe: Recipe) -> tuple[int, ...]:
 
 
 def wanted_count(recipe: Recipe, *, fresh: bool = False) -> int:
-    """How many samples the recipe's data set is to have: what training begins with, or, where it
-    has asked for more of them before, these.
+    """How many samples the recipe's data set is to have: what training begins with, or as many as
+    it has needed before.
     """
     counts, path = counts_of(recipe), recipe.data_path()
     if len(counts) == 1 or fresh or not path.exists():
@@ -72,16 +89,16 @@ def generate_data_set(
     executor: Any = None,
     report: Report = no_report,
 ) -> Generated:
-    """Sample the recipe's range, ask the RVE, and write the recipe's data set.
+    """Sample the recipe's range, solve the RVE there, and write the recipe's data set.
 
-    Samples are asked without warm start and answered each for itself, so a data set that was
-    continued, or made by several processes, equals one made in one go, to the bit.
+    Each sample is solved for itself, without a warm start, so a data set that was continued, or
+    made by several processes, equals one made in one go, to the bit.
 
     Args:
-        law: asked instead of the recipe's RVE; an executor must be able to send it.
+        law: used instead of the recipe's RVE; an executor must be able to send it.
         count: of samples in the end, or `wanted_count` if that is more.
         executor: does the work, see `surrofe2.workflow.workers`; None: this process.
-        report: is told the number of samples done.
+        report: called with the number of samples done.
 
     Raises:
         InputError: tangents are wanted of RVEs that have none.
@@ -108,8 +125,7 @@ def generate_data_set(
         failures = sum(n for code, n in data.status_counts().items() if code)
         report(data.completed, f"{failures} failed")
         work = partial(_sampled, law, wanted, settings.seed, settings.tangents)
-        items = range(data.completed, count)
-        for _, _, (F, F_dot, answer) in in_pieces(work, items, chunk, executor):
+        for F, F_dot, answer in in_pieces(work, range(data.completed, count), chunk, executor):
             data.append(F, F_dot, answer)
             failures += int((answer.status != 0).sum())
             report(data.completed, f"{failures} failed")
@@ -121,11 +137,11 @@ def generate_data_set(
 
 def _sampled(
     law: StressLaw, wanted: SamplingRange, seed: int, tangents: bool, first: int, count: int
-) -> tuple[Array, Array, StressResponse]:
-    """Points `first` to `first + count` of a sequence, F and Ḟ, and the answers there."""
+) -> Part:
+    """Points `first` to `first + count` of a sequence, and the answer there."""
     F, F_dot = training_points(wanted, count, seed, start=first)
     answer = law.respond(F, F_dot, tangents=tangents)
-    return F, F_dot, replace(answer, state=None)  # a warm start takes 20 kB a sample
+    return F, F_dot, replace(answer, state=None)  # a warm start takes 20 kB per sample
 
 
 def sample_stress(
@@ -143,55 +159,166 @@ def sample_stress(
     Args:
         tangents: whether ∂P/∂F and ∂P/∂Ḟ are sampled too, from which training learns more.
         executor: does the work, see `surrofe2.workflow.workers`; None: this process.
-        report: is told the number of samples done.
+        report: called with the number of samples done.
 
     Raises:
         InputError: `count` or `seed` is no such number, or the law has no tangents.
     """
     if count < 1:
         raise InputError(f"count: {count}; it must be at least 1")
-    parts: list[tuple[Array, Array, StressResponse]] = []
+    parts, done = list[dict[str, Array]](), 0
     work = partial(_sampled, law, range, seed, tangents)
-    for first, done, part in in_pieces(work, builtins.range(count), CHUNK, executor):
+    for F, F_dot, answer in in_pieces(work, builtins.range(count), CHUNK, executor):
+        left = answer.left_bifurcation
+        part = {"F": F, "F_dot": F_dot, "stress": answer.stress, "status": answer.status}
+        part["left_bifurcation"] = np.zeros(len(F), np.bool_) if left is None else left
+        if answer.tangents is not None:
+            part |= {"P_by_F": answer.tangents.P_by_F, "P_by_F_dot": answer.tangents.P_by_F_dot}
         parts.append(part)
-        report(first + done, "")
-    answers = [answer for _, _, answer in parts]
-    slopes = [answer.tangents for answer in answers if answer.tangents is not None]
-    left = [
-        np.zeros(len(answer.status), np.bool_)
-        if answer.left_bifurcation is None
-        else answer.left_bifurcation
-        for answer in answers
-    ]
+        done += len(F)
+        report(done, "")
     return StressSamples(
-        F=np.concatenate([F for F, _, _ in parts]),
-        F_dot=np.concatenate([F_dot for _, F_dot, _ in parts]),
-        stress=np.concatenate([answer.stress for answer in answers]),
-        status=np.concatenate([answer.status for answer in answers]),
         cell=law.cell,
         initialisation=law.initialisation,
         range=range,
         seed=seed,
         rest_length=law.rest_length,
-        P_by_F=np.concatenate([each.P_by_F for each in slopes]) if slopes else None,
-        P_by_F_dot=np.concatenate([each.P_by_F_dot for each in slopes]) if slopes else None,
-        left_bifurcation=np.concatenate(left),
+        **_joined(parts),
     )
 
 
-def data_summary(made: Generated) -> str:
+def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Any]:
+    """Arrays by name, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def data_summary(generated: Generated) -> str:
     """How many samples there are and of what use; each is counted once."""
-    failed = Counter(made.failed)
-    text = f"{made.count} samples" + ("" if made.added else " (already finished)")
-    usable = made.count - failed.total() - made.left
-    text = f"{text}, {'all' if usable == made.count else usable} usable"
+    failed = Counter(generated.failed)
+    text = f"{generated.count} samples" + ("" if generated.added else " (already finished)")
+    usable = generated.count - failed.total() - generated.left
+    text = f"{text}, {'all' if usable == generated.count else usable} usable"
     if failed:
         reasons = "; ".join(f"{n}: {reason}" for reason, n in failed.most_common())
         text = f"{text}, {failed.total()} failed ({reasons})"
-    if made.left:
-        share = made.left / made.count
+    if generated.left:
         text += (
-            f", {made.left} left a bifurcation and are not trained on: in {share:.1%} of the "
-            "recipe's range the stress has more than one value; narrow it where that matters"
+            f", {generated.left} left a bifurcation and are not trained on: in "
+            f"{generated.left / generated.count:.1%} of the recipe's range the stress has more "
+            "than one value; narrow it where that matters"
         )
     return text
+
+
+def training_samples(
+    recipe: Recipe, count: int, harvests: Sequence[Path] = (), *, stage: Stage = no_stage
+) -> StressSamples:
+    """The first `count` samples of the recipe's data set, and all of the harvests.
+
+    A data set whose number of samples the recipe leaves out is continued where it has fewer.
+
+    Raises:
+        FileError: there is no data set.
+        InputError: it is not finished.
+        MismatchError: it is of another recipe.
+    """
+    path = recipe.data_path()
+    if not path.exists():
+        raise FileError(f"{path}: no such file; make it with `surrofe2 generate {recipe.path}`")
+    there = stored_count(path)
+    may_grow = there.is_open and recipe.samples.count is None
+    if may_grow and not (there.is_finished and there.rows >= count):
+        wanted = max(count, wanted_count(recipe))
+        with stage("generate", wanted, "samples") as report:
+            generate_data_set(recipe, count=wanted, report=report)
+    samples = read_data_set(path)
+    check_data(recipe, samples, path)
+    first = samples if len(samples.F) <= count else samples.at(np.arange(count))
+    return with_harvests(first, harvests, recipe)
+
+
+def check_data(recipe: Recipe, samples: StressSamples, source: Path) -> None:
+    """Refuse a data set of another recipe.
+
+    Raises:
+        MismatchError: naming what differs.
+    """
+    stored = stored_count(source)
+    for name, here, there in (
+        ("cell", recipe.cell, samples.cell),
+        ("rve.initialisation", recipe.rve.initialisation, samples.initialisation),
+        ("range", recipe.sampling_range(), samples.range),
+        ("samples.seed", recipe.samples.seed, samples.seed),
+        ("samples.count", recipe.samples.count, None if stored.is_open else stored.rows),
+    ):
+        if here != there:
+            raise MismatchError(
+                f"{source}: {name}: made by another recipe than {recipe.path.name}; generate it "
+                f"again with `surrofe2 generate {recipe.path} --fresh`"
+            )
+
+
+def with_harvests(
+    samples: StressSamples, paths: Iterable[Path], recipe: Recipe, law: StressLaw | None = None
+) -> StressSamples:
+    """The samples and, after them, the RVE stresses in these harvests.
+
+    The range stays that of the samples: states beyond it are trained on, and do not widen it.
+    Where the samples have tangents, those of harvested states are computed by RVEs from rest;
+    states where these find another stress are omitted.
+
+    Args:
+        law: whose tangents; default: the recipe's RVE.
+
+    Raises:
+        MismatchError: a harvest is of other cell parameters or initialisation.
+    """
+    parts, omitted = [_arrays_of(samples)], 0
+    for path in paths:
+        harvest = read_harvest(path)
+        check_harvest(path, harvest, samples.cell, samples.initialisation)
+        part = _arrays_of(harvest)
+        if samples.P_by_F is not None:
+            spread = stress_spread(samples.stress[samples.status == 0])
+            part = _with_tangents(law or laws.true_law(recipe), part, _SAME * spread)
+        omitted += len(harvest.F) - len(part["F"])
+        parts.append(part)
+    if len(parts) == 1:
+        return samples
+    if omitted:
+        log.warning("%d harvested states left out: RVEs from rest differ there", omitted)
+    arrays = _joined(parts)
+    left = samples.left_bifurcation
+    if left is not None:  # harvests have no answers from beyond a bifurcation
+        arrays["left_bifurcation"] = np.pad(left, (0, len(arrays["F"]) - len(left)))
+    return replace(samples, **arrays)
+
+
+def _with_tangents(law: StressLaw, harvest: dict[str, Any], same: float) -> dict[str, Any]:
+    """Harvested states with tangents: those that failed, and those where the law, from rest, finds
+    the same stress.
+    """
+    by_F, by_F_dot = np.full((2, len(harvest["F"]), 2, 2, 2, 2), np.nan)
+    kept = harvest["status"] != 0
+    valid = np.flatnonzero(~kept)
+    for first in range(0, len(valid), CHUNK):
+        rows = valid[first : first + CHUNK]
+        answer: Any = law.respond(harvest["F"][rows], harvest["F_dot"][rows], tangents=True)
+        error = stress_error(answer.stress, harvest["stress"][rows])
+        kept[rows] = (answer.status == 0) & (error <= same)
+        by_F[rows], by_F_dot[rows] = answer.tangents.P_by_F, answer.tangents.P_by_F_dot
+    arrays = harvest | {"P_by_F": by_F, "P_by_F_dot": by_F_dot}
+    return {name: values[kept] for name, values in arrays.items()}
+
+
+def _arrays_of(answers: Harvest | StressSamples) -> dict[str, Any]:
+    """The arrays that samples and harvests have, and tangents where there are some."""
+    arrays: dict[str, Any] = {
+        "F": answers.F,
+        "F_dot": answers.F_dot,
+        "stress": answers.stress,
+        "status": answers.status,
+    }
+    if isinstance(answers, StressSamples) and answers.P_by_F is not None:
+        arrays |= {"P_by_F": answers.P_by_F, "P_by_F_dot": answers.P_by_F_dot}
+    return arrays

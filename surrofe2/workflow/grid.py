@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,11 @@ from surrofe2.report.grid import Grid, grid_row, write_grid_plot
 from surrofe2.store.run_folder import read_run
 from surrofe2.store.store import locked_folder, write_json, write_text
 from surrofe2.workflow.generate import generate_data_set, wanted_count
-from surrofe2.workflow.grid_tasks import GridTask, Work, run_member
 from surrofe2.workflow.laws import use_threads
-from surrofe2.workflow.progress import Report, Stage, no_stage
+from surrofe2.workflow.progress import Stage, no_stage
+from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import is_trained, train_surrogate
-from surrofe2.workflow.workers import Processes, results_of
+from surrofe2.workflow.workers import Processes
 
 GRID_FILES = ("grid.csv", "grid.json", "grid.png")
 LAWS = ("rve", "cached", "table", "surrogate")
@@ -37,6 +36,27 @@ _WITHOUT = {
     "surrogate": ("cache", "table"),
 }
 """Sections that a run by a law does not depend on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GridTask:
+    """Work that a process can be given: a surrogate, or a run.
+
+    Attributes:
+        name: of its file, or its folder.
+        values: of the entries that change and that the run depends on.
+        true: name of the run of the same values by RVEs.
+        needs: files of the surrogates of a run by name of the cell.
+        is_own: whether a surrogate is the recipe's own, which is never started over.
+    """
+
+    name: str
+    recipe: Recipe
+    law: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    true: str = ""
+    needs: Mapping[str, Path] = field(default_factory=dict)
+    is_own: bool = False
 
 
 def run_grid(
@@ -54,8 +74,8 @@ def run_grid(
 
     Each run has a folder in `out`; runs that differ in nothing they depend on are one. A surrogate
     is the recipe's where no entry that it depends on is changed, else one in `out`; what is
-    missing of it is generated and trained. Beside a run by true RVEs the others of the same values
-    have their error and speed-up. One that fails is a row of the table, and the others go on.
+    missing of it is generated and trained. Beside a run by RVEs the others of the same values
+    have their error and speed-up. One that fails is a row of the table, and the others continue.
 
     Args:
         path: of the recipe.
@@ -72,16 +92,12 @@ def run_grid(
     if threads is None and isinstance(executor, Processes):
         threads = max(1, (os.cpu_count() or 1) // executor.workers)
     with locked_folder(out):
-        learn, run = partial(_learn, threads, fresh), partial(run_member, out, threads, fresh)
-        errors = _done([*surrogates.values()], learn, executor, stage, "surrogates")
-        lost = {
-            task.name: error
-            for task in runs.values()
-            for path in task.needs.values()
-            if (error := errors[str(path)])
-        }
-        ready = [task for name, task in runs.items() if name not in lost]
-        errors |= lost | _done(ready, run, executor, stage, "runs")
+        errors = _done(surrogates, partial(_learn, threads, fresh), executor, stage, "surrogates")
+        for name, task in runs.items():
+            failed = [errors[str(file)] for file in task.needs.values() if errors[str(file)]]
+            errors |= {name: failed[0]} if failed else {}
+        ready = {name: task for name, task in runs.items() if name not in errors}
+        errors |= _done(ready, partial(_run, out, threads, fresh), executor, stage, "runs")
         stored = {name: read_run(out / name) for name in runs if not errors[name]}
         rows = [
             grid_row(
@@ -108,29 +124,32 @@ def _planned(
         count *= len(each)
         if not 0 < count <= MOST_RUNS:
             raise InputError(f"{name}: {count:,} runs; a grid has 1 to {MOST_RUNS:,}")
-    base = load_recipe(path)
+    base, checked = load_recipe(path), list[Any]()
     surrogates: dict[str, GridTask] = {}
     runs: dict[str, GridTask] = {}
     for combination in itertools.product(*values.values()):
         changes = dict(zip(values, combination, strict=True))
         recipe = load_recipe(path, changes)
-        recipe.problem()
+        stated = recipe.stated, recipe.surface, [each.regions for each in recipe.cells.values()]
+        if stated not in checked:  # each problem is meshed and checked once
+            recipe.problem()
+            checked.append(stated)
         counting = {law: _without(changes, _WITHOUT[law]) for law in LAWS}
-        true = name_of_values(counting["rve"], "rve")
         for law in laws:
-            made: list[GridTask] = []
-            for part in recipe.parts().values() if law == "table" else ():
-                part.sampling_range()
-            if law in ("cached", "surrogate"):
-                made = _surrogates(base, recipe, changes, out)
-                surrogates |= {task.name: task for task in made}
+            needed: list[GridTask] = []
+            for name, part in recipe.parts().items():
+                if law == "table":
+                    part.sampling_range()
+                elif law in ("cached", "surrogate"):
+                    needed.append(_surrogate(base, name, part, changes, out))
+            surrogates |= {task.name: task for task in needed}
             task = GridTask(
                 name=name_of_values(counting[law], law),
                 recipe=recipe,
                 law=law,
                 values=counting[law],
-                true=true,
-                needs={task.recipe.cell_name: Path(task.name) for task in made},
+                true=name_of_values(counting["rve"], "rve"),
+                needs={task.recipe.cell_name: Path(task.name) for task in needed},
             )
             runs.setdefault(task.name, task)
     return surrogates, runs
@@ -140,32 +159,35 @@ def _without(changes: Mapping[str, Any], sections: Sequence[str]) -> dict[str, A
     return {k: value for k, value in changes.items() if k.partition(".")[0] not in sections}
 
 
-def _surrogates(
-    base: Recipe, recipe: Recipe, changes: Mapping[str, Any], out: Path
-) -> list[GridTask]:
-    """The surrogate of each cell of a recipe, with files in `out` where it is not the base's."""
-    found = []
-    for name, part in recipe.parts().items():
-        own = base.parts().get(name)
-        is_own = own is not None and _learnt(own) == _learnt(part)
-        others = tuple(f"cells.{other}." for other in recipe.cells if other != name)
+def _surrogate(
+    base: Recipe, name: str, part: Recipe, changes: Mapping[str, Any], out: Path
+) -> GridTask:
+    """The surrogate of a cell of a recipe with changes: the base's where what it learns is the
+    same, else one in `out`."""
+    original = base.parts().get(name)
+    if original is not None and _learnt(original) == _learnt(part):
+        known, stem = original, f"{base.path.stem}{name and '-'}{name}"
+        data, trained = known.samples.file, known.training_file
+    else:
+        others = tuple(f"cells.{other}." for other in part.cells if other != name)
         counting = {
             key: value
             for key, value in changes.items()
-            if key.partition(".")[0] in _LEARNT and not key.startswith(others) and not is_own
+            if key.partition(".")[0] in _LEARNT and not key.startswith(others)
         }
-        stem = f"{name_of_values(counting) or base.path.stem}{name and '-'}{name}"
-        here = os.path.relpath(out / stem, base.path.parent)
-        data, trained = (part.samples.file, part.training_file) if is_own else (None, None)
         # what calibrates it is the base's problem, whatever else the grid changes
-        part = load_recipe(base.path, counting).parts()[name]
-        samples = replace(part.samples, file=data or f"{here}.h5")
-        part = part.with_cell(samples=samples, training_file=trained or f"{here}-surrogate.h5")
-        if not (is_own and part.training_path().exists()):
-            part.sampling_range()
-        is_own = is_own and trained is not None
-        found.append(GridTask(name=str(part.training_path()), recipe=part, is_own=is_own))
-    return found
+        cells = {**base.cells, name: part.cells[name]}
+        known = replace(base, cells=cells, rve=part.rve, calibration=part.calibration, part=name)
+        data, trained, stem = None, None, f"{name_of_values(counting)}{name and '-'}{name}"
+    here = os.path.relpath(out / stem, base.path.parent)
+    recipe = known.with_cell(
+        samples=replace(known.samples, file=data or f"{here}.h5"),
+        training_file=trained or f"{here}-surrogate.h5",
+    )
+    path = recipe.training_path()
+    if trained is None or not path.exists():
+        recipe.sampling_range()
+    return GridTask(name=str(path), recipe=recipe, is_own=trained is not None)
 
 
 def _learnt(part: Recipe) -> tuple[Any, ...]:
@@ -175,44 +197,54 @@ def _learnt(part: Recipe) -> tuple[Any, ...]:
 
 
 def _done(
-    tasks: Sequence[GridTask], work: Work, executor: Any, stage: Stage, what: str
+    tasks: Mapping[str, GridTask],
+    work: Callable[[GridTask, Stage], None],
+    executor: Any,
+    stage: Stage,
+    what: str,
 ) -> dict[str, str | None]:
-    """What each task came to by its name, done here with a display of each, or by workers."""
-    names = [task.name for task in tasks]
+    """The error message that ended each task by its name, or None; done here, or by workers."""
+    errors: dict[str, str | None] = {}
     if executor is None:
-
-        def numbered(k: int) -> Stage:
-            return lambda title, *of: stage(f"{k + 1}/{len(tasks)} {title}", *of)
-
-        return {task.name: work(task, numbered(k)) for k, task in enumerate(tasks)}
-    if not tasks:
-        return {}
+        for k, (name, task) in enumerate(tasks.items(), 1):
+            place = f"{k}/{len(tasks)}"
+            errors[name] = _error_of(
+                work, task, lambda what, *of, place=place: stage(f"{place} {what}", *of)
+            )
+        return errors
+    futures = {
+        name: executor.submit(_error_of, work, task, no_stage) for name, task in tasks.items()
+    }
     with stage(what, len(tasks), what) as report:
-        calls = ((task.name, work, (task, no_stage)) for task in tasks)
-        outcomes = []
-        for outcome in results_of(calls, executor):
-            outcomes.append(outcome)
-            report(len(outcomes), "")
-    return dict(zip(names, outcomes, strict=True))
+        for name, future in futures.items():
+            errors[name] = future.result()
+            report(len(errors), "")
+    return errors
 
 
-def _learn(threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> str | None:
-    """Data set and surrogate of a cell, where they are not there."""
-    use_threads(threads)
-    path, recipe = task.recipe.training_path(), task.recipe
-    if task.is_own and is_trained(recipe):
-        return None
-    fresh = fresh and not task.is_own
-
-    def of_it(what: str, total: float, unit: str) -> AbstractContextManager[Report]:
-        return stage(f"{what} {path.stem}", total, unit)
-
+def _error_of(work: Callable[[GridTask, Stage], None], task: GridTask, stage: Stage) -> str | None:
     try:
-        with of_it("generate", wanted_count(recipe, fresh=fresh), "samples") as report:
-            generate_data_set(recipe, fresh=fresh, report=report)
-        train_surrogate(
-            recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {path.stem}", *of)
-        )
+        work(task, stage)
     except (InputError, SimulationError) as error:
         return str(error)
     return None
+
+
+def _learn(threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> None:
+    """Make data set and surrogate of a cell where they are not there."""
+    use_threads(threads)
+    recipe, name = task.recipe, Path(task.name).stem
+    if task.is_own and is_trained(recipe):
+        return
+    fresh = fresh and not task.is_own
+    with stage(f"generate {name}", wanted_count(recipe, fresh=fresh), "samples") as report:
+        generate_data_set(recipe, fresh=fresh, report=report)
+    train_surrogate(recipe, fresh=fresh, stage=lambda what, *of: stage(f"{what} {name}", *of))
+
+
+def _run(out: Path, threads: int | None, fresh: bool, task: GridTask, stage: Stage) -> None:
+    """Run a member of a grid in its folder."""
+    use_threads(threads)
+    folder = out / task.name
+    with stage(task.name, task.recipe.duration, "µs") as report:
+        run_study(task.recipe, task.law, folder, surrogates=task.needs, fresh=fresh, report=report)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,14 +17,9 @@ from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.hdf5 import read_seconds
-from surrofe2.store.samples import read_reference
+from surrofe2.store.samples import read_reference, stored_count
 from surrofe2.store.store import START_OVER, check_same, file_lock, locked_file, remove
-from surrofe2.store.surrogates import (
-    read_surrogate,
-    read_training,
-    write_surrogate,
-    write_training,
-)
+from surrofe2.store.surrogates import read_surrogate, read_training, write_surrogate, write_training
 from surrofe2.surrogate.calibration import Truth
 from surrofe2.surrogate.settings import WISH
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
@@ -35,17 +30,16 @@ from surrofe2.workflow.calibrate import (
     shaped_bound,
     shaping_truths,
 )
-from surrofe2.workflow.generate import counts_of
+from surrofe2.workflow.generate import counts_of, training_samples
 from surrofe2.workflow.progress import Report, Stage, no_stage
-from surrofe2.workflow.samples import SampleSource
 
 if TYPE_CHECKING:
     from surrofe2.surrogate.training import TrainingState
 
 STRESSES = ("xx", "xy", "yx", "yy")
-_BOUNDS = "bounds"
-_PATIENCE, _FALLS, _HELPS = 2, 0.9, 0.8
-"""Rounds of a training that must bring the bound so far down; how far twice the samples must."""
+_BEFORE = "bound_before"
+_HELPS = 0.8
+"""How far twice the samples must bring the bound down, for twice as many again to be taken."""
 LARGE_ERROR = 0.01
 """Held-out RMS of a component over its spread, from which on training warns."""
 
@@ -77,7 +71,8 @@ def train_surrogate(
 ) -> Trained:
     """Train on the recipe's data set, calibrate the bound and write the recipe's surrogate.
 
-    The surrogate is written before its calibration too, with no bound yet.
+    As long as the bound is above the one wanted and more samples have helped, training is repeated
+    on twice as many. The surrogate is written before its calibration too, with no bound yet.
 
     Args:
         fresh: start over, whatever is there.
@@ -91,7 +86,12 @@ def train_surrogate(
     if find_spec("torch") is None:
         raise InputError("training needs PyTorch, which is not installed: pip install torch")
     path, unfinished = recipe.training_path(), unfinished_training(recipe)
-    source = SampleSource(recipe, [*recipe.added_paths(), *add], range, stage)
+    counts, harvests = counts_of(recipe), [*recipe.added_paths(), *add]
+
+    def take(count: int) -> StressSamples:
+        samples = training_samples(recipe, count, harvests, stage=stage)
+        return samples if range is None else replace(samples, range=range)
+
     surrogate, begun, fingerprint = None, _Begun(), ""
     if unfinished.exists() and not fresh:
         begun = _read_unfinished(unfinished)
@@ -99,8 +99,12 @@ def train_surrogate(
     elif path.exists() and not fresh:
         surrogate = read_surrogate(path)
         fingerprint = surrogate.data_fingerprint
-    first = source.number_with(fingerprint)
-    samples = source.take(counts_of(recipe)[first])
+    number, samples = 0, take(counts[0])
+    if len(counts) > 1 and fingerprint:  # it may be of more
+        there = stored_count(recipe.data_path()).rows
+        known = (k for k, count in enumerate(counts) if count <= there)
+        number = next((k for k in known if take(counts[k]).fingerprint == fingerprint), 0)
+        samples = take(counts[number])
 
     def trained(surrogate: SurrogateLaw, *, kept: bool) -> Trained:
         bound = bound_summary(surrogate, samples, recipe.cache.tolerance)
@@ -117,17 +121,28 @@ def train_surrogate(
         if surrogate is None:
             if fresh:
                 remove(unfinished)
-            surrogate, samples, shaping = _train(source, samples, first, begun, stage)
-            files = recipe.data_path(), *source.harvests
-            data = [read_seconds(each) for each in files]
-            known = [each for each in data if each is not None]
-            if len(known) == len(data):  # else nobody can say when the surrogate pays
-                surrogate = replace(surrogate, seconds={"data": sum(known), **surrogate.seconds})
+            while True:
+                with stage("train", recipe.training.iterations, "iterations") as report:
+                    shaping = shaping or _shaping(recipe, samples)
+                    surrogate, bound, seconds = _train(recipe, samples, shaping, begun, report)
+                number += 1
+                if (
+                    bound <= WISH * recipe.training.bound
+                    or number == len(counts)
+                    or bound >= _HELPS * begun.before
+                ):
+                    break
+                begun, samples = _Begun(seconds=seconds, before=bound), take(counts[number])
+            surrogate = replace(
+                surrogate,
+                reference=read_reference(recipe.data_path(), recipe.cell),
+                seconds={**_seconds_of_data(recipe, harvests), "training": seconds},
+            )
             write_surrogate(surrogate, path)
             remove(unfinished)
         meter = Meter()
         with stage("calibrate", 1.0, "of the paths") as report:
-            shaping = shaping or shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
+            shaping = shaping or _shaping(recipe, samples)
             surrogate = calibrate_surrogate(recipe, surrogate, samples, report, shaping)
         surrogate = replace(surrogate, seconds={**surrogate.seconds, "calibration": meter.seconds})
         write_surrogate(surrogate, path)
@@ -142,7 +157,7 @@ def is_trained(recipe: Recipe) -> bool:
 
 
 def unfinished_training(recipe: Recipe) -> Path:
-    """What a training leaves to go on from; where it is there, no surrogate is finished."""
+    """What a training leaves to resume from; where it is there, no surrogate is finished."""
     return recipe.training_path().with_suffix(".unfinished.h5")
 
 
@@ -151,117 +166,72 @@ class _Begun:
     """What an interrupted training did.
 
     Attributes:
-        before: the best bound that fewer samples gave, infinite where there were none.
-        bounds: that its rounds gave so far.
+        before: the bound that fewer samples gave, infinite where there were none.
     """
 
     state: TrainingState | None = None
     seconds: float = 0.0
     before: float = math.inf
-    bounds: tuple[float, ...] = ()
 
 
 def _read_unfinished(path: Path) -> _Begun:
-    identity, iterations, arrays = read_training(path)
-    before, *bounds = arrays.pop(_BOUNDS, np.array([math.inf])).tolist()
     from surrofe2.surrogate.training import TrainingState  # torch, which runs do without
 
-    state = TrainingState(identity, iterations, arrays)
-    return _Begun(state, read_seconds(path) or 0.0, before, tuple(bounds))
+    identity, iterations, arrays = read_training(path)
+    before = float(arrays.pop(_BEFORE, math.inf))
+    return _Begun(TrainingState(identity, iterations, arrays), read_seconds(path) or 0.0, before)
+
+
+def _seconds_of_data(recipe: Recipe, harvests: Sequence[Path]) -> dict[str, float]:
+    """The seconds of the data set and the harvests; none where nobody knows those of a file."""
+    seconds = [read_seconds(path) for path in (recipe.data_path(), *harvests)]
+    known = [each for each in seconds if each is not None]
+    return {"data": sum(known)} if len(known) == len(seconds) else {}
 
 
 def _train(
-    source: SampleSource, samples: StressSamples, number: int, begun: _Begun, stage: Stage
-) -> tuple[SurrogateLaw, StressSamples, list[Truth]]:
-    """A surrogate without a bound, its samples, and the stresses along the paths that shape the
-    bound where training looked at them.
-
-    Trains, and takes twice the samples as long as the bound is above the one wanted, there may be
-    more samples, and more have helped so far.
-
-    Args:
-        number: of the samples among `counts_of`.
-    """
-    recipe, counts, shaping = source.recipe, counts_of(source.recipe), list[Truth]()
-    while True:
-        may_grow = number + 1 < len(counts)
-        with stage("train", recipe.training.iterations, "iterations") as report:
-            if recipe.training.bound and not shaping:
-                shaping = _shaping(recipe, samples)
-            surrogate, bound, seconds = _train_once(
-                recipe, samples, shaping, may_grow, begun, report
-            )
-        is_met = bound <= WISH * recipe.training.bound
-        if is_met or not may_grow or not has_improved(bound, begun.before):
-            reference = read_reference(recipe.data_path(), recipe.cell)
-            return (
-                replace(surrogate, reference=reference, seconds={"training": seconds}),
-                samples,
-                shaping,
-            )
-        begun, number = _Begun(seconds=seconds, before=bound), number + 1
-        samples = source.take(counts[number])
-
-
-def _train_once(
     recipe: Recipe,
     samples: StressSamples,
     shaping: Sequence[Truth],
-    may_grow: bool,
     begun: _Begun,
     report: Report,
 ) -> tuple[SurrogateLaw, float, float]:
-    """A surrogate of these samples; the best bound on the way, 0 where none is wanted; the seconds.
-
-    It ends when the bound is met, and, where there may be more samples, when these have brought it
-    down from what fewer gave and do so no further.
-    """
+    """A surrogate of these samples, its bound by the spread of stress, and the seconds of all
+    trainings so far; the bound is 0 where none is wanted. Training ends when it is met."""
     path, wanted = unfinished_training(recipe), WISH * recipe.training.bound
-    meter, bounds = Meter(begun.seconds), list(begun.bounds)
+    meter = Meter(begun.seconds)
 
     from surrofe2.surrogate.training import train
 
     def keep(state: TrainingState) -> None:
-        arrays = {**state.arrays, _BOUNDS: np.array([begun.before, *bounds])}
+        arrays = {**state.arrays, _BEFORE: np.array(begun.before)}
         write_training(path, state.identity, state.iterations, arrays, meter.seconds)
 
-    def should_stop(surrogate: SurrogateLaw) -> bool:
-        bounds.append(shaped_bound(surrogate, samples, shaping))
-        wants_samples = has_stalled(bounds) and has_improved(min(bounds), begun.before)
-        return bounds[-1] <= wanted or (may_grow and wants_samples)
+    def bound_of(surrogate: SurrogateLaw) -> float:
+        return shaped_bound(surrogate, samples, shaping) if wanted else 0.0
 
     try:
         surrogate = train(
             samples,
             recipe.training,
-            progress=lambda i, n, figures: report(i, training_note(figures)),
+            progress=lambda i, n, figures: report(
+                i, f"held-out error {100 * figures['held_out_rms']:.2g} %"
+            ),
             checkpoint=keep,
             resume=begun.state,
-            should_stop=should_stop if wanted else None,
+            should_stop=(lambda surrogate: bound_of(surrogate) <= wanted) if wanted else None,
         )
     except MismatchError as error:
         raise MismatchError(f"{path}: {error}; {START_OVER}") from None
-    if wanted and may_grow:
-        bounds.append(shaped_bound(surrogate, samples, shaping))
-    return surrogate, min(bounds, default=0.0), meter.seconds
+    return surrogate, bound_of(surrogate), meter.seconds
 
 
 def _shaping(recipe: Recipe, samples: StressSamples) -> list[Truth]:
-    if not recipe.calibration.walks:
+    if recipe.training.bound and not recipe.calibration.walks:
         raise InputError(
             f"training.bound: {recipe.training.bound:g}; it must be 0 where calibration.walks is"
         )
     return shaping_truths(samples, laws.true_law(recipe), recipe.calibration)
-
-
-def has_stalled(bounds: Sequence[float]) -> bool:
-    """Whether the last rounds of a training have not brought the bound down."""
-    return min(bounds[-_PATIENCE:]) > _FALLS * min(bounds[:-_PATIENCE], default=math.inf)
-
-
-def has_improved(bound: float, before: float) -> bool:
-    """Whether more samples have brought the bound down from what fewer gave."""
-    return bound < _HELPS * before
 
 
 def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSamples) -> None:
@@ -275,11 +245,6 @@ def _check_surrogate(recipe: Recipe, surrogate: SurrogateLaw, samples: StressSam
         here["calibration"] = asdict(recipe.calibration)
         there["calibration"] = dict(surrogate.calibration.settings)
     check_same(path, here, there)
-
-
-def training_note(figures: Mapping[str, float]) -> str:
-    """How far a training is, for its display."""
-    return f"held-out error {100 * figures['held_out_rms']:.2g} %"
 
 
 def large_errors(recipe: Recipe, trained: Trained) -> str | None:

@@ -11,7 +11,7 @@ from surrofe2.base.sampling import sample
 from surrofe2.law.samples import StressSamples
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.store.samples import HarvestWriter, Origin
-from surrofe2.workflow.samples import with_harvests
+from surrofe2.workflow.generate import with_harvests
 from tests.laws import SquareLaw, square_stress
 
 KNOWN, HARVESTED, FAILED, OTHERWISE = 40, 30, 3, 2

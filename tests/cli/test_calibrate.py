@@ -17,7 +17,7 @@ from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.surrogate.deformation_paths import random_walks
 from surrofe2.workflow import calibrate as calibrating
-from surrofe2.workflow.varied_loads import FACTOR, PACE, Varied, random_loads, varied_problems
+from surrofe2.workflow.calibrate import FACTOR, PACE, Varied, random_loads, varied_problems
 from tests.laws import SoftLaw
 from tests.macro.bars import with_load
 

@@ -19,7 +19,7 @@ from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.store.samples import read_harvest
 from surrofe2.store.tables import read_table
 from surrofe2.workflow import laws
-from surrofe2.workflow.dry_run import dry_run
+from surrofe2.workflow.check import dry_run
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study

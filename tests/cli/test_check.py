@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.workflow import dry_run as module
+from surrofe2.workflow import check as module
 from surrofe2.workflow import laws
-from surrofe2.workflow.dry_run import DryRun, advised_law, dry_run, seconds_by_rves
-from surrofe2.workflow.recipe_check import recipe_faults
+from surrofe2.workflow.check import advised_law, dry_run, recipe_faults, seconds_by_rves
 from surrofe2.workflow.run import run_study
 from tests.conftest import RECIPE
 from tests.laws import SquareLaw
@@ -37,7 +39,7 @@ def test_all_that_is_wrong_is_told_in_one_go(invoke, recipe_path):
     starts = {line.partition(": ")[2].partition(": ")[0] for line in told[:-1]}
     wrong = {"samples.count", "range.shear", "makro", "training.iteration", "load.duration"}
     assert starts == wrong
-    assert told[-1] == f"error: {recipe_path}: 5 things to mend"
+    assert told[-1] == f"error: {recipe_path}: 5 problems found"
 
 
 STATED = """
@@ -109,9 +111,7 @@ def soft_law(monkeypatch):
 def test_check_says_how_long_rves_take_and_writes_nothing(invoke, recipe_path, tmp_path):
     done = invoke("check", recipe_path, "--seconds", WHOLE, law=SquareLaw())
     assert done.exit_code == 0, done.output
-    said = re.search(
-        r"^20 points, asked about ([\d.e+]+) times: .* RVEs to solve, ", done.stdout, re.M
-    )
+    said = re.search(r"^20 points, some ([\d.e+]+) calls: .* RVEs to solve", done.stdout, re.M)
     run = dry_run(load_recipe(recipe_path), WHOLE)
     assert float(said[1]) == pytest.approx(run.calls, rel=0.05)
     assert "recipe.toml: take --law rve" in done.stdout
@@ -132,21 +132,26 @@ def test_a_dry_run_asks_as_often_as_the_run(recipe_path, tmp_path):
 def test_a_dry_run_that_is_cut_short_is_extrapolated(recipe_path, monkeypatch):
     changes = {"load.duration": 40.0, "macro.elements": [8, 8]}
     recipe = load_recipe(recipe_path, changes)
+    ticks = itertools.count()
+    monkeypatch.setattr(module, "cpu_clock", lambda: float(next(ticks)))
     whole = dry_run(recipe, math.inf)
-    asked = itertools.count()
-    monkeypatch.setattr("surrofe2.workflow.dry_run.clock", lambda: float(next(asked)))
-    steps = dry_run(recipe, math.inf).seconds  # the clock ticks once a step
-    asked = itertools.count()
-    short = dry_run(recipe, 0.7 * steps)
+    steps = next(ticks)  # the clock ticks once a step
+    ticks = itertools.count()
+    short = dry_run(recipe, 1.4 * steps)
     assert short.points == whole.points == 320
     assert short.reached == 1.0  # of 4 × 4 elements, whose steps are longer
     assert len(short.steps[""][0][0]) == 80
     assert short.calls == pytest.approx(whole.calls, rel=0.1)
-    assert short.seconds == pytest.approx(steps, rel=0.1)
-    asked = itertools.count()
+    assert not short.omitted
+    monkeypatch.setattr(module, "MOST_ELEMENTS", 16)
+    coarse = dry_run(recipe, math.inf)
+    assert len(coarse.steps[""][0][0]) == 80
+    assert coarse.points == 320
+    assert coarse.calls == pytest.approx(whole.calls, rel=0.5)
+    ticks = itertools.count()
     shorter = dry_run(recipe, 0.1 * steps)
     assert shorter.reached < 1.0
-    assert shorter.calls == pytest.approx(whole.calls, rel=0.5)
+    assert "what is met after" in shorter.omitted
 
 
 @pytest.mark.usefixtures("soft_law")
@@ -155,8 +160,8 @@ def test_the_time_by_rves_is_solves_times_a_solve(recipe_path, monkeypatch):
     run = dry_run(recipe, math.inf)
     law = SlowLaw(laws.true_law(recipe))
     monkeypatch.setattr(laws, "true_law", lambda recipe, *_: law)
-    monkeypatch.setattr("surrofe2.workflow.dry_run.clock", lambda: law.time)
-    assert seconds_by_rves(recipe, run) == pytest.approx(run.seconds + run.solves * law.SECONDS)
+    monkeypatch.setattr(module, "clock", lambda: law.time)
+    assert seconds_by_rves(recipe, run) == pytest.approx(run.solves * law.SECONDS)
 
 
 class SlowLaw:
@@ -193,19 +198,53 @@ def test_the_advice(recipe_path, changed_recipe, invoke):
     assert advised_law(load_recipe(recipe_path), 1000.0) == "rve"
 
 
-def test_dry_runs_on_all_meshes_end_in_their_time(recipe_path, monkeypatch):
-    """Every mesh would take all of its seconds, and there are meshes for minutes."""
-    now, given = [0.0], list[float]()
+def test_a_recipe_without_a_range_is_for_rves(invoke, recipe_path):
+    text = recipe_path.read_text(encoding="utf-8")
+    start, end = text.index("[range]"), text.index("[samples]")
+    recipe_path.write_text(text[:start] + text[end:], encoding="utf-8")
+    done = invoke("check", recipe_path, "--only")
+    assert done.exit_code == 0
+    assert "No [range]: only `--law rve` can run this recipe.\n" in done.stdout
 
-    def cut_short(recipe, seconds, report):
-        given.append(seconds)
-        now[0] += seconds
-        return DryRun(
-            points=4, calls=8.0, seconds=1.0, reached=0.5, met={}, steps={}, shares={"": 1.0}
-        )
 
-    monkeypatch.setattr(module, "_dry_run", cut_short)
-    monkeypatch.setattr(module, "clock", lambda: now[0])
-    run = dry_run(load_recipe(recipe_path, {"macro.elements": [512, 512]}), 5.0)
-    assert given == [5.0, 5.0, 2.0]
-    assert run.reached == 0.5
+def checked(path, *options, **environment):
+    """The command in a process: (what it prints, processor seconds, memory in MB)."""
+    command = [sys.executable, "-m", "surrofe2", "check", str(path), *options]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
+    ) as process:
+        printed = process.stdout.read()
+        _, code, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(code)
+    assert process.returncode == 0, printed
+    return printed, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("elements", "is_large"), [(64, False), (1024, True)])
+def test_a_check_ends_soon_and_takes_little_memory(recipe_path, elements, is_large):
+    text = recipe_path.read_text(encoding="utf-8").replace("duration = 4.0", "duration = 2000.0")
+    text = text.replace("elements = [2, 2]", f"elements = [{elements}, {elements}]")
+    recipe_path.write_text(text, encoding="utf-8")
+    checked(recipe_path, "--seconds", "0.1")  # compiles kernels
+    printed, seconds, memory = checked(recipe_path)
+    assert seconds < 20.0
+    assert memory < 1000.0
+    assert ("the mesh is large" in printed) == is_large
+    assert "left out" in printed
+    assert re.search("take --law (rve|cached)", printed)
+
+
+@pytest.mark.slow
+def test_kernels_are_compiled_ahead_of_a_job_array(recipe_path, tmp_path):
+    """After it a run compiles none: there are no other files of kernels than before."""
+    kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    printed, _, _ = checked(recipe_path, "--only", "--compile", **kept)
+    assert "kernels of rve, table: compiled" in printed
+    before = {path.name for path in (tmp_path / "kernels").rglob("*.nbc")}
+    assert len(before) > 10
+    for law in ("rve", "table"):
+        words = ["run", recipe_path, "--law", law, "--out", tmp_path / law]
+        command = [sys.executable, "-m", "surrofe2", *map(str, words)]
+        subprocess.run(command, check=True, env={**os.environ, **kept}, capture_output=True)
+    assert {path.name for path in (tmp_path / "kernels").rglob("*.nbc")} == before

@@ -14,7 +14,7 @@ from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.dry_run import dry_run, proposed_range
+from surrofe2.workflow.check import dry_run, proposed_range
 from surrofe2.workflow.laws import quadratic_law
 from tests.source_contract import ROOT
 
@@ -29,7 +29,7 @@ def printed_for(path, *options):
     assert done.exit_code == 0, done.output
     said = done.stdout
     start = re.search(r"^\[(cells\..*\.)?range\]$", said, re.MULTILINE).start()
-    return tomllib.loads(said[start : said.index(" points, asked about")].rpartition("\n")[0]), said
+    return tomllib.loads(said[start : said.index(" points, some")].rpartition("\n")[0]), said
 
 
 def proposed_for(path, *options):

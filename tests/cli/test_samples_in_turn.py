@@ -16,8 +16,8 @@ from surrofe2.store.surrogates import read_surrogate
 from surrofe2.surrogate import training
 from surrofe2.workflow.generate import generate_data_set, wanted_count
 from surrofe2.workflow.progress import no_stage
-from surrofe2.workflow.refinement import refine_surrogate
-from surrofe2.workflow.train import has_stalled, train_surrogate
+from surrofe2.workflow.refine import refine_surrogate
+from surrofe2.workflow.train import train_surrogate
 
 MET, NEVER = 1e3, 1e-12
 INTERRUPTIONS = [("train", 0), ("train", 6), ("generate", 0), ("generate", 3)]
@@ -221,30 +221,6 @@ def test_a_bound_that_is_infinite_wants_no_more_samples(wanting, monkeypatch):
     generate_data_set(recipe)
     train_surrogate(recipe)
     assert stored_count(recipe.data_path()).rows == 40
-
-
-def test_the_best_that_some_samples_came_to_says_whether_they_helped(wanting, monkeypatch):
-    """Not the last, at which training gave them up for more."""
-    left = iter([3.0, 3.0, 3.0, 3.0, 1.5, 3.0, 3.0, 3.0])
-    monkeypatch.setattr("surrofe2.workflow.train.shaped_bound", lambda *_: next(left, 2.9))
-    recipe = wanting(NEVER)
-    generate_data_set(recipe)
-    train_surrogate(recipe)
-    assert stored_count(recipe.data_path()).rows == 160
-
-
-@pytest.mark.parametrize(
-    ("bounds", "stalled"),
-    [
-        ([3.0, 2.0], False),
-        ([3.0, 2.9, 2.8], True),  # twice no tenth below
-        ([3.0, 4.0, 2.0], False),
-        ([3.0, 2.0, 1.9, 3.0], True),
-        ([np.inf, 3.0, 2.9], False),
-    ],
-)
-def test_training_has_stalled_where_the_bound_falls_no_further(bounds, stalled):
-    assert has_stalled(bounds) == stalled
 
 
 def test_without_a_bound_the_most_are_made(recipe, changed_recipe):

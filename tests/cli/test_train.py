@@ -124,10 +124,14 @@ def test_a_new_training_that_ends_at_once_goes_on(
 def test_data_set_of_another_recipe(invoke, recipe_path, changed_recipe, old, new, name):
     refused = invoke("train", changed_recipe(old, new))
     assert refused.exit_code == 1
-    assert refused.stderr == (
-        f"error: {recipe_path.parent / 'cells.h5'}: {name}: made by another recipe than "
-        "recipe.toml; generate it anew with `surrofe2 generate RECIPE --fresh`\n"
-    )
+    assert refused.stderr.startswith(f"error: {recipe_path.parent / 'cells.h5'}: {name}: made by ")
+    assert f"surrofe2 generate {recipe_path} --fresh" in refused.stderr
+
+
+def test_what_is_missing_names_the_command_that_makes_it(invoke, recipe_path):
+    refused = invoke("train", recipe_path)
+    assert refused.exit_code == 1
+    assert f"make it with `surrofe2 generate {recipe_path}`" in refused.stderr
 
 
 def test_unfinished_data_set(invoke, recipe_path, recipe, monkeypatch):

@@ -5,7 +5,7 @@ runs meet.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,8 @@ from surrofe2.store.store import (
     write_json,
 )
 from surrofe2.workflow import laws
-from surrofe2.workflow.generate import generate_data_set, wanted_count
-from surrofe2.workflow.progress import Report, Stage, no_stage
+from surrofe2.workflow.generate import CHUNK, generate_data_set, wanted_count
+from surrofe2.workflow.progress import Stage, no_stage
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
 from surrofe2.workflow.train import STRESSES, Trained, train_surrogate
@@ -45,12 +45,11 @@ from surrofe2.workflow.train import STRESSES, Trained, train_surrogate
 Array = NDArray[np.float64]
 
 ROUNDS, SURROGATE = "refine.json", "surrogate.h5"
-_NEW, _STARTED = "new.h5", "round.json"
+_NEW = "new.h5"
 FALLBACK, AUDIT, NEIGHBOUR, WIDENED = 0, 1, 2, 3
 AUDIT_QUANTILE = 0.99
 MOST_NEIGHBOURS = 20_000
 """Largest number of neighbours sampled in a round; as many as unknown states below it."""
-CHUNK = 512
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +66,7 @@ class Round:
         audit: 99 % quantile of the audited errors as a share of the spread of stress; None where
             nothing was audited.
         range: of the surrogate.
+        wider: of the next one, that holds what the run met too.
         added: samples taken in after the run.
         seconds: since the round began, with run, sampling and training.
     """
@@ -80,6 +80,7 @@ class Round:
     audit: float | None
     tolerance: float
     range: dict[str, Any]
+    wider: dict[str, Any]
     added: int
     seconds: float
 
@@ -105,12 +106,8 @@ QUANTITIES: tuple[Quantity[Round], ...] = (
     Quantity("unknown", "", "", lambda row: row.unknown),
     Quantity("samples", "", "", lambda row: row.samples),
     Quantity("held-out RMS", "", percent(2), lambda row: row.held_out),
-    Quantity(
-        "audit 99 %",
-        "",
-        "",  # a column even where no round was audited
-        lambda row: NONE if row.audit is None else percent(2)(row.audit),
-    ),
+    # a column even where no round was audited
+    Quantity("audit 99 %", "", "", lambda r: NONE if r.audit is None else percent(2)(r.audit)),
     Quantity("time", "", time_text, lambda row: row.seconds),
 )
 
@@ -147,16 +144,16 @@ def refine_surrogate(
     with locked_folder(out):
         done = _open_rounds(recipe, parts, out, fresh)
         for k in range(rounds):
-            rows = [row for row in done if row.round == k]
-            if not rows:
-                rows = _round(recipe, parts, out, k, stage)
-                done += rows
+            if not any(row.round == k for row in done):
+                done += _round(recipe, parts, out, done, k, stage)
                 _write_rounds(recipe, parts, out, done)
+            rows = [row for row in done if row.round == k]
             for row in rows:
                 tell(row)
             if all(row.settled for row in rows):
-                for name in (of_cell(SURROGATE, cell) for cell in parts):
-                    write_bytes(out / name, read_bytes(out / f"round-{k}" / name))
+                for name, part in parts.items():
+                    last, _ = _learnt_from(part, out, done)
+                    write_bytes(out / of_cell(SURROGATE, name), read_bytes(last.training_path()))
                 return done
     unknown = sum(row.unknown for row in rows)
     raise SimulationError(
@@ -183,64 +180,64 @@ def _open_rounds(recipe: Recipe, parts: Iterable[str], out: Path, fresh: bool) -
     return []
 
 
-def _write_rounds(recipe: Recipe, parts: Iterable[str], out: Path, done: list[Round]) -> None:
+def _write_rounds(recipe: Recipe, parts: Iterable[str], out: Path, done: Sequence[Round]) -> None:
     rows = [asdict(row) for row in done]
     write_json(out / ROUNDS, {"recipe": recipe.to_dict(), "cells": [*parts], "rounds": rows})
 
 
+def _learnt_from(recipe: Recipe, out: Path, done: Sequence[Round]) -> tuple[Recipe, list[Round]]:
+    """The recipe of a cell with the file of the surrogate that follows these rounds, and those of
+    them whose samples it learns from; without any it is the recipe's own.
+    """
+    name = recipe.cell_name
+    grown = [row for row in done if row.cell == name and row.added]
+    if not grown:
+        return recipe, []
+    file = out / f"round-{grown[-1].round + 1}" / of_cell(SURROGATE, name)
+    return recipe.with_cell(training_file=str(file.resolve())), grown
+
+
 def _round(
-    recipe: Recipe, parts: Mapping[str, Recipe], out: Path, k: int, stage: Stage
+    recipe: Recipe,
+    parts: Mapping[str, Recipe],
+    out: Path,
+    done: Sequence[Round],
+    k: int,
+    stage: Stage,
 ) -> list[Round]:
     """One round, a row for each cell; what it has finished before an interruption is kept."""
     begin, folder = time.perf_counter(), out / f"round-{k}"
     make_folder(folder)
-    trained = {name: _surrogate(part, out, k, stage) for name, part in parts.items()}
-    files = {name: folder / of_cell(SURROGATE, name) for name in parts}
+    trained = {name: _train(part, out, done, k, stage) for name, part in parts.items()}
+    files = {name: each.path for name, each in trained.items()}
     with stage(f"round {k}: run", recipe.duration, "µs") as report:
         record = run_study(recipe, "cached", folder / "run", surrogates=files, report=report)
-    caches = caches_of(record.cache)
-    return [
-        _row(part, folder, k, trained[name], caches[name]["accepted"], begin, stage)
-        for name, part in parts.items()
-    ]
+    rows = []
+    for name, part in parts.items():
+        counts = caches_of(record.cache)[name]["accepted"]
+        hits = counts["hits"] / max(1, counts["hits"] + counts["fallbacks"])
+        rows.append(_row(part, folder, k, trained[name], hits, begin, stage))
+    return rows
 
 
-def _surrogate(recipe: Recipe, out: Path, k: int, stage: Stage) -> Trained:
-    """The surrogate of a cell that round k runs on, in its folder.
-
-    That of round 0 is the recipe's, made where it is not there. A later one learns from all that
-    was sampled since; where nothing was, the last one stays.
-    """
+def _train(recipe: Recipe, out: Path, done: Sequence[Round], k: int, stage: Stage) -> Trained:
+    """The surrogate of a cell that round k runs on, made where it is not there."""
     name = recipe.cell_name
-    file, new, started = (of_cell(each, name) for each in (SURROGATE, _NEW, _STARTED))
-    path = out / f"round-{k}" / file
-    grown = [out / f"round-{j}" for j in range(k) if (out / f"round-{j}" / started).exists()]
+    recipe, grown = _learnt_from(recipe, out, done)
     if not grown:
         with stage(f"generate {name}".strip(), wanted_count(recipe), "samples") as report:
             generate_data_set(recipe, report=report)
-        trained = train_surrogate(recipe, stage=stage)
-    else:
-        last = grown[-1]
-        k_trained = int(last.name.removeprefix("round-")) + 1
-        trained = train_surrogate(
-            recipe.with_cell(training_file=str((out / f"round-{k_trained}" / file).resolve())),
-            add=[folder / new for folder in grown],
-            range=SamplingRange(**read_json(last / started)["range"]),
-            stage=lambda what, *rest: stage(f"round {k} {name}: {what}".replace(" :", ":"), *rest),
-        )
-    if trained.path != path and not path.exists():
-        write_bytes(path, read_bytes(trained.path))
-    return trained
+        return train_surrogate(recipe, stage=stage)
+    return train_surrogate(
+        recipe,
+        add=[out / f"round-{row.round}" / of_cell(_NEW, name) for row in grown],
+        range=SamplingRange(**grown[-1].wider),
+        stage=lambda what, *rest: stage(f"round {k}: {what} {name}".rstrip(), *rest),
+    )
 
 
 def _row(
-    recipe: Recipe,
-    folder: Path,
-    k: int,
-    trained: Trained,
-    counts: Mapping[str, int],
-    begin: float,
-    stage: Stage,
+    recipe: Recipe, folder: Path, k: int, trained: Trained, hits: float, begin: float, stage: Stage
 ) -> Round:
     """What the run of a round met that its surrogate did not know, and the samples of that."""
     surrogate, name = trained.surrogate, recipe.cell_name
@@ -249,27 +246,28 @@ def _row(
     harvest = read_harvest(source) if source.exists() else None  # None: the surrogate knew it all
     held = surrogate.with_tolerance(tolerance, recipe.cache.relative)
     unknown, audit = unknown_states(harvest, held, tolerance * spread)
-    added = 0
+    added, wider = 0, surrogate.range
     if len(unknown) and harvest is not None:
-        states = harvest.F[unknown], harvest.F_dot[unknown]
+        states, seed = (harvest.F[unknown], harvest.F_dot[unknown]), recipe.samples.seed + k + 1
         wider = range_holding(surrogate.range, *states)
-        seed = recipe.samples.seed + k + 1
-        requested = _new_states(recipe, states, wider, wider != surrogate.range, seed)
-        with stage(f"round {k}: sample {name}".rstrip(), 1.0, "of the samples") as report:
-            meter = Meter(read_seconds(source) or 0.0)
-            path = folder / of_cell(_NEW, name)
-            added = _write_samples(path, recipe, harvest, requested, meter, report)
-        write_json(folder / of_cell(_STARTED, name), {"range": wider})
+        count = min(len(unknown), MOST_NEIGHBOURS)
+        wanted = [(NEIGHBOUR, *neighbours(wider, *states, count, seed))]
+        if wider != surrogate.range:  # as many samples of it as the recipe has of its own
+            count = stored_count(recipe.data_path()).rows
+            wanted.append((WIDENED, *sample(wider, count, seed)))
+        path = folder / of_cell(_NEW, name)
+        added = _write_samples(path, recipe, harvest, wanted, read_seconds(source), k, stage)
     return Round(
         round=k,
         cell=name,
-        hits=counts["hits"] / max(1, counts["hits"] + counts["fallbacks"]),
+        hits=hits,
         unknown=len(unknown),
         samples=len(trained.samples.valid.F),
-        held_out=max(surrogate.errors["rms"][name] for name in STRESSES),
+        held_out=max(surrogate.errors["rms"][each] for each in STRESSES),
         audit=None if audit is None else audit / spread,
         tolerance=tolerance,
         range=asdict(surrogate.range),
+        wider=asdict(wider),
         added=added,
         seconds=time.perf_counter() - begin,
     )
@@ -304,46 +302,34 @@ def unknown_states(
     return np.flatnonzero(unknown), quantile
 
 
-def _new_states(
-    recipe: Recipe, states: tuple[Array, Array], wider: SamplingRange, is_new: bool, seed: int
-) -> list[tuple[Array, Array, int]]:
-    """(F, F_dot, why) to ask RVEs for.
-
-    As many neighbours as unknown states (F, F_dot), and where their range had to be widened, as
-    many samples of it as the recipe has of its own.
-    """
-    count = min(len(states[0]), MOST_NEIGHBOURS)
-    asked = [(*neighbours(wider, *states, count, seed), NEIGHBOUR)]
-    if is_new:
-        asked.append((*sample(wider, stored_count(recipe.data_path()).rows, seed), WIDENED))
-    return asked
-
-
 def _write_samples(
     path: Path,
     recipe: Recipe,
     harvest: Harvest,
-    requested: list[tuple[Array, Array, int]],
-    meter: Meter,
-    report: Report,
+    wanted: list[tuple[int, Array, Array]],
+    seconds: float | None,
+    k: int,
+    stage: Stage,
 ) -> int:
     """Write the harvest and the stresses of RVEs at further states, whole or not at all; how many.
 
     Args:
-        meter: of the time that it takes, with that of the harvest.
-        report: called with the fraction that is done and a remark.
+        wanted: why they are, F and F_dot.
+        seconds: that the harvest took.
     """
-    law = laws.true_law(recipe)
-    done, total = 0, sum(len(F) for F, _, _ in requested)
+    law, meter = laws.true_law(recipe), Meter(seconds or 0.0)
+    done, total = 0, sum(len(F) for _, F, _ in wanted)
     writer = HarvestWriter(path, origin_of(recipe))
     writer(harvest.F, harvest.F_dot, harvest.stress, harvest.status, harvest.why)
-    for all_F, all_F_dot, why in requested:
-        for first in range(0, len(all_F), CHUNK):
-            F, F_dot = (tensors[first : first + CHUNK] for tensors in (all_F, all_F_dot))
-            answer = law.respond(F, F_dot)
-            reasons = np.full(len(F), why, dtype=np.int8)
-            writer(F, F_dot, answer.stress, answer.status, reasons)
-            done += len(F)
-            report(done / total, f"{done} of {total} new samples")
+    title = f"round {k}: sample {recipe.cell_name}".rstrip()
+    with stage(title, total, "samples") as report:
+        for why, all_F, all_F_dot in wanted:
+            for first in range(0, len(all_F), CHUNK):
+                F, F_dot = (tensors[first : first + CHUNK] for tensors in (all_F, all_F_dot))
+                answer = law.respond(F, F_dot)
+                reasons = np.full(len(F), why, dtype=np.int8)
+                writer(F, F_dot, answer.stress, answer.status, reasons)
+                done += len(F)
+                report(done, "")
     writer.flush(meter.seconds)
     return len(harvest.F) + done

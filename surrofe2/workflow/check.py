@@ -1,0 +1,385 @@
+"""What a recipe will come to, before it is run: its faults, the range it meets, its cost, its law.
+
+The dry run takes the quadratic law, the exact tangents of the recipe's RVE at rest. It knows
+neither stiffening nor loss of stability, but its time steps are those of a run by RVEs within a few
+per cent. Its times are orders of magnitude: the number of solves times the time of one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.compilation import clock, cpu_clock
+from surrofe2.base.errors import FileError, InputError, MismatchError, SimulationError
+from surrofe2.base.sampling import SamplingRange
+from surrofe2.law.stress_law import StressLaw, StressResponse
+from surrofe2.macro import MetRange, simulate
+from surrofe2.macro.frames import NO_EXTREMES, widen_extremes
+from surrofe2.recipe.recipe import Recipe, load_recipe
+from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
+from surrofe2.store.surrogates import check_surrogate, read_surrogate
+from surrofe2.surrogate.deformation_paths import WatchedLaw
+from surrofe2.workflow import laws
+from surrofe2.workflow.cell_laws import law_by_region
+from surrofe2.workflow.generate import check_data
+from surrofe2.workflow.progress import Report, no_report
+from surrofe2.workflow.run import run_study
+from surrofe2.workflow.train import is_trained
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.2
+SECONDS = 10.0
+"""Processor time of all dry runs of a check; those on the recipe's mesh have half of it."""
+MOST_ELEMENTS = 65_536
+"""Of a mesh that is checked, so that memory stays below 1 GB; a rectangle of more is coarsened."""
+_COARSEST = 4
+_TIMED_STEPS, _TIMED_POINTS, _TIMED_SECONDS = 24, 128, 3.0
+"""RVEs are timed along the second half of so many last steps of a dry run, since the first are cold
+and without a prediction; none is begun after so much processor time."""
+_LEARNING = 30.0
+"""A run by RVEs that is shorter, in s, ends before a data set and a surrogate are made."""
+_COMPILED_STEPS = 3
+
+
+def recipe_faults(path: Path) -> list[str]:
+    """An error message for each entry of a recipe that cannot be what it says, all in one go."""
+    try:
+        load_recipe(path)
+    except (FileError, InputError) as error:
+        return [f"{path.name}: {fault}" for fault in error.faults] or [str(error)]
+    return []
+
+
+def study_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -> list[str]:
+    """What keeps runs of a recipe by these laws from their end: mesh, names, range, files.
+
+    Args:
+        fresh: a data set and a surrogate that are there do not count.
+    """
+    checks: list[Callable[[], Any]] = [recipe.problem, partial(_check_table, recipe, kinds)]
+    for part in recipe.parts().values():
+        if kinds != ("rve",):
+            checks.append(part.sampling_range)
+        if "cached" in kinds:
+            checks += [part.data_path, part.training_path]
+            checks += [partial(_check_harvest, part, path) for path in part.added_paths()]
+            checks += [] if fresh else [partial(_check_files, part)]
+    faults = []
+    for check in checks:
+        try:
+            check()
+        except (FileError, InputError, MismatchError) as error:
+            faults.append(str(error))
+    return faults
+
+
+def refuse_faults(recipe: Recipe, kinds: Sequence[str], *, fresh: bool = False) -> None:
+    """Refuse a study that could not come to its end.
+
+    Raises:
+        InputError: the first fault, and how many more there are.
+    """
+    faults = study_faults(recipe, kinds, fresh=fresh)
+    if faults:
+        more = f"; and {len(faults) - 1} more, see `surrofe2 check`" if faults[1:] else ""
+        raise InputError(f"{faults[0]}{more}")
+
+
+def _check_table(recipe: Recipe, kinds: Sequence[str]) -> None:
+    if "table" in kinds and recipe.rve.solver == "iterated":
+        raise InputError('rve.solver: "iterated"; tables need tangents, so "direct"')
+    if "table" in kinds and recipe.macro.integrator == "implicit":
+        raise InputError('macro.integrator: "implicit"; tables have no tangents; take "explicit"')
+
+
+def _check_harvest(part: Recipe, path: Path) -> None:
+    check_harvest(path, read_harvest(path), part.cell, part.rve.initialisation)
+
+
+def _check_files(part: Recipe) -> None:
+    """Whether data set and surrogate, as far as they are there and whole, are of this recipe."""
+    if part.range is None or part.samples.file is None or part.training_file is None:
+        return  # another check reports it
+    data, trained = part.data_path(), part.training_path()
+    if data.exists():
+        with suppress(InputError):  # it is not finished, and will be resumed
+            check_data(part, read_data_set(data), data)
+    if trained.exists():
+        surrogate = read_surrogate(trained)
+        check_surrogate(trained, surrogate, part.cell, part.rve.initialisation)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DryRun:
+    """How often a run calls its law, and what it meets.
+
+    Attributes:
+        points: of quadrature; each call is for all of them.
+        calls: of the whole run; extrapolated where the dry run was cut short.
+        reached: share of the duration by which `met` is known.
+        met: by name of the cell, which is "" where there is one.
+        steps: by name of the cell the last accepted (F, Ḟ), (n, 2, 2) each, of some of its points.
+        shares: by name of the cell, of the points.
+        omitted: what the time or the size of the mesh did not allow; empty where nothing was.
+    """
+
+    points: int
+    calls: float
+    reached: float
+    met: dict[str, MetRange]
+    steps: dict[str, list[tuple[Array, Array]]]
+    shares: dict[str, float]
+    omitted: str = ""
+
+    @property
+    def solves(self) -> float:
+        """RVEs that a run by them solves."""
+        return self.calls * self.points
+
+
+class _CutShort(Exception):  # noqa: N818 - no error
+    """As much of a run as was wanted is done."""
+
+
+class _Recorder(WatchedLaw):
+    """The quadratic law of a cell, and a record of its calls."""
+
+    def __init__(self, law: StressLaw) -> None:
+        super().__init__(law, self._note)
+        self.extremes = NO_EXTREMES.copy()
+        self.steps: deque[tuple[Array, Array]] = deque(maxlen=_TIMED_STEPS)
+        self.calls = self.points = 0
+
+    def respond(
+        self, F: Array, F_dot: Array, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        self.calls, self.points = self.calls + 1, len(F)
+        return super().respond(F, F_dot, state, tangents=tangents)
+
+    def _note(self, F: Array, F_dot: Array) -> None:
+        widen_extremes(self.extremes, F, F_dot)
+        some = slice(None, None, -(-len(F) // _TIMED_POINTS))
+        self.steps.append((F[some].copy(), F_dot[some].copy()))
+
+
+def dry_run(recipe: Recipe, seconds: float = SECONDS, report: Report = no_report) -> DryRun:
+    """A dry run of a recipe's problem.
+
+    Where half of the time does not suffice for the whole run, a rectangle is meshed with half as
+    many elements each way, or a quarter, and so on, for the range and the steps; the number of
+    calls is that of the recipe's mesh, extrapolated.
+
+    Args:
+        seconds: of processor time, for the runs on all meshes together.
+        report: called with the time reached in µs.
+
+    Raises:
+        InputError: the mesh is too large, and no rectangle that can be coarsened.
+        SimulationError: the run could not be carried on.
+    """
+    end = cpu_clock() + seconds
+    mesh, halvings = checked_mesh(recipe)
+    first = best = _dry_run(mesh, 0.5 * seconds, report)
+    while best.reached < 1.0 and (left := end - cpu_clock()) > 0.0:
+        # half as many elements each way take a sixteenth of the time: a quarter of the points, and
+        # steps that viscosity limits by the square of an element's size
+        needed = 0.5 * seconds / max(best.reached, 1e-6)
+        coarser = _coarser(mesh, max(1, math.ceil(math.log(2.0 * needed / left, 16.0))))
+        if coarser is None:
+            break
+        mesh, best = coarser, _dry_run(coarser, left, report)
+    found = replace(best, points=first.points * 4**halvings, calls=first.calls * 4.0**halvings)
+    until = f"what is met after {best.reached * recipe.duration:.3g} of {recipe.duration:g} µs"
+    return found if best.reached >= 1.0 else replace(found, omitted=until)
+
+
+def checked_mesh(recipe: Recipe) -> tuple[Recipe, int]:
+    """The recipe on a mesh that can be checked, and how often its elements were merged each way.
+
+    Raises:
+        InputError: the mesh is too large, and cannot be coarsened.
+    """
+    elements = recipe.stated.mesh.elements or (1, 1)
+    halvings = 0
+    while math.prod(elements) > MOST_ELEMENTS * 4**halvings:
+        halvings += 1
+    mesh = _coarser(recipe, halvings) if halvings else recipe
+    if mesh is None:
+        raise InputError(
+            f"{recipe.path.name}: mesh.elements: {elements[0]} × {elements[1]}; at most "
+            f"{MOST_ELEMENTS:,} can be checked, and this mesh cannot be coarsened; check fewer"
+        )
+    return mesh, halvings
+
+
+def _coarser(recipe: Recipe, halvings: int) -> Recipe | None:
+    """The recipe on a mesh that is halved so often each way, or as often as its names allow; None
+    where it cannot be halved at all."""
+    stated, elements = recipe.stated, recipe.stated.mesh.elements
+    if elements is None or len(recipe.cells) > 1:
+        return None
+    for times in range(halvings, 0, -1):
+        fewer = (max(1, elements[0] // 2**times), max(1, elements[1] // 2**times))
+        if fewer == elements or max(elements) // 2 ** (times - 1) <= _COARSEST:
+            continue
+        mesh = replace(stated.mesh, elements=fewer)
+        coarser = replace(recipe, stated=replace(stated, mesh=mesh))
+        with suppress(InputError):  # it may name a part of the boundary that a coarse mesh lacks
+            coarser.problem()
+            return coarser
+    return None
+
+
+def _dry_run(recipe: Recipe, seconds: float, report: Report) -> DryRun:
+    problem, recorders = recipe.problem(), dict[str, _Recorder]()
+
+    def recorded(part: Recipe) -> StressLaw:
+        recorder = recorders[part.cell_name] = _Recorder(laws.quadratic_law(part))
+        return recorder
+
+    law = law_by_region(recipe, problem.mesh, recorded)
+    end, marks = cpu_clock() + seconds, [(0.0, 0)]
+
+    def progress(t: float, duration: float) -> None:
+        report(t, "")
+        marks.append((t, max(each.calls for each in recorders.values())))
+        if cpu_clock() > end:
+            raise _CutShort
+
+    try:
+        with suppress(_CutShort), recipe.named(InputError):
+            simulate(problem, law, replace(recipe.macro, frames=2), progress=progress)
+    except SimulationError as error:
+        raise SimulationError(f"check: the dry run by the quadratic law: {error}") from error
+    # the first steps are shorter than most: the second half says how the run continues
+    (t, calls), (then, before) = marks[-1], marks[(len(marks) - 1) // 2]
+    remaining = (recipe.duration - t) / (t - then) if t > then else 0.0
+    points = sum(each.points for each in recorders.values())
+    return DryRun(
+        points=points,
+        calls=calls + remaining * (calls - before),
+        reached=t / recipe.duration,
+        met={name: MetRange.of(each.extremes) for name, each in recorders.items()},
+        steps={name: list(each.steps) for name, each in recorders.items()},
+        shares={name: each.points / points for name, each in recorders.items()},
+    )
+
+
+def seconds_by_rves(recipe: Recipe, run: DryRun) -> float:
+    """The order of magnitude of a run by RVEs: its solves times a timed one, along a dry run."""
+    parts = recipe.parts()
+    return run.solves * sum(
+        share * _seconds_a_solve(laws.true_law(parts[name]), run.steps[name])
+        for name, share in run.shares.items()
+    )
+
+
+def _seconds_a_solve(law: StressLaw, steps: list[tuple[Array, Array]]) -> float:
+    """Seconds of an RVE that is solved from its state one step before."""
+    state, times, end = None, list[float](), cpu_clock() + _TIMED_SECONDS
+    for F, F_dot in steps:
+        started = clock()
+        answer = law.respond(F, F_dot, state)
+        times.append((clock() - started) / len(F))
+        # a stepper repeats a step whose RVEs switch state; here they stay in the new one
+        state = law.accept(F, F_dot, replace(answer, switched=None)).state
+        if cpu_clock() > end:
+            break
+    return float(np.median(times[len(times) // 2 :])) if times else 0.0
+
+
+def advised_law(recipe: Recipe, seconds: float) -> str:
+    """The law by which a first run probably ends first, if one by RVEs takes so many seconds."""
+    parts = recipe.parts().values()
+    has_files = all(part.samples.file and part.training_file for part in parts)
+    if any(part.range is None for part in parts):
+        return "rve"
+    if has_files and all(is_trained(part) for part in parts):
+        return "cached"
+    if seconds < _LEARNING:
+        return "rve"
+    if has_files:
+        return "cached"
+    return "rve" if study_faults(recipe, ("table",)) else "table"
+
+
+def proposed_range(met: MetRange, margin: float = MARGIN) -> SamplingRange:
+    """The range that holds `margin` times more strain and rate than was met, rounded outward.
+
+    Raises:
+        InputError: the margin is negative, nothing was strained, or a cell would have no length.
+    """
+    if not (math.isfinite(margin) and margin >= 0.0):
+        raise InputError(f"--margin: {margin}; it must be a number of at least 0")
+    low, high = met.stretch
+    shorter, longer, shear, rate = (
+        _rounded_up((1.0 + margin) * value)
+        for value in (1.0 - low, high - 1.0, met.shear, met.rate)
+    )
+    if not shorter + longer > 0.0:
+        raise InputError("range: the run met no strain; something must load or move the tissue")
+    if shorter + shear >= 1.0:
+        raise InputError(
+            f"range: the run met stretches down to {low:.4g} and shear up to {met.shear:.4g}; "
+            f"with a margin of {margin:g} no cell would be left; lower the load or the margin"
+        )
+    stretch = (_plain(1.0 - shorter), _plain(1.0 + longer))
+    return SamplingRange(stretch=stretch, shear=shear, rate=rate)
+
+
+def range_section(range: SamplingRange, cell: str = "") -> str:
+    """The section of a recipe, or of one of its cells, in TOML."""
+    (low, high), name = range.stretch, f"cells.{cell}.range" if cell else "range"
+    return f"[{name}]\nstretch = [{low}, {high}]\nshear = {range.shear}\nrate = {range.rate}"
+
+
+def _rounded_up(value: float) -> float:
+    """The next number of two digits; 0 of what is not positive."""
+    if value <= 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return _plain(math.ceil(value / unit * (1.0 - 1e-9)) * unit)
+
+
+def _plain(value: float) -> float:
+    """Without the rounding of binary sums."""
+    return float(f"{value:.12g}")
+
+
+def compile_kernels(recipe: Recipe) -> list[str]:
+    """Compile what runs of a recipe need, so that the processes of a job array only load it.
+
+    The first steps of a run by each law that the recipe can take are computed, and forgotten.
+
+    Returns:
+        These laws.
+    """
+    parts = recipe.parts().values()
+    kinds = ["rve"] if study_faults(recipe, ("rve", "table")) else ["rve", "table"]
+    if all(part.training_file and part.training_path().exists() for part in parts):
+        kinds.append("cached")
+    coarse = _coarser(recipe, 8) or recipe
+
+    def enough(reached: float, note: str) -> None:
+        steps.append(reached)
+        if len(steps) > _COMPILED_STEPS:
+            raise _CutShort
+
+    with TemporaryDirectory(prefix="surrofe2-") as folder:
+        for kind in kinds:
+            steps: list[float] = []
+            with suppress(_CutShort):
+                run_study(coarse, kind, Path(folder) / kind, report=enough)
+    return kinds
