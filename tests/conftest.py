@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 
+ROOT = Path(__file__).parents[1]
 RECIPE = """
 [cell]
 preset = "printed"
@@ -49,7 +51,7 @@ elements = [2, 2]
 """
 
 
-FIRST = ("test_against_twin", "test_site")
+FIRST = ("test_against_twin", "test_tabulated_surface")
 NEXT = ("test_slow_manifold", "test_bound_of_plant_cells", "test_arranged_cells", "test_pipeline",
         "test_memory", "test_bar")  # fmt: skip
 """Files that take long though they have few tests, or compile the kernels of RVEs, each others."""

@@ -68,11 +68,24 @@ def wanted(tmp_path_factory, learnt, server):
 
 ENDS = {"killed": (signal.SIGKILL, -signal.SIGKILL), "interrupted": (signal.SIGINT, 130)}
 """Signal and exit code."""
-TIMES = [("killed", 1), *(pytest.param(how, KILLS, marks=pytest.mark.nightly) for how in ENDS)]
+QUICK = ("generate", "train", "cached", "implicit", "tissue", "grid")
+"""Commands that are killed once in the quick tests; the others once in the slow ones."""
+CASES = [
+    *((name, "killed", 1) for name in QUICK),
+    *(
+        pytest.param(name, "killed", 1, marks=pytest.mark.slow)
+        for name in commands.COMMANDS
+        if name not in QUICK
+    ),
+    *(
+        pytest.param(name, how, KILLS, marks=pytest.mark.nightly)
+        for name in commands.COMMANDS
+        for how in ENDS
+    ),
+]
 
 
-@pytest.mark.parametrize(("how", "times"), TIMES)
-@pytest.mark.parametrize("name", commands.COMMANDS)
+@pytest.mark.parametrize(("name", "how", "times"), CASES)
 def test_an_ended_command_goes_on_to_the_bit(name, how, times, tmp_path, learnt, server, wanted):
     """Ended once at random in each of as many equal parts of its work as it is ended; once at all:
     in its first third, again sooner where it was done by then."""

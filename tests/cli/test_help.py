@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from surrofe2.cli import COMMANDS as ALL
 from surrofe2.cli import app
-from tests.source_contract import ROOT
+from tests.conftest import ROOT
 
 COMMANDS = ("study", "generate", "train", "run", "tissue", "compare")
 

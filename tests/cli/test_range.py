@@ -16,7 +16,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.check import dry_run, proposed_range
 from surrofe2.workflow.laws import quadratic_law
-from tests.source_contract import ROOT
+from tests.conftest import ROOT
 
 
 def call(*arguments):

@@ -23,8 +23,7 @@ from surrofe2.store.store import locked_folder
 from surrofe2.workflow.cell_fields import cell_numbers, extremes_of, read_motion, recipes_of
 from surrofe2.workflow.zoom import zoom_into
 from tests.cli.test_cell_types import BAR as SEVERAL_CELLS
-from tests.conftest import RECIPE
-from tests.source_contract import ROOT
+from tests.conftest import RECIPE, ROOT
 
 
 def call(*arguments):

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 from matplotlib.image import imread
 
+from tests.conftest import ROOT
 from tests.report.made_runs import made_runs
-from tests.source_contract import ROOT
 
 
 def test_three_pictures_of_a_run(recipe, tmp_path):
