@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 from surrofe2 import simulate
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.workflow.cell_laws import law_by_region
-from surrofe2.workflow.laws import true_law
+from surrofe2.workflow.laws import law_by_region, true_law
 
 FOLDER = Path(__file__).parent
 CURVES = {  # name: (over, force or displacement of a watched point, sign that makes it positive)

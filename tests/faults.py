@@ -10,7 +10,7 @@ from itertools import count
 from surrofe2.base.errors import FileError
 from surrofe2.store import disk
 
-OPERATIONS = ("write", "sync", "move", "remove", "remove_folder", "make_folder")
+OPERATIONS = ("create", "write", "sync", "move", "remove", "remove_folder", "make_folder")
 KINDS = {"no space": errno.ENOSPC, "input/output error": errno.EIO, "killed": None}
 
 
@@ -35,8 +35,8 @@ class Fault:
             if self.done < self.at or (self.done > self.at and self.code is not None):
                 return operation(*arguments)
             if name == "write" and self.done == self.at:
-                path, content = arguments
-                operation(path, bytes(content)[: len(content) // 2])
+                file, content = arguments
+                operation(file, bytes(content)[: len(content) // 2])
             if self.code is None:
                 raise Killed
             raise OSError(self.code, os.strerror(self.code))

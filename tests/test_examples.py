@@ -17,9 +17,9 @@ from surrofe2.problem.amplitude import Constant, Sine
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.tissue import TissueSettings, simulate_tissue
 from surrofe2.tissue.simulation import make_conditions
-from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.generate import generate_data_set
+from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import train_surrogate

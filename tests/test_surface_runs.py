@@ -17,8 +17,7 @@ from surrofe2.workflow import surfaces
 from surrofe2.workflow.comparison import missing_notes
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.rest import rest_study
-from surrofe2.workflow.run import run_study
-from surrofe2.workflow.run_outputs import new_record
+from surrofe2.workflow.run import new_record, run_study
 from surrofe2.workflow.surfaces import (
     missing_sentence,
     surface_notes,

@@ -27,7 +27,7 @@ from surrofe2.store.store import plain, read_json, write_json
 from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.tissue import simulate_tissue
-from surrofe2.workflow.cell_laws import law_by_region
+from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.tissue import tissue_of
 from validation.damped_fit import DampedFit, first_minimum, fit_damped_modes
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.interruption import held
 from surrofe2.base.settings import check_settings, setting
 from surrofe2.base.tensors import INPUTS, transpose, unrotated
 from surrofe2.base.units import RATE
@@ -188,7 +189,9 @@ def _sobol(count: int, seed: int, start: int) -> Array:
     """(count, 7) points in [0, 1) of scipy's scrambled sequence."""
     from scipy.stats import qmc  # here, since it takes longer to load than a cached run
 
-    sequence = qmc.Sobol(INPUTS, seed=np.random.default_rng(seed))
+    # Where scipy reads its table it swallows an interruption, and draws other points from then on.
+    with held():
+        sequence = qmc.Sobol(INPUTS, seed=np.random.default_rng(seed))
     if start:
         sequence.fast_forward(start)
     with warnings.catch_warnings():

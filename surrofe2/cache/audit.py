@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from surrofe2.base.simd import TILE
 from surrofe2.base.tensors import stress_error
-from surrofe2.cache.branches import Indices, beyond_bifurcation, part_of, within
+from surrofe2.cache.branches import Indices, beyond_bifurcation
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import AUDITS, wrong_at_most
 from surrofe2.law.stress_law import StressResponse
+from surrofe2.run.journal import part_of, within
 
 Array = NDArray[np.float64]
 

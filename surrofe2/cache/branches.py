@@ -13,6 +13,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import RETURN, STAY
 from surrofe2.law.stress_law import Acceptance, Status, StressResponse, Tangents
+from surrofe2.run.journal import part_of, within
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -291,16 +292,3 @@ def added(effort: Mapping[str, int], more: Mapping[str, int]) -> dict[str, int]:
     for name, value in more.items():
         total[name] = total.get(name, 0) + value
     return total
-
-
-def within(name: str, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """The arrays by names that begin with another and a dot."""
-    return {f"{name}.{key}": values for key, values in arrays.items()}
-
-
-def part_of(arrays: Mapping[str, NDArray], name: str) -> dict[str, NDArray]:
-    """What `within` was given by this name."""
-    start = f"{name}."
-    return {
-        key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)
-    }

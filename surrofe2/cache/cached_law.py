@@ -26,9 +26,7 @@ from surrofe2.cache.branches import (
     choose_branches,
     is_ready,
     look_up,
-    part_of,
     tangents_of_both,
-    within,
 )
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
 from surrofe2.cache.settings import CacheSettings
@@ -43,6 +41,7 @@ from surrofe2.law.stress_law import (
     check_deformation,
     require_tangents,
 )
+from surrofe2.run.journal import part_of, within
 from surrofe2.run.views import Facts, Viewed
 
 Array = NDArray[np.float64]
@@ -234,7 +233,7 @@ class CachedLaw(Viewed):
         step, limit = self._counts["steps"], self._trust.limit
         self._decisions.append(self._window.decision(t, step, limit, decision))
 
-    def to_arrays(self, state: CachedState) -> dict[str, NDArray]:
+    def state_to_arrays(self, state: CachedState) -> dict[str, NDArray]:
         """All that decides what comes next, `state` being what `accept` gave last.
 
         That is its branches with the fallback's warm start, counts, audits with those that wait,
@@ -256,7 +255,7 @@ class CachedLaw(Viewed):
             **within("surrogate", self.surrogate.to_arrays()),
         }
 
-    def from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
+    def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> CachedState:
         """Continue where a law of the same parts and settings gave these; the state to do so by."""
         self.reset_counts()
         values = json.loads(arrays["values"].tobytes())

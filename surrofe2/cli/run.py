@@ -27,8 +27,7 @@ from surrofe2.ranks.driver import (
 )
 from surrofe2.recipe.recipe import changed
 from surrofe2.workflow.cell_fields import add_cell_fields
-from surrofe2.workflow.cell_laws import files_by_cell
-from surrofe2.workflow.laws import open_study, use_threads
+from surrofe2.workflow.laws import files_by_cell, open_study, use_threads
 from surrofe2.workflow.run import (
     cache_notes,
     contact_notes,

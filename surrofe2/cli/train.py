@@ -14,7 +14,7 @@ from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.workflow.laws import open_study
 from surrofe2.workflow.refine import QUANTITIES, SURROGATE, Round, refine_surrogate
-from surrofe2.workflow.run_outputs import of_cell
+from surrofe2.workflow.run import of_cell
 from surrofe2.workflow.train import (
     STRESSES,
     large_errors,

@@ -14,12 +14,16 @@ from surrofe2.law.stress_law import (
     Acceptance,
     AuditedLaw,
     LearningLaw,
+    ReportingLaw,
     Sources,
     StressLaw,
     StressResponse,
     SwitchingLaw,
     Tangents,
+    state_arrays,
+    state_of,
 )
+from surrofe2.run.journal import part_of, within
 from surrofe2.run.views import Facts, Viewed
 
 Array = NDArray[np.float64]
@@ -173,6 +177,41 @@ class RegionalLaw(Viewed):
     def roll_back(self, t: float) -> Any:
         """As of `AuditedLaw`, of all laws; only those that failed are then more cautious."""
         return tuple(law.roll_back(t) for law in self._audited)
+
+    def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
+        arrays: dict[str, NDArray] = {}
+        for (name, law), part in zip(self.laws.items(), state, strict=True):
+            arrays |= within(name, state_arrays(law, part))
+        return arrays
+
+    def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
+        states = [state_of(law, part_of(arrays, name)) for name, law in self.laws.items()]
+        return None if all(state is None for state in states) else tuple(states)
+
+    def history(self) -> dict[str, Any] | None:
+        return self._reported(lambda law: law.history())
+
+    def report(self) -> dict[str, Any] | None:
+        return self._reported(lambda law: law.report())
+
+    def _reported(self, of: Callable[[ReportingLaw], Any]) -> dict[str, Any] | None:
+        """What all laws report, each under the name of its region; None where one does not."""
+        laws = self.laws.items()
+        found = {name: of(law) for name, law in laws if isinstance(law, ReportingLaw)}
+        return {"cells": found} if len(found) == len(laws) else None
+
+    @property
+    def decisions(self) -> list[dict[str, Any]] | None:
+        """Those of all laws, each with the name of its region."""
+        if not self.is_audited:
+            return None
+        found = [
+            {"cell": name, **line}
+            for name, law in self.laws.items()
+            if isinstance(law, ReportingLaw)
+            for line in law.decisions or ()
+        ]
+        return sorted(found, key=lambda line: float(line["t"]))
 
     def _parts_of(self, response: StressResponse) -> list[StressResponse]:
         """What each law answered, without tangents."""

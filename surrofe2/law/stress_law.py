@@ -270,6 +270,44 @@ class AuditedLaw(StressLaw, Protocol):
         """The state at the mark, to continue from; t is where the verdict fell."""
 
 
+@runtime_checkable
+class ResumableLaw(StressLaw, Protocol):
+    """A law with a state that checkpoints hold."""
+
+    def state_to_arrays(self, state: Any) -> dict[str, NDArray]:
+        """What the law must know to resume from the committed `state`."""
+
+    def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> Any:
+        """The committed state whose `state_to_arrays` gave these arrays."""
+
+
+@runtime_checkable
+class ReportingLaw(StressLaw, Protocol):
+    """A law that counts how far it could be trusted, as a cached law does."""
+
+    def history(self) -> dict[str, Any] | None:
+        """How it has done so far, as plain values for run.json; None: it has nothing to report."""
+
+    def report(self) -> dict[str, Any] | None:
+        """`history` at the end of a run, when no audit waits any longer."""
+
+    @property
+    def decisions(self) -> list[dict[str, Any]] | None:
+        """Its decisions on windows of steps, in the order of time; None: it decides nothing."""
+
+
+def state_arrays(law: StressLaw, state: Any) -> dict[str, NDArray]:
+    """What any law must know to resume from the committed `state`, which may be None."""
+    if state is None or not isinstance(law, ResumableLaw):
+        return {}
+    return law.state_to_arrays(state)
+
+
+def state_of(law: StressLaw, arrays: Mapping[str, NDArray]) -> Any:
+    """The committed state whose `state_arrays` these are; None of a law that keeps none."""
+    return law.state_from_arrays(arrays) if isinstance(law, ResumableLaw) and arrays else None
+
+
 def require_tangents(law: StressLaw, purpose: str = "tangents") -> None:
     """An `InputError` that begins with the purpose unless the law gives tangents."""
     if not law.has_tangents:

@@ -117,6 +117,9 @@ class DistributedLaw:
         self.density, self.has_tangents = law.density, law.has_tangents
         driver.do(_have, [(self._number, law)] * driver.ranks)
 
+    def state_to_arrays(self, state: RankState) -> dict[str, NDArray]:
+        return state.to_arrays()
+
     def state_from_arrays(self, arrays: Mapping[str, NDArray]) -> RankState:
         """The state whose `to_arrays`, or that of an `RveState`, gave these arrays."""
         state = RankState(self, self._dealt(len(arrays["z"])), arrays["left"])

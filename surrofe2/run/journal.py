@@ -57,8 +57,7 @@ class Journal:
 
     def part(self, name: str) -> dict[str, Array]:
         """The series ``name.…`` by what follows the dot."""
-        begin = f"{name}."
-        return {key.removeprefix(begin): self[key] for key in self.room if key.startswith(begin)}
+        return {key: self[f"{name}.{key}"] for key in part_of(self.room, name)}
 
     def copy(self) -> Journal:
         """The same in memory of its own."""
@@ -83,9 +82,9 @@ class RunState:
             if isinstance(value, Journal):
                 arrays |= {name: value[name].copy() for name in self.SERIES}
             elif isinstance(value, RunState):
-                arrays |= {f"{item.name}.{key}": a for key, a in value.to_arrays().items()}
+                arrays |= within(item.name, value.to_arrays())
             elif isinstance(value, dict):
-                arrays |= {f"{item.name}.{key}": np.array(entry) for key, entry in value.items()}
+                arrays |= within(item.name, {key: np.array(entry) for key, entry in value.items()})
             elif value is not None and item.name != "law_state":
                 arrays[item.name] = np.array(value)
         return arrays
@@ -99,8 +98,7 @@ class RunState:
         """
         values: dict[str, Any] = {}
         for item in fields(cls):  # type: ignore[arg-type]
-            begin = f"{item.name}."
-            inner = {k.removeprefix(begin): v for k, v in arrays.items() if k.startswith(begin)}
+            inner = part_of(arrays, item.name)
             if item.name == "journal":
                 series = {name: _entry(arrays, name) for name in cls.SERIES}
                 values["journal"] = Journal.of(series)
@@ -113,6 +111,17 @@ class RunState:
             else:
                 values[item.name] = _value(_entry(arrays, item.name))
         return cls(**values)
+
+
+def within(name: str, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """The arrays by names that begin with another and a dot."""
+    return {f"{name}.{key}": values for key, values in arrays.items()}
+
+
+def part_of(arrays: Mapping[str, NDArray], name: str) -> dict[str, NDArray]:
+    """What `within` was given by this name."""
+    begin = f"{name}."
+    return {k.removeprefix(begin): values for k, values in arrays.items() if k.startswith(begin)}
 
 
 def _entry(arrays: Mapping[str, NDArray], name: str) -> NDArray:

@@ -155,8 +155,11 @@ class RveLaw(Viewed):
         )
         return look_into(self.unit_cell, F, F_dot, z, fluctuation)
 
+    def state_to_arrays(self, state: RveState) -> dict[str, NDArray[Any]]:
+        return state.to_arrays()
+
     def state_from_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> RveState:
-        """The state whose `to_arrays` gave these, with factors made where it is now.
+        """The state whose arrays these are, with factors made where it is now.
 
         What is solved from it agrees within the tolerance of the RVEs, not to the bit.
         """

@@ -7,17 +7,27 @@ new one, whole.
 
 from __future__ import annotations
 
+import fcntl
 import os
 from io import FileIO
 from pathlib import Path
 
 
-def write(path: Path, content: bytes | memoryview) -> None:
-    """Write a new file; never through a link, which others may have put there."""
-    with FileIO(path, "wb", opener=lambda at, how: os.open(at, how | os.O_NOFOLLOW, 0o666)) as file:
-        rest = memoryview(content)
-        while rest:
-            rest = rest[file.write(rest) :]
+def create(path: Path) -> FileIO:
+    """Make a new file, never one that is there or behind a link; locked while it is open."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+    file = FileIO(os.open(path, flags, 0o666), "r+b")
+    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return file
+
+
+def write(file: FileIO, content: bytes | memoryview) -> None:
+    """Make this the whole content of an open file."""
+    file.seek(0)
+    file.truncate()
+    rest = memoryview(content)
+    while rest:
+        rest = rest[file.write(rest) :]
 
 
 def sync(path: Path) -> None:

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,12 +35,12 @@ from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.store import (
+    check_replaceable,
     check_same,
     digest,
     folder_lock,
+    leftovers,
     locked_folder,
-    make_folder,
-    partial_of,
     plain,
     read_columns,
     read_json,
@@ -54,7 +54,7 @@ from surrofe2.store.store import (
 log = logging.getLogger(__name__)
 
 SCHEMA = "surrofe2-run"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 CHECKPOINT, EVENTS = "checkpoint.h5", "events.jsonl"
 CHECKPOINT_INTERVAL = 5.0
 """Seconds between two checkpoints, at least."""
@@ -69,6 +69,10 @@ _SECTIONS = ("cell", "rve", "mesh", *_NAMED_ENTRIES, *_STATED)
 _OF_TRAINING = ("range", "samples", "training")
 """Sections of a cell that a run does not depend on but by its surrogate."""
 _WITHOUT_CACHE = ("rve", "surrogate", "tissue")
+UNITS = {
+    "time": TIME, "length": LENGTH, "energy": ENERGY, "stress": STRESS, "force": FORCE,
+    "wall_time": "s",
+}  # fmt: skip
 CURVE_HEADER = ("t_us", "u_x_um", "u_y_um")
 
 
@@ -119,16 +123,7 @@ class RunRecord:
     platform: Mapping[str, str] = field(default_factory=dict)
     ranks: Mapping[str, Any] | None = None
     files: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(
-        default_factory=lambda: {
-            "time": TIME,
-            "length": LENGTH,
-            "energy": ENERGY,
-            "stress": STRESS,
-            "force": FORCE,
-            "wall_time": "s",
-        }
-    )
+    units: Mapping[str, str] = field(default_factory=UNITS.copy)
 
     @property
     def duration(self) -> float:
@@ -164,29 +159,14 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class StoredRun(ViewedRun):
-    """A run read back from its folder; `history` as `MacroRun` has it, empty without the file."""
+    """A run read back from its folder, with results as `MacroRun` has them; none without a file."""
 
     folder: Path
     record: RunRecord
     curve: DisplacementCurve
-    history: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-    @property
-    def curves(self) -> dict[str, DisplacementCurve]:
-        """Displacement of every watched point by name."""
-        first = next(iter(self.record.problem.get("watched", {})), "watched point")
-        found = {first: self.curve}
-        columns = [*read_columns(self.folder / "curve.csv").items()][3:]
-        for (name, u_x), (_, u_y) in zip(columns[::2], columns[1::2], strict=False):
-            u = np.stack([u_x, u_y], axis=1)
-            found[name.partition("_um ")[2]] = DisplacementCurve(self.curve.t, u)
-        return found
-
-    @property
-    def energies(self) -> dict[str, np.ndarray]:
-        """(m,) energies in pJ by name; none without their file."""
-        is_there = (self.folder / "energies.csv").exists()
-        return read_history(self.folder, "energies.csv") if is_there else {}
+    history: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
+    curves: Mapping[str, DisplacementCurve] = field(default_factory=dict, repr=False)
+    energies: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     def facts(self) -> Facts:
         record = self.record
@@ -197,31 +177,6 @@ class StoredRun(ViewedRun):
             **course(self.curve, record.wall_time, record.counts),
             "RVE solves": f"{record.counts.get('rve_solves', 0):,}",
         }
-
-
-def open_run_folder(folder: Path, record: RunRecord, *, fresh: bool = False) -> RunRecord | None:
-    """Make a folder ready for a run; the record of this very run, if an earlier call left one.
-
-    A run that starts at its beginning finds nothing of another one. Its record is there before
-    that is removed: a process that is killed in between leaves one run or the other.
-
-    Args:
-        fresh: start over, whatever the folder holds; files that are not of a run stay.
-
-    Raises:
-        FileError: the folder cannot be written, or has files but no run.
-        MismatchError: it has a run of other settings.
-    """
-    earlier = None if fresh else earlier_run(folder, record)
-    if earlier is not None and (earlier.status == "finished" or (folder / CHECKPOINT).exists()):
-        return earlier
-    make_folder(folder)
-    remove(folder / CHECKPOINT)
-    write_record(folder, record)
-    for each in (*FILES[1:], "harvest-*.h5", "table-*.h5"):
-        for path in folder.glob(each):
-            remove(path)
-    return None
 
 
 def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
@@ -235,7 +190,7 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
     if not path.exists():
         with reported(folder, "read"):
             there = set(folder.iterdir() if folder.is_dir() else ())
-        if there - {partial_of(path), folder_lock(folder)}:
+        if there - {folder_lock(folder), *leftovers(path)}:
             raise FileError(f"{folder}: has files but no run; write elsewhere or say --fresh")
         return None
     earlier = read_record(folder)
@@ -243,6 +198,17 @@ def earlier_run(folder: Path, record: RunRecord) -> RunRecord | None:
     return earlier
 
 
+def _check_replaceable(folder: Path) -> None:
+    """Refuse to start over in a folder whose files may be of something else than a run."""
+    check_replaceable(folder / "run.json", "surrofe2 run", SCHEMA)
+    found = [name for name in FILES if (folder / name).exists()]
+    if found and "run.json" not in found:
+        raise FileError(
+            f"{folder}: has {found[0]} but no run, so --fresh does not replace it; write elsewhere"
+        )
+
+
+State = TypeVar("State")
 Store = Callable[[RunRecord, Any], RunRecord]
 """Writes the files of a result, whole or partial; gives the record with what it cost."""
 
@@ -253,8 +219,7 @@ class RunFolder:
 
         with RunFolder.open(folder, record, store) as run:
             if not run.is_finished:
-                with run.restoring() as arrays:
-                    state = None if arrays is None else State.from_arrays(arrays)
+                state = run.restored(State.from_arrays)
                 run.finish(simulate(…, checkpoint=run.checkpoint, resume=state))
 
     Attributes:
@@ -287,21 +252,36 @@ class RunFolder:
             MismatchError: it has a run of other settings, and not `fresh`.
         """
         run = cls(folder, record, store)
+        if fresh:
+            _check_replaceable(folder)
         earlier = None if fresh else earlier_run(folder, record)
         is_whole = earlier is not None and earlier.status == "finished"
         # Where one of these is there, the process ended after its last file.
         is_whole &= not (folder_lock(folder).exists() or (folder / CHECKPOINT).exists())
         with nullcontext() if is_whole else locked_folder(folder), run._recorded():
-            if not is_whole:
-                earlier = open_run_folder(folder, record, fresh=fresh)
+            if not (is_whole or fresh):
+                earlier = earlier_run(folder, record)  # another process may have ended meanwhile
             if earlier is not None and earlier.status == "finished":
                 run.record, run.is_finished = earlier, True
                 remove(folder / CHECKPOINT)
                 log.info("%s: finished before; --fresh starts over", folder)
-            elif earlier is not None:
-                run.resumes = True
-                write_record(folder, record)
+            else:
+                run.resumes = earlier is not None and (folder / CHECKPOINT).exists()
+                run._begin()
             yield run
+
+    def _begin(self) -> None:
+        """Record that the run is running; at its beginning it finds nothing of another one.
+
+        Its record is there before that is removed: a process that is killed in between leaves one
+        run or the other.
+        """
+        if not self.resumes:
+            remove(self.folder / CHECKPOINT)
+        write_record(self.folder, self.record)
+        for each in () if self.resumes else (*FILES[1:], "harvest-*.h5", "table-*.h5"):
+            for path in self.folder.glob(each):
+                remove(path)
 
     @contextmanager
     def _recorded(self) -> Iterator[None]:
@@ -322,23 +302,23 @@ class RunFolder:
                 self._end("interrupted", self.partial)
             raise
 
-    @contextmanager
-    def restoring(self) -> Iterator[dict[str, np.ndarray] | None]:
-        """The arrays of the last checkpoint, None where the run starts at its beginning.
+    def restored(self, restore: Callable[[dict[str, np.ndarray]], State]) -> State | None:
+        """What `restore` makes of the last checkpoint; None where the run starts at its beginning.
 
-        The block makes a state of them: what fails in it is the checkpoint's.
+        What fails in it is the fault of the checkpoint.
 
         Raises:
             FileError: it has no state of this run.
         """
+        if not self.resumes:
+            return None
         path = self.folder / CHECKPOINT
+        arrays = read_checkpoint(path, self._kind)
         try:
-            yield read_checkpoint(path, self._kind) if self.resumes else None
+            return restore(arrays)
         except (SimulationError, FileError, MismatchError):
             raise
         except Exception as error:
-            if not self.resumes:
-                raise
             why = error if isinstance(error, InputError) else type(error).__name__
             log.debug("%s: no state of this run", path, exc_info=error)
             raise FileError(
@@ -355,7 +335,7 @@ class RunFolder:
 
     def finish(self, result: Any) -> None:
         """Store a whole result; run.json comes last, so a finished record has all its files."""
-        self._end("finished", result)
+        self._end("finished" if getattr(result, "finished", True) else "failed", result)
         self.is_finished = True
         remove(self.folder / CHECKPOINT)
 
@@ -435,26 +415,17 @@ def read_record(folder: Path) -> RunRecord:
     found = stored.pop("schema_version", None)
     known = {item.name for item in fields(RunRecord)}
     if found != SCHEMA_VERSION or not known.issuperset(stored):
-        raise FileError(f"{path}: run schema {found}; this surrofe2 reads {SCHEMA_VERSION}")
+        raise FileError(
+            f"{path}: run schema {quoted(found)}; this surrofe2 reads {SCHEMA_VERSION}: run it "
+            "again elsewhere"
+        )
     try:
-        record = RunRecord(**stored | {"recipe": _without_load(stored["recipe"])})
+        record = RunRecord(**stored)
         _check_entries(record)
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         reason = shortened(str(error), 80)
         raise FileError(f"{path}: not a whole record of a surrofe2 run: {reason}") from None
     return record
-
-
-def _without_load(recipe: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The recipe of a run; earlier versions kept the bar as its sections [load] and [macro]."""
-    if "load" not in recipe:
-        return recipe
-    from surrofe2.problem.bar import LoadSettings
-
-    elements = recipe["macro"]["elements"]
-    macro = {key: value for key, value in recipe["macro"].items() if key != "elements"}
-    others = {name: section for name, section in recipe.items() if name != "load"}
-    return others | plain({"macro": macro, **LoadSettings(**recipe["load"]).sections(elements)})
 
 
 def _check_entries(record: RunRecord) -> None:
@@ -466,66 +437,65 @@ def _check_entries(record: RunRecord) -> None:
         for one in (section, *(section.values() if name == "cells" else ())):
             if not isinstance(one, dict):
                 raise ValueError(f"recipe.{name}: {quoted(one)}; it must be a table")
+    if record.units != UNITS:
+        raise ValueError(f"units: {quoted(record.units)}; they must be {UNITS}")
     if record.surrogate is not None:
         record.surrogate["fingerprint"]
     check_value("recipe.duration", record.duration, float, {"above": 0.0})
 
 
-def write_curve(
-    folder: Path, curve: DisplacementCurve, others: Mapping[str, DisplacementCurve] | None = None
+def write_curves(
+    folder: Path,
+    t: np.ndarray,
+    curves: Mapping[str, np.ndarray],
+    history: Mapping[str, np.ndarray],
+    energies: Mapping[str, np.ndarray],
+    *,
+    is_rest: bool = False,
 ) -> None:
-    """Write curve.csv: t in µs, displacement of the watched point in µm, then of the others.
+    """Write curve.csv, history.csv and energies.csv.
 
     Args:
-        others: by name, at the same times; `curve` itself may be among them.
+        t: (m,) µs; of a rest the factor of the load, and the first file is path.csv.
+        curves: (m, 2) displacement of watched points by name, µm.
+        history: (m,) forces in µN and places in µm by name, as `MacroRun` has them.
+        energies: (m,) pJ by name.
     """
-    more = {name: other for name, other in (others or {}).items() if other is not curve}
-    columns = dict(zip(CURVE_HEADER, (curve.t, *curve.displacement.T), strict=True))
-    for name, other in more.items():
-        columns |= zip((f"u_x_um {name}", f"u_y_um {name}"), other.displacement.T, strict=True)
-    write_columns(folder / "curve.csv", columns)
+    clock, file = ("factor", "path.csv") if is_rest else ("t_us", "curve.csv")
+    points = {
+        f"u_{axis}_um {name if k else ''}".rstrip(): column
+        for k, (name, u) in enumerate(curves.items())
+        for axis, column in zip("xy", u.T, strict=True)
+    }
+    moved = {
+        f"{name}_{'uN' if name.startswith('force ') else 'um'}": history[name] for name in history
+    }
+    works = {f"{name}_pJ": values for name, values in energies.items()}
+    for name, columns in ((file, points), ("history.csv", moved), ("energies.csv", works)):
+        write_columns(folder / name, {clock: t, **columns})
 
 
 def read_curve(folder: Path) -> DisplacementCurve:
-    """Read the displacement of the first watched point from curve.csv.
+    """The displacement of the first watched point from curve.csv.
 
     Raises:
         FileError: missing or damaged.
     """
+    return next(iter(_read_curves(folder, {}).values()))
+
+
+def _read_curves(folder: Path, watched: Mapping[str, Any]) -> dict[str, DisplacementCurve]:
+    """Those of curve.csv by name, the first one named as that of the `watched` points."""
     path = folder / "curve.csv"
-    columns = [*read_columns(path).items()][:3]
-    table = np.array([values for _, values in columns])
-    whole = tuple(name for name, _ in columns) == CURVE_HEADER and table.size > 0
-    if not whole or not np.isfinite(table).all() or (np.diff(table[0]) <= 0.0).any():
+    columns = read_columns(path)
+    t, *rest = [*columns.values()] or [np.empty(0)]
+    whole = tuple(columns)[:3] == CURVE_HEADER and len(rest) % 2 == 0 and t.size > 0
+    if not whole or not np.isfinite([t, *rest]).all() or (np.diff(t) <= 0.0).any():
         raise FileError(f"{path}: not a table of {','.join(CURVE_HEADER)}")
-    return DisplacementCurve(table[0], table[1:].T)
-
-
-def write_history(
-    folder: Path, t: np.ndarray, history: Mapping[str, np.ndarray], clock: str = "t_us"
-) -> None:
-    """Write history.csv: what `MacroRun.history` holds over t, (m,) each, in µN or µm.
-
-    clock: the name of t; a rest has the factor of the load in its place.
-    """
-    units = {name: "uN" if name.split()[0] == "force" else "um" for name in history}
-    named = {f"{name}_{units[name]}": values for name, values in history.items()}
-    write_columns(folder / "history.csv", {clock: t, **named})
-
-
-def write_energies(
-    folder: Path, t: np.ndarray, energies: Mapping[str, np.ndarray], clock: str = "t_us"
-) -> None:
-    """Write energies.csv: each energy (m,) in pJ over t (m,) in µs; clock as of `write_history`."""
-    named = {f"{name}_pJ": values for name, values in energies.items()}
-    write_columns(folder / "energies.csv", {clock: t, **named})
-
-
-def write_curves(folder: Path, run: Any) -> None:
-    """Write curve.csv, history.csv and energies.csv of a `MacroRun` or a `TissueRun`."""
-    write_curve(folder, run.curve, run.curves)
-    write_history(folder, run.curve.t, run.history)
-    write_energies(folder, run.curve.t, run.energies)
+    names = [next(iter(watched), "watched point")]
+    names += [name.partition("_um ")[2] for name in [*columns][3::2]]
+    pairs = zip(names, rest[::2], rest[1::2], strict=True)
+    return {name: DisplacementCurve(t, np.stack(u, axis=1)) for name, *u in pairs}
 
 
 def read_history(folder: Path, file: str = "history.csv") -> dict[str, np.ndarray]:
@@ -557,8 +527,12 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
             raise FileError(f"{folder / 'run.json'}: files: {quoted(name)} is no file of a run")
         if digest(folder / name) != wanted:
             raise FileError(f"{folder / name}: damaged, or changed since the run was recorded")
-    history = read_history(folder) if (folder / "history.csv").exists() else {}
-    return StoredRun(folder, record, read_curve(folder), history)
+    history, energies = (
+        read_history(folder, name) if (folder / name).exists() else {}
+        for name in ("history.csv", "energies.csv")
+    )
+    curves = _read_curves(folder, record.problem.get("watched", {}))
+    return StoredRun(folder, record, next(iter(curves.values())), history, curves, energies)
 
 
 def write_events(folder: Path, decisions: Iterable[Mapping[str, Any]]) -> None:

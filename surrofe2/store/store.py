@@ -25,11 +25,12 @@ import re
 import stat
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any
+from secrets import token_hex
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,8 @@ NO_DIGEST = "0" * 64
 """What stands in a file before it is sealed."""
 _WORD = SEAL.encode()
 _DIGEST = re.compile(rb"(?<=[\"\0])" + _WORD + rb"\W{1,12}([0-9a-f]{64})")
+
+_PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.partial", re.DOTALL)
 
 WORD = re.compile(r"[A-Za-z0-9_.+-]{0,64}")
 """Texts of files that may go into sources and names of files."""
@@ -63,28 +66,41 @@ def reported(path: Path, action: str) -> Iterator[None]:
         raise FileError(f"{path}: cannot be {action}: {error.strerror or error}") from None
 
 
-def partial_of(path: Path) -> Path:
-    """The name under which a file is written; a process that was killed leaves it behind."""
-    return path.with_name(f".{path.name}.partial")
+def leftovers(path: Path) -> list[Path]:
+    """Files in which processes that were killed were writing `path`; others still hold theirs."""
+    try:
+        beside = sorted(each for each in path.parent.iterdir() if _PARTIAL.fullmatch(each.name))
+    except FileNotFoundError:
+        return []
+    left = []
+    for each in beside:
+        if each.name[1 : -len(".12345678.partial")] == path.name:
+            with suppress(OSError), each.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                left.append(each)
+    return left
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
     """Write a file whole, or leave what was there."""
-    partial = partial_of(path)
+    partial = path.with_name(f".{path.name}.{token_hex(4)}.partial")
     with reported(path, "written"):
         disk.make_folder(path.parent)
-        try:
-            disk.write(partial, content)
-            disk.sync(partial)
-            disk.move(partial, path)
-            disk.sync(path.parent)
-        finally:
-            disk.remove(partial)
+        for each in leftovers(path):
+            disk.remove(each)
+        with disk.create(partial) as file:
+            try:
+                disk.write(file, content)
+                disk.sync(partial)
+                disk.move(partial, path)
+                disk.sync(path.parent)
+            finally:
+                disk.remove(partial)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole."""
-    write_bytes(path, text.encode())
+    """Write a text file whole; of names of files that are no UTF-8, the bytes as escapes."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def read_bytes(path: Path, most: int = 2**30, begin: bytes = b"") -> bytes:
@@ -119,9 +135,8 @@ def read_text(path: Path, most: int = 2**30) -> str:
 def remove(path: Path) -> None:
     """Remove a file, and what a process that was killed left of it, where they are there."""
     with reported(path, "removed"):
-        for each in (path, partial_of(path)):
-            if each.exists():
-                disk.remove(each)
+        for each in ([path] if path.exists() else []) + leftovers(path):
+            disk.remove(each)
 
 
 def remove_tree(folder: Path) -> None:
@@ -187,13 +202,15 @@ def plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
+        return {plain(str(key)): plain(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
+    if isinstance(value, str) and not value.isascii():  # names of files may be no UTF-8
+        return value.encode("utf-8", "backslashreplace").decode()
     return value
 
 
@@ -275,6 +292,21 @@ def check_same(place: Path, here: Mapping[str, Any], there: Mapping[str, Any]) -
             )
 
 
+def check_replaceable(path: Path, kind: str, *marks: str) -> None:
+    """Refuse to start over where a file is not of this kind, or has not all these texts in it.
+
+    Raises:
+        FileError: it is another file, which nobody meant to lose.
+    """
+    if path.exists():
+        content = read_bytes(path)
+        if content and not all(mark.encode() in content for mark in marks):
+            raise FileError(
+                f"{path}: not a {kind}, so --fresh does not replace it; write elsewhere or remove "
+                "it first"
+            )
+
+
 def keep(
     path: Path,
     identity: Mapping[str, Any],
@@ -290,7 +322,7 @@ def keep(
         make: gives the other entries, after it has written what belongs to them.
         folder: whose lock it is made under, default: its own. Where a lock is there, the process
             before was killed, or is at work.
-        fresh: make it, whatever is there.
+        fresh: make it, whatever of this kind is there.
 
     Returns:
         Its entries, and whether it was there.
@@ -300,6 +332,9 @@ def keep(
         FileError: it is damaged or foreign, or another process makes it.
     """
     lock = file_lock(path) if folder is None else folder_lock(folder)
+
+    if fresh:
+        check_replaceable(path, f"file of {', '.join(identity)}", SEAL, *identity)
 
     def stored() -> dict[str, Any] | None:
         if fresh or not path.exists():
@@ -361,10 +396,11 @@ def _locked(lock: Path, output: Path) -> Iterator[None]:
                 disk.remove(lock)
 
 
-def _taken(lock: Path, output: Path) -> IO[bytes] | None:
+def _taken(lock: Path, output: Path) -> io.FileIO | None:
     """The open lock file, held and signed; None where its holder removed it meanwhile."""
-    file = lock.open("a+b")
-    try:
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+    with ExitStack() as closing:
+        file = closing.enter_context(io.FileIO(os.open(lock, flags, 0o666), "r+b"))
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -372,27 +408,22 @@ def _taken(lock: Path, output: Path) -> IO[bytes] | None:
             is_me = holder.startswith(f"process {os.getpid()} on {platform.node()} ")
             who = "another call of this process" if is_me else f"{holder}; wait for it or end it"
             raise FileError(f"{output}: in use by {who}") from None
-        if not _is_at(file, lock):
-            file.close()
+        here = os.fstat(file.fileno())
+        if not (lock.exists() and os.path.samestat(here, lock.stat())):
             return None
-        if os.fstat(file.fileno()).st_size:
-            log.warning("%s: %s was killed; this process goes on", output, _signature(file))
-        _sign(lock)
-    except BaseException:
-        file.close()
-        raise
-    return file
+        if here.st_size:
+            log.warning("%s: %s was killed; this process resumes", output, _signature(file))
+        try:
+            disk.write(file, _my_signature())
+        except OSError:
+            with suppress(OSError):
+                disk.remove(lock)
+            raise
+        closing.pop_all()  # it stays open
+        return file
 
 
-def _is_at(file: IO[bytes], lock: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), lock.stat())
-    except FileNotFoundError:
-        return False
-
-
-def _sign(lock: Path) -> None:
-    """Write who holds a lock into it."""
+def _my_signature() -> bytes:
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:100]
     me = {
         "process": os.getpid(),
@@ -400,20 +431,15 @@ def _sign(lock: Path) -> None:
         "since": datetime.now().astimezone().isoformat(timespec="seconds"),
         "command": command,
     }
-    try:
-        disk.write(lock, json.dumps(me).encode())
-    except OSError:
-        with suppress(OSError):
-            disk.remove(lock)
-        raise
+    return json.dumps(plain(me)).encode()
 
 
-def _signature(file: IO[bytes]) -> str:
+def _signature(file: io.FileIO) -> str:
     """Who signed a lock; its content is damaged or empty at times."""
     try:
         file.seek(0)
-        signed = json.loads(file.read(10_000))
-        who = f"process {signed['process']} on {signed['host']} since {signed['since']}"
-        return " ".join(f"{who} ({signed['command']})".split())[:200]
+        entries = json.loads(file.read(10_000))
+        who = f"process {entries['process']} on {entries['host']} since {entries['since']}"
+        return " ".join(f"{who} ({entries['command']})".split())[:200]
     except (ValueError, RecursionError, KeyError, TypeError):
         return "a process that did not say its name"

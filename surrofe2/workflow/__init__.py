@@ -3,12 +3,10 @@
 In reading order:
 
     progress     how work reports what it does
-    laws         the stress law of a run: chosen, started from a kept reference, warmed up
-    cell_laws    the same of several cell types, each at the points of its regions
-    run_outputs  what a run leaves in its folder, by a command or from Python
-    run          a problem by a stress law
-    tissue       the full microscopic tissue
+    laws         the stress law of a run, of one cell type or several
     surfaces     the law of free sides, kept
+    run          a problem by a stress law, and what it leaves in its folder
+    tissue       the full microscopic tissue
     rest         the tissue at rest under its load, and its small oscillations
     workers      pieces of work by several processes or a cluster
     generate     a data set of RVE stresses, and what training takes of it and of harvests

@@ -44,7 +44,7 @@ from surrofe2.surrogate.settings import (
     CalibrationSettings,
 )
 from surrofe2.workflow import laws
-from surrofe2.workflow.cell_laws import law_by_region
+from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.progress import Report, no_report
 
 log = logging.getLogger(__name__)

@@ -31,8 +31,8 @@ from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
 from surrofe2.store.surrogates import check_surrogate, read_surrogate
 from surrofe2.surrogate.deformation_paths import WatchedLaw
 from surrofe2.workflow import laws
-from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.generate import check_data
+from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.progress import Report, no_report
 from surrofe2.workflow.run import run_study
 from surrofe2.workflow.train import is_trained

@@ -1,23 +1,27 @@
-"""The stress law of a run: chosen by name, its parts read from files."""
+"""The stress law of a run: chosen by name, its parts read from files; of one cell or several."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numba
 import numpy as np
+import skfem
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from surrofe2.base.compilation import Meter
-from surrofe2.base.errors import FileError, InputError
+from surrofe2.base.errors import FileError, InputError, MismatchError
 from surrofe2.cache import CachedLaw, StressTable, sampled_spread
 from surrofe2.cache.protocols import Fallback, OnTrueAnswer
 from surrofe2.cache.table.ellipsoids import merged
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
@@ -29,10 +33,15 @@ from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.samples import read_reference, reference_path, write_reference
 from surrofe2.store.store import digest
 from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
-from surrofe2.store.tables import check_table, read_table
+from surrofe2.store.tables import StoredTable, check_table, read_table
 from surrofe2.surrogate import SurrogateLaw
 from surrofe2.surrogate.quadratic_law import QuadraticLaw
 
+Array = NDArray[np.float64]
+Taker = Callable[[Recipe], OnTrueAnswer | None]
+"""What takes the RVE answers of a cell."""
+
+NO_FILES: Mapping[str, Path] = MappingProxyType({})
 _AT_REST = 1e-6
 """Largest stress of an undeformed RVE, µN/µm."""
 
@@ -171,6 +180,111 @@ def _record_of(tables: Sequence[Path]) -> dict[str, Any] | None:
     seconds = {str(path): read_seconds(path) for path in tables}
     made = {"seconds": {} if None in seconds.values() else seconds}
     return {"file": ", ".join(names), "fingerprint": " ".join(prints), "errors": {}, **made}
+
+
+def choose_laws(
+    recipe: Recipe,
+    kind: str,
+    mesh: skfem.Mesh,
+    surrogates: Mapping[str, Path] = NO_FILES,
+    tables: Sequence[Path] = (),
+    taker: Taker = lambda recipe: None,
+) -> ChosenLaw:
+    """The law called `kind` of each cell of a recipe, each at the points of its regions.
+
+    Args:
+        surrogates: files by name of the cell, in the place of the recipe's; see `files_by_cell`.
+        tables: files to start from, each for the cells whose answers it has.
+
+    Raises:
+        MismatchError: a surrogate or a table is of other cell parameters or initialisation.
+    """
+    of_cells = _by_cell(recipe, tables, read_table, "--table")
+    chosen = {
+        name: choose_law(part, kind, surrogates.get(name), of_cells[name], taker(part))
+        for name, part in recipe.parts().items()
+    }
+    return ChosenLaw(
+        law_by_region(recipe, mesh, lambda part: chosen[part.cell_name].law),
+        surrogate_record({name: each.surrogate for name, each in chosen.items() if each.surrogate}),
+        {name: table for each in chosen.values() for name, table in each.tables.items()},
+    )
+
+
+def files_by_cell(recipe: Recipe, files: Sequence[Path]) -> dict[str, Path]:
+    """Files of surrogates by name of the cells that they were trained for.
+
+    Raises:
+        InputError: two are for one cell.
+        MismatchError: one is for none of the cells.
+    """
+    found = _by_cell(recipe, files, read_surrogate, "--surrogate")
+    for name, paths in found.items():
+        if len(paths) > 1:
+            of = f"cell {name}" if name else "the recipe's only cell"
+            raise InputError(f"--surrogate: {paths[0]} and {paths[1]}; both are of {of}, give one")
+    return {name: paths[0] for name, paths in found.items() if paths}
+
+
+def _by_cell(
+    recipe: Recipe,
+    files: Sequence[Path],
+    read: Callable[[Path], SurrogateLaw | StoredTable],
+    option: str,
+) -> dict[str, list[Path]]:
+    """Files by name of the cells whose parameters and initialisation they have."""
+    parts = recipe.parts()
+    if len(parts) == 1:  # whether they are of it is seen where they are taken
+        return {name: [*files] for name in parts}
+    found: dict[str, list[Path]] = {name: [] for name in parts}
+    for path in files:
+        stored = read(path)
+        of = stored.cell, stored.initialisation
+        own = [name for name, part in parts.items() if of == (part.cell, part.rve.initialisation)]
+        if not own:
+            raise MismatchError(
+                f"{option}: {path}; cell parameters {stored.cell.fingerprint} by "
+                f"{stored.initialisation} are of none of the cells {', '.join(parts)}"
+            )
+        for name in own:
+            found[name].append(path)
+    return found
+
+
+def cell_of_elements(law: StressLaw, elements: int) -> Array | None:
+    """(elements,) number of the law that each element asks; None where there is one for all."""
+    if not isinstance(law, RegionalLaw):
+        return None
+    found = np.empty(elements)
+    for k, points in enumerate(law.points.values()):
+        found[points * elements // law.density.size] = k
+    return found
+
+
+def law_by_region(
+    recipe: Recipe, mesh: skfem.Mesh, law_of: Callable[[Recipe], StressLaw]
+) -> StressLaw:
+    """The law of a recipe's cell, or of its cells, each at the points of its regions."""
+    laws = {name: law_of(part) for name, part in recipe.parts().items()}
+    return laws[""] if "" in laws else RegionalLaw(laws, recipe.points_of_cells(mesh))
+
+
+def surrogate_record(surrogates: Mapping[str, Mapping[str, Any]]) -> dict[str, Any] | None:
+    """What to record of the surrogates of several cells, or of the only one, called ""."""
+    if not surrogates:
+        return None
+    if "" in surrogates:
+        return dict(surrogates[""])
+    return {
+        "file": ", ".join(each["file"] for each in surrogates.values()),
+        "fingerprint": " ".join(each["fingerprint"] for each in surrogates.values()),
+        "errors": {name: each["errors"] for name, each in surrogates.items()},
+        "seconds": {
+            f"{part} of {name}": seconds
+            for name, each in surrogates.items()
+            for part, seconds in each.get("seconds", {}).items()
+        },
+    }
 
 
 def open_study(path: Path, threads: int | None) -> Recipe:

@@ -38,8 +38,7 @@ from surrofe2.store.store import (
 from surrofe2.workflow import laws
 from surrofe2.workflow.generate import CHUNK, generate_data_set, wanted_count
 from surrofe2.workflow.progress import Stage, no_stage
-from surrofe2.workflow.run import run_study
-from surrofe2.workflow.run_outputs import HARVEST, of_cell, origin_of
+from surrofe2.workflow.run import HARVEST, of_cell, origin_of, run_study
 from surrofe2.workflow.train import STRESSES, Trained, train_surrogate
 
 Array = NDArray[np.float64]

@@ -10,14 +10,15 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.base.compilation import clock, seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
-from surrofe2.cache.branches import part_of, within
+from surrofe2.law.stress_law import state_arrays, state_of
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.run.journal import Journal, frame_series
+from surrofe2.run.journal import Journal, frame_series, part_of, within
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import (
@@ -25,14 +26,11 @@ from surrofe2.store.run_folder import (
     RunFolder,
     RunRecord,
     describe_platform,
-    write_energies,
-    write_history,
+    write_curves,
 )
-from surrofe2.store.store import write_columns
-from surrofe2.workflow.cell_laws import cell_of_elements, choose_laws, law_arrays, law_state
-from surrofe2.workflow.laws import kept_reference
+from surrofe2.workflow.laws import cell_of_elements, choose_laws, kept_reference
 from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
-from surrofe2.workflow.run_outputs import new_record, problem_record, with_rest, write_points
+from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
 from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
@@ -70,13 +68,14 @@ def rest_study(
 
     def store(record: RunRecord, last: Rest) -> RunRecord:
         assert found is not None
-        journal = found[1]
-        frames = Frames(**journal.part("frames"))
-        path = dict(zip(("factor", "u_x_um", "u_y_um"), last.path.T, strict=True))
-        write_columns(folder / "path.csv", path)
-        write_history(folder, last.path[:, 0], _by_name(last, journal["forces"]), "factor")
-        write_energies(folder, last.path[:, 0], last.energies, "factor")
-        space = last.system.discretisation
+        factors, space = last.path[:, 0], last.system.discretisation
+        frames, forces = Frames(**found[1].part("frames")), found[1]["forces"]
+        by_name = {
+            f"force {name} {axis}": forces[:, k, i]
+            for k, name in enumerate(last.system.force_names)
+            for i, axis in enumerate("xy")
+        }
+        write_curves(folder, factors, {"": last.path[:, 1:]}, by_name, last.energies, is_rest=True)
         cell = cell_of_elements(chosen.law, len(space.elements))
         write_fields(folder, space.nodes, space.elements, frames, cell)
         write_points(folder, space, frames)
@@ -98,8 +97,14 @@ def rest_study(
         rest, journal = found
         assert rest is not None
         more = {"seconds": np.array(clock() - begin)} | {k: journal[k] for k in _SERIES}
-        more |= within("law", law_arrays(chosen.law, rest.law_state))
+        more |= within("law", state_arrays(chosen.law, rest.law_state))
         run.checkpoint(rest.to_arrays() | more)
+
+    def restore(arrays: dict[str, NDArray]) -> dict[str, Any]:
+        nonlocal begin, found
+        begin -= float(arrays["seconds"])
+        found = None, Journal.of({name: arrays[name] for name in _SERIES})
+        return {"resume": arrays, "law_state": state_of(chosen.law, part_of(arrays, "law"))}
 
     record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
     stated = {"factor": factor, "load_steps": load_steps}
@@ -107,12 +112,8 @@ def rest_study(
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
-        begin, state = clock(), None
-        with run.restoring() as arrays:
-            if arrays is not None:
-                begin -= float(arrays["seconds"])
-                found = None, Journal.of({name: arrays[name] for name in _SERIES})
-                state = law_state(chosen.law, part_of(arrays, "law"))
+        begin = clock()
+        resumed = run.restored(restore) or {}
         due = CheckpointClock(CHECKPOINT_INTERVAL)
         try:
             with recipe.named(InputError):
@@ -123,8 +124,7 @@ def rest_study(
                     factor=factor,
                     load_steps=load_steps,
                     reached=reached,
-                    resume=arrays,
-                    law_state=state,
+                    **resumed,
                 )
         except KeyboardInterrupt:
             if found is not None and found[0] is not None:
@@ -133,15 +133,6 @@ def rest_study(
             raise
         run.finish(rest)
     return run.record
-
-
-def _by_name(rest: Rest, forces: np.ndarray) -> dict[str, np.ndarray]:
-    """Components (m,) of forces (m, k, 2) on the tissue, as `MacroRun.history` names them."""
-    return {
-        f"force {name} {axis}": forces[:, k, i]
-        for k, name in enumerate(rest.system.force_names)
-        for i, axis in enumerate("xy")
-    }
 
 
 def rest_summary(record: RunRecord) -> str:

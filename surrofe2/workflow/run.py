@@ -1,46 +1,81 @@
-"""A recipe's problem by a stress law, and the folder that it is written to."""
+"""A recipe's problem by a stress law, and the folder that it is written to, also from Python.
+
+What a run leaves: its record; curves, energies, fields and decisions; and of a cached run the
+tables and the answers of RVEs, which are kept with its checkpoints and written at its end.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from surrofe2.base.compilation import seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import out_of_range
 from surrofe2.base.units import time_text
-from surrofe2.cache.branches import part_of, within
+from surrofe2.cache import CachedLaw, StressTable
+from surrofe2.cache.protocols import OnTrueAnswer
+from surrofe2.law.regional_law import RegionalLaw
+from surrofe2.law.stress_law import ReportingLaw, StressLaw, state_arrays, state_of
 from surrofe2.macro import MacroRun, MacroState, simulate
+from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
+from surrofe2.macro.frames import Frames
+from surrofe2.macro.internal_force import deformation_gradient
+from surrofe2.plant_cell.parameters import PRESETS, CellParameters
+from surrofe2.problem import Problem
+from surrofe2.problem.mesh import element_nodes, extent
+from surrofe2.problem.problem import label, sections_of
+from surrofe2.ranks.distributed_law import own_part
+from surrofe2.ranks.driver import driver_at_work
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.report.comparison import audit_sentence
+from surrofe2.run.journal import part_of, within
+from surrofe2.rve import RveLaw
+from surrofe2.store.fields import (
+    DISPLACEMENT_NAME,
+    F_DOT_NAME,
+    F_NAME,
+    RISK_NAME,
+    SOURCE_NAME,
+    STRESS_NAME,
+    VELOCITY_NAME,
+    write_fields,
+    write_point_fields,
+)
 from surrofe2.store.hdf5 import read_seconds
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
     RunFolder,
     RunRecord,
     caches_of,
+    describe_origin,
+    earlier_run,
+    write_curves,
     write_events,
 )
-from surrofe2.workflow.cell_laws import (
+from surrofe2.store.samples import HarvestWriter, Origin
+from surrofe2.store.store import plain
+from surrofe2.store.tables import write_table
+from surrofe2.surrogate import SurrogateLaw
+from surrofe2.workflow.laws import (
     NO_FILES,
-    cache_report,
+    cell_of_elements,
     choose_laws,
-    decisions_of,
-    law_arrays,
-    law_state,
+    kept_reference,
+    surrogate_record,
 )
-from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.progress import Report, no_report
-from surrofe2.workflow.run_outputs import (
-    RunOutputs,
-    new_record,
-    problem_record,
-    with_results,
-    write_results,
-)
-from surrofe2.workflow.surfaces import with_surface
+from surrofe2.workflow.surfaces import surface_record, with_surface
 
+HARVEST = "harvest.h5"
 MOST_IMPLICIT_STEPS = 3000
 """Of a tissue that rings; after as many the phase was three tolerances off (docs/theory.md)."""
 
@@ -61,7 +96,7 @@ def run_study(
     Args:
         surrogates: files by name of the cell, instead of the recipe's.
         tables: files of tables to start from; the run's own are written into the folder.
-        harvest: whether true answers of a cached run are kept in the folder.
+        harvest: whether RVE answers of a cached run are kept in the folder.
         report: called with the time reached in µs.
 
     Raises:
@@ -72,41 +107,43 @@ def run_study(
             "macro.integrator: implicit; not with --law table, which has no tangents: take --law "
             "cached, surrogate or rve, or --integrator explicit"
         )
-    problem = recipe.problem()
-    before = seconds_compiling()
-    outputs = RunOutputs(recipe, folder, harvest and kind in ("cached", "table"))
-    chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, outputs.taker)
+    problem, before = recipe.problem(), seconds_compiling()
+    harvests = Harvests(folder, harvest and kind in ("cached", "table"))
+    chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, harvests.taker)
     problem = with_surface(recipe, problem, kept_reference)
     earlier = sum(read_seconds(each) or 0.0 for each in tables)
+
+    def write_learnt(seconds: float = 0.0) -> None:
+        harvests.flush(seconds)
+        for name, table in chosen.tables.items():
+            write_table(folder / of_cell("table.h5", name), table, recipe.to_dict(), seconds)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
         record = with_results(record, result, chosen.tables)
         wall = {**record.wall_time, "compilation": seconds_compiling() - before}
-        outputs.store(chosen.tables, earlier + wall.get("total", 0.0))
+        write_learnt(earlier + wall.get("total", 0.0))
         write_results(folder, result)
         return replace(record, wall_time=wall)
 
     def checkpoint(state: MacroState) -> None:
         arrays = within("macro", state.to_arrays())
-        arrays |= within("law", law_arrays(chosen.law, state.law_state))
-        arrays |= within("harvest", outputs.to_arrays())
+        arrays |= within("law", state_arrays(chosen.law, state.law_state))
+        arrays |= within("harvest", harvests.to_arrays())
         run.checkpoint(arrays, cache_report(chosen.law))
-        decisions = decisions_of(chosen.law)
-        if decisions:
-            write_events(folder, decisions)
+        _write_decisions(folder, chosen.law)
+
+    def restore(arrays: Mapping[str, NDArray]) -> MacroState:
+        state = MacroState.from_arrays(part_of(arrays, "macro"))
+        law_state = state_of(chosen.law, part_of(arrays, "law"))
+        harvests.restore(part_of(arrays, "harvest"))
+        run.cache = cache_report(chosen.law)
+        return replace(state, law_state=law_state)
 
     record = replace(new_record(recipe, kind, chosen.surrogate), problem=problem_record(problem))
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
-        state: MacroState | None = None
-        with run.restoring() as arrays:
-            if arrays is not None:
-                macro, law = (part_of(arrays, name) for name in ("macro", "law"))
-                state = MacroState.from_arrays(macro)
-                state = replace(state, law_state=law_state(chosen.law, law))
-                outputs.restore(part_of(arrays, "harvest"))
-                run.cache = cache_report(chosen.law)
+        state = run.restored(restore)
         report(0.0, "loading kernels")
         try:
             with recipe.named(InputError):
@@ -120,10 +157,297 @@ def run_study(
                     resume=state,
                 )
         except KeyboardInterrupt:
-            outputs.store(chosen.tables)
+            write_learnt()
             raise
         run.finish(result)
     return run.record
+
+
+def of_cell(file: str, cell: str) -> str:
+    """The file's name with that of the cell, "" of the only one: harvest-skin.h5."""
+    name, dot, kind = file.rpartition(".")
+    return f"{name}-{cell}{dot}{kind}" if cell else file
+
+
+class Harvests:
+    """RVE answers of a run, those of each cell in a file of its own, written when the run ends.
+
+    Until then they are kept in memory and in checkpoints, so that a harvest has exactly those of
+    the run that it belongs to.
+    """
+
+    def __init__(self, folder: Path, is_wanted: bool) -> None:
+        self._folder, self._is_wanted = folder, is_wanted
+        self._writers: dict[str, HarvestWriter] = {}
+
+    def taker(self, part: Recipe) -> OnTrueAnswer | None:
+        """What a `CachedLaw` of one cell gives RVE answers to; None: nothing is harvested."""
+        if not self._is_wanted:
+            return None
+        path = self._folder / of_cell(HARVEST, part.cell_name)
+        writer = self._writers[part.cell_name] = HarvestWriter(path, origin_of(part))
+        return writer
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """The answers so far, for `restore`."""
+        arrays: dict[str, NDArray] = {}
+        for cell, writer in self._writers.items():
+            arrays |= within(f"of {cell}", writer.to_arrays())
+        return arrays
+
+    def restore(self, arrays: Mapping[str, NDArray]) -> None:
+        """Have these answers and no others."""
+        for cell, writer in self._writers.items():
+            writer.restore(part_of(arrays, f"of {cell}"))
+
+    def flush(self, seconds: float) -> None:
+        """Write all answers so far, and what the run took."""
+        for writer in self._writers.values():
+            writer.flush(seconds)
+
+
+def cache_report(law: StressLaw, *, whole: bool = False) -> dict[str, Any] | None:
+    """What a cached law has to report, of several cells under `cells` by name; None of others.
+
+    Args:
+        whole: the run is over: audit what waits.
+    """
+    if not isinstance(law, ReportingLaw):
+        return None
+    return law.report() if whole else law.history()
+
+
+def _write_decisions(folder: Path, law: StressLaw) -> None:
+    decisions = law.decisions if isinstance(law, ReportingLaw) else None
+    if decisions is not None:
+        write_events(folder, decisions)
+
+
+def origin_of(recipe: Recipe) -> Origin:
+    """Where answers for a recipe come from."""
+    return Origin(cell=recipe.cell, rve=asdict(recipe.rve), recipe=recipe.to_dict())
+
+
+def new_record(recipe: Recipe, law: str, surrogate: Mapping[str, Any] | None = None) -> RunRecord:
+    """The record of a run by the law of this name that is about to start."""
+    return RunRecord(
+        status="running",
+        recipe=recipe.to_dict(),
+        law=law,
+        initialisation=recipe.rve.initialisation,
+        solver=recipe.rve.solver,
+        cell_fingerprint=recipe.fingerprint,
+        seed=None if len(recipe.cells) > 1 else recipe.samples.seed,
+        surrogate=surrogate,
+        **describe_origin(),
+    )
+
+
+def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRecord:
+    """Write the run folder that the command `surrofe2 run` would write; `read_run` reads it back.
+
+    `surrofe2 compare` and `zoom` take it like any other; there is nothing to continue from.
+
+    Args:
+        fresh: write over whatever run the folder holds.
+
+    Raises:
+        FileError: the folder cannot be written, or has files but no run.
+        MismatchError: it has a run of other settings.
+    """
+    folder, record = Path(folder), _record_of(run)
+
+    def store(record: RunRecord, result: MacroRun) -> RunRecord:
+        write_results(folder, result)
+        return with_results(record, result)
+
+    if not fresh:
+        earlier_run(folder, record)
+    with RunFolder.open(folder, record, store, fresh=True) as kept:
+        kept.finish(run)
+    return kept.record
+
+
+def write_results(folder: Path, run: MacroRun) -> None:
+    """Write curve.csv, history.csv, energies.csv, fields, points and, of a cached run, events."""
+    curves = {name: curve.displacement for name, curve in run.curves.items()}
+    write_curves(folder, run.curve.t, curves, run.history, run.energies)
+    cell = cell_of_elements(run.law, len(run.elements))
+    write_fields(folder, run.nodes, run.elements, run.frames, cell)
+    write_points(folder, make_discretisation(run.problem.mesh), run.frames)
+    _write_decisions(folder, run.law)
+
+
+def write_points(folder: Path, space: Discretisation, frames: Frames) -> None:
+    """Write points.xdmf and points.h5: the law's points, F and Ḟ by the displacement of nodes."""
+    at = np.isin(frames.t, frames.point_t)
+    u, v = frames.displacement[at], frames.velocity[at]
+    moved = [deformation_gradient(space, *motion) for motion in zip(u, v, strict=True)]
+    write_point_fields(
+        folder,
+        space.point_positions(),
+        frames.point_t,
+        {
+            DISPLACEMENT_NAME: np.stack([space.at_points(each) for each in u]),
+            VELOCITY_NAME: np.stack([space.at_points(each) for each in v]),
+            F_NAME: np.stack([F for F, _, _ in moved]),
+            F_DOT_NAME: np.stack([F_dot for _, F_dot, _ in moved]),
+            STRESS_NAME: frames.point_stress,
+            SOURCE_NAME: frames.point_source,
+            RISK_NAME: frames.point_risk,
+        },
+        space.points_per_element,
+    )
+
+
+def with_results(
+    record: RunRecord, run: MacroRun, tables: Mapping[str, StressTable] = MappingProxyType({})
+) -> RunRecord:
+    """The record with what a run, whole or not, met and cost, and what its tables began with."""
+    driver, begun = driver_at_work(), sum(table.seconds for table in tables.values())
+    problem = {**record.problem, "penetration": penetrations(run)}
+    cache = cache_report(run.law, whole=run.finished)  # which audits what still waits
+    wall = {k: v + begun if k in ("total", "law") else v for k, v in run.wall_time.items()}
+    return replace(
+        with_rest(replace(record, problem=problem), run.rest),
+        ranks=None if driver is None else driver.report(),
+        wall_time=wall,
+        counts=_counts(run, cache, tables),
+        cache=cache,
+        met=run.met.to_dict(),
+        threads=run.threads,
+    )
+
+
+def _counts(
+    run: MacroRun, cache: Mapping[str, Any] | None, tables: Mapping[str, StressTable]
+) -> dict[str, int]:
+    """What a run counted; audits and what tables learn are RVE solves like others, and named."""
+    counts = Counter({**run.counts, **run.effort})
+    if cache is not None:
+        audits = sum(each["audit"]["audited"] for each in caches_of(cache).values())
+        counts.update(rve_solves=audits, audits=audits)
+    for table in tables.values():
+        changed = {f"table_{name.removeprefix('table_')}": n for name, n in table.counts.items()}
+        counts.update(table_records=table.size, rve_solves=changed.get("table_rve_solves", 0))
+        counts.update(changed)
+    return dict(counts)
+
+
+def with_rest(record: RunRecord, rest: np.ndarray | None) -> RunRecord:
+    """The record with how far free sides moved a tissue before the run, `System.rest`, µm."""
+    surface = record.problem.get("surface")
+    if not surface or rest is None:
+        return record
+    moved = float(np.linalg.norm(rest, axis=1).max(initial=0.0))
+    return replace(record, problem={**record.problem, "surface": {**surface, "rest": moved}})
+
+
+def penetrations(run: MacroRun) -> dict[str, float]:
+    """Largest penetration of each rigid body, µm."""
+    return {
+        name.removeprefix("penetration "): float(depth.max(initial=0.0))
+        for name, depth in run.history.items()
+        if name.startswith("penetration ")
+    }
+
+
+def problem_record(problem: Problem) -> dict[str, Any]:
+    """What a problem consists of: counts of its mesh by name, and what acts on it."""
+    mesh = problem.mesh
+    low, high = extent(mesh)
+    return {
+        "nodes": mesh.p.shape[1],
+        "elements": mesh.nelements,
+        "nodes_per_element": element_nodes(mesh).shape[1],
+        "points": n_points_of(mesh),
+        "extent": [low.tolist(), high.tolist()],
+        "boundaries": {name: len(sides) for name, sides in (mesh.boundaries or {}).items()},
+        "regions": {name: len(elements) for name, elements in (mesh.subdomains or {}).items()},
+        "conditions": [label(condition) for condition in problem.conditions],
+        "bodies": [body.name for body in problem.bodies],
+        "watched": {name: list(at) for name, at in problem.watched.items()},
+        **({"surface": surface_record(problem)} if problem.surface is not None else {}),
+    }
+
+
+def _record_of(run: MacroRun) -> RunRecord:
+    """The record of a run that no recipe stated."""
+    laws = run.law.laws if isinstance(run.law, RegionalLaw) else {"": run.law}
+    found = {name: _law_entries(law) for name, law in laws.items()}
+    if isinstance(run.law, RegionalLaw):
+        sections: dict[str, Any] = {"cells": {}}
+        for name, each in found.items():
+            sections["cells"][name] = {**each["cell"], "rve": each["rve"], "regions": [name]}
+    else:
+        sections = {k: found[""][k] for k in ("cell", "rve")} if found[""]["cell"] else {}
+    sections |= next(({"cache": each["cache"]} for each in found.values() if each["cache"]), {})
+    sections |= {**_stated_problem(run.problem), "macro": asdict(run.settings)}
+    learnt = {name: each["surrogate"] for name, each in found.items() if each["surrogate"]}
+
+    def joined(values: Iterable[str]) -> str:
+        return ", ".join(dict.fromkeys(values))
+
+    return RunRecord(
+        status="running",
+        recipe=plain({"recipe": None, **sections}),
+        law=joined(each["kind"] for each in found.values()),
+        initialisation=joined(each["rve"].get("initialisation", "none") for each in found.values()),
+        solver=joined(each["rve"].get("solver", "none") for each in found.values()),
+        cell_fingerprint=" ".join(each["fingerprint"] for each in found.values()),
+        surrogate=surrogate_record(learnt),
+        problem=problem_record(run.problem),
+        **describe_origin(),
+    )
+
+
+def _law_entries(law: StressLaw) -> dict[str, Any]:
+    """A law as run.json has it: kind, fingerprint, and by section of a recipe what it is made of.
+
+    Of a law that is not of this package, the name of its class.
+    """
+    law = own_part(law)
+    sections: dict[str, Any] = {"cell": {}, "rve": {}, "cache": {}, "surrogate": {}}
+    match law:
+        case RveLaw():
+            found = {"kind": "rve", "rve": asdict(law.settings), **_cell_entries(law.cell)}
+        case SurrogateLaw():
+            learnt = {
+                "file": "none",
+                "fingerprint": law.network.fingerprint(law.range),
+                "errors": law.errors,
+            }
+            rve = {"initialisation": law.initialisation}
+            found = {"kind": "surrogate", "rve": rve, "surrogate": learnt}
+            found |= _cell_entries(law.cell)
+        case CachedLaw():
+            found = {**_law_entries(law.fallback), "kind": "table", "cache": asdict(law.settings)}
+            known = law.surrogate
+            if isinstance(known, SurrogateLaw):
+                found |= {"kind": "cached", "surrogate": _law_entries(known)["surrogate"]}
+        case _:
+            found = {"kind": type(law).__name__, "fingerprint": "none"}
+    return sections | found
+
+
+def _cell_entries(cell: CellParameters) -> dict[str, Any]:
+    """A cell as a recipe has it, and its fingerprint."""
+    preset = next((name for name, known in PRESETS.items() if known == cell), "own")
+    return {"cell": {"preset": preset, **cell.to_dict()}, "fingerprint": cell.fingerprint}
+
+
+def _stated_problem(problem: Problem) -> dict[str, Any]:
+    """A problem as a recipe has it, its mesh by extent, number of elements and digest."""
+    low, high = extent(problem.mesh)
+    digest = hashlib.sha256()
+    for part in (problem.mesh.p.T, element_nodes(problem.mesh)):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    (width, height), elements = (high - low).tolist(), problem.mesh.nelements
+    mesh = {"file": None, "width": width, "height": height, "elements": elements}
+    acts = sections_of(problem.conditions, problem.bodies, problem.watched)
+    time = {"duration": problem.duration, "output_interval": problem.output_interval}
+    sides = {} if problem.surface is None else {"surface": {"on": problem.surface.on}}
+    return {"mesh": {**mesh, "sha256": digest.hexdigest()}, **acts, "time": time, **sides}
 
 
 def contact_notes(record: RunRecord) -> Iterator[tuple[str, bool]]:

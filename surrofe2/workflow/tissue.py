@@ -26,7 +26,7 @@ from surrofe2.tissue import TissueRun, TissueState, simulate_tissue
 from surrofe2.tissue.simulation import cells_that_fill, make_conditions, step_at_rest, with_step
 from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.progress import Report, no_report
-from surrofe2.workflow.run_outputs import new_record
+from surrofe2.workflow.run import new_record
 
 
 def tissue_of(
@@ -73,7 +73,8 @@ def run_tissue(
     before = seconds_compiling()
 
     def store(record: RunRecord, run: TissueRun) -> RunRecord:
-        write_curves(folder, run)
+        curves = {name: curve.displacement for name, curve in run.curves.items()}
+        write_curves(folder, run.curve.t, curves, run.history, run.energies)
         write_particle_fields(folder, run.position, run.bonds, run.is_wall, run.frames)
         return replace(
             record,
@@ -88,8 +89,6 @@ def run_tissue(
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
-        with run.restoring() as arrays:
-            state = None if arrays is None else TissueState.from_arrays(arrays)
         result = simulate_tissue(
             problem,
             cells,
@@ -99,7 +98,7 @@ def run_tissue(
             progress=lambda t, duration: report(t, "" if t > 0.0 else "relaxing without load"),
             checkpoint=lambda state: run.checkpoint(state.to_arrays()),
             checkpoint_interval=CHECKPOINT_INTERVAL,
-            resume=state,
+            resume=run.restored(TissueState.from_arrays),
         )
         run.finish(result)
     return run.record

@@ -51,7 +51,7 @@ def test_what_left_the_range_is_counted_at_accepted_steps(fallback):
     }
     assert cached.history()["left_range"] == expected
     again = CachedLaw(surrogate, fallback)
-    again.from_arrays(cached.to_arrays(state))
+    again.state_from_arrays(cached.state_to_arrays(state))
     assert again.history()["left_range"] == expected
 
 

@@ -53,7 +53,7 @@ def interrupted(make, steps):
             raise Stop
 
     def keep(state):
-        kept.append((state.to_arrays(), law.to_arrays(state.law_state)))
+        kept.append((state.to_arrays(), law.state_to_arrays(state.law_state)))
 
     with pytest.raises(Stop):
         simulate(LOAD_CASE, law, SETTINGS, progress=stop, checkpoint=keep, checkpoint_interval=1e9)
@@ -81,7 +81,7 @@ def test_a_resumed_run_is_the_uninterrupted_one(make):
         remembered |= any(name.startswith("audit.spare") for name in of_law)
         again = make()
         state = MacroState.from_arrays(arrays)
-        state = replace(state, law_state=again.from_arrays(of_law))
+        state = replace(state, law_state=again.state_from_arrays(of_law))
         resumed = simulate(LOAD_CASE, again, SETTINGS, resume=state)
         assert_equal(resumed.curve.displacement, whole.curve.displacement, exact=True)
         assert_equal(resumed.energies["internal"], whole.energies["internal"], exact=True)

@@ -230,7 +230,7 @@ def test_a_surrogate_of_nan_leaves_all_to_the_fallback():
 def test_history_goes_on_where_it_was_left():
     cached, report, _ = run(LIE, lambda F, F_dot: 5e-4 + 0.4 * abs(F[:, 1, 0]))
     again = CachedLaw(Learnt(shear_error(0.0), sound_bound), Truth(), cached.settings)
-    again.from_arrays(cached.to_arrays(CachedState(1)))
+    again.state_from_arrays(cached.state_to_arrays(CachedState(1)))
     assert again.history()["trust"]["off"]
     assert again.counts == cached.counts
     assert again.report()["audit"] == report["audit"]

@@ -13,9 +13,8 @@ from surrofe2.cli import app
 from surrofe2.macro import MetRange, simulate
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
-from surrofe2.workflow.cell_laws import law_by_region
 from surrofe2.workflow.check import dry_run, proposed_range
-from surrofe2.workflow.laws import quadratic_law
+from surrofe2.workflow.laws import law_by_region, quadratic_law
 from tests.conftest import ROOT
 
 

@@ -10,15 +10,13 @@ import numpy as np
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe.problem_sections import load_mesh
 from surrofe2.recipe.recipe import load_recipe
-from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.fields import write_fields
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import (
     read_curve,
     read_history,
     read_record,
-    write_curve,
-    write_history,
+    write_curves,
     write_record,
 )
 from surrofe2.store.samples import (
@@ -50,7 +48,6 @@ from tests.store.small_data_set import HEADER, append_chunk, write_all
 
 POINTS = np.eye(2) + 0.01 * np.arange(8.0).reshape(2, 2, 2), 0.001 * np.ones((2, 2, 2))
 T = np.arange(5.0)
-CURVE = DisplacementCurve(T, np.stack([T, -T], axis=1))
 KEPT = {"law": "rve"}
 
 
@@ -136,6 +133,10 @@ def asked_record(path):
     return found, found.duration, found.compared()
 
 
+def curves(folder):
+    write_curves(folder, T, {"tip": np.stack([T, -T], axis=1)}, {"force hold": T}, {})
+
+
 def reference(folder):
     write_reference(folder / "reference.h5", ReferenceState(CELL.fingerprint, *[np.eye(2)] * 2, 1))
 
@@ -159,11 +160,8 @@ KINDS = {
         read_json,
     ),
     "reference.h5": (reference, lambda path: read_reference(path, CELL)),
-    "curve.csv": (lambda folder: write_curve(folder, CURVE), lambda path: read_curve(path.parent)),
-    "history.csv": (
-        lambda folder: write_history(folder, T, {"force hold": T}),
-        lambda path: read_history(path.parent),
-    ),
+    "curve.csv": (curves, lambda path: read_curve(path.parent)),
+    "history.csv": (curves, lambda path: read_history(path.parent)),
     "mesh.msh": (mesh, load_mesh),
 }
 """How a file of each kind is written into a folder, and what reads it, by its name."""

@@ -12,7 +12,7 @@ from surrofe2.cache.cached_law import effort_of
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import simulate
 from surrofe2.store.run_folder import write_record
-from surrofe2.workflow.run_outputs import write_results
+from surrofe2.workflow.run import write_results
 from tests.laws import KelvinVoigt
 from tests.run_records import finished_record
 
@@ -42,7 +42,7 @@ def made_runs(recipe, folder):
         point_risk=np.where(at_points == 0.0, RISK, 0.0),
     )
     curve = replace(run.curve, displacement=1.001 * run.curve.displacement)
-    write_results(cached, replace(run, frames=frames, curve=curve, curves={}))
+    write_results(cached, replace(run, frames=frames, curve=curve, curves={"watched": curve}))
     record = finished_record(recipe, "cached", {"total": 0.5, "law": 0.3, "macro": 0.2}, counts)
     surrogate = {"file": "s", "fingerprint": "f", "errors": {}, "seconds": {"data": 20.0}}
     write_record(cached, replace(record, surrogate=surrogate, cache=cache_report()))

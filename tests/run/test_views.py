@@ -24,7 +24,7 @@ from surrofe2 import (
 from surrofe2.base.errors import InputError, MismatchError
 from surrofe2.macro.simulation import simulate
 from surrofe2.surrogate.training import train
-from surrofe2.workflow.run_outputs import save_run
+from surrofe2.workflow.run import save_run
 from tests.laws import CELL, SoftLaw, lattice_samples
 
 

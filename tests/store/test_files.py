@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 
@@ -8,13 +9,16 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError
-from surrofe2.store import disk
+from surrofe2.store import disk, store
 from surrofe2.store.store import (
     NO_DIGEST,
     SEAL,
-    partial_of,
+    file_lock,
+    keep,
+    locked_file,
     plain,
     read_json,
+    remove,
     sealed,
     write_bytes,
     write_json,
@@ -22,14 +26,14 @@ from surrofe2.store.store import (
 )
 
 
-@pytest.mark.parametrize("operation", ["write", "sync", "move"])
+@pytest.mark.parametrize("operation", ["create", "write", "sync", "move"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, operation):
     path = tmp_path / "a.txt"
     write_text(path, "old")
 
     def full(*arguments):
         if operation == "write":
-            arguments[0].write_bytes(b"half")
+            arguments[0].write(b"half")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(disk, operation, full)
@@ -40,12 +44,56 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_nothing_is_written_through_a_link(tmp_path):
-    (tmp_path / "mine").write_text("mine")
-    partial_of(tmp_path / "a.txt").symlink_to(tmp_path / "mine")
-    with pytest.raises(FileError):
-        write_text(tmp_path / "a.txt", "text")
-    assert (tmp_path / "mine").read_text() == "mine"
+def test_nothing_is_written_through_a_link_or_into_a_file_that_is_there(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "token_hex", lambda n: "01234567")
+    mine, partial = tmp_path / "mine", tmp_path / ".a.txt.01234567.partial"
+    mine.write_text("mine")
+    for put in (partial.symlink_to, partial.hardlink_to):
+        put(mine)
+        with mine.open() as held:
+            fcntl.flock(held, fcntl.LOCK_EX)  # else it is left by a killed process, and removed
+            with pytest.raises(FileError):
+                write_text(tmp_path / "a.txt", "text")
+        assert mine.read_text() == "mine"
+        partial.unlink()
+    file_lock(tmp_path / "a.txt").symlink_to(mine)
+    with pytest.raises(FileError), locked_file(tmp_path / "a.txt"):
+        pass
+    assert mine.read_text() == "mine"
+
+
+def test_what_a_killed_process_was_writing_is_removed_and_nothing_else(tmp_path):
+    path, names = tmp_path / "a.txt", (".a.txt.01234567.partial", ".a.txt.89abcdef.partial")
+    others = [tmp_path / name for name in (".b.a.txt.01234567.partial", ".a.txt.mine.partial")]
+    dead, alive = (tmp_path / name for name in names)
+    for each in (dead, alive, *others):
+        each.touch()
+    with alive.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as a process that writes it does
+        write_text(path, "text")
+        assert sorted(tmp_path.iterdir()) == sorted([path, alive, *others])
+    remove(path)
+    assert sorted(tmp_path.iterdir()) == sorted(others)
+
+
+@pytest.mark.parametrize("content", [b"[cell]", b"{}", b"surrofe2-run"])
+def test_starting_over_replaces_no_file_of_another_kind(tmp_path, content):
+    path, made = tmp_path / "a.json", lambda: {"states": 1}
+    path.write_bytes(content)
+    with pytest.raises(FileError, match="so --fresh does not replace it"):
+        keep(path, {"asked": 1}, made, fresh=True)
+    assert path.read_bytes() == content
+    path.unlink()
+    keep(path, {"asked": 2}, made)
+    assert keep(path, {"asked": 1}, made, fresh=True) == ({"asked": 1, "states": 1}, False)
+
+
+def test_names_that_are_not_utf8_are_kept_as_escapes(tmp_path):
+    path, name = tmp_path / "a.json", os.fsdecode(b"r\xff.toml")
+    write_json(path, {name: name})
+    assert read_json(path) == {"r\\udcff.toml": "r\\udcff.toml"}
+    write_text(path, name)
+    assert path.read_text() == "r\\udcff.toml"
 
 
 def test_no_write_permission(unwritable):

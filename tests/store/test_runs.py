@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError, InputError
-from surrofe2.recipe.recipe import load_recipe
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.store.run_folder import (
-    open_run_folder,
+    RunFolder,
     read_curve,
     read_record,
     read_run,
-    write_curve,
-    write_energies,
+    write_curves,
     write_record,
 )
 from surrofe2.store.store import read_json, write_json
@@ -41,21 +38,34 @@ def test_record_comes_back(tmp_path, record):
     assert read_record(tmp_path) == record
 
 
-def test_curve_comes_back_to_the_last_bit(tmp_path, curve):
-    write_curve(tmp_path, curve)
-    back = read_curve(tmp_path)
-    np.testing.assert_array_equal(back.t, curve.t)
-    np.testing.assert_array_equal(back.displacement, curve.displacement)
-    assert (tmp_path / "curve.csv").read_text().splitlines()[0] == "t_us,u_x_um,u_y_um"
+def write(folder, curve, energies=None):
+    write_curves(folder, curve.t, {"tip": curve.displacement}, {}, energies or {})
 
 
-def test_energies_name_their_units(tmp_path):
-    write_energies(tmp_path, np.array([0.0, 1.0]), {"kinetic": np.array([0.0, 2.5])})
-    assert (tmp_path / "energies.csv").read_text() == "t_us,kinetic_pJ\n0.0,0.0\n1.0,2.5\n"
+def test_curves_come_back_to_the_last_bit(tmp_path, record, curve):
+    both = {"tip": curve.displacement, "a b": 2.0 * curve.displacement}
+    history, energies = {"force hold x": curve.t, "position": -curve.t}, {"kinetic": 2.0 * curve.t}
+    write_curves(tmp_path, curve.t, both, history, energies)
+    write_record(tmp_path, replace(record, problem={"watched": {"tip": [0.0, 0.0]}}))
+    back = read_run(tmp_path)
+    assert list(back.curves) == ["tip", "a b"]
+    for name, u in both.items():
+        np.testing.assert_array_equal(back.curves[name].displacement, u)
+    for found, wanted in ((back.history, history), (back.energies, energies)):
+        assert found.keys() == wanted.keys()
+        for name, values in wanted.items():
+            np.testing.assert_array_equal(found[name], values)
+    heads = {name: (tmp_path / f"{name}.csv").read_text().split("\n")[0]
+             for name in ("curve", "history", "energies")}  # fmt: skip
+    assert heads == {
+        "curve": "t_us,u_x_um,u_y_um,u_x_um a b,u_y_um a b",
+        "history": "t_us,force hold x_uN,position_um",
+        "energies": "t_us,kinetic_pJ",
+    }
 
 
 def test_a_record_names_files_of_its_folder_alone(tmp_path, record, curve):
-    write_curve(tmp_path, curve)
+    write(tmp_path, curve)
     write_record(tmp_path, record)
     entries = read_json(tmp_path / "run.json")
     write_json(tmp_path / "run.json", entries | {"files": {"/dev/zero": "0"}})
@@ -63,34 +73,62 @@ def test_a_record_names_files_of_its_folder_alone(tmp_path, record, curve):
         read_run(tmp_path)
 
 
+def opened(folder, record, **how):
+    """A run that was begun, or found, in a folder."""
+    with RunFolder.open(folder, record, lambda record, result: record, **how) as run:
+        return run
+
+
 def test_fresh_replaces_the_run_and_nothing_else(tmp_path, record, curve):
     folder = tmp_path / "run"
-    write_curve(folder, curve)
+    write(folder, curve)
+    write_record(folder, record)
     (folder / "notes.txt").write_text("mine")
-    assert open_run_folder(folder, replace(record, status="running"), fresh=True) is None
+    opened(folder, replace(record, status="running"), fresh=True)
     assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "run.json"]
 
 
-def test_the_same_run_gives_its_earlier_record(tmp_path, record):
+@pytest.mark.parametrize("name", ["run.json", "curve.csv", "fields.h5"])
+def test_fresh_replaces_no_file_that_is_not_of_a_run(tmp_path, record, name):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / name).write_text("mine")
+    with pytest.raises(FileError, match="so --fresh does not replace it"):
+        opened(folder, record, fresh=True)
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {name: "mine"}
+
+
+def test_a_run_with_a_checkpoint_resumes(tmp_path, record):
     write_record(tmp_path, replace(record, status="interrupted"))
     (tmp_path / "checkpoint.h5").touch()
-    earlier = open_run_folder(tmp_path, replace(record, threads=1))
-    assert earlier == replace(record, status="interrupted")
+    assert opened(tmp_path, replace(record, threads=1)).resumes
 
 
 def test_a_run_without_a_checkpoint_starts_with_nothing_of_another(tmp_path, record, curve):
     folder = tmp_path / "run"
-    write_curve(folder, curve)
+    write(folder, curve)
     write_record(folder, replace(record, status="interrupted"))
     (folder / "harvest-skin.h5").touch()
-    assert open_run_folder(folder, replace(record, status="running")) is None
+    assert not opened(folder, replace(record, status="running")).resumes
     assert [path.name for path in folder.iterdir()] == ["run.json"]
     assert read_record(folder).status == "running"
 
 
+def test_a_record_in_other_units_or_of_another_schema_is_refused(tmp_path, record):
+    write_record(tmp_path, record)
+    entries = read_json(tmp_path / "run.json")
+    for change, message in (
+        ({"units": {**entries["units"], "time": "s"}}, "units: "),
+        ({"schema_version": 2}, "run schema 2; this surrofe2 reads 3"),
+    ):
+        write_json(tmp_path / "run.json", entries | change)
+        with pytest.raises(FileError, match=message):
+            read_record(tmp_path)
+
+
 def test_unfinished_run_is_not_read(tmp_path, record, curve):
     write_record(tmp_path, replace(record, status="interrupted"))
-    write_curve(tmp_path, curve)
+    write(tmp_path, curve)
     with pytest.raises(InputError) as caught:
         read_run(tmp_path)
     assert str(caught.value) == f"{tmp_path}: the run is interrupted; its command goes on with it"
@@ -112,14 +150,3 @@ def test_damaged_curve(tmp_path, text):
         read_curve(tmp_path)
     path = tmp_path / "curve.csv"
     assert str(caught.value) == f"{path}: not a table of t_us,u_x_um,u_y_um"
-
-
-def test_a_run_of_a_bar_from_earlier_versions_is_the_one_of_today():
-    """Its record has [load] and the elements in [macro]."""
-    data = Path(__file__).parents[2] / "data"
-    earlier, now = read_record(data / "large-bar-true").recipe, load_recipe(data / "large-bar.toml")
-    assert "load" not in earlier
-    for name in ("conditions", "bodies", "watch"):
-        assert earlier[name] == now.to_dict()[name]
-    assert earlier["mesh"]["elements"] == list(now.stated.mesh.elements)
-    assert earlier["time"]["duration"] == now.duration
