@@ -35,8 +35,8 @@ CELL_NOTE = (
 NOTES = {
     "cell": CELL_NOTE,
     "training": "`file` names the surrogate's file.",
-    "range": "The section is needed by `generate`, `train` and cached runs. It must hold what a "
-    "run meets; `surrofe2 check` proposes it.",
+    "range": "The section is needed by `generate`, `train`, `refine` and runs by `--law cached` or "
+    "`table`. It must hold what a run meets; `surrofe2 check` proposes it.",
     "load": "The paper's bar. A recipe has either this section or `[mesh]` and its companions.",
     "macro": "`elements`, two integers, `[4, 4]` by default, are those of the bar of [load] in x "
     "and in y.",

@@ -70,7 +70,7 @@ def test_the_page_s_example_in_a_short_form(tmp_path, monkeypatch, caplog):
     found = {}
     exec(code, found)
     assert not caplog.records
-    assert found["difference"](found["cached"].curve, found["true"].curve).largest < 2e-3
+    assert found["difference"](found["cached"].curve, found["full"].curve).largest < 2e-3
     assert found["cached"].effort["hits"] > 5000
     assert json.loads((tmp_path / "out/comparison/comparison.json").read_text())["runs"]
     assert zoom_into("out/cached", (100.0, 50.0)).seen.extremes()

@@ -9,8 +9,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
-    ROOT / "README.md",
+    *(ROOT / name for name in ("README.md", "data/README.md", "training/README.md")),
     *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "examples").glob("*.md")),
     *sorted((ROOT / "surrofe2" / "cli").glob("*.py")),  # help stands there
 ]
 INSTEAD = {
@@ -18,14 +19,13 @@ INSTEAD = {
     r"\banew\b": "again",
     r"\bdear(er)?\b": "expensive, more expensive",
     r"\btrue RVEs?\b": "RVE",
-    r"\btrue FE²": "full FE²",
-    r"\btrue run\b": "full run",
+    r"\btrue (FE²|runs?|stress(es)?|one)\b": "full FE², full run, RVE stress",
     r"\bgoes on\b": "resumes, continues",
     r"\bmended\b": "fixed",
     r"\bis told\b": "is reported",
     r"\b(with|in|by|gives|ends) (a|one) sentence\b": "an error message",
     r"\b(cells|particles) an RVE\b": "per RVE",
-    r"\belements a side\b": "elements per side",
+    r"\b(elements|moduli|springs) a side\b": "per side",
 }
 
 

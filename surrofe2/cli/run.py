@@ -102,7 +102,7 @@ def run(
 
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of the watched
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
-    ParaView; with --law table the table, with --law cached or table the harvest of true stresses.
+    ParaView; with --law table the table, with --law cached or table the harvest of RVE stresses.
 
     mpiexec -n N before the command deals the RVEs to N ranks (needs surrofe2\\[mpi]).
 
