@@ -108,9 +108,7 @@ def moduli(
     if stability is not None:
         _study(
             "stability", of, stability, {}, fresh,
-            lambda report: stability_of.describe(
-                stability_of.stability_map(of.cell, progress=_counted(report))
-            ),
+            lambda report: stability_of.stability(of.cell, progress=_counted(report)),
         )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """How long an RVE remembers: two pasts that end in the same (F, Ḟ), then one common way.
 
 A cache on (F, Ḟ) presumes that the stress follows from (F, Ḟ). Two RVEs, integrated in time,
-meet at t = 0 with the same F and Ḟ and go on alike; the difference of their stresses then is what
-(F, Ḟ) does not tell, and how it fades is the memory.
+meet at t = 0 with the same F and Ḟ and move alike from there on. The difference of their stresses
+is what does not follow from (F, Ḟ), and how it fades is the memory.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.settings import check_settings, setting
-from surrofe2.base.units import RATE, TIME
+from surrofe2.base.units import RATE, TIME, number
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.report.study import Study
-from surrofe2.report.tables import Quantity, Table
+from surrofe2.report.tables import Quantity, Table, percent
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.rve.micro_integration import integrate_rve
@@ -115,16 +115,16 @@ class Memory:
     def verdict(self) -> str:
         """One sentence on whether a cache on (F, Ḟ) is sound."""
         fading, period = self.fading_time, f"{self.settings.period:g} µs"
-        fades = (
-            f"is not below 1/e after {self.settings.after:g} µs"
-            if fading is None
-            else f"falls to 1/e within {fading:.2g} µs"
-        )
-        part = 100.0 * self.largest / self.scale
-        found = f"for this cell: the past makes up to {part:.2g} % of the stress and {fades}"
-        if not self.sound:
-            return f"not sound at periods of {period}: do not cache on (F, Ḟ) {found}"
-        return f"sound: a cache on (F, Ḟ) holds {found}, against motions of {period}"
+        fades = f"not faded after {self.settings.after:g} µs"
+        if fading is not None:
+            fades = f"fading in {number(fading, 2)} µs"
+        part = f"up to {percent(2)(self.largest / self.scale)} of the stress, {fades}"
+        if self.sound:
+            return f"Motions as fast as {period} can be cached: the past makes {part}"
+        text = f"At motions as fast as {period} the stress depends on history ({part})"
+        if fading is None or self.largest > self.settings.tolerance * self.scale:
+            return f"{text}: do not cache them"
+        return f"{text}; motions from {number(fading / _SHORT, 2)} µs on can be cached"
 
 
 def memory(
@@ -136,7 +136,7 @@ def memory(
     """Integrate both pasts, one and a half periods before they meet, and watch them after.
 
     Args:
-        progress: called with the share that is done.
+        progress: called with the fraction that is done.
     """
     s = settings or MemorySettings()
     law, t, steady = RveLaw(cell), np.linspace(0.0, s.after, 201), steady_shear(s.rate)
@@ -177,15 +177,11 @@ def describe(found: Memory) -> Study:
         for past, stress in (("steady", found.steady), ("returning", found.returning))
         for label, a, b in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
     }
-    panel = Panel(
-        x_label="time since both pasts met (µs)",
-        y_label="difference of the stresses (µN/µm)",
-        curves=(Curve("difference", found.t, found.difference, markers=False),),
-        log_y=True,
-    )
+    labels = "time since both pasts met (µs)", "difference of the stresses (µN/µm)"
+    curve = Curve("difference", found.t, found.difference, markers=False)
     return Study(
-        title="Two pasts that end in the same (F, Ḟ):\ndifference of the stresses",
-        panels=(panel,),
+        title="Two pasts that end in the same (F, Ḟ): difference of the stresses",
+        panels=(Panel(*labels, (curve,), log_y=True),),
         table=Table(QUANTITIES, (found,)),
         series={"t (µs)": found.t, **stresses, "difference (µN/µm)": found.difference},
     )

@@ -13,7 +13,7 @@ All are two-dimensional; divided by the thickness of the tissue they are in MPa 
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,7 +136,7 @@ def _wall_virial(cell: CellParameters, unit: UnitCell) -> float:
 def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
     """The cell with the fluid mass that gives it a turgor (`Turgor.mean`), MPa.
 
-    p = c_s² ρ has no reference density, so mass and pressure go together.
+    p = c_s² ρ has no reference density, so the mass sets the pressure.
 
     Raises:
         InputError: not positive, or more than the walls bear at any rest length.
@@ -156,27 +156,22 @@ def with_turgor(cell: CellParameters, pressure: float) -> CellParameters:
     except InputError:
         raise
     except ValueError:
-        raise InputError(
-            f"turgor: {pressure} MPa; no fluid mass near {guess:.3g} ng gives it"
-        ) from None
+        message = f"turgor: {pressure} MPa; no fluid mass near {guess:.3g} ng gives it"
+        raise InputError(message) from None
     return replace(cell, fluid_particle_mass=mass)
 
 
 def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict[str, Table[Any]]:
     """By title: elastic and viscous moduli by initialisation, in 2D and over the thickness."""
-    name: Quantity[Any] = Quantity("initialisation", "", "")
-    t, tables = cell.tissue_thickness, {}
-    for title, kind, over in (
-        ("Elastic moduli, N/m", "elastic", 1.0),
-        ("Elastic moduli, MPa", "elastic", t),
-        ("Viscous moduli, N/m µs", "viscous", 1.0),
-        ("Viscous moduli, MPa µs", "viscous", t),
-    ):
-        rows = [
-            {"initialisation": method, **_moduli_of(asdict(each)[kind] / over)}
-            for method, each in found.items()
-        ]
-        tables[title] = Table((name, *_columns(MODULI)), rows)
+    tables = {}
+    for kind, unit in (("elastic", ""), ("viscous", " µs")):
+        for of, over in (("N/m", 1.0), ("MPa", cell.tissue_thickness)):
+            rows = [
+                {"initialisation": method, **_moduli_of(getattr(each, kind) / over)}
+                for method, each in found.items()
+            ]
+            columns = Quantity[Any]("initialisation", "", ""), *_columns(MODULI)
+            tables[f"{kind.capitalize()} moduli, {of}{unit}"] = Table(columns, rows)
     return tables
 
 
@@ -190,7 +185,7 @@ def _moduli_of(C: Array, kind: str = "") -> dict[str, float]:
 
 
 def with_wall_springs(cell: CellParameters, n: float) -> CellParameters:
-    """n springs a side, the wall as a whole kept: stiffness ∝ n, particle mass and λ ∝ 1/n.
+    """n springs per side, the wall as a whole kept: stiffness ∝ n, particle mass and λ ∝ 1/n.
 
     Repulsion between second neighbours along a wall grows with n all the same, for its cut-off
     does not shrink with the spacing.
@@ -206,7 +201,7 @@ def with_wall_springs(cell: CellParameters, n: float) -> CellParameters:
 
 
 def with_fluid_particles(cell: CellParameters, n: float) -> CellParameters:
-    """n fluid particles a side, the fluid as a whole kept: mass and λ ∝ 1/n², h ∝ 1/n."""
+    """n fluid particles per side, the fluid as a whole kept: mass and λ ∝ 1/n², h ∝ 1/n."""
     r = n / cell.fluid_particles_per_side
     return replace(
         cell,
@@ -226,8 +221,12 @@ CHANGES: Mapping[str, Change] = {
         lambda cell: [k * cell.wall_stiffness for k in FACTORS],
         lambda cell, stiffness: replace(cell, wall_stiffness=stiffness),
     ),
-    "wall particles": ("wall springs a side", lambda cell: (6, 8, 10, 12, 14), with_wall_springs),
-    "fluid particles": ("fluid particles a side", lambda cell: (2, 4, 6, 8), with_fluid_particles),
+    "wall particles": ("wall springs per side", lambda cell: (6, 8, 10, 12, 14), with_wall_springs),
+    "fluid particles": (
+        "fluid particles per side",
+        lambda cell: (2, 4, 6, 8),
+        with_fluid_particles,
+    ),
 }
 """Turgor by the fluid's mass; the damping constant of the wall follows its stiffness (eq. 1)."""
 
@@ -242,26 +241,26 @@ def changed_cells(
     """Moduli over a parameter in MPa and MPa µs; those of some are in files alone.
 
     Args:
+        change: one of `CHANGES`.
         progress: called with the number of values that are done.
     """
     (heading, _, make), t = change, cell.tissue_thickness
-
-    def changed(value: float) -> Mapping[str, Any]:
-        """A cell with one value changed; `trouble` says why there are no moduli."""
-        row = {heading: value}
+    rows: list[Mapping[str, Any]] = []
+    for value in values:
         try:
             new = make(cell, value)
             found, pressure = cell_moduli(new, initialisation), turgor(new)
-            return row | {
+            computed = {
                 "mean turgor": pressure.mean,
                 "virial turgor": pressure.virial,
                 "l₀/spring": RveLaw(new).rest_length / new.spring_length,
                 **_moduli_of(found.elastic / t),
                 **_moduli_of(found.viscous / t, "viscous "),
             }
+            rows.append({heading: value, **computed})
         except InputError as error:
-            return row | {"trouble": str(error)}
-
+            rows.append({heading: value, "trouble": str(error)})
+        progress(len(rows))
     columns: list[Quantity[Mapping[str, Any]]] = [
         Quantity(heading, "", ".4g"),
         Quantity("mean turgor", "MPa", ".4g"),
@@ -271,8 +270,4 @@ def changed_cells(
         *_columns(("shear",), "viscous "),
         Quantity("trouble", "", None),
     ]
-    rows = []
-    for value in values:
-        rows.append(changed(value))
-        progress(len(rows))
     return Table(columns, rows)

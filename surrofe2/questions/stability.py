@@ -8,7 +8,6 @@ stable state where there is one (`surrofe2.rve.continuation`); its stress is the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,51 +43,74 @@ WAYS: Mapping[str, tuple[tuple[float, float, float], float]] = {
 }
 """Direction (F_xx, F_yy, F_xy) and how far it is followed."""
 
-_CHUNK, _MARCH, _CLOSE = 128, 2.5e-3, 1e-5
+_BATCH, _MARCH, _CLOSE = 128, 2.5e-3, 1e-5
 
 
-@dataclass(frozen=True, slots=True)
-class Plane:
-    """Deformations and what became of RVEs there: F (m, 2, 2) and index into `CATEGORIES` (m,).
+PLANES: Mapping[str, tuple[str, str, tuple[int, int], tuple[float, float]]] = {
+    "stretch": ("no shear", "stretch $F_{yy}$", (1, 1), STRETCH),
+    "shear": ("$F_{yy}$ = 1", "shear $F_{xy}$", (0, 1), SHEAR),
+}
+"""Title, label, index and span of the entry of F that varies with F_xx."""
 
-    y_label: of the entry (0, 1) or (1, 1) of F that varies with F_xx.
-    """
-
-    title: str
-    y_label: str
-    y_index: tuple[int, int]
-    F: Array
-    category: NDArray[np.int_]
-
-
-@dataclass(frozen=True, slots=True)
-class StabilityMap:
-    """Planes by name, and by way how far the reference branch is stable; None: all the way."""
-
-    planes: Mapping[str, Plane]
-    onset: Mapping[str, float | None]
+COLUMNS: tuple[Quantity[Any], ...] = (
+    Quantity("way", "", ""),
+    Quantity("stable up to", "largest entry of F − I", ".4f"),
+    Quantity("loses stability", "", lambda lost: "yes" if lost else "no"),
+)
 
 
-def stability_map(
+def stability(
     cell: CellParameters, points: int = 41, *, progress: Callable[[float], None] = lambda _: None
-) -> StabilityMap:
-    """Both planes on points × points deformations each; progress is told the share done."""
-    total = 2 * points**2
-    planes, done = {}, 0
-    for name, title, y_label, index, span in (
-        ("stretch", "no shear", "stretch $F_{yy}$", (1, 1), STRETCH),
-        ("shear", "$F_{yy}$ = 1", "shear $F_{xy}$", (0, 1), SHEAR),
-    ):
-        F = np.tile(np.eye(2), (points, points, 1, 1))
-        F[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
-        F[:, :, *index] = np.linspace(*span, points)
-        F, parts = F.reshape(-1, 2, 2), []
-        for first in range(0, len(F), _CHUNK):
-            parts.append(categories(cell, F[first : first + _CHUNK]))
-            done += len(parts[-1])
-            progress(done / total)
-        planes[name] = Plane(title, y_label, index, F, np.concatenate(parts))
-    return StabilityMap(planes, {way: find_onset(cell, *WAYS[way]) for way in WAYS})
+) -> Study:
+    """What becomes of RVEs on points × points deformations of two planes, and the onset by way.
+
+    Args:
+        progress: called with the fraction that is done.
+    """
+    F = np.tile(np.eye(2), (len(PLANES), points, points, 1, 1))
+    for plane, (_, _, index, span) in zip(F, PLANES.values(), strict=True):
+        plane[:, :, 0, 0] = np.linspace(*STRETCH, points)[:, None]
+        plane[:, :, *index] = np.linspace(*span, points)
+    F, parts = F.reshape(-1, 2, 2), []
+    for first in range(0, len(F), _BATCH):
+        parts.append(categories(cell, F[first : first + _BATCH]))
+        progress(min(first + _BATCH, len(F)) / len(F))
+    category = np.concatenate(parts)
+    planes = dict(zip(PLANES, np.split(np.arange(len(F)), len(PLANES)), strict=True))
+    rows = []
+    for way, (direction, length) in WAYS.items():
+        onset = find_onset(cell, direction, length)
+        known = (way, length if onset is None else onset, onset is not None)
+        rows.append(dict(zip([column.name for column in COLUMNS], known, strict=True)))
+    return Study(
+        title="Stable equilibria of the plant cell at rest",
+        panels=tuple(_panel(name, F[at], category[at]) for name, at in planes.items()),
+        columns=2,
+        table=Table(COLUMNS, rows),
+        series={
+            "plane": np.repeat([*PLANES], points**2).tolist(),
+            "F_xx (1)": F[:, 0, 0],
+            "F_yy (1)": F[:, 1, 1],
+            "F_xy (1)": F[:, 0, 1],
+            "equilibrium": [CATEGORIES[k] for k in category],
+        },
+        results={
+            "counts": {
+                name: {label: int((category[at] == k).sum()) for k, label in enumerate(CATEGORIES)}
+                for name, at in planes.items()
+            }
+        },
+    )
+
+
+def _panel(name: str, F: Array, category: NDArray[np.int_]) -> Panel:
+    title, y_label, index, _ = PLANES[name]
+    curves = (
+        Curve(CATEGORIES[k], F[chosen, 0, 0], F[chosen][:, *index])
+        for k in range(len(CATEGORIES))
+        if (chosen := category == k).any()
+    )
+    return Panel("stretch $F_{xx}$", y_label, tuple(curves), title)
 
 
 def categories(cell: CellParameters, F: Array) -> NDArray[np.int_]:
@@ -124,50 +146,3 @@ def find_onset(
         else:
             step *= 0.5
     return None
-
-
-COLUMNS: tuple[Quantity[Any], ...] = (
-    Quantity("way", "", ""),
-    Quantity("stable up to", "largest entry of F − I", ".4f"),
-    Quantity("loses stability", "", lambda lost: "yes" if lost else "no"),
-)
-
-
-def describe(found: StabilityMap) -> Study:
-    """The map: one panel for each plane; the onset along each way."""
-    planes = found.planes.values()
-    ends = [
-        (way, WAYS[way][1] if onset is None else onset, onset is not None)
-        for way, onset in found.onset.items()
-    ]
-    names = [column.name for column in COLUMNS]
-    F = np.concatenate([plane.F for plane in planes])
-    category = np.concatenate([plane.category for plane in planes])
-    return Study(
-        title="Stable equilibria of the plant cell at rest",
-        panels=tuple(_panel(plane) for plane in planes),
-        columns=2,
-        table=Table(COLUMNS, [dict(zip(names, each, strict=True)) for each in ends]),
-        series={
-            "plane": [key for key, plane in found.planes.items() for _ in plane.F],
-            "F_xx (1)": F[:, 0, 0],
-            "F_yy (1)": F[:, 1, 1],
-            "F_xy (1)": F[:, 0, 1],
-            "equilibrium": [CATEGORIES[k] for k in category],
-        },
-        results={
-            "counts": {
-                key: {label: int((plane.category == k).sum()) for k, label in enumerate(CATEGORIES)}
-                for key, plane in found.planes.items()
-            }
-        },
-    )
-
-
-def _panel(plane: Plane) -> Panel:
-    curves = (
-        Curve(CATEGORIES[k], plane.F[chosen, 0, 0], plane.F[chosen][:, *plane.y_index])
-        for k in range(len(CATEGORIES))
-        if (chosen := plane.category == k).any()
-    )
-    return Panel("stretch $F_{xx}$", plane.y_label, tuple(curves), plane.title)

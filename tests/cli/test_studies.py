@@ -45,7 +45,7 @@ def study_call(path, *more):
 def test_memory_gives_a_verdict_and_is_kept(tmp_path):
     done = study_call(tmp_path)
     assert done.exit_code == 0, done.output
-    assert done.stdout.splitlines()[-2].startswith("sound: a cache on (F, Ḟ) holds")
+    assert done.stdout.splitlines()[-2].startswith("Motions as fast as 17 µs can be")
     assert (tmp_path / "memory-water.png").stat().st_size > 10_000
     record = read_json(tmp_path / "memory-water.json")
     assert record["cell"]["fluid_particle_mass"] == 0.27
@@ -64,7 +64,7 @@ def test_memory_gives_a_verdict_and_is_kept(tmp_path):
 
 
 def test_the_map_of_stability_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(stability, "stability_map", partial(stability.stability_map, points=3))
+    monkeypatch.setattr(stability, "stability", partial(stability.stability, points=3))
     done = invoke(
         "moduli", "--cell", "water", "--initialisation", "elastic", "--stability", tmp_path
     )

@@ -91,8 +91,8 @@ def test_tables():
     same, none = table.rows
     known = cell_moduli(CELLS["water"], "elastic").elastic / CELLS["water"].tissue_thickness
     assert same["bulk"] == MODULI["bulk"](known)
-    assert none.keys() == {"fluid particles a side", "trouble"}
+    assert none.keys() == {"fluid particles per side", "trouble"}
     assert "no stable equilibrium" in none["trouble"]
     headings, texts = table.for_people()
-    assert headings[0] == "fluid particles a side"
+    assert headings[0] == "fluid particles per side"
     assert texts[1][1:-1] == ["–"] * (len(headings) - 2)

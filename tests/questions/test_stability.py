@@ -31,8 +31,7 @@ def test_categories_turn_at_the_onset_and_both_axes_are_alike():
 
 @pytest.mark.slow
 def test_map_names_every_deformation():
-    found = stability.stability_map(WATER, points=3)
-    study = stability.describe(found)
+    study = stability.stability(WATER, points=3)
     assert study.to_csv().count("\n") == 19
     assert set(study.series["equilibrium"]) <= set(CATEGORIES)
     assert sum(study.results["counts"]["stretch"].values()) == 9
