@@ -9,7 +9,7 @@ from pathlib import Path
 
 from surrofe2.base.errors import Surrofe2Error
 from surrofe2.report.study import NamedCell, Study, keep_study
-from validation.setting import Setting
+from validation.case import Setting
 
 STUDIES: Mapping[str, tuple[str, str, str]] = {
     "fig5": ("rve", "figure_5", "stress of one RVE over shear steps, by each initialisation"),
@@ -20,6 +20,7 @@ STUDIES: Mapping[str, tuple[str, str, str]] = {
     "damping": ("bars", "damping", "decrements over mesh, tolerances, micro step and ways to fit"),
     "problems": ("tissues", "problems", "strip, block between plates and skin against tissues"),
     "thin": ("tissues", "thin", "thin tissue with and without the surface law of its free sides"),
+    "arrangements": ("arrangements", "arrangements", "irregular cells: equilibria, Cauchy–Born"),
     "ablation": ("ablation", "ablation", "what each part of the surrogate is worth"),
     "worst-answer": ("worst_answer", "worst_answer", "the worst states that the cache accepts"),
 }

@@ -3,11 +3,6 @@
 Every contender learns from the first n samples of one Sobol sequence and is measured on another:
 error by `stress_error`, relative to the spread of stress there; cost of a query by the wall time of
 80 points at once, the number of the paper's bar. docs/validation/ablation.md explains them.
-
-The other regressors read the scaled inputs of the network (U and RᵀḞ, so rotations are out) folded
-by the square cell's group into difference ≥ 0 and shear ≥ 0, and answer in components of P̂ = RᵀP.
-So they have the network's symmetries, though with an edge where the fold is. `StressTable` folds by
-itself.
 """
 
 from __future__ import annotations
@@ -18,15 +13,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import nan
 from time import perf_counter, process_time
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
-from sklearn.neighbors import KNeighborsRegressor
 
 from benchmarks.timing import threads
 from surrofe2.base.square_symmetry import COMPONENT_SIGNS, INPUT_SIGNS, canonical_image
@@ -39,10 +31,10 @@ from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.surrogate import train
 from surrofe2.surrogate.features import input_scale
-from surrofe2.surrogate.piola import to_cauchy, to_piola, to_slopes
+from surrofe2.surrogate.piola import to_cauchy, to_piola
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.workflow.generate import sample_stress
-from validation.setting import Setting
+from validation.case import Setting
 
 Array = NDArray[np.float64]
 Stress = Callable[[Array, Array], Array]
@@ -50,7 +42,6 @@ Stress = Callable[[Array, Array], Array]
 
 POINTS, REPEATS = 80, 25
 TEST_SEED = 987_654
-NEIGHBOURS = 8
 TABLE_TOLERANCE = 1e-3  # of a `StressTable`, relative to the spread of stress
 _SOLVES_A_RECORD = 8
 _TUNED_ON = 512  # samples that the length scales of the Gaussian process are fitted to
@@ -71,59 +62,18 @@ WITHOUT_SYMMETRY = tuple(NETWORKS)[:2]
 TABLE = "table"
 
 
-class Regressor(Protocol):
-    """Components of P̂ (n, 4) at folded inputs (n, 7)."""
+class GaussianProcess:
+    """Squared exponentials with a length scale per input as a stress law of a square plant cell.
 
-    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
-        """Learn from inputs, P̂ and, where there are any, its slopes (n, 4, 7)."""
+    Inputs are those of the network (U and RᵀḞ, so rotations are out), folded by the square's group
+    into difference ≥ 0 and shear ≥ 0; components of P̂ = RᵀP share the kernel.
+    """
 
-    def predict(self, x: Array) -> Array:
-        """P̂ (n, 4)."""
-
-
-class Folded:
-    """A regressor as a stress law of a square plant cell."""
-
-    def __init__(self, regressor: Regressor, samples: StressSamples) -> None:
+    def __init__(self, samples: StressSamples) -> None:
         valid = samples.valid
         self.scale = input_scale(samples.range)
-        self.regressor = regressor
-        x, signs_in, signs_out = fold(to_inputs(valid.F, valid.F_dot)[0] / self.scale)
-        slopes = None
-        if valid.P_by_F is not None and valid.P_by_F_dot is not None:
-            slopes = to_slopes(valid.F, valid.P_by_F, valid.P_by_F_dot) * self.scale
-            slopes = signs_out[:, :, None] * slopes * signs_in[:, None, :]
-        regressor.fit(x, signs_out * to_piola(valid.F, valid.stress), slopes)
-
-    def stress(self, F: Array, F_dot: Array) -> Array:
-        """Cauchy stress (n, 2, 2)."""
-        x, _, signs = fold(to_inputs(F, F_dot)[0] / self.scale)
-        return to_cauchy(F, signs * self.regressor.predict(x))
-
-
-def fold(x: Array) -> tuple[Array, Array, Array]:
-    """(folded inputs, their signs (n, 7), signs of the components (n, 4))."""
-    image = canonical_image(x)
-    return x * INPUT_SIGNS[image], INPUT_SIGNS[image], COMPONENT_SIGNS[image]
-
-
-class NearestNeighbours:
-    """Mean of the nearest samples, weighted by the inverse of their distance."""
-
-    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
-        """See `Regressor`."""
-        self.model = KNeighborsRegressor(min(NEIGHBOURS, len(x)), weights="distance").fit(x, P)
-
-    def predict(self, x: Array) -> Array:
-        """See `Regressor`."""
-        return np.asarray(self.model.predict(x))
-
-
-class GaussianProcess:
-    """Squared exponentials with a length scale an input, shared by the components."""
-
-    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
-        """See `Regressor`."""
+        x, signs = self._folded(valid.F, valid.F_dot)
+        P = signs * to_piola(valid.F, valid.stress)
         self.spread = P.std(axis=0)
         kernel = RBF(np.full(x.shape[1], 4.0), (0.5, 1e3))
         first = GaussianProcessRegressor(kernel, alpha=1e-10)
@@ -133,32 +83,20 @@ class GaussianProcess:
         last = GaussianProcessRegressor(first.kernel_, alpha=1e-10, optimizer=None)
         self.model = last.fit(x, P / self.spread)
 
-    def predict(self, x: Array) -> Array:
-        """See `Regressor`."""
-        return np.asarray(self.model.predict(x)) * self.spread
+    def _folded(self, F: Array, F_dot: Array) -> tuple[Array, Array]:
+        """Folded inputs (n, 7), and the signs (n, 4) of the components there."""
+        x = to_inputs(F, F_dot)[0] / self.scale
+        image = canonical_image(x)
+        return x * INPUT_SIGNS[image], COMPONENT_SIGNS[image]
+
+    def stress(self, F: Array, F_dot: Array) -> Array:
+        """Cauchy stress (n, 2, 2)."""
+        x, signs = self._folded(F, F_dot)
+        return to_cauchy(F, signs * np.asarray(self.model.predict(x)) * self.spread)
 
 
-class LinearFromNearest:
-    """The nearest sample, extrapolated by its exact tangents: a table without its ellipsoids."""
-
-    def fit(self, x: Array, P: Array, slopes: Array | None) -> None:
-        """See `Regressor`; slopes are needed."""
-        assert slopes is not None
-        self.tree, self.x, self.P, self.slopes = cKDTree(x), x, P, slopes
-
-    def predict(self, x: Array) -> Array:
-        """See `Regressor`."""
-        k = self.tree.query(x)[1]
-        step = np.einsum("nij,nj->ni", self.slopes[k], x - self.x[k])
-        return np.asarray(self.P[k] + step)
-
-
-RIVALS: Mapping[str, Callable[[], Regressor]] = {
-    "nearest neighbours": NearestNeighbours,
-    "Gaussian process": GaussianProcess,
-    "linear from nearest": LinearFromNearest,
-}
-CONTENDERS = (*NETWORKS, *RIVALS, TABLE)
+GAUSSIAN = "Gaussian process"
+CONTENDERS = (*NETWORKS, GAUSSIAN, TABLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +104,7 @@ class Result:
     """One contender at one number of samples.
 
     rms, worst: error relative to the spread of stress, over what is answered; NaN where nothing
-    is. answered: fraction of the points that are. query: µs a point of `POINTS` at once.
+    is. answered: fraction of the points that are. query: µs per point of `POINTS` at once.
     training: s of CPU time.
     """
 
@@ -185,7 +123,7 @@ QUANTITIES: tuple[Quantity[Result], ...] = (
     Quantity("RMS error", "%", ".2g", lambda row: 100.0 * row.rms),
     Quantity("worst", "%", ".2g", lambda row: 100.0 * row.worst),
     Quantity("answered", "%", ".3g", lambda row: 100.0 * row.answered),
-    Quantity("query", "µs a point", ".2g", lambda row: row.query),
+    Quantity("query", "µs", ".2g", lambda row: row.query),
     Quantity("training", "CPU s", ".0f", lambda row: row.training),
 )
 
@@ -246,8 +184,8 @@ def _learn(
     if name == TABLE:
         table = learn_table(law, samples)
         return (lambda F, F_dot: table.lookup(F, F_dot)[0],) * 2
-    if name in RIVALS:
-        return (Folded(RIVALS[name](), samples).stress,) * 2
+    if name == GAUSSIAN:
+        return (GaussianProcess(samples).stress,) * 2
     symmetry = "none" if name in WITHOUT_SYMMETRY else None
     surrogate = train(samples, NETWORKS[name](settings), symmetry=symmetry)
     return surrogate.extrapolate, lambda F, F_dot: surrogate.lookup(F, F_dot)[0]
@@ -273,7 +211,7 @@ def describe(results: list[Result]) -> Study:
             learning.append(Curve(name, np.array([float(r.samples) for r in found]), error))
             costs.append(Curve(name, np.array([found[-1].query]), error[-1:]))
     most, label = max(result.samples for result in results), "RMS error (% of spread)"
-    cost = f"cost a query (µs a point at {POINTS}), {most} samples"
+    cost = f"time per query at {POINTS} points (µs), {most} samples"
     return Study(
         title="Surrogate part by part, and what else there is",
         panels=(

@@ -22,8 +22,18 @@ import numpy as np
 from surrofe2.report.study import NamedCell, Study
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
-from validation.case import FE2, ROWS, TISSUE, Case, Row, Run, compare, curves_panel, off_panel
-from validation.setting import Setting
+from validation.case import (
+    FE2,
+    ROWS,
+    TISSUE,
+    Case,
+    Row,
+    Run,
+    Setting,
+    compare,
+    curves_panel,
+    off_panel,
+)
 
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-5, 1e-7
 """Of the macro runs. At the paper's 1e-3 and 1e-5 the minimum differs by 1e-4 µm, the period by

@@ -33,7 +33,7 @@ from surrofe2.rve.newton import SOLVE, newton
 from surrofe2.rve.particle_state import Drive, empty_answer, stress_at
 from surrofe2.rve.rve_state import Factors
 from surrofe2.rve.unit_cell import UnitCell
-from validation.setting import Setting
+from validation.case import Setting
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,17 @@ from typing import Any
 from surrofe2.report.study import NamedCell, Study
 from surrofe2.report.tables import Table
 from validation.bars import BAR, MICRO_STEP, bar
-from validation.case import FE2, ROWS, SURFACE, TISSUE, Case, compare, curves_panel, off_panel
-from validation.setting import Setting
+from validation.case import (
+    FE2,
+    ROWS,
+    SURFACE,
+    TISSUE,
+    Case,
+    Setting,
+    compare,
+    curves_panel,
+    off_panel,
+)
 
 ALONG, SKIN = 16, 4
 """Plant cells: length of strip and block; of the cantilever's height, as a quarter is skin."""

@@ -28,7 +28,7 @@ from surrofe2.surrogate.deformation_paths import (
 )
 from surrofe2.workflow.generate import generate_data_set
 from surrofe2.workflow.train import train_surrogate
-from validation.setting import Setting
+from validation.case import Setting
 
 Array = NDArray[np.float64]
 

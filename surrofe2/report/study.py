@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.tables import Table, to_csv
 from surrofe2.run.charts import Panel, draw_panels, encoded
 from surrofe2.store.store import keep, write_bytes, write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,7 @@ class Study:
     Attributes:
         title: of the figure.
         panels: row by row; `columns` of them in a row.
+        drawing: instead of panels, what is no chart.
         table: what people read; also in JSON as "rows".
         series: what the figure draws, column heading with unit to values, all of one length; for
             the CSV, which has the table where there is none.
@@ -61,8 +65,9 @@ class Study:
     """
 
     title: str
-    panels: tuple[Panel, ...]
+    panels: tuple[Panel, ...] = ()
     columns: int = 1
+    drawing: Figure | None = None
     table: Table[Any]
     series: Mapping[str, Sequence[Any] | NDArray[np.float64]] = field(default_factory=dict)
     results: Mapping[str, Any] = field(default_factory=dict)
@@ -119,7 +124,8 @@ def keep_study(
         write_text(md, study.table.to_markdown())
         write_text(csv, study.to_csv())
         title = f"{study.title}, {of}"
-        write_bytes(png, encoded(draw_panels(study.panels, study.columns, title=title), "png"))
+        figure = study.drawing or draw_panels(study.panels, study.columns, title=title)
+        write_bytes(png, encoded(figure, "png"))
         return {"study": stem, **study.to_record(), "fingerprint": of.cell.fingerprint}
 
     keep(json, known, compute, fresh=fresh)

@@ -13,8 +13,7 @@ from surrofe2.problem import Surface
 from surrofe2.report.study import NamedCell
 from tests.laws import KelvinVoigt, Skin
 from validation.bars import LIMIT, aitken, bar, describe_damping, with_limits
-from validation.case import FE2, SURFACE, TISSUE, Case, Run, compare, small_oscillations
-from validation.setting import Setting
+from validation.case import FE2, SURFACE, TISSUE, Case, Run, Setting, compare, small_oscillations
 from validation.tissues import CANTILEVER, PULLED, SKINNED, problem_cases, thin_cases
 
 WATER = NamedCell.of("water")
