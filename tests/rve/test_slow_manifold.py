@@ -17,12 +17,12 @@ from tests.rve.rves import PRESETS, deformations, law, particles
 
 
 def shear(t):
-    """The first drive of docs/validation/paper.md, prototype."""
+    """The first drive of the prototype."""
     return np.array([[1.0, 0.01 * t], [0.0, 1.0]]), np.array([[0.0, 0.01], [0.0, 0.0]])
 
 
 def oscillation(t):
-    """The second drive of docs/validation/paper.md, prototype."""
+    """The second drive of the prototype."""
     omega = 2.0 * np.pi / 40.0
     way = np.array([[0.04, 0.05], [0.0, 0.0]])
     return np.eye(2) + np.sin(omega * t) * way, omega * np.cos(omega * t) * way
