@@ -9,20 +9,14 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe, make_recipe
-from surrofe2.store.run_folder import read_record, read_run
+from surrofe2.store.run_folder import read_record, read_run, write_record
 from surrofe2.store.store import read_columns
-from surrofe2.surface.slab_law import SlabLaw
 from surrofe2.surface.tabulated import TabulatedSurface
 from surrofe2.workflow import surfaces
 from surrofe2.workflow.comparison import missing_notes
-from surrofe2.workflow.laws import kept_reference
 from surrofe2.workflow.rest import rest_study
 from surrofe2.workflow.run import new_record, run_study
-from surrofe2.workflow.surfaces import (
-    missing_sentence,
-    surface_notes,
-    with_surface,
-)
+from surrofe2.workflow.surfaces import surface_notes, with_surface
 from tests.conftest import RECIPE
 
 SIDES = '\n[surface]\non = ["top", "right"]\n'
@@ -47,7 +41,6 @@ def made(tmp_path, monkeypatch):
 
     monkeypatch.setattr(surfaces, "table_within", tabulate)
     monkeypatch.setattr(surfaces, "cache_folder", lambda: tmp_path / "kept")
-    monkeypatch.setattr(SlabLaw, "missing_cells", lambda self, across: 0.25)
     return asked
 
 
@@ -81,13 +74,14 @@ def test_a_run_with_a_surface_law(tmp_path, made):
     assert "surface" not in other.problem
     sided, plain = (read_run(tmp_path / name).curve.displacement for name in ("sided", "bare"))
     assert 0.001 < abs(sided - plain).max() / abs(plain).max() < 0.5
-    sentence = (
-        "surface: none; strip of 4 plant cells: about 6.7 % too stiff; section [surface] with "
-        'on = "free" gives its sides a law'
-    )
     assert [*surface_notes(other)] == []
-    assert missing_sentence(other, bare, kept_reference) == sentence
-    assert missing_notes([tmp_path / "sided", tmp_path / "bare"]) == []
+    folders = [tmp_path / name for name in ("sided", "bare")]
+    assert missing_notes(folders) == []
+    write_record(folders[0], replace(record, law="tissue"))
+    assert missing_notes(folders) == [
+        "bare: surface: none; a strip of 4 plant cells is 5 to 12 % too stiff; section [surface] "
+        'with on = "free" gives its sides a law'
+    ]
     again = run_study(recipe, "rve", tmp_path / "again")
     assert len(made) == 1  # the table was kept
     assert again.problem["surface"] == record.problem["surface"]
@@ -128,19 +122,6 @@ def test_rest_with_a_surface_law(tmp_path, made):
     assert 0.001 < abs(soft / stiff - 1.0) < 0.5
 
 
-def test_a_run_whose_slab_finds_no_rest_has_no_sentence(tmp_path, made, monkeypatch):
-    recipe = recipe_in(tmp_path, RECIPE)
-    record = replace(new_record(recipe, "rve"), problem={"extent": [[0.0, 0.0], [200.0, 100.0]]})
-    assert "about 6.7 %" in missing_sentence(record, recipe, kept_reference)
-    assert missing_sentence(replace(record, law="tissue"), recipe, kept_reference) is None
-
-    def restless(self, across):
-        raise InputError("surface: a strip finds no rest")
-
-    monkeypatch.setattr(SlabLaw, "missing_cells", restless)
-    assert missing_sentence(record, recipe, kept_reference) is None
-
-
 def test_several_cells_and_oblique_sides(tmp_path, made):
     several = make_recipe({
         "cells": {"skin": {"preset": "printed", "regions": ["skin"]},
@@ -150,7 +131,7 @@ def test_several_cells_and_oblique_sides(tmp_path, made):
         "conditions": {"clamp": {"kind": "fixed", "on": "left"}},
         "surface": {},
     })  # fmt: skip
-    problem = with_surface(several, several.problem(), kept_reference)
+    problem = with_surface(several, several.problem())
     assert [slab.cell for slab, *_ in made] == [CellParameters.preset(p)
                                                for p in ("printed", "water")]  # fmt: skip
     assert {*problem.surface.law} == {"skin", "flesh"}

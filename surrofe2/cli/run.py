@@ -26,7 +26,6 @@ from surrofe2.ranks.driver import (
     world_size,
 )
 from surrofe2.recipe.recipe import changed
-from surrofe2.workflow.cell_fields import add_cell_fields
 from surrofe2.workflow.laws import files_by_cell, open_study, use_threads
 from surrofe2.workflow.run import (
     cache_notes,
@@ -37,6 +36,7 @@ from surrofe2.workflow.run import (
     step_notes,
 )
 from surrofe2.workflow.surfaces import surface_notes
+from surrofe2.workflow.zoom import add_cell_fields
 
 
 def run(

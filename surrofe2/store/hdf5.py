@@ -291,6 +291,8 @@ class Stored:
             if name in self.file or not column.optional
         }
         arrays = {name: self.array(name, each.shape, each.kind) for name, each in columns.items()}
+        for name, column in columns.items():
+            check_units(name, self.file[name].attrs.get("unit"), column.unit)
         rows = {name: len(arrays[name]) for name, each in columns.items() if each.shape[0] is None}
         for name, n in rows.items():
             first = next(iter(rows.values()))
@@ -311,6 +313,12 @@ class Stored:
         if group in self.file:
             self.file[group].visititems(collect)
         return found
+
+
+def check_units(name: str, units: Any, wanted: Any) -> None:
+    """Refuse numbers that were stored in other units."""
+    if units != wanted:
+        raise ValueError(f"{name}: in units {quoted(units)}; they must be {quoted(wanted)}")
 
 
 def read_seconds(path: Path) -> float | None:

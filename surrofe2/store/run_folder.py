@@ -33,7 +33,7 @@ from surrofe2.base.settings import check_value, hints_of
 from surrofe2.base.units import ENERGY, FORCE, LENGTH, STRESS, TIME
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.views import Facts, ViewedRun, course
-from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
+from surrofe2.store.hdf5 import check_units, read_checkpoint, write_checkpoint
 from surrofe2.store.store import (
     check_replaceable,
     check_same,
@@ -437,8 +437,7 @@ def _check_entries(record: RunRecord) -> None:
         for one in (section, *(section.values() if name == "cells" else ())):
             if not isinstance(one, dict):
                 raise ValueError(f"recipe.{name}: {quoted(one)}; it must be a table")
-    if record.units != UNITS:
-        raise ValueError(f"units: {quoted(record.units)}; they must be {UNITS}")
+    check_units("numbers of the run", record.units, UNITS)
     if record.surrogate is not None:
         record.surrogate["fingerprint"]
     check_value("recipe.duration", record.duration, float, {"above": 0.0})

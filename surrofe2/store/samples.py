@@ -30,7 +30,7 @@ from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.loop import CheckpointClock
 from surrofe2.store.hdf5 import Column, Kind, check_same_rve, origin, reading, write
-from surrofe2.store.store import check_same, file_lock, flat, locked_file
+from surrofe2.store.store import check_replaceable, check_same, file_lock, flat, locked_file
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
@@ -238,6 +238,8 @@ def writing_data_set(
         FileError: the file is not a data set, or another process fills it.
         MismatchError: it was begun with other settings, and not `fresh`.
     """
+    if fresh:
+        check_replaceable(path, DATA_SET.title, DATA_SET.schema)
     writer = _begun(path, header, fresh)
     if writer.is_finished and not file_lock(path).exists():
         yield writer
@@ -303,13 +305,16 @@ def read_data_set(path: str | Path) -> StressSamples:
                 f"{path}: unfinished, {stored.number('completed'):g} of {stored.number('count'):g} "
                 "samples; continue it with `surrofe2 generate RECIPE`"
             )
-        return _samples(
+        samples = _samples(
             stored.arrays(),
             **stored.whose,
             range=stored.range,
             seed=int(stored.number("seed")),
             rest_length=stored.optional("rest_length"),
         )
+        if samples.fingerprint != stored.text("fingerprint"):
+            raise ValueError("fingerprint: not that of its samples")
+        return samples
 
 
 def _samples(rows: Arrays, **whose: Any) -> StressSamples:

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from surrofe2.base import units
 from surrofe2.plant_cell.reference_state import ReferenceState
-from surrofe2.store.hdf5 import Kind, Stored, check_same_rve, origin, reading, write
+from surrofe2.store.hdf5 import (
+    Kind,
+    Stored,
+    check_same_rve,
+    check_units,
+    origin,
+    reading,
+    write,
+)
 from surrofe2.surrogate.domain import Domain
 from surrofe2.surrogate.error_bound import Calibration
 from surrofe2.surrogate.network_arrays import NetworkParameters
@@ -68,6 +76,7 @@ def read_surrogate(path: str | Path) -> SurrogateLaw:
         for name, values in stored.all_arrays().items():
             if not np.isfinite(values).all():
                 raise ValueError(f"{name}: not finite")
+        check_units("stress, rate, rest_length", stored.table("units"), _UNITS)
         errors = stored.table("errors")  # figures by component; none of one without training
         for figure in ("spread", "rms", "worst") if errors else ():
             for component in _STRESSES:

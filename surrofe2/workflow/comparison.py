@@ -1,18 +1,32 @@
-"""Runs against each other, two or more folders."""
+"""Runs against each other, and runs on one page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surrofe2.base.errors import InputError
-from surrofe2.report.comparison import Comparison, write_comparison_plot
-from surrofe2.report.comparison import compare as compare_stored
-from surrofe2.store.run_folder import read_run
-from surrofe2.store.store import digest, keep
+import numpy as np
 
+from surrofe2.base.errors import InputError, MismatchError
+from surrofe2.report.comparison import Comparison, compare, order_runs, write_comparison_plot
+from surrofe2.report.page import page_of
+from surrofe2.report.player import OF_ELEMENTS, OF_POINTS, ReportData, RunData
+from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
+from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
+from surrofe2.store.store import (
+    check_replaceable,
+    digest,
+    keep,
+    read_bytes,
+    read_columns,
+    write_text,
+)
+
+_MOST_PICTURES = 4
+_THIN = 20
+"""Plant cells across, beyond which free sides matter less than 2.5 %."""
 COMPARISON_FILES = ("comparison.json", "comparison.png")
 
 
@@ -22,7 +36,7 @@ def compare_runs(
     """Compare the runs in these folders; comparison.json and comparison.png go into `out`."""
     out = Path(out)
     runs = [read_run(folder) for folder in folders]
-    result = compare_stored(runs)
+    result = compare(runs)
     of = {run.folder.name: digest(run.folder / "run.json")[:16] for run in runs}
 
     def make() -> dict[str, Any]:
@@ -34,19 +48,87 @@ def compare_runs(
 
 
 def missing_notes(folders: Sequence[str | Path]) -> list[str]:
-    """What FE² without a surface law is expected to miss, beside a full tissue."""
-    records = [read_run(folder).record for folder in folders]
-    if all(record.law != "tissue" for record in records):
-        return []
-    # what solves RVEs: reading files needs none of it
-    from surrofe2.workflow.cell_fields import recipes_of
-    from surrofe2.workflow.laws import kept_reference
-    from surrofe2.workflow.surfaces import missing_sentence
+    """What FE² without a surface law misses beside a full tissue, by docs/explanation/trusted.md.
 
-    found = []
-    for folder, record in zip(folders, records, strict=True):
-        with suppress(InputError):  # a law without plant cells
-            for recipe in recipes_of(record).values():
-                sentence = missing_sentence(record, recipe, kept_reference)
-                found += [] if sentence is None else [f"{Path(folder).name}: {sentence}"]
+    Said of one square plant cell, the law of whose sides is known, and of thin tissue alone.
+    """
+    records = {Path(folder).name: read_run(folder).record for folder in folders}
+    if all(record.law != "tissue" for record in records.values()):
+        return []
+    notes = []
+    for name, record in records.items():
+        cell, problem = record.recipe.get("cell", {}), record.problem
+        is_square = (cell.get("arrangement"), cell.get("cells")) == ("square", 1)
+        if record.law == "tissue" or problem.get("surface") or not is_square:
+            continue
+        low, high = np.array(problem["extent"])
+        across = (high - low).min() / cell["cell_side"]
+        if across <= _THIN:
+            notes.append(
+                f"{name}: surface: none; a strip of {across:.3g} plant cells is "
+                f"{20.0 / across:.2g} to {50.0 / across:.2g} % too stiff; section [surface] with "
+                'on = "free" gives its sides a law'
+            )
+    return notes
+
+
+def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
+    """Write one HTML file on these runs, which needs nothing else; its path.
+
+    Args:
+        out: the file; a page that is there is replaced, and no other file.
+
+    Raises:
+        FileError: a folder has no run, or the file cannot be written.
+        InputError: a run has not begun to have results, or no folder is given.
+    """
+    if not folders:
+        raise InputError("report: no run folder; give at least one")
+    path, page = Path(out), page_of(load_runs(folders))
+    check_replaceable(path, "page", "<!doctype html>", "surrofe2")
+    write_text(path, page)
+    return path
+
+
+def load_runs(folders: Sequence[str | Path]) -> ReportData:
+    """What these run folders hold, the reference first."""
+    runs = [read_run(folder, finished=False) for folder in folders]
+    if len(runs) == 1:
+        return ReportData(
+            (_load(runs[0]),), None, "One run, so there is nothing to compare it with."
+        )
+    seen = tuple(_load(run) for run in order_runs(runs))
+    try:
+        return ReportData(seen, compare(runs))
+    except MismatchError as error:
+        return ReportData(seen, None, f"Not compared: {error}.")
+
+
+def _load(run: StoredRun) -> RunData:
+    folder = run.folder
+    energies = folder / "energies.csv"
+    columns = read_columns(energies) if energies.exists() else {}
+    has_fields, has_points = ((folder / f"{name}.h5").exists() for name in (FIELDS, POINTS))
+    zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
+    return RunData(
+        run=run,
+        energies=columns,
+        fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
+        points=read_fields(folder, (), OF_POINTS, POINTS).values if has_points else {},
+        events=_events(folder / EVENTS),
+        particles={path.parent.name: read_bytes(path) for path in zooms},
+    )
+
+
+def _events(path: Path) -> list[Mapping[str, Any]]:
+    """Whole lines of a log; what was cut off at its end is left out."""
+    if not path.exists():
+        return []
+    found: list[Mapping[str, Any]] = []
+    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue
+        found += [event] if isinstance(event, dict) else []
     return found

@@ -28,7 +28,7 @@ from surrofe2.store.run_folder import (
     describe_platform,
     write_curves,
 )
-from surrofe2.workflow.laws import cell_of_elements, choose_laws, kept_reference
+from surrofe2.workflow.laws import cell_of_elements, choose_laws
 from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
 from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
 from surrofe2.workflow.surfaces import with_surface
@@ -62,7 +62,7 @@ def rest_study(
     """
     problem = recipe.problem()
     chosen = choose_laws(recipe, "rve", problem.mesh)
-    problem = with_surface(recipe, problem, kept_reference)
+    problem = with_surface(recipe, problem)
     found: tuple[Rest | None, Journal] | None = None  # replaced whole, so never torn
     begin, before = 0.0, seconds_compiling()
 
@@ -166,7 +166,7 @@ def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[st
     )
     law = choose_laws(study, "rve", problem.mesh).law
     with recipe.named(InputError):
-        problem = with_surface(study, problem, kept_reference)
+        problem = with_surface(study, problem)
         rest = find_rest(problem, law, recipe.macro, factor=factor, load_steps=4)
     modes = find_modes(rest, count)
     return {

@@ -69,7 +69,6 @@ from surrofe2.workflow.laws import (
     NO_FILES,
     cell_of_elements,
     choose_laws,
-    kept_reference,
     surrogate_record,
 )
 from surrofe2.workflow.progress import Report, no_report
@@ -110,7 +109,7 @@ def run_study(
     problem, before = recipe.problem(), seconds_compiling()
     harvests = Harvests(folder, harvest and kind in ("cached", "table"))
     chosen = choose_laws(recipe, kind, problem.mesh, surrogates, tables, harvests.taker)
-    problem = with_surface(recipe, problem, kept_reference)
+    problem = with_surface(recipe, problem)
     earlier = sum(read_seconds(each) or 0.0 for each in tables)
 
     def write_learnt(seconds: float = 0.0) -> None:

@@ -1,56 +1,45 @@
-"""The surface law of a recipe's plant cells: tabulated once, kept, given to a problem.
-
-What a run without it misses follows from the same slab: a strip of n plant cells is c of them
-softer than as much bulk, so FE² makes it too stiff by c/(n − c).
-"""
+"""The surface law of a recipe's plant cells: tabulated once, kept, given to a problem."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from surrofe2.base.compilation import cache_folder
-from surrofe2.base.errors import FileError, InputError, MismatchError
+from surrofe2.base.errors import FileError, MismatchError
 from surrofe2.law.surface_law import SurfaceLaw
 from surrofe2.macro.free_sides import free_sides
-from surrofe2.plant_cell.parameters import CellParameters
-from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.problem import Problem, Surface
 from surrofe2.problem.mesh import extent
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.store.tables import check_surface, read_surface, write_surface
 from surrofe2.surface.cell_surface import CellSurface, table_within
-from surrofe2.surface.slab_law import ROWS, SlabLaw, rows_across
+from surrofe2.surface.slab_law import SlabLaw, rows_across
 from surrofe2.surface.tabulated import TabulatedSurface
+from surrofe2.workflow.laws import kept_reference
 
 STRETCH, RATE = (0.94, 1.04), 0.01
 """Range of a table where the recipe has none; rate in 1/µs."""
 _MARGIN, _FASTER = 0.01, 1.5
-_THICK = 16
-"""Plant cells of a thick strip; c hardly depends on them."""
 
 
-def with_surface(
-    recipe: Recipe, problem: Problem, reference: Callable[[Recipe], ReferenceState]
-) -> Problem:
+def with_surface(recipe: Recipe, problem: Problem) -> Problem:
     """The problem with the surface law of its plant cells, if the recipe has a [surface].
-
-    Args:
-        reference: gives the settled reference state of a recipe of one cell.
 
     Raises:
         InputError: a cell has no surface law.
     """
     if recipe.surface is None:
         return problem
+    low, high = extent(problem.mesh)
+    thickness = (high - low).min()
     laws: dict[str, SurfaceLaw] = {
-        name: cell_surface(part, cells_across(problem, part.cell), reference)
+        name: cell_surface(part, float(thickness / part.cell.cell_side))
         for name, part in recipe.parts().items()
     }
     if "" in laws:
@@ -62,15 +51,7 @@ def with_surface(
     return replace(problem, surface=Surface(law=laws, on=recipe.surface.on, regions=elements))
 
 
-def cells_across(problem: Problem, cell: CellParameters) -> float:
-    """Plant cells across the tissue where its extent is smaller."""
-    low, high = extent(problem.mesh)
-    return float((high - low).min() / cell.cell_side)
-
-
-def cell_surface(
-    recipe: Recipe, across: float, reference: Callable[[Recipe], ReferenceState]
-) -> CellSurface:
+def cell_surface(recipe: Recipe, across: float) -> CellSurface:
     """The surface law of a recipe's only cell: its table from the cache folder, or made.
 
     Args:
@@ -78,50 +59,23 @@ def cell_surface(
     """
     cell, method, (stretch, rate) = recipe.cell, recipe.rve.initialisation, _bounds(recipe)
     rows = rows_across(across)
-    low, high = stretch
-    of = f"{cell.fingerprint}-{cell.outer_wall:g}-{method}-{rows}"
-    path = _folder() / f"{of}-{low:.6g}-{high:.6g}-{rate:.6g}.h5"
+
+    def slab() -> SlabLaw:
+        reference = kept_reference(recipe)
+        return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
+
+    (low, high), of = stretch, f"{cell.fingerprint}-{cell.outer_wall:g}-{method}-{rows}"
+    path = cache_folder() / "surfaces" / f"{of}-{low:.6g}-{high:.6g}-{rate:.6g}.h5"
     table = None
     if path.exists():
         with suppress(FileError, MismatchError):
             table = read_surface(path)
             check_surface(path, table, cell, method)
     if table is None:
-        slab = _slab(cell, method, reference(recipe), rows)
-        table = table_within(slab, stretch, rate)
+        table = table_within(slab(), stretch, rate)
         with suppress(FileError):  # a folder that cannot be written keeps nothing
             write_surface(path, table, recipe.to_dict())
-    return CellSurface(table, rows, lambda: _slab(cell, method, reference(recipe), rows))
-
-
-def missing_sentence(
-    record: RunRecord, recipe: Recipe, reference: Callable[[Recipe], ReferenceState]
-) -> str | None:
-    """By how much FE² without a surface law is too stiff; None where it has one or no slab.
-
-    Args:
-        reference: gives the settled reference state of a recipe of one cell.
-    """
-    if len(recipe.cells) > 1 or record.law == "tissue" or record.problem.get("surface"):
-        return None
-    cell, method = recipe.cell, recipe.rve.initialisation
-    if not cell.is_one_square:
-        return None
-    (x0, y0), (x1, y1) = record.problem["extent"]
-    across = min(x1 - x0, y1 - y0) / cell.cell_side
-    rows = rows_across(across)
-    try:
-        c = _slab(cell, method, reference(recipe), rows).missing_cells(
-            rows if rows < ROWS else _THICK
-        )
-    except InputError:
-        return None
-    if not 0.0 < c < across:
-        return None
-    return (
-        f"surface: none; strip of {across:.3g} plant cells: about {100.0 * c / (across - c):.2g} % "
-        'too stiff; section [surface] with on = "free" gives its sides a law'
-    )
+    return CellSurface(table, rows, slab)
 
 
 def surface_record(problem: Problem) -> dict[str, Any]:
@@ -179,11 +133,3 @@ def _bounds(recipe: Recipe) -> tuple[tuple[float, float], float]:
     low, high = recipe.range.stretch
     longest = float(np.hypot(high, recipe.range.shear))
     return (low - _MARGIN, longest + _MARGIN), _FASTER * max(recipe.range.rate, 1e-4)
-
-
-def _slab(cell: CellParameters, method: str, reference: ReferenceState, rows: int) -> SlabLaw:
-    return SlabLaw(cell, initialisation=method, reference=reference, rows=rows)
-
-
-def _folder() -> Path:
-    return cache_folder() / "surfaces"

@@ -1,9 +1,11 @@
-"""A look into the plant cells of a run: one point over time."""
+"""A look into the plant cells of a run: one point over time, or extremes of all elements."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +13,30 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import describe
 from surrofe2.macro.discretisation import find_element
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.recipe.recipe import Recipe, make_recipe
 from surrofe2.report.figures import cell_figure
 from surrofe2.run.charts import encoded
 from surrofe2.rve import RveLaw
 from surrofe2.rve.particles import Particles
-from surrofe2.store.fields import F_DOT_NAME, F_NAME, StoredFields, write_rve_fields
+from surrofe2.store.fields import (
+    CELL,
+    F_DOT_NAME,
+    F_NAME,
+    StoredFields,
+    add_to_elements,
+    read_fields,
+    write_rve_fields,
+)
 from surrofe2.store.run_folder import RunRecord, read_record
 from surrofe2.store.store import locked_folder, write_bytes, write_columns
-from surrofe2.workflow.cell_fields import cell_numbers, read_motion, recipes_of
 from surrofe2.workflow.laws import true_law
 from surrofe2.workflow.progress import Report, no_report
 
 Array = NDArray[np.float64]
+
+_AT_ONCE = 512
+"""RVEs whose particles are computed together: 40 MB for one plant cell each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +65,7 @@ class Zoom:
 
 
 def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
-    """The true RVE of the element at a point, with its mean F and Ḟ at all frames of a run.
+    """The RVE of the element at a point, with its mean F and Ḟ at all frames of a run.
 
     Args:
         folder: of a run or a rest by any law, finished or not.
@@ -62,8 +76,6 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         InputError: the point is outside the mesh, or the RVE has no stress at a frame.
     """
     folder = Path(folder)
-    if not (folder / "run.json").exists():
-        raise FileError(f"{folder}: no run.json; it is not a run folder")
     record = read_record(folder)
     if record.law == "tissue":
         raise InputError(f"{folder}: of the full tissue, whose fields are its particles already")
@@ -71,7 +83,9 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         raise FileError(f"{folder}: the run is {record.status} and has no fields")
     motion = read_motion(folder)
     element, _ = find_element(motion.points, motion.cells, np.array(point))
-    name, law = _law_at(record, motion, element)
+    recipes = recipes_of(record)
+    name, recipe = [*recipes.items()][cell_numbers(motion, recipes)[element]]
+    law = true_law(recipe)
     F, F_dot = (motion.values[what][:, element] for what in (F_NAME, F_DOT_NAME))
     answer = law.respond(F, F_dot)
     for k in np.flatnonzero(answer.status)[:1]:
@@ -79,14 +93,6 @@ def zoom_into(folder: str | Path, point: tuple[float, float]) -> Zoom:
         raise InputError(f"{folder}: the RVE at frame {k}, t = {motion.t[k]:.6g}: {why}")
     seen = law.particles(F, F_dot, answer.state)
     return Zoom(point, element, motion, seen, "rest" in record.recipe, name)
-
-
-def _law_at(record: RunRecord, motion: StoredFields, element: int) -> tuple[str, RveLaw]:
-    """Name and true RVE of the plant cell of an element."""
-    recipes = recipes_of(record)
-    numbers = cell_numbers(motion, recipes)
-    name, recipe = [*recipes.items()][numbers[element]]
-    return name, true_law(recipe)
 
 
 def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None:
@@ -108,3 +114,91 @@ def write_zoom(found: Zoom, out: str | Path, report: Report = no_report) -> None
         report(0.5, "tables and fields")
         write_columns(out / "zoom.csv", columns)
         write_rve_fields(out, found.seen, found.t)
+
+
+def recipes_of(record: RunRecord) -> dict[str, Recipe]:
+    """Cell and initialisation of a run as a recipe for each of its cells by name, "" of one.
+
+    Raises:
+        InputError: the run was by a law without plant cells.
+    """
+    stored = record.recipe
+    cells: Mapping[str, Any] = stored.get("cells") or {"": stored.get("cell", {})}
+    if not all("preset" in cell for cell in cells.values()):
+        raise InputError(
+            f"law: {record.law}; it has no plant cells to look into, as rve and cached have"
+        )
+    names = {item.name for item in fields(CellParameters)}
+    return {
+        name: make_recipe(
+            {
+                "cell": {key: cell[key] for key in names & cell.keys()},
+                "rve": cell.get("rve") or stored["rve"],
+            }
+        )
+        for name, cell in cells.items()
+    }
+
+
+def read_motion(folder: Path) -> StoredFields:
+    """The mesh of a run, F and Ḟ of its elements, and their plant cells where there are several.
+
+    Raises:
+        FileError: fields.h5 is missing, damaged, or without Ḟ.
+    """
+    return read_fields(folder, (F_DOT_NAME, F_NAME), (CELL,))
+
+
+def cell_numbers(motion: StoredFields, recipes: Mapping[str, Recipe]) -> NDArray[np.int64]:
+    """(e,) number of the recipe of each element's cell.
+
+    Raises:
+        FileError: there are several cells and the fields do not say which is where.
+    """
+    if len(recipes) == 1:
+        return np.zeros(len(motion.cells), np.int64)
+    if CELL not in motion.values:
+        raise FileError(f"fields.h5: no {CELL} of elements in it; run it again with --fresh")
+    return motion.values[CELL][0].astype(np.int64)
+
+
+def add_cell_fields(folder: Path) -> int:
+    """Add `Particles.extremes` of every element and frame to the fields of a run.
+
+    They are of RVEs with the mean F and Ḟ of the element, NaN where one has no stress.
+
+    Returns:
+        How many RVEs were solved.
+
+    Raises:
+        FileError: the folder has no run with fields of elements.
+    """
+    recipes = recipes_of(read_record(folder))
+    with locked_folder(folder):
+        motion = read_motion(folder)
+        F, F_dot = motion.values[F_NAME], motion.values[F_DOT_NAME]
+        numbers = cell_numbers(motion, recipes)
+        values: dict[str, Array] = {}
+        for k, recipe in enumerate(recipes.values()):
+            own = numbers == k
+            found = extremes_of(true_law(recipe), F[:, own], F_dot[:, own])
+            for name, of_cell in found.items():
+                values.setdefault(name, np.full(F.shape[:2], np.nan))[:, own] = of_cell
+        add_to_elements(folder, values)
+    return F.size // 4
+
+
+def extremes_of(law: RveLaw, F_of: Array, F_dot_of: Array) -> dict[str, Array]:
+    """`Particles.extremes` at F, Ḟ (m, e, 2, 2), by name; (m, e), NaN where there is no stress."""
+    F, F_dot = F_of.reshape(-1, 2, 2), F_dot_of.reshape(-1, 2, 2)
+    found: dict[str, Array] = {}
+    for begin in range(0, len(F), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        answer = law.respond(F[part], F_dot[part])
+        good = np.flatnonzero(answer.status == 0)
+        if not good.size:
+            continue
+        seen = law.particles(F[part][good], F_dot[part][good], answer.state.take(good))
+        for name, values in seen.extremes().items():
+            found.setdefault(name, np.full(len(F), np.nan))[begin + good] = values
+    return {name: values.reshape(F_of.shape[:2]) for name, values in found.items()}

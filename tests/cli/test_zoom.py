@@ -20,8 +20,7 @@ from surrofe2.rve import RveLaw
 from surrofe2.store.fields import CELL, F_DOT_NAME, F_NAME
 from surrofe2.store.run_folder import read_record
 from surrofe2.store.store import locked_folder
-from surrofe2.workflow.cell_fields import cell_numbers, extremes_of, read_motion, recipes_of
-from surrofe2.workflow.zoom import zoom_into
+from surrofe2.workflow.zoom import cell_numbers, extremes_of, read_motion, recipes_of, zoom_into
 from tests.cli.test_cell_types import BAR as SEVERAL_CELLS
 from tests.conftest import RECIPE, ROOT
 

@@ -38,7 +38,7 @@ from surrofe2.store.tables import read_table, write_table
 from surrofe2.surrogate import TrainingSettings, train
 from surrofe2.surrogate.domain_fit import fit_domain
 from surrofe2.surrogate.error_bound import Calibration, scale_table
-from surrofe2.workflow.cell_fields import read_motion
+from surrofe2.workflow.zoom import read_motion
 from tests.cache.tables import make, states, taught
 from tests.fuzz.test_recipes import ROOT
 from tests.laws import CELL, SoftLaw, lattice_samples

@@ -12,6 +12,7 @@ import pytest
 from surrofe2.base import interruption
 from surrofe2.base.errors import FileError, InputError, MismatchError
 from surrofe2.base.sampling import SEQUENCE, sample
+from surrofe2.law.samples import StressSamples
 from surrofe2.law.stress_law import Status, describe
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.store import samples
@@ -206,6 +207,37 @@ def test_later_schema(tmp_path, monkeypatch):
         write_all(path)
     with pytest.raises(FileError, match="data set schema 3; this surrofe2 reads 2"):
         read_data_set(path)
+
+
+def test_numbers_in_other_units_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "cells.h5"
+    with monkeypatch.context() as other:
+        columns = DATA_SET.columns | {"stress": replace(DATA_SET.columns["stress"], unit="Pa")}
+        other.setattr(samples, "DATA_SET", replace(DATA_SET, columns=columns))
+        write_all(path)
+    with pytest.raises(FileError, match="stress: in units 'Pa'; they must be 'µN/µm'"):
+        read_data_set(path)
+
+
+def test_a_data_set_with_the_fingerprint_of_another_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "cells.h5"
+    with monkeypatch.context() as other:
+        other.setattr(StressSamples, "fingerprint", "0" * 16)
+        write_all(path)
+    with pytest.raises(FileError, match="fingerprint: not that of its samples"):
+        read_data_set(path)
+
+
+@pytest.mark.parametrize("content", ["F = 1", "surrofe2-harvest"])
+def test_starting_over_replaces_no_file_of_another_kind(tmp_path, content):
+    path = tmp_path / "cells.h5"
+    path.write_text(content)
+    with (
+        pytest.raises(FileError, match="so --fresh does not replace it"),
+        writing_data_set(path, HEADER, fresh=True),
+    ):
+        pass
+    assert path.read_text() == content
 
 
 @pytest.mark.parametrize("kind", ["external", "virtual"])

@@ -118,7 +118,7 @@ def test_a_record_in_other_units_or_of_another_schema_is_refused(tmp_path, recor
     write_record(tmp_path, record)
     entries = read_json(tmp_path / "run.json")
     for change, message in (
-        ({"units": {**entries["units"], "time": "s"}}, "units: "),
+        ({"units": {**entries["units"], "time": "s"}}, "numbers of the run: in units "),
         ({"schema_version": 2}, "run schema 2; this surrofe2 reads 3"),
     ):
         write_json(tmp_path / "run.json", entries | change)
