@@ -12,5 +12,5 @@ In reading order:
     run_folder        the one life of a run in its folder: record, curves, checkpoint
     fields            fields over time for ParaView, of elements, particles and law points
     meshes            meshes that other programs made
-    mesh_reader       the process that parses them
+    mesh_reader       the process that reads them
 """
