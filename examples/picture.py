@@ -1,96 +1,117 @@
-"""Draws the picture of an example: a recipe from Python, `python examples/picture.py NAME …`."""
+"""Draws the picture of an example: a recipe from Python, `python examples/picture.py NAME …`.
+
+A curve, the whole specimen when the curve is highest, and the plant cells where the stress is.
+"""
 
 import sys
 from pathlib import Path
 
 import numpy as np
-from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import ConnectionPatch
 
 from surrofe2 import simulate
+from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.report.figures import (
+    Colours,
+    box,
+    cell_colours,
+    draw_cells,
+    draw_tissue,
+    drawn_bodies,
+)
+from surrofe2.run.charts import BLUE, VERMILION, encoded
+from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
 from surrofe2.workflow.laws import law_by_region, true_law
 
 FOLDER = Path(__file__).parent
-CURVES = {  # name: (over, force or displacement of a watched point, sign that makes it positive)
-    "block-between-plates": ("mean displacement top y", "force upper y", -1.0),
-    "drop-on-plate": ("time", "force plate y", 1.0),
-    "tensile-strip": ("time", "force clamp x", -1.0),
-    "notched-leaf": ("time", "force clamp x", -1.0),
-    "hexagons-in-tension": ("time", "force grip x", 1.0),
-    "voronoi-in-tension": ("time", "force grip x", 1.0),
-    "skin-over-parenchyma": ("time", "displacement tip y", -1.0),
+TIME = "time", 1.0, "Time (µs)"
+CURVES = {  # name: over and of what: (column, sign that makes it positive, words)
+    "block-between-plates": (
+        ("mean displacement top y", -1.0, "Shortening of the block (µm)"),
+        ("force upper y", -1.0, "Force of the plate on half the block (µN)"),
+    ),
+    "drop-on-plate": (TIME, ("force plate y", 1.0, "Force of the plate on half the drop (µN)")),
+    "tensile-strip": (TIME, ("force clamp x", -1.0, "Force at the clamp, half the strip (µN)")),
+    "notched-leaf": (TIME, ("force clamp x", -1.0, "Force at the clamp (µN)")),
+    "hexagons-in-tension": (TIME, ("force grip x", 1.0, "Force at the grip, half the strip (µN)")),
+    "voronoi-in-tension": (TIME, ("force grip x", 1.0, "Force at the grip, half the strip (µN)")),
+    "skin-over-parenchyma": (TIME, ("displacement tip y", -1.0, "Deflection of the tip (µm)")),
 }
 
 
 def column(run, name):
-    """A column of history.csv, or a component of a watched point's displacement."""
+    """The time, a column of history.csv, or a component of a watched point's displacement."""
+    if name == "time":
+        return run.curve.t
     if name in run.history:
         return run.history[name]
     point, axis = name.removeprefix("displacement ").rsplit(" ", 1)
     return run.curves[point].displacement[:, "xy".index(axis)]
 
 
-def draw(name, run, path):
-    """A curve over time or displacement; the deformed mesh when it is highest."""
-    over, which, sign = CURVES[name]
-    value = sign * column(run, which)
-    x = run.curve.t if over == "time" else column(run, over)
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.plot(x, value, color="#0072B2")
-    left.set_xlabel("time (µs)" if over == "time" else f"{over} (µm)")
-    unit = "µN" if which.startswith("force") else "µm"
-    left.set_ylabel(f"{'−' if sign < 0.0 else ''}{which} ({unit})")
-    peak = run.curve.t[value.argmax()]
-    k = abs(run.frames.t - peak).argmin()
-    largest = np.linalg.eigvalsh(run.frames.stress[k])
-    shown = np.take_along_axis(largest, abs(largest).argmax(axis=1)[:, None], axis=1)[:, 0]
-    draw_tissue(right, run, k, shown, "principal stress of\nlargest size (µN/µm)")
-    figure.savefig(path, dpi=100)
-
-
-def draw_tissue(place, run, k, shown, label):
-    """The deformed mesh at frame k, coloured by the values of its elements."""
-    corners = run.elements[:, : 3 if run.elements.shape[1] == 6 else 4]
-    places = (run.nodes + run.frames.displacement[k])[corners]
-    tissue = PolyCollection(places, array=shown, cmap="viridis", edgecolor="black", linewidth=0.4)
-    place.add_collection(tissue)
-    place.autoscale()
-    place.set_aspect("equal")
-    place.set_xlabel(f"x (µm), at {run.frames.t[k]:.3g} µs")
-    place.figure.colorbar(tissue, ax=place, label=label)
-
-
-def draw_cells(run, law, path):
-    """The largest wall stretch: over the tissue when it is largest, over time, wall by wall."""
-    F, F_dot = run.frames.F, run.frames.F_dot
-    seen = law.particles(F.reshape(-1, 2, 2), F_dot.reshape(-1, 2, 2))
-    stretch = seen.extremes()["largest_wall_stretch"].reshape(F.shape[:2])
-    k, element = np.unravel_index(stretch.argmax(), stretch.shape)
-    plate = int(run.nodes[run.elements].mean(axis=1).sum(axis=1).argmin())
-    figure = Figure(figsize=(11.0, 3.4), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    draw_tissue(left, run, k, stretch[k], "largest wall stretch")
-    for which, label in ((element, "where it is largest"), (plate, "at the plate")):
-        middle.plot(run.frames.t, stretch[:, which], label=label)
-    middle.set_xlabel("time (µs)")
-    middle.set_ylabel("largest wall stretch")
-    middle.legend(loc="upper left", fontsize="small")
-    rve = k * len(run.elements) + element
-    lattice, x = seen.F[rve] @ seen.lattice, seen.position[rve]
-    first, second = x[seen.bonds[:, 0]], x[seen.bonds[:, 1]] + seen.bond_shift @ lattice.T
-    walls = LineCollection(
-        [*np.stack([first, second], axis=1)], array=seen.stretch[rve], linewidths=4.0
+def law_at(law, element, elements):
+    """The RVEs of an element, in tissue of several plant cells, too."""
+    if not isinstance(law, RegionalLaw):
+        return law
+    per_element = law.density.size // elements
+    return next(
+        law.laws[name] for name, at in law.points.items() if (at // per_element == element).any()
     )
-    right.add_collection(walls)
-    fluid = x[~seen.is_wall]
-    right.plot(*fluid.T, "o", color="#56B4E9", markersize=4.0)
-    right.autoscale()
-    right.set_aspect("equal")
-    right.set_xlabel(f"x (µm) in the cell there, at {run.frames.t[k]:.3g} µs")
-    figure.colorbar(walls, ax=right, label="wall stretch")
-    figure.savefig(path, dpi=100)
+
+
+def draw(name, run, law, bodies, path):
+    """The picture of an example from its run."""
+    over, what = CURVES[name]
+    x, value = (sign * column(run, which) for which, sign, _ in (over, what))
+    frames = run.frames
+    fields = StoredFields(
+        run.nodes, run.elements, frames.t, {DISPLACEMENT_NAME: frames.displacement}
+    )
+    peak = run.curve.t[value.argmax()]
+    k = int(abs(frames.t - peak).argmin())
+    largest = np.linalg.eigvalsh(frames.stress[k])
+    stress = np.take_along_axis(largest, abs(largest).argmax(axis=1)[:, None], axis=1)[:, 0]
+    element = int(abs(stress).argmax())
+
+    low, high = box(fields.points, ())
+    wide = 1.5 if (high - low)[0] > 2.5 * (high - low)[1] else 1.0
+    figure = Figure(figsize=(9.0 + 2.0 * wide, 3.8), layout="constrained")
+    curve, place, cells = figure.subplots(1, 3, width_ratios=(1.2, wide, 1.2))
+
+    curve.plot(x, value, color=BLUE)
+    at = int(value.argmax())
+    curve.plot(x[at], value[at], "o", color=VERMILION)
+    curve.set(xlabel=over[2], ylabel=what[2])
+    curve.grid(alpha=0.25)
+
+    colours = Colours.of("Principal stress of largest size (µN/µm)", stress)
+    shown = drawn_bodies(bodies, run.curve.t, run.history, fields)
+    drawn = draw_tissue(place, fields, k, stress, colours, bodies=shown)
+    place.set_title(f"at the dot, {frames.t[k]:.3g} µs", fontsize=9)
+    colours.bar(place, drawn, "bottom")
+
+    seen = law_at(law, element, len(run.elements)).particles(
+        frames.F[k, element][None], frames.F_dot[k, element][None]
+    )
+    walls, fluid = cell_colours(seen)
+    span = float(np.linalg.norm(seen.lattice, axis=0).max())
+    cell = np.sqrt(abs(np.linalg.det(seen.lattice)) / (seen.fluid_cell.max() + 1))
+    drawn = draw_cells(cells, seen, 0, walls, fluid, max(0.75 * span, 1.6 * cell))
+    walls.bar(cells, drawn[0], "bottom")
+    fluid.bar(cells, drawn[1])
+    cells.set_title("plant cells there", fontsize=9)
+    corners = (fields.points + fields.displacement[k])[run.elements[element]]
+    middle = corners.mean(axis=0)
+    place.plot(*middle, "s", color=VERMILION, markersize=6.0, fillstyle="none", mew=1.5)
+    figure.add_artist(
+        ConnectionPatch(
+            middle, (0.0, 0.6), coordsA="data", coordsB="axes fraction", axesA=place, axesB=cells,
+            color=VERMILION, linewidth=1.0,
+        )
+    )  # fmt: skip
+    path.write_bytes(encoded(figure, path.suffix.removeprefix(".")))
 
 
 if __name__ == "__main__":
@@ -99,6 +120,5 @@ if __name__ == "__main__":
         problem = recipe.problem()
         law = law_by_region(recipe, problem.mesh, true_law)
         run = simulate(problem, law, recipe.macro)
-        draw(name, run, FOLDER / f"{name}.png")
-        if name == "drop-on-plate":
-            draw_cells(run, law, FOLDER / f"{name}-cells.png")
+        draw(name, run, law, problem.bodies, FOLDER / f"{name}.png")
+        print(name)

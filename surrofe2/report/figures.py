@@ -36,7 +36,6 @@ _STILL = 1e-6
 """Of the largest displacement: what moves less is held."""
 _PANELS = 6
 """Times at which plant cells are drawn."""
-_COPIES = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def rounded_up(value: float) -> float:
@@ -76,15 +75,17 @@ class Colours:
         drawn.set(array=values, cmap=colours, clim=(self.low, self.high))
         return drawn
 
-    def bar(self, places: Axes | Sequence[Axes], drawn: Any) -> None:
-        """The colour bar beside one or more axes."""
+    def bar(self, places: Axes | Sequence[Axes], drawn: Any, location: str = "right") -> None:
+        """The colour bar beside one or more axes, or at their "bottom"."""
         places = [places] if isinstance(places, Axes) else [*places]
         figure = places[0].get_figure()
         assert figure is not None
-        bar = figure.colorbar(drawn, ax=places, label=self.label, shrink=0.8, aspect=25)
+        look: Any = {"label": self.label, "shrink": 0.8, "aspect": 25, "location": location}
+        bar = figure.colorbar(drawn, ax=places, **look)
         bar.locator = MaxNLocator(5)
         bar.update_ticks()
         bar.ax.ticklabel_format(useOffset=False)
+        bar.ax.tick_params(labelsize=8)
 
 
 def draw_scale_bar(axes: Axes, low: Array, high: Array) -> None:
@@ -285,9 +286,12 @@ def draw_cells(
     half: of the width of the window about its centre, µm; 0: the RVE and a little more.
     """
     lattice = seen.F[k] @ seen.lattice
-    copies = _COPIES @ lattice.T
     x, n_walls = seen.position[k], int(seen.is_wall.sum())
     half = half or 0.75 * float(abs(lattice).sum(axis=0).max())
+    many = 1 + int(np.ceil(2.0 * half * abs(np.linalg.inv(lattice)).max()))
+    shifts = np.arange(-many, many + 1)
+    copies = np.stack(np.meshgrid(shifts, shifts), axis=-1).reshape(-1, 2) @ lattice.T
+    copies = copies[(abs(copies) < half + 2.0 * abs(lattice).sum(axis=1)).all(axis=1)]
     first, second = x[seen.bonds[:, 0]], x[seen.bonds[:, 1]] + seen.bond_shift @ lattice.T
     segments = (np.stack([first, second], axis=1)[None] + copies[:, None, None]).reshape(-1, 2, 2)
     drawn = LineCollection([*segments], linewidths=2.2, capstyle="round")
