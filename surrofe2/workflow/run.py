@@ -29,7 +29,7 @@ from surrofe2.macro import MacroRun, MacroState, simulate
 from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
 from surrofe2.macro.frames import Frames
 from surrofe2.macro.internal_force import deformation_gradient
-from surrofe2.plant_cell.parameters import PRESETS, CellParameters
+from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem import Problem
 from surrofe2.problem.mesh import element_nodes, extent
 from surrofe2.problem.problem import label, sections_of
@@ -257,8 +257,9 @@ def save_run(run: MacroRun, folder: str | Path, *, fresh: bool = False) -> RunRe
     folder, record = Path(folder), _record_of(run)
 
     def store(record: RunRecord, result: MacroRun) -> RunRecord:
+        record = with_results(record, result)  # first: it ends the audits
         write_results(folder, result)
-        return with_results(record, result)
+        return record
 
     if not fresh:
         earlier_run(folder, record)
@@ -406,33 +407,25 @@ def _law_entries(law: StressLaw) -> dict[str, Any]:
     Of a law that is not of this package, the name of its class.
     """
     law = own_part(law)
-    sections: dict[str, Any] = {"cell": {}, "rve": {}, "cache": {}, "surrogate": {}}
-    match law:
-        case RveLaw():
-            found = {"kind": "rve", "rve": asdict(law.settings), **_cell_entries(law.cell)}
-        case SurrogateLaw():
-            learnt = {
-                "file": "none",
-                "fingerprint": law.network.fingerprint(law.range),
-                "errors": law.errors,
-            }
-            rve = {"initialisation": law.initialisation}
-            found = {"kind": "surrogate", "rve": rve, "surrogate": learnt}
-            found |= _cell_entries(law.cell)
-        case CachedLaw():
-            found = {**_law_entries(law.fallback), "kind": "table", "cache": asdict(law.settings)}
-            known = law.surrogate
-            if isinstance(known, SurrogateLaw):
-                found |= {"kind": "cached", "surrogate": _law_entries(known)["surrogate"]}
-        case _:
-            found = {"kind": type(law).__name__, "fingerprint": "none"}
-    return sections | found
-
-
-def _cell_entries(cell: CellParameters) -> dict[str, Any]:
-    """A cell as a recipe has it, and its fingerprint."""
-    preset = next((name for name, known in PRESETS.items() if known == cell), "own")
-    return {"cell": {"preset": preset, **cell.to_dict()}, "fingerprint": cell.fingerprint}
+    if isinstance(law, CachedLaw):
+        kind, cache = "table", {"cache": asdict(law.settings)}
+        if isinstance(law.surrogate, SurrogateLaw):
+            kind = "cached"
+            cache["surrogate"] = _law_entries(law.surrogate)["surrogate"]
+        return {**_law_entries(law.fallback), **cache, "kind": kind}
+    found: dict[str, Any] = {"kind": type(law).__name__, "fingerprint": "none"}
+    found |= {name: {} for name in ("cell", "rve", "cache", "surrogate")}
+    if isinstance(law, RveLaw | SurrogateLaw):
+        preset = next((name for name, known in PRESETS.items() if known == law.cell), "own")
+        found["cell"] = {"preset": preset, **law.cell.to_dict()}
+        found["fingerprint"] = law.cell.fingerprint
+    if isinstance(law, RveLaw):
+        found |= {"kind": "rve", "rve": asdict(law.settings)}
+    elif isinstance(law, SurrogateLaw):
+        learnt = law.network.fingerprint(law.range)
+        found["surrogate"] = {"file": "none", "fingerprint": learnt, "errors": law.errors}
+        found |= {"kind": "surrogate", "rve": {"initialisation": law.initialisation}}
+    return found
 
 
 def _stated_problem(problem: Problem) -> dict[str, Any]:
