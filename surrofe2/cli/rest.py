@@ -11,15 +11,8 @@ from surrofe2.cli import console
 from surrofe2.recipe.recipe import changed, load_recipe
 from surrofe2.report.tables import Quantity, Table
 from surrofe2.rve import INITIALISATIONS
-from surrofe2.store.store import keep
 from surrofe2.workflow.laws import open_study, use_threads
-from surrofe2.workflow.rest import (
-    find_all_modes,
-    modes_identity,
-    modes_record,
-    rest_study,
-    rest_summary,
-)
+from surrofe2.workflow.rest import modes_study, rest_study, rest_summary
 from surrofe2.workflow.surfaces import surface_notes
 
 
@@ -81,12 +74,7 @@ def modes(
     study = load_recipe(recipe)
     use_threads(threads)
     methods = INITIALISATIONS if initialisation == "all" else (initialisation,)
-    asked = modes_identity(study, methods, count)
-
-    def make() -> dict[str, Any]:
-        return modes_record(study, find_all_modes(study, methods, count, stage=console.progress))
-
-    record = make() if out is None else keep(out, asked, make, fresh=fresh)[0]
+    record = modes_study(study, methods, count, out, fresh=fresh, stage=console.progress)
     n = study.problem().mesh.nelements
     for state, of_state in record["states"].items():
         title = f"{state.capitalize()}, {n} elements, preset {study.preset}"

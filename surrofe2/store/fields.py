@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError
-from surrofe2.law.stress_law import TABLE
 from surrofe2.rve.particles import Particles
 from surrofe2.store.hdf5 import Kind, reading, store_array, writing
 from surrofe2.store.store import read_text, write_text
@@ -280,8 +279,6 @@ def read_fields(
             whole = [stored.array(f"{what}.{k}", shape, first.dtype) for k in range(len(t))]
             in_plane: tuple[Any, ...] = (..., *(slice(2),) * axes)
             values[what] = np.stack(whole)[in_plane].astype(np.float64)
-        if SOURCE_NAME in values:  # runs of versions up to 0.1.0 call a table 1
-            values[SOURCE_NAME][values[SOURCE_NAME] == 1] = TABLE
         return StoredFields(points[:, :2], cells, t, values)
 
 

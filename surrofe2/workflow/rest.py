@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -28,6 +28,7 @@ from surrofe2.store.run_folder import (
     describe_platform,
     write_curves,
 )
+from surrofe2.store.store import keep
 from surrofe2.workflow.laws import cell_of_elements, choose_laws
 from surrofe2.workflow.progress import Report, Stage, no_report, no_stage
 from surrofe2.workflow.run import new_record, problem_record, with_rest, write_points
@@ -146,24 +147,56 @@ def rest_summary(record: RunRecord) -> str:
     )
 
 
-def find_all_modes(
-    recipe: Recipe, methods: Sequence[str], count: int, *, stage: Stage = no_stage
-) -> dict[str, dict[str, dict[str, Any]]]:
-    """The slowest oscillations about both states of `STATES`, by state and initialisation."""
-    found: dict[str, dict[str, dict[str, Any]]] = {state: {} for state in STATES}
-    with stage("modes", float(len(methods) * len(STATES)), "states") as report:
-        for k, method in enumerate(methods):
-            for j, (state, factor) in enumerate(STATES.items()):
-                found[state][method] = _modes_of(recipe, method, factor, count)
-                report(len(STATES) * k + j + 1.0, method)
-    return found
+def modes_study(
+    recipe: Recipe,
+    methods: Sequence[str],
+    count: int,
+    out: Path | None = None,
+    *,
+    fresh: bool = False,
+    stage: Stage = no_stage,
+) -> dict[str, Any]:
+    """The slowest oscillations about both states of `STATES`, by state and initialisation.
+
+    With everything needed to compute them again; `out`: a JSON file in which they are kept.
+    """
+    identity = {
+        "version": version("surrofe2"),
+        "recipe": recipe.to_dict(),
+        "asked": {"initialisations": methods, "count": count},
+    }
+
+    def make() -> dict[str, Any]:
+        states: dict[str, dict[str, Any]] = {state: {} for state in STATES}
+        with stage("modes", float(len(methods) * len(STATES)), "states") as report:
+            for k, method in enumerate(methods):
+                for j, (state, factor) in enumerate(STATES.items()):
+                    states[state][method] = _modes_of(recipe, method, factor, count)
+                    report(len(STATES) * k + j + 1.0, method)
+        return {
+            "fingerprint": recipe.fingerprint,
+            "threads": numba.get_num_threads(),
+            "platform": describe_platform(),
+            "units": _UNITS,
+            "states": states,
+        }
+
+    return make() if out is None else keep(out, identity, make, fresh=fresh)[0]
+
+
+_UNITS = {
+    "watched": "µm, displacement of the watched point at rest",
+    "period": "µs",
+    "frequency": "1/µs",
+    "decrement": "1, logarithmic, per period",
+    "damping_ratio": "1",
+    "creeping": "1/µs, real eigenvalues found on the way",
+}
 
 
 def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[str, Any]:
-    problem, study = (
-        recipe.problem(),
-        replace(recipe, rve=replace(recipe.rve, initialisation=method)),
-    )
+    problem = recipe.problem()
+    study = replace(recipe, rve=replace(recipe.rve, initialisation=method))
     law = choose_laws(study, "rve", problem.mesh).law
     with recipe.named(InputError):
         problem = with_surface(study, problem)
@@ -177,31 +210,4 @@ def _modes_of(recipe: Recipe, method: str, factor: float, count: int) -> dict[st
         "damping_ratio": modes.damping_ratios,
         "creeping": modes.creeping,
         "stable": modes.stable,
-    }
-
-
-def modes_identity(recipe: Recipe, methods: Sequence[str], count: int) -> dict[str, Any]:
-    """What modes depend on."""
-    return {
-        "version": version("surrofe2"),
-        "recipe": recipe.to_dict(),
-        "asked": {"initialisations": methods, "count": count},
-    }
-
-
-def modes_record(recipe: Recipe, states: Mapping[str, Any]) -> dict[str, Any]:
-    """The modes with everything needed to compute them again."""
-    return {
-        "fingerprint": recipe.fingerprint,
-        "threads": numba.get_num_threads(),
-        "platform": describe_platform(),
-        "units": {
-            "watched": "µm, displacement of the watched point at rest",
-            "period": "µs",
-            "frequency": "1/µs",
-            "decrement": "1, logarithmic, a period",
-            "damping_ratio": "1",
-            "creeping": "1/µs, real eigenvalues found on the way",
-        },
-        "states": states,
     }
