@@ -133,7 +133,7 @@ def compare(runs: Sequence[StoredRun]) -> Comparison:
                     f"{load.get(key)}; compare runs of one load case"
                 )
     compared = (compared_run(run, reference) for run in (reference, *others))
-    return Comparison(reference.folder.name, load, next(compared), tuple(compared))
+    return Comparison(reference.name, load, next(compared), tuple(compared))
 
 
 def _load_of(run: StoredRun) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def compared_run(run: StoredRun, reference: StoredRun) -> ComparedRun:
     if not apart.scale:
         raise InputError(f"{reference.folder}: the watched point does not move; nothing to compare")
     return ComparedRun(
-        name=run.folder.name,
+        name=run.name,
         law=run.record.law,
         preset=presets_of(run.record.recipe),
         difference=apart,
@@ -278,7 +278,7 @@ def difference_panels(runs: Sequence[StoredRun]) -> list[Panel]:
         label = _label(run, reference)
         differences.append(Curve("", run.curve.t, relative, label, markers=False, colour=k))
     names = f"{differences[0].label} and " if len(differences) == 1 else "each run and "
-    title = f"Difference of {names}{reference.folder.name}, relative to the largest displacement"
+    title = f"Difference of {names}{reference.name}, relative to the largest displacement"
     panel = Panel(clock_of(reference), "difference (%)", tuple(differences), title, height=0.6)
     return [panel]
 
@@ -289,7 +289,7 @@ def audit_panels(runs: Sequence[StoredRun]) -> list[Panel]:
     for k, run in enumerate(order_runs(runs)[1:] if len(runs) > 1 else runs):
         for name, cache in caches_of(run.record.cache).items():
             if cache["audit"]["quantiles"]:
-                of = f"{run.folder.name}, {name}" if name else run.folder.name
+                of = f"{run.name}, {name}" if name else run.name
                 curves += audit_curves(cache["audit"], k, of)
     title = "Errors of the cache's stress found by audits"
     labels = "error of the stress (µN/µm)", "answers with at\nmost this error (%)"
@@ -366,9 +366,9 @@ def _cells_of(recipe: Mapping[str, Any]) -> str:
 def _label(run: StoredRun, reference: StoredRun) -> str:
     """The folder, and what differs from the title's cell and initialisation."""
     record, usual = run.record, reference.record
-    notes = [] if run.folder.name == record.law else [record.law]
+    notes = [] if run.name == record.law else [record.law]
     if _cells_of(record.recipe) != _cells_of(usual.recipe):
         notes.append(_cells_of(record.recipe))
     if record.initialisation not in ("none", usual.initialisation):
         notes.append(record.initialisation)
-    return f"{run.folder.name} ({', '.join(notes)})" if notes else run.folder.name
+    return f"{run.name} ({', '.join(notes)})" if notes else run.name

@@ -54,7 +54,7 @@ class RunData:
     @property
     def name(self) -> str:
         """That of its folder."""
-        return self.run.folder.name
+        return self.run.name
 
     @property
     def record(self) -> RunRecord:

@@ -168,10 +168,15 @@ class StoredRun(ViewedRun):
     curves: Mapping[str, DisplacementCurve] = field(default_factory=dict, repr=False)
     energies: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
 
+    @property
+    def name(self) -> str:
+        """What people call it: its folder, in characters that can be drawn and printed."""
+        return str(plain(self.folder.name))
+
     def facts(self) -> Facts:
         record = self.record
         return {
-            "folder": self.folder,
+            "folder": plain(str(self.folder)),
             "law": f"{record.law}, {record.initialisation}",
             "plant cell": presets_of(record.recipe),
             **course(self.curve, record.wall_time, record.counts),

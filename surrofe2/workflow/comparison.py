@@ -37,7 +37,7 @@ def compare_runs(
     out = Path(out)
     runs = [read_run(folder) for folder in folders]
     result = compare(runs)
-    of = {run.folder.name: digest(run.folder / "run.json")[:16] for run in runs}
+    of = {run.name: digest(run.folder / "run.json")[:16] for run in runs}
 
     def make() -> dict[str, Any]:
         write_comparison_plot(out / COMPARISON_FILES[1], runs)
@@ -52,7 +52,7 @@ def missing_notes(folders: Sequence[str | Path]) -> list[str]:
 
     Said of one square plant cell, the law of whose sides is known, and of thin tissue alone.
     """
-    records = {Path(folder).name: read_run(folder).record for folder in folders}
+    records = {run.name: run.record for run in map(read_run, folders)}
     if all(record.law != "tissue" for record in records.values()):
         return []
     notes = []

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
+import sys
 import time
 from dataclasses import replace
 
@@ -9,9 +11,11 @@ import numpy as np
 import pytest
 
 from surrofe2.base import compilation
+from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.workflow import laws
+from surrofe2.workflow.comparison import compare_runs, write_report
 from surrofe2.workflow.run import run_study, step_notes
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw
@@ -152,6 +156,20 @@ def test_many_implicit_steps_are_told(recipe):
     ((sentence, is_warning),) = step_notes(many, implicit)
     assert is_warning
     assert sentence.startswith("implicit: 3001 steps; ")
+
+
+def test_names_that_are_no_utf8_are_no_obstacle(recipe_path, tmp_path, monkeypatch):
+    """In the lock, in run.json, in pictures and on the page they stand with escapes."""
+    path = recipe_path.rename(tmp_path / os.fsdecode(b"r\xff.toml"))
+    folders = [tmp_path / os.fsdecode(name) for name in (b"o\xff", b"p\xff")]
+    monkeypatch.setattr(sys, "argv", ["surrofe2", "run", str(path)])
+    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
+    for folder in folders:
+        run_study(load_recipe(path), "rve", folder)
+        run_study(load_recipe(path), "rve", folder)
+    assert read_record(folders[0]).recipe["recipe"] == "r\\udcff.toml"
+    assert compare_runs(folders, tmp_path / os.fsdecode(b"c\xff")).reference == "o\\udcff"
+    write_report(folders, tmp_path / os.fsdecode(b"q\xff"))
 
 
 class BrokenLaw(SoftLaw):
