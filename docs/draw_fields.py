@@ -33,7 +33,7 @@ def save(figure, place, path):
     """Equal scales, names of axes, and the file."""
     place.autoscale()
     place.set(aspect="equal", xlabel="x (µm)", ylabel="y (µm)")
-    figure.savefig(path, dpi=120)
+    figure.savefig(path, dpi=300)
 
 
 run, out = map(Path, sys.argv[1:3])
@@ -66,4 +66,4 @@ for e in np.argsort(-stress.max(axis=0))[:3]:
     place.plot(t, stress[:, e], label=f"about ({x:.4g}, {y:.4g}) µm")
 place.set(xlabel="time (µs)", ylabel="von Mises stress (µN/µm)")
 place.legend()
-figure.savefig(out / "course.png", dpi=120)
+figure.savefig(out / "course.png", dpi=300)

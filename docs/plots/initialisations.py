@@ -10,13 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surrofe2 import CellParameters, RveLaw
+from surrofe2.report.figures import cell_colours, draw_cells
+from surrofe2.run.charts import GREEN, VERMILION, Curve, Panel, draw_panels, encoded
 from surrofe2.rve import INITIALISATIONS
 from surrofe2.rve.micro_integration import integrate_rve
 
 DOCS = Path(__file__).parents[1]
 CELL = CellParameters.preset("water")
 PERIOD, SHEAR, STRETCH = 40.0, 0.05, 0.04  # µs, 1, 1
-COLOURS = dict(zip(INITIALISATIONS, ("#999999", "#d55e00", "#0072b2", "#009e73"), strict=True))
+ARROW = {"scale_units": "xy", "angles": "xy", "width": 0.009, "minlength": 0.3, "zorder": 5}
+VELOCITY, FORCE = 0.05, 50.0  # µm/µs and µN of an arrow of 2 µm
 
 
 def path(t):
@@ -40,47 +43,50 @@ def stress_along(name, times):
 def draw_errors():
     """Shear stress over time, and the error of each initialisation."""
     times = np.linspace(0.0, 0.75 * PERIOD, 121)
-    true = integrate_rve(RveLaw(CELL), path, times, 1e-3)
-    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    above.plot(times, true[:, 0, 1], "k", lw=3, alpha=0.35, label="integrated in time")
-    for name in INITIALISATIONS:
-        stress = stress_along(name, times)
-        above.plot(times, stress[:, 0, 1], color=COLOURS[name], lw=1.2, label=name)
-        error = np.linalg.norm(stress - true, axis=(1, 2))
-        late = times > 2.0  # the integrated RVE starts at rest
-        below.semilogy(times[late], error[late], color=COLOURS[name], lw=1.5)
-        print(f"{name:17} largest error {error[late].max():.2g} µN/µm")
-    above.set_ylabel("shear stress (µN/µm)")
-    above.legend(ncols=2, fontsize=8, frameon=False)
-    below.set(xlabel="time (µs)", ylabel="error of the stress (µN/µm)")
-    figure.savefig(DOCS / "initialisations.png", dpi=140)
+    exact = integrate_rve(RveLaw(CELL), path, times, 1e-3)
+    late = times > 2.0  # the integrated RVE starts at rest
+    stress = {name: stress_along(name, times) for name in INITIALISATIONS}
+    errors = {name: np.linalg.norm(s - exact, axis=(1, 2))[late] for name, s in stress.items()}
+    label, born = "integrated in time, and the three others", "cauchy-born"
+    above = (
+        Curve("micro-integration", times, exact[:, 0, 1], label, markers=False),
+        Curve(born, times, stress[born][:, 0, 1], markers=False),
+    )
+    below = (Curve(name, times[late], error, markers=False) for name, error in errors.items())
+    panels = (
+        Panel("time (µs)", "shear stress (µN/µm)", above),
+        Panel("time (µs)", "error of the stress (µN/µm)", tuple(below), log_y=True),
+    )
+    (DOCS / "initialisations.png").write_bytes(encoded(draw_panels(panels, 2), "png"))
+    for name, error in errors.items():
+        print(f"{name:17} largest error {error.max():.2g} µN/µm")
 
 
 def draw_particles():
     """Where particles are, and where they go, under a fast shear."""
     F = np.array([[[1.0, 0.1], [0.0, 1.0]]])
     F_dot = np.array([[[0.0, 0.05], [0.0, 0.0]]])
-    figure = Figure(figsize=(9.6, 2.7), layout="constrained")
-    for axes, name in zip(figure.subplots(1, 4, sharey=True), INITIALISATIONS, strict=True):
+    figure = Figure(figsize=(11.0, 3.3), layout="constrained")
+    places = figure.subplots(1, 4)
+    for axes, name in zip(places, INITIALISATIONS, strict=True):
         seen = RveLaw(CELL, initialisation=name).particles(F, F_dot)
         x, v, f = seen.position[0], seen.velocity[0], seen.force[0]
         own = v - x @ (F_dot[0] @ np.linalg.inv(F[0])).T
-        wall = x[seen.is_wall]
-        box = F[0] @ seen.lattice
-        shifts = [(0, 0), (1, 0), (0, 1), (1, 1)]  # walls of the neighbours close the plant cell
-        walls = np.concatenate([wall + box @ shift for shift in shifts])
-        near = (walls @ np.linalg.inv(box).T < 1.05).all(axis=1)
-        axes.plot(*walls[near].T, "s", ms=3, color="#8a6d3b")
-        axes.plot(*x[~seen.is_wall].T, "o", ms=5, color="#56b4e9")
-        axes.quiver(*x.T, *own.T, color="#009e73", scale=1.0, width=0.009)
-        axes.quiver(*x.T, *f.T, color="#d55e00", scale=300.0, width=0.009)
+        colours = cell_colours(seen)
+        drawn = draw_cells(axes, seen, 0, *colours, half=17.0)
+        axes.quiver(*x.T, *own.T, color=GREEN, scale=VELOCITY / 2.0, **ARROW)
+        axes.quiver(*x.T, *f.T, color=VERMILION, scale=FORCE / 2.0, **ARROW)
         mean = np.linalg.norm(f, axis=1).mean()
         axes.set_title(f"{name}\nmean force {mean:.1f} µN", fontsize=9)
-        axes.set(aspect="equal", xticks=[], yticks=[], xlim=(-4, 32), ylim=(-4, 29))
-        axes.spines[:].set_visible(False)
         print(f"{name:17} mean force {mean:.2g} µN, own velocity {np.abs(own).max():.2g} µm/µs")
-    figure.savefig(DOCS / "initialisations-particles.png", dpi=140)
+    for each, of in zip(colours, drawn, strict=True):
+        each.bar(places, of)
+    figure.supxlabel(
+        f"arrows of 2 µm: green, a velocity of {VELOCITY:g} µm/µs beside that of the tissue; "
+        f"red, a force of {FORCE:g} µN",
+        fontsize=9,
+    )
+    (DOCS / "initialisations-particles.png").write_bytes(encoded(figure, "png"))
 
 
 if __name__ == "__main__":
