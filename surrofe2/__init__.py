@@ -53,7 +53,7 @@ if TYPE_CHECKING:
         Symmetry as Symmetry,
         Traction as Traction,
     )
-    from surrofe2.macro.discretisation import points_by_region as points_by_region
+    from surrofe2.macro.elements import points_by_region as points_by_region
     from surrofe2.problem.mesh import (
         Box as Box,
         Disc as Disc,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import cache_folder
 from surrofe2.base.errors import InputError
 from surrofe2.macro import Rest, find_rest, simulate
-from surrofe2.macro.tangents import factorised, mass_matrix
+from surrofe2.macro.equations_of_motion import factorised
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import BodyForce, Surface
 from surrofe2.recipe.recipe import Recipe, load_recipe, make_recipe
@@ -26,8 +26,8 @@ from surrofe2.report.tables import Quantity
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.rve import RveLaw
 from surrofe2.store.store import plain, read_json, write_json
-from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
+from surrofe2.surface.tabulated import CellSurface, table_within
 from surrofe2.tissue import simulate_tissue
 from surrofe2.workflow.laws import law_by_region
 from surrofe2.workflow.tissue import tissue_of
@@ -304,8 +304,8 @@ def small_oscillations(rest: Rest, t: Array, body_force: tuple[float, float]) ->
     """
     system = rest.system
     step = (t[1] - t[0]) / STEPS
-    mass, damping, stiffness = mass_matrix(system), rest.damping, rest.stiffness
-    load = system.pick(system.mass @ np.tile(body_force, (system.n_rows, 1)))
+    mass, damping, stiffness = system.free_mass, rest.damping, rest.stiffness
+    load = system.pick(system.mass @ np.tile(body_force, system.n_rows))
     solve = factorised((4.0 / step**2 * mass + 2.0 / step * damping + stiffness).tocsc())
     assert solve is not None
     nodes, weights = system.watched[0]

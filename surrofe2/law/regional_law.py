@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, cast
 
 import numpy as np
@@ -28,6 +29,9 @@ from surrofe2.run.views import Facts, Viewed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+_ARRAYS = ("stress", "status", "tangents", "switched", "left_bifurcation")
+"""What a response has of each point."""
 
 
 class RegionalLaw(Viewed):
@@ -88,45 +92,22 @@ class RegionalLaw(Viewed):
             law.respond(F[own], F_dot[own], part, tangents=tangents)
             for (law, own), part in zip(self._parts, states, strict=True)
         ]
-        effort: dict[str, int] = {}
-        reasons: dict[int, str] = {}
+
+        def whole(name: str) -> Any:
+            return self._whole([getattr(answer, name) for answer in answers])
+
+        effort, reasons = Counter[str](), dict[int, str]()
         for answer, (_, own) in zip(answers, self._parts, strict=True):
             reasons |= {int(own[k]): reason for k, reason in answer.reasons.items()}
-            for name, value in answer.effort.items():
-                effort[name] = effort.get(name, 0) + int(value)
-        slopes = None
-        if tangents:
-            given = [cast(Tangents, answer.tangents) for answer in answers]
-            by_F, by_rate = [each.P_by_F for each in given], [each.P_by_F_dot for each in given]
-            slopes = Tangents(self._whole(by_F), self._whole(by_rate))
+            effort.update(answer.effort)
+        sources: list[Any] = [answer.sources for answer in answers]
         return StressResponse(
-            stress=self._whole([answer.stress for answer in answers]),
-            status=self._whole([answer.status for answer in answers]),
             state=tuple(answer.state for answer in answers),
             effort=effort,
-            tangents=slopes,
-            switched=self._whole([answer.switched for answer in answers]),
-            left_bifurcation=self._whole([answer.left_bifurcation for answer in answers]),
             reasons=reasons,
-            sources=self._sources([answer.sources for answer in answers]),
+            sources=None if None in sources else lambda: self._whole([tell() for tell in sources]),
+            **{name: whole(name) for name in _ARRAYS},
         )
-
-    def _sources(
-        self, told: Sequence[Callable[[], Sources] | None]
-    ) -> Callable[[], Sources] | None:
-        """What tells for all points; None where a law does not tell."""
-        telling = [each for each in told if each is not None]
-        if len(telling) < len(told):
-            return None
-
-        def tell() -> Sources:
-            parts = [each() for each in telling]
-            return Sources(
-                self._whole([part.source for part in parts]),
-                self._whole([part.risk for part in parts]),
-            )
-
-        return tell
 
     def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
         parts = self._parts_of(response)
@@ -147,16 +128,14 @@ class RegionalLaw(Viewed):
         self, F: Array, F_dot: Array, response: StressResponse, switched: NDArray[np.int8]
     ) -> Acceptance:
         """As of `SwitchingLaw`; a law none of whose points switched stays as it is."""
-
-        def ask(law: StressLaw, own: Index, part: StressResponse) -> Acceptance:
-            if not switched[own].any():
-                return Acceptance(part.status, part.state)
-            switching = cast(SwitchingLaw, law)
-            return switching.restart_step(F[own], F_dot[own], part, switched[own])
-
-        parts = self._parts_of(response)
-        pairs = zip(self._parts, parts, strict=True)
-        return self._together([ask(law, own, part) for (law, own), part in pairs], parts)
+        parts, told = self._parts_of(response), list[Acceptance]()
+        for (law, own), part in zip(self._parts, parts, strict=True):
+            if switched[own].any():
+                law = cast(SwitchingLaw, law)
+                told.append(law.restart_step(F[own], F_dot[own], part, switched[own]))
+            else:
+                told.append(Acceptance(part.status, part.state))
+        return self._together(told, parts)
 
     @property
     def is_audited(self) -> bool:
@@ -229,23 +208,29 @@ class RegionalLaw(Viewed):
             for (_, own), state in zip(self._parts, response.state, strict=True)
         ]
 
-    def _together(self, said: Sequence[Acceptance], parts: Sequence[StressResponse]) -> Acceptance:
+    def _together(self, told: Sequence[Acceptance], parts: Sequence[StressResponse]) -> Acceptance:
         """What all laws say of their `parts` of a response."""
-        changed = any(answer.stress is not None for answer in said)
-        pairs = zip(said, parts, strict=True)
-        stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
+        stresses = None
+        if any(answer.stress is not None for answer in told):
+            pairs = zip(told, parts, strict=True)
+            stresses = [part.stress if a.stress is None else a.stress for a, part in pairs]
         return Acceptance(
-            status=self._whole([answer.status for answer in said]),
-            state=tuple(answer.state for answer in said),
-            stress=self._whole(stresses) if changed else None,
-            left_bifurcation=self._whole([answer.left_bifurcation for answer in said]),
+            status=self._whole([answer.status for answer in told]),
+            state=tuple(answer.state for answer in told),
+            stress=None if stresses is None else self._whole(stresses),
+            left_bifurcation=self._whole([answer.left_bifurcation for answer in told]),
         )
 
-    def _whole(self, values: Sequence[NDArray | None]) -> Any:
-        """(n, …) from the values of each law's points, 0 where one gave none; None if none did."""
-        given = next((value for value in values if value is not None), None)
+    def _whole(self, values: Sequence[Any]) -> Any:
+        """Values of all points from those of each law's points: arrays (k, …), 0 where a law gave
+        none, or tangents or sources of such arrays; None if no law gave any.
+        """
+        given: Any = next((value for value in values if value is not None), None)
         if given is None:
             return None
+        if isinstance(given, Tangents | Sources):
+            columns = ([getattr(v, item.name) for v in values] for item in fields(given))
+            return type(given)(*map(self._whole, columns))
         whole = np.zeros((self.density.size, *given.shape[1:]), given.dtype)
         for (_, own), value in zip(self._parts, values, strict=True):
             if value is not None:

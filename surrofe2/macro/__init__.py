@@ -1,8 +1,8 @@
 """The tissue on finite elements: any `StressLaw` below, explicit or implicit in time, or at rest.
 
-Reading order: settings; discretisation, internal_force (space); forces, contact, free_sides, system
-(what acts on it); equations_of_motion, time_stepping, dormand_prince (explicit); tangents,
-generalised_alpha (implicit); frames, history, simulation (a run). Without time: rest, modes.
+Reading order: settings; elements (space); forces, contact, free_sides, system (what acts on it);
+equations_of_motion, time_stepping (explicit), generalised_alpha (implicit); history, simulation (a
+run). Without time: rest, modes.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from surrofe2.base.public_names import public_names
 
 if TYPE_CHECKING:
-    from surrofe2.macro.discretisation import points_by_region
-    from surrofe2.macro.frames import Frames, MetRange
-    from surrofe2.macro.history import MacroState
+    from surrofe2.macro.elements import points_by_region
+    from surrofe2.macro.history import Frames, MacroState, MetRange
     from surrofe2.macro.modes import Modes, find_modes
     from surrofe2.macro.rest import Rest, find_rest
     from surrofe2.macro.settings import MacroSettings

@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # scipy.sparse is loaded where a body is touched
 from numpy.typing import NDArray
 
+from surrofe2.macro.elements import assembled
 from surrofe2.macro.forces import Matrix, Slopes, side_points
 from surrofe2.problem import contact_law
 from surrofe2.problem.rigid_bodies import RigidBody, Shape, check_outside
@@ -186,14 +186,8 @@ class Contact:
         side, q = np.divmod(touching, 3)
         weights = np.column_stack([self.shapes[q], -np.ones(len(q))])
         rows = np.column_stack([self.sides[side], np.full(len(q), self.row)])
-        unknowns = (2 * rows[:, :, None] + np.arange(2)).reshape(len(q), -1)
         scaled = self.lengths.ravel()[touching, None, None] * blocks[touching]
-        matrices = np.einsum("pa,pb,pij->paibj", weights, weights, scaled)
-        n = unknowns.shape[1]
-        row, column = np.repeat(unknowns, n, axis=1), np.tile(unknowns, (1, n))
-        return scipy.sparse.csc_matrix(
-            (matrices.ravel(), (row.ravel(), column.ravel())), shape=(size, size)
-        )
+        return assembled(np.einsum("pa,pb,pij->paibj", weights, weights, scaled), rows, size)
 
 
 def _dot(a: Array, b: Array) -> Array:

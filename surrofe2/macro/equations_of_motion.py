@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
+import scipy  # scipy.sparse is loaded where a matrix is factorised
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import clock
+from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import (
     Acceptance,
     Status,
     StressLaw,
     StressResponse,
     SwitchingLaw,
+    Tangents,
     describe,
 )
-from surrofe2.macro.internal_force import deformation_gradient, internal_force, stress_power
+from surrofe2.macro.elements import (
+    Assembly,
+    deformation_gradient,
+    element_tangents,
+    internal_force,
+    stress_power,
+)
+from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.macro.system import System
 
 Array = NDArray[np.float64]
@@ -254,12 +265,60 @@ class EquationsOfMotion:
         pushed = self.system.prescribed_acceleration(now.t, now.within)
         a = np.zeros((self.system.n_rows, 2)) if pushed is None else pushed
         a.ravel()[self.system.free] = now.acceleration
-        inertia: Array = self.system.mass @ a
-        return inertia
+        return self.system.inertia(a)
+
+    def tangents(self, now: Evaluation) -> Slopes:
+        """K = ∂(f − l)/∂u (µN/µm) and C = ∂(f − l)/∂v (µN µs/µm), sparse (m, m).
+
+        f is the internal force and l all others. Neither need be symmetric.
+        """
+        tangents, P = _tangents(now.response), now.response.first_piola(now.F)
+        K = self._summed(now, P, tangents.P_by_F)
+        C = self._summed(now, 0.0 * P, tangents.P_by_F_dot)
+        for k_force, c_force in self._slopes_of_forces(now):
+            K, C = K + self._free(k_force), C + self._free(c_force)
+        return K, C
+
+    def tangents_over_step(self, now: Evaluation, dt: float) -> Matrix:
+        """K + C/dt of `tangents`, at about half the cost."""
+        slope = _tangents(now.response).over_step(dt)
+        total = self._summed(now, now.response.first_piola(now.F), slope)
+        for k_force, c_force in self._slopes_of_forces(now):
+            total = total + self._free(k_force + c_force / dt)
+        return total
+
+    def stiffness_times(self, now: Evaluation, w: Array) -> Array:
+        """(m,) ∂(f − l)/∂u w for a displacement w (n, 2) of all rows, those of supports as well."""
+        space, P = self.discretisation, now.response.first_piola(now.F)
+        blocks = element_tangents(space, now.F, P, _tangents(now.response).P_by_F)
+        product, pushed = np.einsum("eaibk,ebk->eai", blocks, w[space.elements]), np.zeros(w.shape)
+        np.add.at(pushed, space.elements, product)
+        for k_force, _ in self._slopes_of_forces(now):
+            pushed += (k_force @ w.ravel()).reshape(w.shape)
+        return self.system.pick(pushed)
+
+    @cached_property
+    def _assembly(self) -> Assembly:
+        system = self.system
+        return Assembly.of(self.discretisation.elements, system.free, system.n_rows)
+
+    def _summed(self, now: Evaluation, P: Array, slope: Array) -> Matrix:
+        return self._assembly.sum(element_tangents(self.discretisation, now.F, P, slope))
+
+    def _slopes_of_forces(self, now: Evaluation) -> Iterator[Slopes]:
+        for force in self.system.forces:
+            slopes = force.slopes(now.t, now.within, now.u, now.v)
+            if slopes is not None:
+                yield slopes
+
+    def _free(self, matrix: Matrix) -> Matrix:
+        """(m, m) of (2 n, 2 n)."""
+        free = self.system.free
+        return matrix.tocsc()[free][:, free]
 
     def no_stress(self, t: float, point: int, F: Array, reason: str) -> NoStress:
         """The failure that names the point."""
-        x, y = self.discretisation.point_position(point)
+        x, y = self.discretisation.point_positions()[point]
         entries = ", ".join(f"[{row[0]:.6g}, {row[1]:.6g}]" for row in F[point])
         return NoStress(
             f"point {point} at ({x:.6g}, {y:.6g}) µm, {self.clock.format(t)}, "
@@ -310,7 +369,7 @@ class EquationsOfMotion:
         unbalanced = forces.sum(axis=0) - internal
         pushed = system.prescribed_acceleration(t, self.within)
         if pushed is not None:
-            unbalanced -= system.mass @ pushed
+            unbalanced -= system.inertia(pushed)
         residual = system.pick(unbalanced)
         rate = np.concatenate([y[y.size // 2 :], system.solve_mass(residual)])
         powers = np.zeros(len(forces) + 3)
@@ -339,3 +398,18 @@ class EquationsOfMotion:
         said = (reasons or {}).get(point)
         reason = describe(status[point])
         return self.no_stress(t, point, F, reason if said is None else f"{said}; {reason}")
+
+
+def _tangents(response: StressResponse) -> Tangents:
+    if response.tangents is None:
+        raise InputError("tangents: the stress law gave none; ask it for them")
+    return response.tangents
+
+
+def factorised(matrix: Matrix) -> Callable[[Array], Array] | None:
+    """matrix⁻¹ applied to (n,) or (n, k); None where the matrix is singular."""
+    try:
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(matrix).solve
+    except RuntimeError:
+        return None
+    return solve

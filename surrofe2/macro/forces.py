@@ -57,55 +57,30 @@ class Force(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class DeadLoad:
-    """A force that follows its amplitude and nothing else; `largest` is (n, 2) µN."""
-
-    name: str
-    largest: Array
-    amplitude: Amplitude
-
-    def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        return self.amplitude.at(t, within)[0] * self.largest
-
-    def slopes(self, t: float, within: float, u: Array, v: Array) -> None:
-        """None: it does not follow the tissue."""
-
-
-@dataclass(frozen=True, slots=True)
-class FollowerPressure:
-    """f = A(t) (f₀ + B u): linear in u, for the normal times length is linear in positions.
+class LinearForce:
+    """f = A(t) (f₀ − K u − C v): dead loads, follower pressure, springs and dashpots.
 
     Attributes:
-        unloaded: (n, 2) f₀, µN. slope: (2 n, 2 n) B, µN/µm.
+        dead: (n, 2) f₀, µN. slopes_at_one: K and C (2 n, 2 n), µN/µm and µN µs/µm; None: zero.
     """
 
     name: str
-    unloaded: Array
-    slope: Matrix
-    amplitude: Amplitude
+    dead: Array
+    amplitude: Amplitude = ONE
+    slopes_at_one: Slopes | None = None
 
     def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        force: Array = self.unloaded + (self.slope @ u.ravel()).reshape(u.shape)
+        force = self.dead
+        if self.slopes_at_one is not None:
+            K, C = self.slopes_at_one
+            force = force - (K @ u.ravel() + C @ v.ravel()).reshape(u.shape)
         return self.amplitude.at(t, within)[0] * force
 
-    def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
-        return -self.amplitude.at(t, within)[0] * self.slope, 0.0 * self.slope
-
-
-@dataclass(frozen=True, slots=True)
-class SpringsAndDashpots:
-    """f = −K u − C v with constant matrices (2 n, 2 n)."""
-
-    name: str
-    stiffness: Matrix
-    damping: Matrix
-
-    def at(self, t: float, within: float, u: Array, v: Array) -> Array:
-        force: Array = -(self.stiffness @ u.ravel()) - self.damping @ v.ravel()
-        return force.reshape(u.shape)
-
-    def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes:
-        return self.stiffness, self.damping
+    def slopes(self, t: float, within: float, u: Array, v: Array) -> Slopes | None:
+        if self.slopes_at_one is None:
+            return None
+        factor, (K, C) = self.amplitude.at(t, within)[0], self.slopes_at_one
+        return factor * K, factor * C
 
 
 def facet_basis(mesh: skfem.Mesh, facets: Index) -> skfem.FacetBasis:
@@ -168,7 +143,7 @@ def make_loads(
     """The forces of the conditions and on free bodies, on n rows.
 
     Args:
-        mass_of: the mass (n_nodes, n_nodes) of a share (n_el,) of each element.
+        mass_of: the mass (2 n_nodes, 2 n_nodes) of a share (n_el,) of each element.
         proportional: as of `make_system`.
     """
     mesh, loads = problem.mesh, list[Force]()
@@ -192,27 +167,26 @@ def make_loads(
             case BodyForce():
                 inside = np.zeros(mesh.nelements)
                 inside[region(mesh, condition.on, where)] = 1.0
-                nodal = np.asarray(mass_of(inside).sum(axis=1)).ravel()
-                load = np.outer(nodal, condition.acceleration)
-                loads.append(DeadLoad(name, rows(load), amplitude))
+                pulled = np.tile(condition.acceleration, n_nodes)
+                load = (mass_of(inside) @ pulled).reshape(-1, 2)
+                loads.append(LinearForce(name, rows(load), amplitude))
             case Traction():
                 load = traction_load(mesh, boundary(mesh, condition.on, where), condition.traction)
-                loads.append(DeadLoad(name, rows(load), amplitude))
+                loads.append(LinearForce(name, rows(load), amplitude))
             case Pressure():
                 facets = boundary(mesh, condition.on, where)
                 unloaded, slope = pressure_load(mesh, facets, condition.pressure)
-                loads.append(FollowerPressure(name, rows(unloaded), square(slope), amplitude))
+                slopes = -square(slope), 0.0 * square(slope)
+                loads.append(LinearForce(name, rows(unloaded), amplitude, slopes))
             case Foundation():
                 facets = boundary(mesh, condition.on, where)
                 base = square(foundation_matrix(mesh, facets, condition.components))
-                loads.append(
-                    SpringsAndDashpots(name, condition.stiffness * base, condition.damping * base)
-                )
+                slopes = condition.stiffness * base, condition.damping * base
+                loads.append(LinearForce(name, np.zeros((n, 2)), ONE, slopes))
     for k, body in enumerate(problem.bodies):
         if body.mass is not None and any(body.acceleration):
             load = np.zeros((n, 2))
             load[n_nodes + k] = body.mass * np.array(body.acceleration)
-            loads.append(
-                DeadLoad(f"{body.name} load", load, Proportional() if proportional else ONE)
-            )
+            amplitude = Proportional() if proportional else ONE
+            loads.append(LinearForce(f"{body.name} load", load, amplitude))
     return loads

@@ -29,14 +29,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 import skfem
 from numpy.typing import NDArray
 
 from surrofe2.base.compilation import kernel
 from surrofe2.base.errors import InputError
 from surrofe2.law.surface_law import SurfaceLaw, SurfaceResponse
-from surrofe2.macro.discretisation import Discretisation
+from surrofe2.macro.elements import Discretisation, assembled
 from surrofe2.macro.forces import Matrix, Slopes
 from surrofe2.problem.conditions import FREE, Surface
 from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes, region
@@ -220,8 +219,9 @@ class SurfaceForce:
         by_g = answer.tangent[:, None, None] * along + answer.rate_tangent[:, None, None] * turning
         by_g += (answer.tension / stretch)[:, None, None] * across
         by_g_dot = answer.rate_tangent[:, None, None] * along
-        both = self.share * by_g, self.share * by_g_dot
-        return self._assembled(both[0], u.size), self._assembled(both[1], u.size)
+        D, lengths = self.slopes_of_shape, self.share * self.lengths
+        of_u, of_v = (np.einsum("m,ma,mb,mij->maibj", lengths, D, D, B) for B in (by_g, by_g_dot))
+        return assembled(of_u, self.nodes, u.size), assembled(of_v, self.nodes, u.size)
 
     def dissipation_rates(self, u: Array, v: Array) -> Array:
         """(b,) ∫ (P_s(λ, λ̇) − P_s(λ, 0)) λ̇ dS along each of `FreeSides.names`, pJ/µs."""
@@ -235,21 +235,17 @@ class SurfaceForce:
         moved = np.einsum("ma,mai->mi", self.slopes_of_shape, u[self.nodes])
         return replace(self, directions=self.directions + moved)
 
-    def mass(self, inside: Array, n: int) -> Matrix:
-        """(n, n) mass excess of one displacement component, ng.
+    def mass(self, inside: Array, size: int) -> Matrix:
+        """(size, size) mass excess, ng.
 
         Args:
             inside: (n_el,) factor of the sides beside each element.
         """
         per_length = np.array([law.mass for law in self.sides.laws])[self.sides.law]
-        per_length = per_length * inside[self.sides.elements]
-        masses = (self.lengths * per_length)[:, None, None]
-        blocks = masses * _UNIT_MASS[self.sides.nodes.shape[1]]
-        row, column = np.broadcast_arrays(
-            self.sides.nodes[:, :, None], self.sides.nodes[:, None, :]
-        )
-        entries = blocks.ravel(), (row.ravel(), column.ravel())
-        return scipy.sparse.csc_matrix(entries, shape=(n, n))
+        masses = self.lengths * per_length * inside[self.sides.elements]
+        unit = _UNIT_MASS[self.sides.nodes.shape[1]]
+        blocks = np.einsum("m,ab,ij->maibj", masses, unit, np.eye(2))
+        return assembled(blocks, self.sides.nodes, size)
 
     def refusal(self, nodes: Array, u: Array, v: Array) -> str:
         """Where a law has no answer, and for which stretch."""
@@ -279,15 +275,6 @@ class SurfaceForce:
             if answer.tangent is not None and answer.rate_tangent is not None:
                 by_stretch[own], by_rate[own] = answer.tangent, answer.rate_tangent
         return SurfaceResponse(tension, valid, by_stretch, by_rate)
-
-    def _assembled(self, by_g: Array, size: int) -> scipy.sparse.csc_matrix:
-        """Σ L D_a D_b of matrices (m, 2, 2), (size, size)."""
-        slopes, nodes = self.slopes_of_shape, self.nodes
-        blocks = np.einsum("m,ma,mb,mij->maibj", self.lengths, slopes, slopes, by_g)
-        unknowns = (2 * nodes[:, :, None] + np.arange(2)).reshape(len(nodes), -1)
-        row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
-        entries = blocks.ravel(), (row.ravel(), column.ravel())
-        return scipy.sparse.csc_matrix(entries, shape=(size, size))
 
 
 _UNIT_MASS = {

@@ -25,10 +25,14 @@ import scipy  # scipy.sparse is loaded where a step is implicit
 from numpy.typing import NDArray
 
 from surrofe2.law.stress_law import require_tangents
-from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation, Switched
+from surrofe2.macro.equations_of_motion import (
+    EquationsOfMotion,
+    Evaluation,
+    Switched,
+    factorised,
+)
 from surrofe2.macro.forces import Matrix
 from surrofe2.macro.settings import MacroSettings
-from surrofe2.macro.tangents import factorised, make_assembly, mass_matrix
 from surrofe2.macro.time_stepping import StepControl, StepResult
 
 Array = NDArray[np.float64]
@@ -115,8 +119,7 @@ class GeneralisedAlpha:
         self.weights = Weights.of(settings.spectral_radius)
         self._settings = settings
         self._equations = equations
-        self._mass = mass_matrix(equations.system)
-        self._assembly = make_assembly(equations.system)
+        self._mass = equations.system.free_mass
 
     def first_length(self, start: Evaluation, t_end: float) -> float:
         """So short that the displacement gained is what the tolerance allows."""
@@ -223,7 +226,7 @@ class GeneralisedAlpha:
     def _matrix(self, now: Evaluation, h: float) -> Matrix:
         """S = (1 − α_m) M + (1 − α_f) h² β (K + γ/(h β) C), slope of the residual by a₁."""
         w = self.weights
-        K = self._assembly.over_step(now, h * w.beta / w.gamma)
+        K = self._equations.tangents_over_step(now, h * w.beta / w.gamma)
         return scipy.sparse.csc_matrix(
             (1.0 - w.alpha_m) * self._mass + (1.0 - w.alpha_f) * h**2 * w.beta * K
         )

@@ -1,22 +1,174 @@
-"""The history of a run: recorded step by step, kept as plain arrays that carry the run on."""
+"""The history of a run: rows, extremes and whole fields, kept as arrays that carry the run on."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import clock, cpu_clock
+from surrofe2.base.compilation import clock, cpu_clock, kernel
+from surrofe2.law.stress_law import Sources
+from surrofe2.macro.elements import (
+    Discretisation,
+    element_mean_F,
+    element_mean_stress,
+)
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, Evaluation
-from surrofe2.macro.frames import NO_EXTREMES, NOTHING, POINTS_EVERY, Frames, widen_extremes
 from surrofe2.macro.settings import MacroSettings
 from surrofe2.macro.system import System
 from surrofe2.macro.time_stepping import Stepper, StepResult
 from surrofe2.run.journal import Journal, RunState, frame_series
 
 Array = NDArray[np.float64]
+
+NO_EXTREMES = np.broadcast_to([[[[np.inf]]], [[[-np.inf]]]], (2, 4, 2, 2))
+"""Of no point yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class MetRange:
+    """Lowest and highest entries that any point met at the end of any step, (2, 2, 2) each.
+
+    With F = R U: a sampling range over (U, RᵀḞ) that holds these holds the run.
+    """
+
+    F: Array
+    F_dot: Array
+    U: Array
+    RT_F_dot: Array
+
+    @classmethod
+    def of(cls, extremes: Array) -> MetRange:
+        """From lowest and highest entries as `widen_extremes` has them."""
+        return cls(*extremes.swapaxes(0, 1))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The extremes, and `stretch`, `shear`, `rate` of the sampling range that holds them."""
+        bounds = {"stretch": self.stretch, "shear": self.shear, "rate": self.rate}
+        return asdict(self) | bounds
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """Lowest and highest of U₁₁ and U₂₂."""
+        low, high = self.U
+        return float(low.diagonal().min()), float(high.diagonal().max())
+
+    @property
+    def shear(self) -> float:
+        """Largest |U₁₂|."""
+        low, high = self.U
+        return float(max(-low[0, 1], high[0, 1]))
+
+    @property
+    def rate(self) -> float:
+        """Largest entry of |RᵀḞ|, 1/µs."""
+        low, high = self.RT_F_dot
+        return float(max(high.max(), -low.min()))
+
+
+@kernel
+def widen_extremes(extremes: Any, F: Any, F_dot: Any) -> None:
+    """Widen (2, 4, 2, 2) lowest and highest values by F, Ḟ, U = RᵀF and RᵀḞ of all points.
+
+    R is the rotation of the polar decomposition, cos θ : sin θ = F₁₁ + F₂₂ : F₂₁ − F₁₂.
+    """
+    values = np.empty((4, 2, 2))
+    for p in range(F.shape[0]):
+        c, s = F[p, 0, 0] + F[p, 1, 1], F[p, 1, 0] - F[p, 0, 1]
+        norm = np.sqrt(c * c + s * s)
+        c, s = c / norm, s / norm
+        for j in range(2):
+            for i in range(2):
+                values[0, i, j] = F[p, i, j]
+                values[1, i, j] = F_dot[p, i, j]
+            for k in range(2):
+                values[2 + k, 0, j] = c * values[k, 0, j] + s * values[k, 1, j]
+                values[2 + k, 1, j] = c * values[k, 1, j] - s * values[k, 0, j]
+        for k in range(4):
+            for i in range(2):
+                for j in range(2):
+                    extremes[0, k, i, j] = min(extremes[0, k, i, j], values[k, i, j])
+                    extremes[1, k, i, j] = max(extremes[1, k, i, j], values[k, i, j])
+
+
+NOTHING: Array = np.empty(0)
+POINTS_EVERY = 10
+"""Points of the law are kept at each frame whose number this divides, and at the last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Whole fields at k times, each the end of the first step that passed an even fraction of the
+    duration: there the stress is the one the run went on with, and nothing is interpolated.
+
+    Attributes:
+        t: (k,) µs, increasing, from 0 to the end.
+        displacement, velocity: (k, n_nodes, 2) µm and µm/µs.
+        stress: (k, n_el, 2, 2) element mean of the Cauchy stress, µN/µm.
+        F, F_dot: (k, n_el, 2, 2) element mean of the deformation gradient, and of its rate, 1/µs.
+        source, risk: (k, n_el) of `Sources`, the largest of the element's points; (k, 0) of a law
+            that does not tell.
+        dissipated: (k, n_el) energy by reference area since t = 0, pJ/µm²; (k, 0) if not recorded.
+            Over all elements this is the energy `dissipated` of the run at that time.
+        point_t: (p,) µs, those of t at which the law's points are kept too: a tenth of them.
+        point_stress: (p, n_points, 2, 2) Cauchy stress as the law answered, µN/µm.
+        point_source, point_risk: (p, n_points) of `Sources`; (p, 0) of a law that does not tell.
+    """
+
+    t: Array
+    displacement: Array
+    velocity: Array
+    stress: Array
+    F: Array
+    F_dot: Array
+    source: Array
+    risk: Array
+    dissipated: Array
+    point_t: Array
+    point_stress: Array
+    point_source: Array
+    point_risk: Array
+
+    @classmethod
+    def of(
+        cls,
+        space: Discretisation,
+        t: float,
+        motion: tuple[Array, Array],
+        gradients: tuple[Array, Array],
+        stress: Array,
+        sources: Sources | None = None,
+        dissipated: Array = NOTHING,
+        *,
+        points: bool = True,
+    ) -> Frames:
+        """Those of one time, from displacement and velocity (n, 2) of nodes and bodies, from F, Ḟ
+        and values at the points, which are kept if `points` says so, and from `dissipated` (n_el,).
+        """
+        (u, v), (F, F_dot), n = motion, gradients, len(space.nodes)
+        told = np.empty((2, 0))
+        if sources is not None:
+            told = np.stack([sources.source, sources.risk]).astype(np.float64)
+        largest = told.reshape(2, len(space.elements), -1).max(axis=2) if told.size else told
+        kept = slice(0, int(points))  # of the only row
+        return cls(
+            t=np.array([t]),
+            displacement=u[None, :n],
+            velocity=v[None, :n],
+            stress=element_mean_stress(space, F, stress)[None],
+            F=element_mean_F(space, F)[None],
+            F_dot=element_mean_F(space, F_dot)[None],
+            source=largest[:1],
+            risk=largest[1:],
+            dissipated=dissipated[None],
+            point_t=np.array([t])[kept],
+            point_stress=stress[None][kept],
+            point_source=told[:1][kept],
+            point_risk=told[1:][kept],
+        )
+
 
 COUNTS = (
     "steps",
@@ -47,7 +199,7 @@ class MacroState(RunState):
             at ends of steps; ``frames.…`` as of `Frames`.
         dissipated: (2, n_el) energy up to the last sample, pJ, and the rate there.
         extremes: (2, 4, 2, 2) lowest and highest entries of F, Ḟ, U and RᵀḞ.
-        identity: (k, 32) digests of the problem's parts; a resumed run must have the same.
+        identity: by name, digests of the problem's parts; a resumed run must have the same.
         counts, effort, wall_time: as in `MacroRun`.
         stress: (n_points, 2, 2) by which the next step begins, µN/µm.
         law_state: what the law has committed; None: it starts cold.
@@ -68,7 +220,7 @@ class MacroState(RunState):
     journal: Journal
     dissipated: Array
     extremes: Array
-    identity: Array
+    identity: dict[str, Array]
     counts: dict[str, int]
     effort: dict[str, int]
     wall_time: dict[str, float]
@@ -133,64 +285,74 @@ class Recorder:
 
     def begin(self, stepper: Stepper, work: Array) -> None:
         """Record the start; `work` is that of the jump of prescribed velocities there."""
-        start = stepper.now
-        extremes = NO_EXTREMES.copy()
-        widen_extremes(extremes, start.F, start.F_dot)
-        sample, dissipated = NOTHING, np.zeros((2, len(self._system.discretisation.elements)))
-        if self._record_dissipation:
-            sample, dissipated = self._sampled(NOTHING, dissipated, start)
-            self._record_dissipation = sample.size > 0
-        samples = sample.reshape(-1, 1 + len(self._system.dissipating))
-        rows = {"rows": self._row(start.t, start.y, work, self._forces(start))[None]}
-        rows |= {"samples": samples} | self._frame(start, samples, dissipated)
-        self._state = MacroState(
-            t=start.t,
-            y=start.y,
-            next_step=stepper.next_length,
-            memory=stepper.memory,
-            work=work,
-            journal=Journal.of(rows),
-            dissipated=dissipated,
-            extremes=extremes,
-            identity=self._system.identity(),
-            rest=np.empty((0, 2)) if self._system.rest is None else self._system.rest,
-            **self._standing(stepper),
+        now, system = stepper.now, self._system
+        state = MacroState(
+            journal=Journal.of({"rows": self._row(now.t, now.y, work, self._forces(now))[None]}),
+            dissipated=np.zeros((2, len(system.discretisation.elements))),
+            extremes=NO_EXTREMES,
+            identity=system.identity(),
+            rest=np.empty((0, 2)) if system.rest is None else system.rest,
+            **self._end_of_step(stepper, work),
         )
+        samples = np.empty((0, 1 + len(system.dissipating)))
+        state = replace(state, journal=state.journal.written({"samples": samples}))
+        self._state = self._with_fields(state, now, is_sample=True, is_frame=True)
+        self._record_dissipation &= len(self._state.journal["samples"]) > 0
 
     def record(self, step: StepResult, stepper: Stepper) -> None:
         """Record an accepted step, after which `stepper` stands at its end."""
         before, end = self._state, step.end
-        journal, dissipated = before.journal, before.dissipated
+        journal, begin = before.journal, step.start.t
         passed, due = journal.lengths["rows"], self._rows_due(end.t)
         if due > passed:
             first, last = self._forces(step.start), self._forces(end)
             for t in self._t[passed:due]:
                 within = min(t, end.t)
-                part = (within - step.start.t) / step.length
+                part = (within - begin) / step.length
                 forces = (1.0 - part) * first + part * last
                 work = before.work + step.work(within)
                 row = self._row(t, step.interpolate(within), work, forces)
                 journal = journal.written({"rows": row[None]})
-        # About every other output time, and at the last.
-        if self._record_dissipation and (due // 2 > passed // 2 or passed < due == self._t.size):
-            sample, dissipated = self._sampled(journal["samples"], dissipated, end)
-            if sample.size:
-                journal = journal.written({"samples": sample[None]})
-        if self._frames_due(end.t) > self._frames_due(step.start.t):
-            journal = journal.written(self._frame(end, journal["samples"], dissipated))
-        extremes = before.extremes.copy()
-        widen_extremes(extremes, end.F, end.F_dot)
-        self._state = replace(
-            before,
-            t=end.t,
-            y=end.y,
-            next_step=stepper.next_length,
-            memory=stepper.memory,
-            work=before.work + step.work(end.t),
-            journal=journal,
-            dissipated=dissipated,
-            extremes=extremes,
-            **self._standing(stepper),
+        is_frame = self._frames_due(end.t) > self._frames_due(begin)
+        # Dissipation about every other output time, at the last, and wherever there is a frame.
+        is_sample = due // 2 > passed // 2 or passed < due == self._t.size or is_frame
+        work = before.work + step.work(end.t)
+        state = replace(before, journal=journal, **self._end_of_step(stepper, work))
+        self._state = self._with_fields(state, end, is_sample=is_sample, is_frame=is_frame)
+
+    def _end_of_step(self, stepper: Stepper, work: Array) -> dict[str, Any]:
+        """Where the run stands; its costs so far."""
+        return {
+            "t": stepper.now.t,
+            "y": stepper.now.y,
+            "next_step": stepper.next_length,
+            "memory": stepper.memory,
+            "work": work,
+            "stress": stepper.now.response.stress,
+            "law_state": self._equations.law_state,
+            **self._cost(),
+        }
+
+    def _with_fields(
+        self, state: MacroState, now: Evaluation, *, is_sample: bool, is_frame: bool
+    ) -> MacroState:
+        """With extremes and, where they are due, a sample of dissipation and a frame at `now`."""
+        journal, (energy, before) = state.journal, state.dissipated
+        if is_sample and self._record_dissipation:
+            # At rest nothing dissipates.
+            rates = self._equations.dissipation_rates(now) if now.v.any() else 0.0 * before
+            if rates is not None:
+                samples = journal["samples"]
+                since = now.t - samples[-1, 0] if len(samples) else 0.0
+                energy, before = energy + 0.5 * since * (before + rates), rates
+                journal = journal.written({"samples": self._sample(now, rates)[None]})
+        if is_frame:
+            journal = journal.written(self._frame(now, energy))
+        extremes = state.extremes.copy()
+        widen_extremes(extremes, now.F, now.F_dot)
+        dissipated = np.stack([energy, before])
+        return replace(
+            state, journal=journal, dissipated=dissipated, extremes=extremes, **self._cost()
         )
 
     @property
@@ -226,11 +388,6 @@ class Recorder:
         """Everything up to the last step recorded, with all that was spent."""
         return replace(self._state, **self._cost())
 
-    def _standing(self, stepper: Stepper) -> dict[str, Any]:
-        """What changes with every step and is not of its motion."""
-        stress = stepper.now.response.stress
-        return {"stress": stress, "law_state": self._equations.law_state, **self._cost()}
-
     def _cost(self) -> dict[str, Any]:
         tally, total = self._equations.tally, clock() - self._started
         law = tally.law_seconds
@@ -252,23 +409,12 @@ class Recorder:
     def _frames_due(self, t: float) -> int:
         return int(np.searchsorted(self._frame_fractions, t, side="right"))
 
-    def _sampled(self, samples: Array, dissipated: Array, now: Evaluation) -> tuple[Array, Array]:
-        """Time and rate of dissipation of each region, and `MacroState.dissipated` there; nothing
-        and the same as before where it is not known.
-        """
-        # At rest nothing dissipates.
-        still = np.zeros(dissipated.shape[1])
-        rates = still if not now.v.any() else self._equations.dissipation_rates(now)
-        if rates is None:
-            return NOTHING, dissipated
-        by_region = [rates[elements].sum() for elements in self._system.regions.values()]
+    def _sample(self, now: Evaluation, rates: Array) -> Array:
+        """Time and the rates of `System.dissipating`, of which (n_el,) are those of elements."""
         surface = self._system.surface
-        if surface is not None:
-            by_region += [*surface.dissipation_rates(now.u, now.v)]
-        energy, before = dissipated
-        since = now.t - samples[-1, 0] if len(samples) else 0.0
-        energy = energy + 0.5 * since * (before + rates)
-        return np.array([now.t, *by_region]), np.stack([energy, rates])
+        sides = () if surface is None else surface.dissipation_rates(now.u, now.v)
+        regions = self._system.regions.values()
+        return np.array([now.t, *(rates[elements].sum() for elements in regions), *sides])
 
     def _forces(self, now: Evaluation) -> Array:
         """(k, 2) forces on the tissue by supports, surface loads and bodies, µN."""
@@ -278,7 +424,7 @@ class Recorder:
         """What `columns_of` lists, with the kinetic energy ½ v·M v."""
         system = self._system
         u, v = system.spread(y, t, self._equations.within)
-        kinetic = 0.5 * np.vdot(v, system.mass @ v)
+        kinetic = 0.5 * np.vdot(v, system.inertia(v))
         bodies = u[len(system.discretisation.nodes) :]
         vectors = [system.at_watched_points(u), system.mean_displacements(u), forces, bodies]
         depths = [contact.penetration(u) for contact in system.contacts]
@@ -286,13 +432,13 @@ class Recorder:
         flat = [part.ravel() for part in vectors]
         return np.concatenate([[t], *flat, depths, [stored, kinetic], work])
 
-    def _frame(self, now: Evaluation, samples: Array, dissipated: Array) -> dict[str, Array]:
+    def _frame(self, now: Evaluation, dissipated: Array) -> dict[str, Array]:
         answer, space = now.response, self._system.discretisation
         sources = None if answer.sources is None else answer.sources()
-        density = NOTHING
-        if self._record_dissipation:
-            density = (dissipated[0] + (now.t - samples[-1, 0]) * dissipated[1]) / space.areas
-        motion, due = (now.u, now.v), self._frames_due(now.t)
-        kept = (due - 1) % POINTS_EVERY == 0 or now.t >= self.end
-        frame = Frames.of(space, now.t, motion, now.F, answer.stress, sources, density, points=kept)
+        density = dissipated / space.areas if self._record_dissipation else NOTHING
+        kept = (self._frames_due(now.t) - 1) % POINTS_EVERY == 0 or now.t >= self.end
+        motion, gradients = (now.u, now.v), (now.F, now.F_dot)
+        frame = Frames.of(
+            space, now.t, motion, gradients, answer.stress, sources, density, points=kept
+        )
         return frame_series(frame)

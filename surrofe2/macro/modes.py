@@ -12,7 +12,6 @@ from scipy.sparse.linalg import eigs
 
 from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.macro.rest import Rest
-from surrofe2.macro.tangents import mass_matrix
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -77,7 +76,7 @@ def find_modes(rest: Rest, count: int = 6) -> Modes:
     size = rest.stiffness.shape[0]
     unit = identity(size, format="csc")
     A = csc_matrix(bmat([[None, unit], [-rest.stiffness, -rest.damping]]))
-    B = csc_matrix(block_diag([unit, mass_matrix(rest.system)]))
+    B = csc_matrix(block_diag([unit, rest.system.free_mass]))
     if size <= DENSE_LIMIT:
         values, vectors = eig(A.toarray(), B.toarray())
     else:

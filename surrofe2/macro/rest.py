@@ -12,10 +12,10 @@ falls and every point has a stress. A load step that finds no equilibrium is hal
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import skfem
@@ -24,20 +24,22 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.law.stress_law import StressLaw, require_tangents
 from surrofe2.macro.contact import Contact, Grip
-from surrofe2.macro.discretisation import displacement_basis
+from surrofe2.macro.elements import displacement_basis
 from surrofe2.macro.equations_of_motion import (
     EquationsOfMotion,
     Evaluation,
     NoStress,
     Switched,
     Tally,
+    factorised,
 )
 from surrofe2.macro.forces import Matrix, Slopes
-from surrofe2.macro.frames import NO_EXTREMES, Frames, widen_extremes
+from surrofe2.macro.history import NO_EXTREMES, Frames, widen_extremes
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
 from surrofe2.macro.system import System, system_of
-from surrofe2.macro.tangents import Assembly, factorised, make_assembly
 from surrofe2.problem.problem import Problem
+from surrofe2.run.journal import Journal, RunState, frame_series
+from surrofe2.run.loop import carry_out
 
 Array = NDArray[np.float64]
 
@@ -53,51 +55,87 @@ _FREE = 1e-12
 _COUNTS = ("load_steps", "halvings", "factorisations")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestState(RunState):
+    """An equilibrium on the way to a load: all that carries it on, and all it has recorded.
+
+    Attributes:
+        factor: of all loads and prescribed motions.
+        u: (n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one.
+        stress: (n_points, 2, 2) Cauchy stress, µN/µm.
+        acts: (k + 2, n, 2) internal force, k other forces and reaction, µN.
+        next_step: factor of the next load step.
+        extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
+        drags: by body, friction at all points of its contact, µN/µm.
+        counts: load steps, halvings, factorisations by Newton's method.
+        journal: at each load step, from factor 0 on: ``rows`` (s, k + 6) factor, displacement of
+            the first watched point, energy stored in contact, works of `acts`; ``forces``
+            (s, f, 2) on the tissue, of `System.force_names`, µN; ``frames.…`` as of `Frames`, with
+            the factor instead of the time.
+        rest: as `System.rest`; (0, 2) of None.
+        law_state: what the law has committed.
+    """
+
+    SERIES: ClassVar[tuple[str, ...]] = (
+        "rows", "forces", *(f"frames.{item.name}" for item in fields(Frames))
+    )  # fmt: skip
+
+    factor: float
+    u: Array
+    stress: Array
+    acts: Array
+    next_step: float
+    extremes: Array
+    drags: dict[str, Array]
+    counts: dict[str, int]
+    journal: Journal
+    rest: Array
+    law_state: Any = None
+
+
 @dataclass(frozen=True, slots=True)
 class Rest:
     """The tissue at rest under constant loads.
 
     Attributes:
         system: mesh, mass and forces.
-        factor: of all loads and prescribed motions.
-        u: (n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one.
-        F, stress: (n_points, 2, 2) deformation gradient; Cauchy stress, µN/µm.
-        stiffness, damping: (m, m) of the free unknowns, as of `Assembly.tangents`.
-        forces: (k, 2) forces on the tissue, of `System.force_names`, µN.
-        rows: (steps + 1, k + 6) at each load step, from factor 0 on: factor, displacement of the
-            first watched point, energy stored in contact, works of the internal force, the k other
-            forces and the reaction.
-        acts: (k + 2, n, 2) these forces at the last of them, µN.
+        state: factor of the load, displacement, stress, and the way there.
+        F: (n_points, 2, 2) deformation gradient.
+        stiffness, damping: (m, m) of the free unknowns, as of `EquationsOfMotion.tangents`.
         residuals: of Newton's iterations in the last load step, relative to the largest force.
-        counts: load steps, halvings, Newton iterations.
-        next_step: factor of the next load step.
-        extremes: (2, 4, 2, 2) as in `MacroState`, of the equilibria on the way.
-        law_state: what the law has committed.
-        drags: by body, friction at all points of its contact, µN/µm.
     """
 
     system: System
-    factor: float
-    u: Array
+    state: RestState
     F: Array
-    stress: Array
     stiffness: Matrix
     damping: Matrix
-    forces: Array
-    rows: Array
-    acts: Array
     residuals: tuple[float, ...]
-    counts: dict[str, int]
-    next_step: float
-    extremes: Array
-    law_state: Any
-    drags: dict[str, Array]
 
     @property
-    def frame(self) -> Frames:
-        """Whole fields, the factor of the load in the place of time."""
-        u, space = self.u, self.system.discretisation
-        return Frames.of(space, self.factor, (u, 0.0 * u), self.F, self.stress)
+    def factor(self) -> float:
+        """Of all loads and prescribed motions."""
+        return self.state.factor
+
+    @property
+    def u(self) -> Array:
+        """(n, 2) displacement of nodes and bodies, µm; from `System.rest` where there is one."""
+        return self.state.u
+
+    @property
+    def stress(self) -> Array:
+        """(n_points, 2, 2) Cauchy stress, µN/µm."""
+        return self.state.stress
+
+    @property
+    def forces(self) -> Array:
+        """(k, 2) forces on the tissue, of `System.force_names`, µN."""
+        return self.state.journal["forces"][-1]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Load steps, halvings, factorisations by Newton's method."""
+        return self.state.counts
 
     @property
     def basis(self) -> skfem.Basis:
@@ -112,17 +150,12 @@ class Rest:
     @property
     def path(self) -> Array:
         """(steps + 1, 3) factor and displacement of the first watched point, µm."""
-        return self.rows[:, :3]
+        return self.state.journal["rows"][:, :3]
 
-    def to_arrays(self) -> dict[str, Array]:
-        """What `find_rest` goes on from, but for the law's state."""
-        numbers = {"factor": self.factor, "next_step": self.next_step, **self.counts}
-        arrays = {name: np.array(value) for name, value in numbers.items()}
-        tensors = {"u": self.u, "stress": self.stress, "extremes": self.extremes}
-        drags = {f"drag {name}": drag for name, drag in self.drags.items()}
-        if self.system.rest is not None:
-            tensors["rest"] = self.system.rest
-        return arrays | tensors | {"rows": self.rows, "acts": self.acts} | drags
+    @property
+    def watched(self) -> Array:
+        """(2,) displacement of the watched point, µm."""
+        return self.path[-1, 1:]
 
     @property
     def energies(self) -> dict[str, Array]:
@@ -131,7 +164,7 @@ class Rest:
         dissipated`, and `balance`, the other works − internal, zero to Newton's tolerance.
         """
         system = self.system
-        stored, internal, *others, motion = self.rows[:, 3:].T
+        stored, internal, *others, motion = self.state.journal["rows"][:, 3:].T
         works = {force.name: work for force, work in zip(system.forces, others, strict=True)}
         if system.moving:
             works["motion"] = motion
@@ -142,12 +175,6 @@ class Rest:
         balance = np.sum([*works.values()], axis=0) - internal
         return {"internal": internal, **works, **contact, "balance": balance}
 
-    @property
-    def watched(self) -> Array:
-        """(2,) displacement of the watched point, µm."""
-        watched: Array = self.system.at_watched_points(self.u)[0]
-        return watched
-
 
 def find_rest(
     problem: Problem,
@@ -156,9 +183,10 @@ def find_rest(
     *,
     factor: float = 1.0,
     load_steps: int = 1,
-    reached: Callable[[Rest], None] | None = None,
-    resume: Mapping[str, Array] | None = None,
-    law_state: Any = None,
+    progress: Callable[[float, float], None] | None = None,
+    checkpoint: Callable[[Rest], None] | None = None,
+    checkpoint_interval: float = 30.0,
+    resume: RestState | None = None,
 ) -> Rest:
     """Equilibrium of all forces at v = 0 and `factor` times the loads, reached from factor 0.
 
@@ -169,9 +197,10 @@ def find_rest(
         problem: as of `simulate`. Its amplitudes in time have no say here.
         factor: of all loads and prescribed motions; 0 is the tissue without load.
         load_steps: load steps to begin with.
-        reached: called with each equilibrium on the way, the one without load first.
-        resume: `Rest.to_arrays` of an equilibrium of the same problem on the way to the same
-            factor, with its `law_state`; the result is that of the uninterrupted way, to the bit.
+        progress: called with the factor of each equilibrium on the way, and the last one.
+        checkpoint, checkpoint_interval: as of `simulate`; it is called with an equilibrium.
+        resume: the `state` of one, of the same problem on the way to the same factor; the result
+            is that of the uninterrupted way, to the bit.
 
     Raises:
         InputError: the law has no tangents, nothing holds a part of the tissue, or Newton's
@@ -185,72 +214,95 @@ def find_rest(
         raise InputError(f"factor: {factor}; it must be finite")
     if load_steps < 1:
         raise InputError(f"load_steps: {load_steps}; it must be at least 1")
-    newton, longest = _newton(problem, law, settings, resume), factor / load_steps
-    try:
-        if resume is None:
-            rest = _reached(newton.rest_at(0.0, None), NO_EXTREMES, longest)
-        else:
-            rest = newton.known(resume, law_state)
-    except (NoStress, Switched) as failure:
-        raise SimulationError(f"the load cannot start: {failure}") from failure
-    if reached is not None and resume is None:
-        reached(rest)
-    if rest.factor != factor:
-        _check_held(newton.equations.system, rest.stiffness)
-    while rest.factor != factor:  # equal at the end, for the last target is `factor` itself
-        rest = _load_step(newton, rest, factor, longest)
-        if reached is not None:
-            reached(rest)
-    return replace(rest, counts=newton.counts())
-
-
-def _newton(
-    problem: Problem, law: StressLaw, settings: MacroSettings, resume: Mapping[str, Array] | None
-) -> Newton:
-    """Newton's method for the problem, displacements counted from the rest of its free sides."""
     system = system_of(problem, law, proportional=True)
-    if resume is not None and resume["u"].shape != (system.n_rows, 2):
-        raise MismatchError("resume: the mesh is not that of the state; run the rest anew")
+    if resume is not None and resume.u.shape != (system.n_rows, 2):
+        raise MismatchError("resume: the mesh is not that of the state; start the rest again")
     equations = EquationsOfMotion(system, law, clock="load factor {:.6g}")
-    newton = Newton(equations, make_assembly(system), settings)
     if problem.surface is not None and resume is not None:
-        newton.use(system.from_rest(resume["rest"]))
+        equations.system = system.from_rest(resume.rest)
     elif problem.surface is not None:
-        settled = settle(problem, law, settings, equations.tally)
-        equations.law_state = settled.law_state
-        newton.use(system.from_rest(settled.u))
-    return newton
+        u, equations.law_state = settle(problem, law, settings, equations.tally)
+        equations.system = system.from_rest(u)
+    way = Loading(Newton(equations, settings), factor, factor / load_steps)
+    return carry_out(
+        way.steps(resume),
+        way,
+        lambda finished: way.rest,
+        factor,
+        progress=progress,
+        checkpoint=checkpoint,
+        interval=checkpoint_interval,
+    )
 
 
-def _load_step(newton: Newton, rest: Rest, factor: float, longest: float) -> Rest:
-    """The equilibrium after `rest` on the way to `factor`, by a step halved until there is one.
+class Loading:
+    """The way from no load to a factor of it, equilibrium by equilibrium.
 
-    Raises:
-        SimulationError: ten halvings of the longest step find none; `partial` is `rest`.
+    Attributes:
+        rest: the last equilibrium; None until there is one.
     """
-    step, failed = rest.next_step, False
-    while True:
-        left = factor - rest.factor
-        target = factor if abs(step) >= abs(left) * (1.0 - 1e-9) else rest.factor + step
+
+    def __init__(self, newton: Newton, factor: float, longest: float) -> None:
+        self._newton, self._factor, self._longest = newton, factor, longest
+        self.rest: Any = None
+
+    @property
+    def may_be_kept(self) -> bool:
+        """Not while there is none, or the law may have taken down more than was recorded."""
+        return self.rest is not None and not self._newton.equations.is_committing
+
+    def checkpoint(self) -> Rest:
+        """The last equilibrium, with memory of its own for what was recorded."""
+        rest: Rest = self.rest
+        return replace(rest, state=replace(rest.state, journal=rest.state.journal.copy()))
+
+    def steps(self, resume: RestState | None) -> Iterator[float]:
+        """The factor of each equilibrium, the one without load first.
+
+        Raises:
+            SimulationError: there is none without load, or as of `_step`.
+        """
+        newton, equations = self._newton, self._newton.equations
         try:
-            found = newton.rest_at(target, rest)
-            break
-        except NoStress as failure:
-            newton.equations.tally.counts["halvings"] += 1
-            step, failed = 0.5 * (target - rest.factor), True
-            # Counted from the first length: near a limit load every second step would succeed.
-            if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
-                raise SimulationError(
-                    f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}", partial=rest
-                ) from failure
-    return _reached(found, rest.extremes, min(step if failed else 2.0 * step, longest, key=abs))
+            if resume is None:
+                self.rest = newton.rest_at(0.0, None, self._longest)
+            else:
+                self.rest = newton.known(resume)
+        except (NoStress, Switched) as failure:
+            raise SimulationError(f"the load cannot start: {failure}") from failure
+        equations.is_committing = False
+        if resume is None:
+            yield 0.0
+        if self.rest.factor != self._factor:
+            _check_held(equations.system, self.rest.stiffness)
+        # They are equal at the end, for the last target is the factor itself.
+        while self.rest.factor != self._factor:
+            self.rest = self._step(self.rest)
+            equations.is_committing = False
+            yield self.rest.factor
 
+    def _step(self, rest: Rest) -> Rest:
+        """The equilibrium after `rest`, by a load step that is halved until there is one.
 
-def _reached(found: Rest, met: Array, next_step: float) -> Rest:
-    """An equilibrium with what the load met up to there, and the next load step."""
-    extremes = met.copy()
-    widen_extremes(extremes, found.F, np.zeros_like(found.F))
-    return replace(found, extremes=extremes, next_step=next_step)
+        Raises:
+            SimulationError: ten halvings of the longest step find none.
+        """
+        step, longest, failed = rest.state.next_step, self._longest, False
+        while True:
+            remaining = self._factor - rest.factor
+            is_last = abs(step) >= abs(remaining) * (1.0 - 1e-9)
+            target = self._factor if is_last else rest.factor + step
+            following = min(step if failed else 2.0 * step, longest, key=abs)
+            try:
+                return self._newton.rest_at(target, rest, following)
+            except NoStress as failure:
+                self._newton.equations.tally.counts["halvings"] += 1
+                step, failed = 0.5 * (target - rest.factor), True
+                # Counted from the first length: near a limit load every second step would succeed.
+                if abs(step) < abs(longest) * 0.5**MAX_HALVINGS:
+                    raise SimulationError(
+                        f"no load step succeeds after {MAX_HALVINGS} halvings: {failure}"
+                    ) from failure
 
 
 def _check_held(system: System, K: Matrix) -> None:
@@ -294,24 +346,19 @@ def _check_held(system: System, K: Matrix) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Settled:
-    """A tissue at rest under its surface tension alone: displacement (n, 2), zero of rigid bodies,
-    and what the law committed there.
-    """
+def settle(
+    problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tally
+) -> tuple[Array, Any]:
+    """A tissue with free sides at rest under its surface tension, before anything moves it.
 
-    u: Array
-    law_state: Any
-
-
-def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tally) -> Settled:
-    """The rest of a problem with free sides before anything moves it, its bodies away.
-
-    Supports hold what they hold, so that all displacements can count from there. Where Newton's
-    method does not come to it at once, the tension grows in steps.
+    Supports hold what they hold and bodies are away, so that all displacements can count from
+    there. Where Newton's method does not come to it at once, the tension grows in steps.
 
     Args:
         tally: takes in what it costs.
+
+    Returns:
+        Displacement (n, 2), zero of rigid bodies, and what the law committed there.
 
     Raises:
         InputError: the law has no tangents.
@@ -320,18 +367,17 @@ def settle(problem: Problem, law: StressLaw, settings: MacroSettings, tally: Tal
     require_tangents(law, "surface")
     system = system_of(replace(problem, bodies=()), law, proportional=True)
     equations = EquationsOfMotion(system, law, clock="before the load")
-    equations.tally, newton = tally, Newton(equations, make_assembly(system), settings)
+    equations.tally, newton = tally, Newton(equations, settings)
     u, share, step = np.zeros((system.n_rows, 2)), 0.0, 1.0
     while share < 1.0:
-        newton.use(system.with_share(share + step))
+        equations.system = system.with_share(share + step)
         try:
             u, share = newton.balanced(0.0, partial(system.pick, u))[0].u, share + step
         except NoStress as failure:
             step *= 0.5
             if step < _SMALLEST_SHARE:
                 raise SimulationError(f"no rest under the surface tension: {failure}") from failure
-    away = np.zeros((len(problem.bodies), 2))
-    return Settled(np.concatenate([u, away]), equations.law_state)
+    return np.pad(u, ((0, len(problem.bodies)), (0, 0))), equations.law_state
 
 
 @dataclass(slots=True)
@@ -339,51 +385,63 @@ class Newton:
     """Newton's method for the equilibrium of a system at a factor of its loads."""
 
     equations: EquationsOfMotion
-    assembly: Assembly
     settings: MacroSettings
 
-    def use(self, system: System) -> None:
-        """From here on this system, of the same mesh and supports."""
-        self.equations.system = system
-        self.assembly = replace(self.assembly, system=system)
-
-    def rest_at(self, factor: float, last: Rest | None) -> Rest:
+    def rest_at(self, factor: float, last: Rest | None, next_step: float) -> Rest:
         """The equilibrium at `factor` after the last one; the law commits it.
 
         Raises:
             NoStress: there is none.
         """
-        system = self.equations.system
+        equations, space = self.equations, self.equations.discretisation
         if last is None:
-            self._grip(np.zeros((system.n_rows, 2)), {})
-            now, residuals, slopes = self.balanced(factor, lambda: np.zeros(system.free.size))
+            start = np.zeros((equations.system.n_rows, 2))
+            self._grip(start, {})
+            now, residuals, slopes = self.balanced(factor, partial(equations.system.pick, start))
         else:
-            self._grip(last.u, last.drags)
-            now, residuals, slopes = self.balanced(factor, lambda: self.predicted(factor, last))
-        self.equations.tally.counts["load_steps"] += factor != 0.0
-        system = self.equations.system
-        acts = np.stack([now.internal, *now.forces, self.equations.reaction(now)])
-        works, before = np.zeros(len(acts)), np.empty((0, len(acts) + 4))
+            self._grip(last.u, last.state.drags)
+            now, residuals, slopes = self.balanced(factor, partial(self.predicted, factor, last))
+        equations.tally.counts["load_steps"] += factor != 0.0
+        system, reaction = equations.system, equations.reaction(now)
+        acts = np.stack([now.internal, *now.forces, reaction])
+        works, journal, extremes = np.zeros(len(acts)), Journal.of({}), NO_EXTREMES
         if last is not None:
             # Mean force times displacement: of second order in the load step.
-            step = np.einsum("kni,ni->k", 0.5 * (last.acts + acts), now.u - last.u)
-            works, before = last.rows[-1, 4:] + step, last.rows
+            step = np.einsum("kni,ni->k", 0.5 * (last.state.acts + acts), now.u - last.u)
+            journal, extremes = last.state.journal, last.state.extremes
+            works = journal["rows"][-1, 4:] + step
+        extremes = extremes.copy()
+        widen_extremes(extremes, now.F, np.zeros_like(now.F))
         stored = sum(each.energy(now.u) for each in system.contacts)
         row = np.concatenate([[factor], system.at_watched_points(now.u)[0], [stored], works])
-        return self._rest(now, residuals, slopes, np.vstack([before, row]), acts)
+        forces, gradients = system.resultants(now.forces, reaction), (now.F, 0.0 * now.F)
+        frame = Frames.of(space, factor, (now.u, 0.0 * now.u), gradients, now.response.stress)
+        rows = {"rows": row[None], "forces": forces[None]} | frame_series(frame)
+        state = RestState(
+            factor=factor,
+            u=now.u,
+            stress=now.response.stress,
+            acts=acts,
+            next_step=next_step,
+            extremes=extremes,
+            drags={contact.name: contact.drag(now.u) for contact in system.contacts},
+            counts={name: equations.tally.counts[name] for name in _COUNTS},
+            journal=journal.written(rows),
+            rest=np.empty((0, 2)) if system.rest is None else system.rest,
+            law_state=equations.law_state,
+        )
+        return Rest(system, state, now.F, *slopes, tuple(residuals))
 
-    def known(self, there: Mapping[str, Array], law_state: Any) -> Rest:
-        """An equilibrium that was found before, as of `Rest.to_arrays`; raises as `evaluate`."""
-        equations, factor = self.equations, float(there["factor"])
-        drags = {each.name: there[f"drag {each.name}"] for each in equations.system.contacts}
-        self._grip(there["u"], drags)
-        y = self._still(equations.system.pick(there["u"]))
-        start = equations.resume(factor, y, there["stress"], law_state)
-        slopes = self.assembly.tangents(equations.evaluate(factor, y, tangents=True))
-        for name in _COUNTS:
-            equations.tally.counts[name] = int(there[name])
-        rest = self._rest(start, [], slopes, there["rows"], there["acts"])
-        return _reached(rest, there["extremes"], float(there["next_step"]))
+    def known(self, state: RestState) -> Rest:
+        """An equilibrium that was found before; raises as `evaluate`."""
+        equations = self.equations
+        self._grip(state.u, state.drags)
+        y = self._still(equations.system.pick(state.u))
+        start = equations.resume(state.factor, y, state.stress, state.law_state)
+        slopes = equations.tangents(equations.evaluate(state.factor, y, tangents=True))
+        equations.tally.counts.update(state.counts)
+        state = replace(state, journal=state.journal.copy())
+        return Rest(equations.system, state, start.F, *slopes, ())
 
     def balanced(
         self, factor: float, begin: Callable[[], Array]
@@ -428,8 +486,8 @@ class Newton:
             return u
         now = equations.evaluate(last.factor, self._still(u), tangents=True)
         loads = sum(force.at(factor, now.within, now.u, now.v) for force in system.forces)
-        residual = system.pick(loads - now.internal) - self.assembly.stiffness_times(now, moved)
-        return u + self._solved(now, self.assembly.tangents(now)[0], residual)
+        residual = system.pick(loads - now.internal) - equations.stiffness_times(now, moved)
+        return u + self._solved(now, equations.tangents(now)[0], residual)
 
     def corrected(self, now: Evaluation, K: Matrix) -> Evaluation:
         """Newton's correction, halved until the residual is smaller and every point has a stress.
@@ -464,16 +522,13 @@ class Newton:
         scale = max(least, *(abs(force).max(initial=0.0) for force in forces))
         return float(abs(now.residual).max() / scale)
 
-    def counts(self) -> dict[str, int]:
-        return {name: self.equations.tally.counts[name] for name in _COUNTS}
-
     def _iterated(
         self, factor: float, u: Array, residuals: list[float]
     ) -> tuple[Evaluation, Slopes]:
         """Newton's iteration from u to its tolerance; it lists the residuals."""
         now = self.equations.evaluate(factor, self._still(u), tangents=True)
         while True:
-            slopes = self.assembly.tangents(now)
+            slopes = self.equations.tangents(now)
             residuals.append(self.relative_residual(now, slopes[0]))
             if residuals[-1] <= self.settings.newton_tolerance:
                 return now, slopes
@@ -514,27 +569,4 @@ class Newton:
             else force
             for force in system.forces
         )
-        self.use(replace(system, forces=forces))
-
-    def _rest(
-        self, now: Evaluation, residuals: list[float], slopes: Slopes, rows: Array, acts: Array
-    ) -> Rest:
-        equations = self.equations
-        return Rest(
-            system=equations.system,
-            factor=now.t,
-            u=now.u,
-            F=now.F,
-            stress=now.response.stress,
-            stiffness=slopes[0],
-            damping=slopes[1],
-            forces=equations.system.resultants(now.forces, equations.reaction(now)),
-            rows=rows,
-            acts=acts,
-            residuals=tuple(residuals),
-            counts=self.counts(),
-            next_step=0.0,
-            extremes=NO_EXTREMES,
-            law_state=equations.law_state,
-            drags={contact.name: contact.drag(now.u) for contact in equations.system.contacts},
-        )
+        self.equations.system = replace(system, forces=forces)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import zip_longest
 from typing import Any
 
 import numba
@@ -17,17 +16,14 @@ from surrofe2.base.compilation import clock, one_blas_thread
 from surrofe2.base.errors import MismatchError, SimulationError
 from surrofe2.base.units import LENGTH, NONE, RATE, STRESS, TIME, VELOCITY
 from surrofe2.law.stress_law import AuditedLaw, StressLaw
-from surrofe2.macro.discretisation import displacement_basis
-from surrofe2.macro.dormand_prince import DormandPrince
+from surrofe2.macro.elements import displacement_basis
 from surrofe2.macro.equations_of_motion import EquationsOfMotion, NoStress, Switched
-from surrofe2.macro.frames import Frames, MetRange
 from surrofe2.macro.generalised_alpha import GeneralisedAlpha
-from surrofe2.macro.history import MacroState, Recorder, columns_of
+from surrofe2.macro.history import NOTHING, Frames, MacroState, MetRange, Recorder, columns_of
 from surrofe2.macro.rest import settle
 from surrofe2.macro.settings import SECTION_6_2, MacroSettings
-from surrofe2.macro.system import PARTS, System, system_of
-from surrofe2.macro.tangents import mass_matrix
-from surrofe2.macro.time_stepping import Method, Stepper
+from surrofe2.macro.system import System, system_of
+from surrofe2.macro.time_stepping import DormandPrince, Method, Stepper
 from surrofe2.problem.problem import Problem
 from surrofe2.run.displacement_curve import DisplacementCurve
 from surrofe2.run.journal import curves_of, history_of, named_columns
@@ -232,8 +228,7 @@ def simulate(
     if problem.surface is not None:
         if resume is None:
             with one_blas_thread():
-                settled = settle(problem, law, settings, equations.tally)
-            rest, equations.law_state = settled.u, settled.law_state
+                rest, equations.law_state = settle(problem, law, settings, equations.tally)
         else:
             rest = resume.rest
         system = equations.system = system.from_rest(rest)
@@ -283,7 +278,7 @@ def make_method(equations: EquationsOfMotion, settings: MacroSettings) -> Method
         return GeneralisedAlpha(equations, settings)
     tolerances = settings.absolute_tolerance, settings.relative_tolerance
     system = equations.system
-    mass = mass_matrix(system) if system.contacts else None
+    mass = system.free_mass if system.contacts else None
     return DormandPrince(equations.evaluate, *tolerances, mass)
 
 
@@ -389,6 +384,7 @@ def _check_same_run(state: MacroState, system: System, settings: MacroSettings) 
             f"resume: macro.integrator: {settings.integrator}; the checkpoint is of an {begun} "
             "run: resume with that or run anew"
         )
-    for name, begun_with, now in zip_longest(PARTS, state.identity, system.identity()):
-        if not np.array_equal(begun_with, now):
+    now = system.identity()
+    for name in state.identity | now:
+        if not np.array_equal(state.identity.get(name, NOTHING), now.get(name, NOTHING)):
             raise MismatchError(f"resume: {name}: not that of the checkpoint; run anew")

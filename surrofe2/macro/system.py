@@ -10,17 +10,24 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 import skfem
 from numpy.typing import NDArray
+from skfem.helpers import dot
 
 from surrofe2.base.errors import InputError
 from surrofe2.law.stress_law import StressLaw
 from surrofe2.macro.contact import Contact, make_contact
-from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
+from surrofe2.macro.elements import (
+    Discretisation,
+    displacement_basis,
+    make_discretisation,
+    n_points_of,
+)
 from surrofe2.macro.forces import Force, Matrix, make_loads, traction_load
 from surrofe2.macro.free_sides import SurfaceForce, make_surface
 from surrofe2.problem.amplitude import Proportional
@@ -38,74 +45,38 @@ from surrofe2.problem.problem import (
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-DENSE_LIMIT = 300
+DENSE_LIMIT = 600
+"""Unknowns up to which the mass is inverted and not factorised."""
 
 
 def tissue_mass(mesh: skfem.Mesh, density: Array) -> Matrix:
-    """(n_nodes, n_nodes) consistent mass of one displacement component, ng, sparse.
+    """(2 n_nodes, 2 n_nodes) consistent mass, ng, sparse.
 
     Eq. 59 with the reference density (n_el,), ng/µm², over the reference area, which mass
     conservation makes constant.
     """
-    basis = skfem.Basis(mesh, mesh.elem())
-    form = skfem.BilinearForm(lambda u, v, w: w.density * u * v)
+    basis = displacement_basis(mesh)
+    form = skfem.BilinearForm(lambda u, v, w: w.density * dot(u, v))
     return form.assemble(basis, density=np.broadcast_to(density[:, None], basis.dx.shape))
 
 
-def make_mass(problem: Problem, tissue: Matrix) -> Matrix:
-    """Mass (n, n) of nodes and bodies, dense where that is small."""
-    masses = [1.0 if body.mass is None else body.mass for body in problem.bodies]
-    of_bodies = [scipy.sparse.diags(masses)] if masses else []
-    mass = scipy.sparse.block_diag([tissue, *of_bodies], "csc")
-    return mass if mass.shape[0] > DENSE_LIMIT else mass.toarray()
-
-
-def mass_solver(mass: Matrix, free: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass of the free unknowns; one factor where x and y are free alike."""
-    rows = [free[free % 2 == k] // 2 for k in (0, 1)]
-    if np.array_equal(*rows):
-        solve = _factorised_mass(mass, rows[0])
-
-        def solve_both(r: Array) -> Array:
-            result: Array = solve(r.reshape(-1, 2)).ravel()
-            return result
-
-        return solve_both
-    places = [np.flatnonzero(free % 2 == k) for k in (0, 1)]
-    solvers = [_factorised_mass(mass, each) if each.size else None for each in rows]
-
-    def solve_each(r: Array) -> Array:
-        result = np.empty_like(r)
-        for place, solve in zip(places, solvers, strict=True):
-            if solve is not None:
-                result[place] = solve(r[place])
-        return result
-
-    return solve_each
-
-
-def _factorised_mass(mass: Matrix, rows: Index) -> Callable[[Array], Array]:
-    """Inverse of the mass between these rows.
+def mass_solver(mass: Matrix) -> Callable[[Array], Array]:
+    """Inverse of a mass (m, m), applied to (m,).
 
     The matrix is symmetric and positive definite, so a sparse one needs no pivoting and an
     ordering that keeps symmetry.
     """
-    part = mass[rows][:, rows]
-    if isinstance(part, np.ndarray):
-        inverse = np.linalg.inv(part)
+    if mass.shape[0] <= DENSE_LIMIT:
+        inverse = np.linalg.inv(mass.toarray())
         return lambda r: inverse @ r
     factor = scipy.sparse.linalg.splu(
-        scipy.sparse.csc_matrix(part),
+        mass,
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
     solve: Callable[[Array], Array] = factor.solve
     return solve
-
-
-PARTS = ("mesh", "density", "conditions", "bodies", "output times", "watched points", "surface")
-"""What a system's identity is made of, in this order; without free sides all but the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +86,7 @@ class System:
     Attributes:
         problem: of which it is made.
         discretisation: its finite elements.
-        mass: (n, n) mass of one displacement component, ng; n nodes and bodies.
+        mass: (2 n, 2 n) ng, of n nodes and bodies; free_mass: (m, m) between the free unknowns.
         free: (m,) unknowns that move freely, increasing.
         supports: of the others.
         forces: besides the tissue's own.
@@ -131,6 +102,7 @@ class System:
     problem: Problem
     discretisation: Discretisation
     mass: Matrix
+    free_mass: Matrix
     free: Index
     supports: tuple[Support, ...]
     forces: tuple[Force, ...]
@@ -148,7 +120,7 @@ class System:
     @property
     def n_rows(self) -> int:
         """Nodes and rigid bodies."""
-        return int(self.mass.shape[0])
+        return int(self.mass.shape[0]) // 2
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -195,6 +167,11 @@ class System:
         """(m,) free unknowns of (n, 2)."""
         return rows.ravel()[self.free]
 
+    def inertia(self, a: Array) -> Array:
+        """(n, 2) mass times (n, 2) of all rows."""
+        product: Array = (self.mass @ a.ravel()).reshape(-1, 2)
+        return product
+
     def prescribed_acceleration(self, t: float, within: float) -> Array | None:
         """(n, 2) of supports that move, zero elsewhere; None if none accelerates."""
         a, accelerates = np.zeros(2 * self.n_rows), False
@@ -235,10 +212,10 @@ class System:
             return y, work
         m = self.free.size
         y = y.copy()
-        y[m:] -= self.solve_mass(self.pick(self.mass @ jump))
+        y[m:] -= self.solve_mass(self.pick(self.inertia(jump)))
         new = self.spread(y, t, after)[1]
         # The impulse acts on the supports alone, at the mean of both velocities.
-        work[-2:] = 0.5 * np.vdot(new + v, self.mass @ (new - v))
+        work[-2:] = 0.5 * np.vdot(new + v, self.inertia(new - v))
         return y, work
 
     @property
@@ -282,38 +259,36 @@ class System:
         sides = () if self.surface is None else self.surface.sides.names
         return *self.regions, *(f"{SURFACE} {name}" for name in sides)
 
-    def identity(self) -> Array:
-        """(k, 32) digests of `PARTS`, which decide the motion but for law and settings."""
-        problem, space = self.problem, self.discretisation
+    def identity(self) -> dict[str, Array]:
+        """Digests by name of the parts that decide the motion, but for law and settings."""
+        problem, space, mesh = self.problem, self.discretisation, self.problem.mesh
         held = [each.unknowns for each in self.supports]
-        surface = self.surface
-        mesh = problem.mesh
         sides = {name: facet_nodes(mesh, each) for name, each in (mesh.boundaries or {}).items()}
-        elements = {name: region(mesh, name) for name in mesh.subdomains or {}}
-        named = {**sides, **elements}
-        parts: tuple[list[Array | Index | str], ...] = (
-            [space.nodes, space.elements, repr([*named]), *named.values()],
-            [self.mass @ np.ones(self.n_rows)],
-            [repr(problem.conditions), self.free, self.initial_velocity, *held],
-            [repr(problem.bodies)],
-            [repr(problem.output_interval)],
-            [repr([*problem.watched.items()])],
-        )
-        if surface is not None:
-            free = surface.sides
-            parts = *parts, [repr(free.names), free.nodes, free.law]
-        return np.array([_digest(part) for part in parts], dtype=np.float64)
+        named = sides | {name: region(mesh, name) for name in mesh.subdomains or {}}
+        parts: dict[str, list[Any]] = {
+            "mesh": [space.nodes, space.elements, [*named], *named.values()],
+            "density": [self.mass @ np.ones(2 * self.n_rows)],
+            "conditions": [problem.conditions, self.free, self.initial_velocity, *held],
+            "bodies": [problem.bodies],
+            "output times": [problem.output_interval],
+            "watched points": [[*problem.watched.items()]],
+        }
+        if self.surface is not None:
+            free = self.surface.sides
+            parts["surface"] = [free.names, free.nodes, free.law]
+        return {name: _digest(part) for name, part in parts.items()}
 
     def at_watched_points(self, u: Array) -> Array:
         """(w, 2) values of a field (n, 2) at the watched points."""
         return np.stack([weights @ u[nodes] for nodes, weights in self.watched])
 
 
-def _digest(contents: list[Array | Index | str]) -> list[int]:
+def _digest(contents: list[Any]) -> Array:
+    """(32,) bytes."""
     digest = hashlib.sha256()
     for each in contents:
-        digest.update(each.encode() if isinstance(each, str) else each.tobytes())
-    return list(digest.digest())
+        digest.update(each.tobytes() if isinstance(each, np.ndarray) else repr(each).encode())
+    return np.array([*digest.digest()], dtype=np.float64)
 
 
 def system_of(problem: Problem, law: StressLaw, *, proportional: bool = False) -> System:
@@ -363,14 +338,17 @@ def make_system(
     def mass_of(share: Array) -> Matrix:
         """Mass of a share of each element, its sides included."""
         tissue = tissue_mass(mesh, share * per_element)
-        return sum((each.mass(share, n_nodes) for each in surface), tissue)
+        return sum((each.mass(share, 2 * n_nodes) for each in surface), tissue)
 
-    mass = make_mass(problem, mass_of(np.ones(mesh.nelements)))
+    bodies = np.repeat([1.0 if body.mass is None else body.mass for body in problem.bodies], 2)
+    mass = scipy.sparse.block_diag([mass_of(np.ones(mesh.nelements)), scipy.sparse.diags(bodies)])
+    mass = scipy.sparse.csc_matrix(mass)
     supports = _supports(problem, proportional)
     held = [support.unknowns for support in supports]
     free = np.setdiff1d(np.arange(2 * n), np.concatenate(held) if held else [])
     if not free.size:
         raise InputError("conditions: they hold or move every node; leave one free")
+    free_mass = scipy.sparse.csc_matrix(mass[free][:, free])
     heaviest = float(per_element.max())
     forces = [
         *make_loads(problem, mass_of, n, proportional),
@@ -387,10 +365,11 @@ def make_system(
         problem=problem,
         discretisation=space,
         mass=mass,
+        free_mass=free_mass,
         free=free,
         supports=supports,
         forces=tuple(forces),
-        solve_mass=mass_solver(mass, free),
+        solve_mass=mass_solver(free_mass),
         initial_velocity=_initial_velocity(problem, supports, n),
         watched=tuple(
             space.locate(np.array(at, dtype=np.float64), f"watched.{name}")

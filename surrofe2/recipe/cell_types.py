@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.base.settings import Faults, build, check_settings, check_table, check_value, setting
-from surrofe2.macro.discretisation import points_by_region
+from surrofe2.macro.elements import points_by_region
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.mesh import region
 from surrofe2.problem.problem import Problem

@@ -18,7 +18,7 @@ import skfem
 from surrofe2.base.errors import FileError, InputError, quoted
 from surrofe2.base.settings import Faults, build, check_settings, check_value, setting
 from surrofe2.base.units import LENGTH, TIME
-from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.elements import make_discretisation
 from surrofe2.problem.bar import LoadSettings
 from surrofe2.problem.conditions import BodyForce, Condition, Foundation, Pressure, Traction
 from surrofe2.problem.mesh import Part, boundary, check_mesh, nodes_on, rectangle, region

@@ -36,13 +36,15 @@ class Journal:
     @classmethod
     def of(cls, rows: Mapping[str, Array]) -> Journal:
         """A journal with (m, …) first rows of each series, in memory of its own."""
-        room = {name: np.array(values, dtype=np.float64) for name, values in rows.items()}
-        return cls(room, {name: len(values) for name, values in room.items()})
+        return cls({}, {}).written(rows)
 
     def written(self, rows: Mapping[str, Array]) -> Journal:
         """With (m, …) rows of some series behind those that are there."""
         room, lengths = dict(self.room), dict(self.lengths)
         for name, values in rows.items():
+            if name not in room:
+                room[name], lengths[name] = np.array(values, dtype=np.float64), len(values)
+                continue
             first, last = lengths[name], lengths[name] + len(values)
             if last > len(room[name]):
                 larger = np.empty((2 * last, *room[name].shape[1:]))
@@ -106,7 +108,7 @@ class RunState:
                 values[item.name] = cls.from_arrays(inner) if inner else None
             elif inner:
                 values[item.name] = {name: _value(array) for name, array in inner.items()}
-            elif item.type == "dict[str, int]":  # of a law that counts nothing
+            elif item.type in ("dict[str, int]", "dict[str, Array]"):  # with nothing in it
                 values[item.name] = {}
             else:
                 values[item.name] = _value(_entry(arrays, item.name))

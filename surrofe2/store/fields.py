@@ -19,7 +19,7 @@ from surrofe2.store.hdf5 import Kind, reading, store_array, writing
 from surrofe2.store.store import read_text, write_text
 
 if TYPE_CHECKING:
-    from surrofe2.macro.frames import Frames
+    from surrofe2.macro.history import Frames
     from surrofe2.tissue.history import ParticleFrames
 
 Array = NDArray[np.float64]

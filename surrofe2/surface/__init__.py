@@ -1,8 +1,8 @@
 """Free sides of a tissue: (λ, λ̇) along a side in, line tension out.
 
-In reading order: `slab` (plant cells between two free sides), `side_free` (the bulk beside them),
-`bent_slab` (how deep they act), `slab_law` (the surface law: what the slab has beyond the bulk),
-`tabulated` (the same from a table), `cell_surface` (what runs use: both).
+In reading order: `slab` (plant cells between two free sides, straight and bent), `slab_law` (the
+bulk beside them; the surface law: what the slab has beyond the bulk), `tabulated` (the same from a
+table, as runs use it).
 """
 
 from __future__ import annotations

@@ -5,11 +5,13 @@ With x and y in −1 … 1 across the table's range of λ and λ̇::
     P_s(λ, λ̇) = Σ_ij C_ij T_i(x) T_j(y)
 
 C follows from the slab's answers at the roots of the next polynomials. Degrees rise until answers
-at random points of the range are met; tangents are those of the polynomials.
+at random points of the range are met; tangents are those of the polynomials. Runs ask the table,
+and the slab beyond its range.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,6 +36,7 @@ CHECKS = 96
 _KEPT = 0.5
 """Polynomials are left out while the error found is less than this part of the tolerance."""
 _BATCH = 64
+_HALVINGS = 3
 _SLACK = 1e-12
 
 
@@ -207,3 +210,60 @@ def _trimmed(
                 break
             table = shorter
     return table
+
+
+class CellSurface:
+    """A `SurfaceLaw` that asks its table, and the slab where that has no answer.
+
+    Attributes:
+        table: of the slab.
+        rows: of the slab.
+    """
+
+    def __init__(self, table: TabulatedSurface, rows: int, slab: Callable[[], SlabLaw]) -> None:
+        """Slab: gives it when it is first asked."""
+        self.table, self.rows, self._make = table, rows, slab
+        self._slab: SlabLaw | None = None
+
+    @property
+    def mass(self) -> float:
+        return self.table.mass
+
+    @property
+    def depth(self) -> float:
+        return self.table.depth
+
+    @property
+    def width(self) -> float:
+        return self.table.width
+
+    def respond(
+        self, stretch: Any, stretch_rate: Any, *, tangents: bool = False
+    ) -> SurfaceResponse:
+        answer = self.table.respond(stretch, stretch_rate, tangents=tangents)
+        if answer.valid.all():
+            return answer
+        if self._slab is None:
+            self._slab = self._make()
+        own = np.flatnonzero(~answer.valid)
+        true = self._slab.respond(stretch[own], stretch_rate[own], tangents=tangents)
+        answer.tension[own], answer.valid[own] = true.tension, true.valid
+        if answer.tangent is not None and answer.rate_tangent is not None:
+            answer.tangent[own], answer.rate_tangent[own] = true.tangent, true.rate_tangent
+        return answer
+
+
+def table_within(slab: SlabLaw, stretch: tuple[float, float], rate: float) -> TabulatedSurface:
+    """The table over a range, or over half of it and less where the slab has no state out there.
+
+    Raises:
+        InputError: there is none over an eighth of the range.
+    """
+    for halvings in range(_HALVINGS + 1):
+        share = 0.5**halvings
+        low, high = (1.0 + share * (each - 1.0) for each in stretch)
+        try:
+            return tabulate_surface(slab, (low, high), share * rate)
+        except InputError as error:
+            failure = error
+    raise failure

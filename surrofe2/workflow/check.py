@@ -25,7 +25,7 @@ from surrofe2.base.errors import FileError, InputError, MismatchError, Simulatio
 from surrofe2.base.sampling import SamplingRange
 from surrofe2.law.stress_law import StressLaw, StressResponse
 from surrofe2.macro import MetRange, simulate
-from surrofe2.macro.frames import NO_EXTREMES, widen_extremes
+from surrofe2.macro.history import NO_EXTREMES, widen_extremes
 from surrofe2.recipe.recipe import Recipe, load_recipe
 from surrofe2.store.samples import check_harvest, read_data_set, read_harvest
 from surrofe2.store.surrogates import check_surrogate, read_surrogate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import clock, seconds_compiling
+from surrofe2.base.compilation import Meter, seconds_compiling
 from surrofe2.base.errors import InputError
 from surrofe2.base.units import time_text
 from surrofe2.law.stress_law import state_arrays, state_of
 from surrofe2.macro import Frames, MetRange, Rest, find_modes, find_rest
+from surrofe2.macro.rest import RestState
 from surrofe2.recipe.recipe import Recipe
-from surrofe2.run.journal import Journal, frame_series, part_of, within
-from surrofe2.run.loop import CheckpointClock
+from surrofe2.run.journal import part_of, within
 from surrofe2.store.fields import write_fields
 from surrofe2.store.run_folder import (
     CHECKPOINT_INTERVAL,
@@ -36,8 +36,6 @@ from surrofe2.workflow.surfaces import with_surface
 
 STATES = {"unloaded": 0.0, "loaded": 1.0}
 """Factor of the loads by the name of the state whose modes are asked for."""
-_SERIES = ("forces", *(f"frames.{item.name}" for item in fields(Frames)))
-"""What is recorded of each load step."""
 
 
 def rest_study(
@@ -64,48 +62,35 @@ def rest_study(
     problem = recipe.problem()
     chosen = choose_laws(recipe, "rve", problem.mesh)
     problem = with_surface(recipe, problem)
-    found: tuple[Rest | None, Journal] | None = None  # replaced whole, so never torn
-    begin, before = 0.0, seconds_compiling()
+    timer, before = Meter(), seconds_compiling()
 
-    def store(record: RunRecord, last: Rest) -> RunRecord:
-        assert found is not None
-        factors, space = last.path[:, 0], last.system.discretisation
-        frames, forces = Frames(**found[1].part("frames")), found[1]["forces"]
+    def store(record: RunRecord, rest: Rest) -> RunRecord:
+        journal, factors, space = rest.state.journal, rest.path[:, 0], rest.system.discretisation
+        frames, forces = Frames(**journal.part("frames")), journal["forces"]
         by_name = {
             f"force {name} {axis}": forces[:, k, i]
-            for k, name in enumerate(last.system.force_names)
+            for k, name in enumerate(rest.system.force_names)
             for i, axis in enumerate("xy")
         }
-        write_curves(folder, factors, {"": last.path[:, 1:]}, by_name, last.energies, is_rest=True)
+        write_curves(folder, factors, {"": rest.path[:, 1:]}, by_name, rest.energies, is_rest=True)
         cell = cell_of_elements(chosen.law, len(space.elements))
         write_fields(folder, space.nodes, space.elements, frames, cell)
         write_points(folder, space, frames)
-        wall = {"total": clock() - begin, "compilation": seconds_compiling() - before}
-        met = {"watched": last.watched.tolist(), **MetRange.of(last.extremes).to_dict()}
-        record = with_rest(record, last.system.rest)
-        return replace(record, wall_time=wall, counts=last.counts, met=met)
+        wall = {"total": timer.seconds, "compilation": seconds_compiling() - before}
+        met = {"watched": rest.watched.tolist(), **MetRange.of(rest.state.extremes).to_dict()}
+        record = with_rest(record, rest.system.rest)
+        return replace(record, wall_time=wall, counts=rest.counts, met=met)
 
-    def reached(rest: Rest) -> None:
-        nonlocal found
-        rows = {"forces": rest.forces[None]} | frame_series(rest.frame)
-        found = rest, Journal.of(rows) if found is None else found[1].written(rows)
-        if due.is_due():
-            due.write(checkpoint)
-        report(rest.factor / factor if factor else 1.0, "")
+    def checkpoint(rest: Rest) -> None:
+        run.partial = rest
+        arrays = within("rest", rest.state.to_arrays()) | {"seconds": np.array(timer.seconds)}
+        run.checkpoint(arrays | within("law", state_arrays(chosen.law, rest.state.law_state)))
 
-    def checkpoint() -> None:
-        assert found is not None
-        rest, journal = found
-        assert rest is not None
-        more = {"seconds": np.array(clock() - begin)} | {k: journal[k] for k in _SERIES}
-        more |= within("law", state_arrays(chosen.law, rest.law_state))
-        run.checkpoint(rest.to_arrays() | more)
-
-    def restore(arrays: dict[str, NDArray]) -> dict[str, Any]:
-        nonlocal begin, found
-        begin -= float(arrays["seconds"])
-        found = None, Journal.of({name: arrays[name] for name in _SERIES})
-        return {"resume": arrays, "law_state": state_of(chosen.law, part_of(arrays, "law"))}
+    def restore(arrays: dict[str, NDArray]) -> RestState:
+        nonlocal timer
+        timer = Meter(float(arrays["seconds"]))
+        state = RestState.from_arrays(part_of(arrays, "rest"))
+        return replace(state, law_state=state_of(chosen.law, part_of(arrays, "law")))
 
     record = replace(new_record(recipe, "rve"), problem=problem_record(problem))
     stated = {"factor": factor, "load_steps": load_steps}
@@ -113,25 +98,20 @@ def rest_study(
     with RunFolder.open(folder, record, store, fresh=fresh) as run:
         if run.is_finished:
             return run.record
-        begin = clock()
-        resumed = run.restored(restore) or {}
-        due = CheckpointClock(CHECKPOINT_INTERVAL)
-        try:
-            with recipe.named(InputError):
-                rest = find_rest(
-                    problem,
-                    chosen.law,
-                    recipe.macro,
-                    factor=factor,
-                    load_steps=load_steps,
-                    reached=reached,
-                    **resumed,
-                )
-        except KeyboardInterrupt:
-            if found is not None and found[0] is not None:
-                run.partial = found[0]
-                checkpoint()
-            raise
+        timer = Meter()
+        state = run.restored(restore)
+        with recipe.named(InputError):
+            rest = find_rest(
+                problem,
+                chosen.law,
+                recipe.macro,
+                factor=factor,
+                load_steps=load_steps,
+                progress=lambda at, end: report(at / end if end else 1.0, ""),
+                checkpoint=checkpoint,
+                checkpoint_interval=CHECKPOINT_INTERVAL,
+                resume=state,
+            )
         run.finish(rest)
     return run.record
 

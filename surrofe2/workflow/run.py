@@ -26,9 +26,13 @@ from surrofe2.cache.protocols import OnTrueAnswer
 from surrofe2.law.regional_law import RegionalLaw
 from surrofe2.law.stress_law import ReportingLaw, StressLaw, state_arrays, state_of
 from surrofe2.macro import MacroRun, MacroState, simulate
-from surrofe2.macro.discretisation import Discretisation, make_discretisation, n_points_of
-from surrofe2.macro.frames import Frames
-from surrofe2.macro.internal_force import deformation_gradient
+from surrofe2.macro.elements import (
+    Discretisation,
+    deformation_gradient,
+    make_discretisation,
+    n_points_of,
+)
+from surrofe2.macro.history import Frames
 from surrofe2.plant_cell.parameters import PRESETS
 from surrofe2.problem import Problem
 from surrofe2.problem.mesh import element_nodes, extent

@@ -18,9 +18,8 @@ from surrofe2.problem.mesh import extent
 from surrofe2.recipe.recipe import Recipe
 from surrofe2.store.run_folder import RunRecord
 from surrofe2.store.tables import check_surface, read_surface, write_surface
-from surrofe2.surface.cell_surface import CellSurface, table_within
 from surrofe2.surface.slab_law import SlabLaw, rows_across
-from surrofe2.surface.tabulated import TabulatedSurface
+from surrofe2.surface.tabulated import CellSurface, TabulatedSurface, table_within
 from surrofe2.workflow.laws import kept_reference
 
 STRETCH, RATE = (0.94, 1.04), 0.01

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError, InputError
 from surrofe2.law.stress_law import describe
-from surrofe2.macro.discretisation import find_element
+from surrofe2.macro.elements import find_element
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import Recipe, make_recipe
 from surrofe2.report.figures import cell_figure

@@ -9,7 +9,7 @@ from surrofe2 import Problem
 from surrofe2.adapters.felupe import FelupeMaterial
 from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Acceptance, Status
-from surrofe2.macro.discretisation import reference_shapes
+from surrofe2.macro.elements import reference_shapes
 from surrofe2.macro.rest import find_rest
 from surrofe2.problem.conditions import Fixed, Traction
 from surrofe2.problem.mesh import element_nodes

@@ -9,7 +9,7 @@ import skfem
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefQuad, RefTri
 
-from surrofe2.macro.discretisation import reference_shapes
+from surrofe2.macro.elements import reference_shapes
 from surrofe2.problem import Box, rectangle, with_boundaries
 from surrofe2.problem.mesh import boundary, element_nodes, facet_nodes
 

@@ -118,7 +118,7 @@ def momenta(system, states):
     total = []
     for state in states:
         _, v = system.spread(state.y, state.t, state.t)
-        total.append((system.mass @ v).sum(axis=0))
+        total.append(system.inertia(v).sum(axis=0))
     return np.array(total)
 
 

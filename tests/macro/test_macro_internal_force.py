@@ -5,9 +5,7 @@ import pytest
 
 from surrofe2 import LoadCase
 from surrofe2.base.tensors import det
-from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.frames import widen_extremes
-from surrofe2.macro.internal_force import (
+from surrofe2.macro.elements import (
     MANY,
     deformation_gradient,
     element_mean_F,
@@ -15,8 +13,9 @@ from surrofe2.macro.internal_force import (
     internal_force,
     stress_power,
 )
+from surrofe2.macro.equations_of_motion import EquationsOfMotion
+from surrofe2.macro.history import widen_extremes
 from surrofe2.macro.system import make_system
-from surrofe2.macro.tangents import mass_matrix
 from surrofe2.problem import Problem
 from tests.laws import KelvinVoigt
 from tests.macro.bars import PLATE, distorted_bar, random_state, state_vector
@@ -114,7 +113,7 @@ def test_many_points_give_what_few_do(kind, rng, monkeypatch):
     by_many = deformation_gradient(space, u, v)
     stress = rng.normal(size=by_many[0].shape)
     force = internal_force(space, by_many[0], stress)
-    monkeypatch.setattr("surrofe2.macro.internal_force.MANY", space.n_points + 1)
+    monkeypatch.setattr("surrofe2.macro.elements.MANY", space.n_points + 1)
     for here, there in zip(deformation_gradient(space, u, v), by_many, strict=True):
         np.testing.assert_array_equal(here, there)
     np.testing.assert_array_equal(internal_force(space, by_many[0], stress), force)
@@ -210,8 +209,8 @@ def test_load_power_is_kinetic_rate_plus_internal_power(seed):
     u, v = random_state(system, rng)
     now = EquationsOfMotion(system, law).evaluate(0.0, state_vector(system, u, v))
     np.testing.assert_array_equal(now.rate[: system.free.size], system.pick(v))
-    kinetic_rate = system.pick(v) @ mass_matrix(system) @ now.acceleration
-    load_power = 0.7 * np.vdot(system.forces[0].largest, v)
+    kinetic_rate = system.pick(v) @ system.free_mass @ now.acceleration
+    load_power = 0.7 * np.vdot(system.forces[0].dead, v)
 
     F, F_dot = deformation_twin(bar, u, v)
     L = (F_dot @ np.linalg.inv(F)).reshape(-1, 5, 2, 2)
@@ -232,11 +231,13 @@ def test_mass_and_load_are_consistent(rng):
     bar = distorted_bar(rng, density=0.11)
     width, height = PLATE["width"], PLATE["height"]
     x = bar.discretisation.nodes[:, 0]
-    assert 0.5 * x @ bar.mass @ x == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
+    v = np.stack([x, 0.0 * x], axis=1)
+    kinetic = 0.5 * np.vdot(v, bar.inertia(v))
+    assert kinetic == pytest.approx(0.11 * height * width**3 / 6.0, rel=1e-12)
     expected = 0.11 * np.array(PLATE["body_force"]) * height * width**2 / 2.0
-    np.testing.assert_allclose(x @ bar.forces[0].largest, expected, rtol=1e-12)
+    np.testing.assert_allclose(x @ bar.forces[0].dead, expected, rtol=1e-12)
     field = rng.normal(size=bar.free.size)
-    np.testing.assert_allclose(mass_matrix(bar) @ bar.solve_mass(field), field, atol=1e-12)
+    np.testing.assert_allclose(bar.free_mass @ bar.solve_mass(field), field, atol=1e-12)
 
 
 def test_watched_point_between_nodes_is_interpolated(rng):
@@ -251,10 +252,9 @@ def test_point_position_is_where_the_point_is(rng):
     bar = distorted_bar(rng).discretisation
     x = bar.nodes
     F, _, _ = deformation_gradient(bar, np.stack([0.5e-3 * x[:, 0] ** 2, 0 * x[:, 0]], 1), 0 * x)
-    centre = bar.point_position(5 * 7 + 4)
+    positions = bar.point_positions()
+    centre = positions[5 * 7 + 4]
     np.testing.assert_allclose(centre, bar.nodes[bar.elements[7]].mean(axis=0), rtol=1e-12)
-    gauss = np.array([bar.point_position(5 * 7 + q) for q in range(4)])
-    np.testing.assert_allclose(gauss.mean(axis=0), centre, rtol=1e-12)
+    np.testing.assert_allclose(positions[35:39].mean(axis=0), centre, rtol=1e-12)
     # Neighbouring elements' order: F₁₁ grows with x, so it ranks points as their positions do.
-    positions = np.array([bar.point_position(p) for p in range(bar.n_points)])
     assert np.corrcoef(F[:, 0, 0], positions[:, 0])[0, 1] > 0.97

@@ -8,8 +8,7 @@ import skfem
 
 from surrofe2.base.errors import InputError
 from surrofe2.macro import MacroSettings, find_rest, simulate
-from surrofe2.macro.discretisation import make_discretisation
-from surrofe2.macro.internal_force import deformation_gradient, internal_force
+from surrofe2.macro.elements import deformation_gradient, internal_force, make_discretisation
 from surrofe2.problem import (
     BodyForce,
     Box,

@@ -8,7 +8,6 @@ from scipy.linalg import eigh
 
 from surrofe2 import LoadCase
 from surrofe2.macro import MacroSettings, find_modes, find_rest, modes
-from surrofe2.macro.tangents import mass_matrix
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from tests.laws import KelvinVoigt
@@ -27,7 +26,7 @@ def test_proportional_damping():
     rest = find_rest(LOAD_CASE, PROPORTIONAL, SETTINGS, factor=0.0)
     K = rest.stiffness.toarray()
     np.testing.assert_allclose(rest.damping.toarray(), TAU * K, atol=1e-10 * abs(K).max())
-    omega2, shapes = eigh(K, mass_matrix(rest.system).toarray())
+    omega2, shapes = eigh(K, rest.system.free_mass.toarray())
     omega = np.sqrt(omega2[:5])
     found = find_modes(rest, 5)
     damping = 0.5 * TAU * omega

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surrofe2.macro import MacroSettings, find_rest, simulate, simulation
-from surrofe2.macro.forces import DeadLoad
+from surrofe2.macro.forces import LinearForce
 from surrofe2.macro.system import make_system
 from surrofe2.problem import Fixed, Foundation, InitialVelocity, Problem, Symmetry
 from surrofe2.problem.amplitude import Proportional
@@ -67,7 +67,7 @@ def test_rest_is_of_second_order(kind, law, size, monkeypatch):
         problem = clamped_square(kind, n)
         system = make_system(problem, 1.0)
         load = weak_load(problem.mesh, lambda x: first_piola(law, np.eye(2) + size * gradient(x)))
-        system = replace(system, forces=(DeadLoad("load", load, Proportional()),))
+        system = replace(system, forces=(LinearForce("load", load, Proportional()),))
         monkeypatch.setattr("surrofe2.macro.rest.system_of", lambda *of, found=system, **how: found)
         rest = find_rest(problem, law, TIGHT)
         exact = distance(problem.mesh, 0.0 * rest.u, lambda x: size * field(x))
@@ -142,7 +142,7 @@ def test_bending_without_locking(kind, lame, distortion, monkeypatch):
     held = Symmetry(on="left"), Foundation(on="left", stiffness=1e-3, components="y")
     problem = Problem(mesh=mesh, conditions=held, watched={"tip": (length, 0.5 * height)})
     system = make_system(problem, 1.0)
-    load = DeadLoad("moment", weak_load(mesh, bending), Proportional())
+    load = LinearForce("moment", weak_load(mesh, bending), Proportional())
     system = replace(system, forces=(*system.forces, load))
     monkeypatch.setattr("surrofe2.macro.rest.system_of", lambda *of, **how: system)
     rest = find_rest(problem, law, replace(TIGHT, newton_tolerance=1e-9))

@@ -9,10 +9,9 @@ from scipy.integrate import RK45
 from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Status
 from surrofe2.macro import simulate
-from surrofe2.macro.dormand_prince import WEIGHTS, DormandPrince
 from surrofe2.macro.equations_of_motion import Evaluation
 from surrofe2.macro.simulation import make_method
-from surrofe2.macro.time_stepping import NO_MEMORY, Stepper
+from surrofe2.macro.time_stepping import NO_MEMORY, WEIGHTS, DormandPrince, Stepper
 from tests.laws import Failing, KelvinVoigt
 from tests.macro.bars import LOAD_CASE, SETTINGS, equations_of_bar, with_load
 

@@ -8,7 +8,7 @@ import pytest
 
 from surrofe2.base.errors import InputError, MismatchError, SimulationError
 from surrofe2.macro import MacroSettings, find_modes, find_rest, simulate
-from surrofe2.macro.discretisation import make_discretisation
+from surrofe2.macro.elements import make_discretisation
 from surrofe2.macro.free_sides import free_sides
 from surrofe2.macro.history import MacroState
 from surrofe2.macro.system import make_system
@@ -179,8 +179,9 @@ def test_rest_under_load_and_its_resumption():
     )  # fmt: skip
     problem = replace(clamped(Surface(law=SKIN, on=("top", "right"))), bodies=(plate_above,))
     reached = []
-    whole = find_rest(problem, LAW, TIGHT, load_steps=3, reached=reached.append)
-    again = find_rest(problem, LAW, TIGHT, load_steps=3, resume=reached[1].to_arrays())
+    kept = {"checkpoint": reached.append, "checkpoint_interval": 0.0}
+    whole = find_rest(problem, LAW, TIGHT, load_steps=3, **kept)
+    again = find_rest(problem, LAW, TIGHT, load_steps=3, resume=reached[1].state)
     np.testing.assert_array_equal(again.u, whole.u)
     np.testing.assert_array_equal(again.system.rest, whole.system.rest)
     bare = find_rest(replace(problem, bodies=()), LAW, TIGHT, factor=0.0)
@@ -277,7 +278,7 @@ def test_mass_excess_bears_the_body_force():
         weights.append(system.forces[0].at(0.0, 0.0, *np.zeros((2, system.n_rows, 2)))[:, 0].sum())
     whole = 0.08 * WIDTH * HEIGHT + 0.05 * WIDTH
     np.testing.assert_allclose(weights, [whole, 0.5 * whole], rtol=1e-12)
-    assert system.mass.sum() == pytest.approx(whole)
+    assert 0.5 * system.mass.sum() == pytest.approx(whole)
     thrown = Problem(
         mesh=mesh, conditions=(pull := BodyForce(acceleration=(0.5, 0.0)),), surface=surface,
         duration=2.0, output_interval=0.5,
@@ -336,8 +337,6 @@ def test_wrong_surfaces_are_refused():
         simulate(clamped(Surface(law=SKIN, on=("tpo",))), LAW)
     with pytest.raises(InputError, match=r"surface.on: 'top'; it must be names of boundaries, or"):
         Surface(law=SKIN, on="top")
-    with pytest.raises(InputError, match=r"problem.surface: .*; it must be a Surface"):
-        clamped(SKIN)
     held = tuple(Fixed(on=name, components="x") for name in ("left", "right", "top", "bottom"))
     with pytest.raises(InputError, match=r"surface.on: free; every outer side has a condition"):
         simulate(replace(clamped(Surface(law=SKIN)), conditions=held), LAW)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from surrofe2 import LoadCase
+from surrofe2.macro.elements import Assembly, deformation_gradient, element_tangents, internal_force
 from surrofe2.macro.equations_of_motion import EquationsOfMotion
-from surrofe2.macro.internal_force import deformation_gradient, internal_force
 from surrofe2.macro.system import make_system
-from surrofe2.macro.tangents import make_assembly
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem import Fixed, Foundation, Problem
 from surrofe2.rve import RveLaw, RveSettings
@@ -38,9 +37,10 @@ def differences(bar, law, u, v, step, state=None):
 def exact(bar, law, u, v, state=None):
     F, F_dot, _ = deformation_gradient(bar.discretisation, u, v)
     answer = law.respond(F, F_dot, state, tangents=True)
-    P, assembly, slopes = answer.first_piola(F), make_assembly(bar), answer.tangents
-    by_u = assembly.of_elements(F, P, slopes.P_by_F)
-    by_v = assembly.of_elements(F, 0.0 * P, slopes.P_by_F_dot)
+    space, P, slopes = bar.discretisation, answer.first_piola(F), answer.tangents
+    assembly = Assembly.of(space.elements, bar.free, bar.n_rows)
+    by_u = element_tangents(space, F, P, slopes.P_by_F)
+    by_v = element_tangents(space, F, 0.0 * P, slopes.P_by_F_dot)
     return (assembly.sum(by_u), assembly.sum(by_v)), answer
 
 
@@ -89,7 +89,7 @@ def test_tangents_over_a_step_are_stiffness_and_damping_together(rng):
     system = make_system(problem, 0.08)
     equations = EquationsOfMotion(system, KelvinVoigt())
     y = state_vector(system, *random_state(system, rng))
-    now, assembly = equations.evaluate(0.0, y, tangents=True), make_assembly(system)
-    K, C = assembly.tangents(now)
-    whole = assembly.over_step(now, 0.2)
+    now = equations.evaluate(0.0, y, tangents=True)
+    K, C = equations.tangents(now)
+    whole = equations.tangents_over_step(now, 0.2)
     assert abs(whole - K - C / 0.2).max() < 1e-13 * abs(whole).max()

@@ -13,10 +13,8 @@ from surrofe2.plant_cell.tiles import unpack
 from surrofe2.rve import INITIALISATIONS, RveLaw
 from surrofe2.rve.particle_state import stored_energy
 from surrofe2.surface import SlabLaw
-from surrofe2.surface.bent_slab import TURN, bend
-from surrofe2.surface.side_free import side_free
-from surrofe2.surface.slab import GAP, make_slab
-from surrofe2.surface.slab_law import rows_across
+from surrofe2.surface.slab import GAP, TURN, bend, make_slab
+from surrofe2.surface.slab_law import rows_across, side_free
 from surrofe2.tissue import TissueDynamics, make_tissue, relax
 from tests.surface.slab_twin import SlabTwin
 

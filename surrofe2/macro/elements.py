@@ -1,0 +1,468 @@
+"""Finite elements: quadrature from bases of scikit-fem, F from displacement, forces from stress.
+
+The stress law is asked at several points of each element, numbered n_q e + q over the mesh.
+
+    quadrilaterals (4 nodes)   q = 0..3: 2 × 2 Gauss points,   q = 4: the element
+    triangles (6 nodes)        q = 0..2: 3 Gauss points
+
+Quadrilaterals are integrated selectively by two bases on one mesh: the deviator σ − tr(σ)/2 I
+counts at the Gauss points of the one, the pressure part tr(σ)/2 I at the single point of the other.
+That point stands for the whole element: its gradient is the mean over the element, weighted with
+the Gauss points' areas, and its weight their sum. This is the L² projection of the gradient to
+constants, which passes the patch test on elements that are no parallelograms, where the gradient at
+the centre does not. Triangles with as few points do not lock, and need all of their stress at each:
+a pressure that is constant in a triangle lets it bend for nothing.
+
+The loops over elements and points are compiled; of many points, all cores share them, and elements
+add up in their order whatever their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy  # scipy.sparse is loaded where tangents are added up
+import skfem
+from numba import prange
+from numpy.typing import NDArray
+
+from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.errors import InputError
+from surrofe2.base.tensors import cofactor, det
+from surrofe2.problem.mesh import element_nodes, region
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ELEMENTS = {4: skfem.ElementQuad1(), 6: skfem.ElementTriP2()}
+"""By the number of nodes."""
+CENTRE = {4: (0.5, 0.5), 6: (1.0 / 3.0, 1.0 / 3.0)}
+"""Of the unit square and the unit triangle, which are the references."""
+ORDER = {4: 3, 6: 2}
+"""Of the polynomials that the points at which the stress law is asked integrate exactly."""
+MANY = 2000
+"""Points from which on more than one core pays."""
+_PART = 64  # elements that a core takes at a time
+
+
+class Discretisation(NamedTuple):
+    """Arrays of the finite elements that never change; kernels take it as it is.
+
+    Attributes:
+        nodes: (n_nodes, 2) reference positions, µm.
+        elements: (n_el, k) nodes of each element, k = 4 or 6.
+        gradients: (n_el, n_q, k, 2) ∇N of node a by the reference position, 1/µm.
+        weights: (n_el, n_q) reference area of each point, µm²: the Gauss points together cover
+            the element once, and so does the last point of a quadrilateral.
+        shape: (n_q, k) shape functions at the points.
+    """
+
+    nodes: Array
+    elements: Index
+    gradients: Array
+    weights: Array
+    shape: Array
+
+    @property
+    def points_per_element(self) -> int:
+        """n_q."""
+        return int(self.weights.shape[1])
+
+    @property
+    def pressure_apart(self) -> bool:
+        """Whether the last point of an element carries the pressure, the others the deviator."""
+        return self.elements.shape[1] == 4
+
+    @property
+    def n_points(self) -> int:
+        """Points at which the stress law is asked."""
+        return int(self.weights.size)
+
+    @property
+    def areas(self) -> Array:
+        """(n_el,) reference areas, µm²."""
+        whole: Array = self.weights[:, -1] if self.pressure_apart else self.weights.sum(axis=1)
+        return whole
+
+    def at_points(self, values: Array) -> Array:
+        """(n_points, 2) at all points of what nodes have, (n_nodes, 2)."""
+        return np.einsum("qa,eai->eqi", self.shape, values[self.elements]).reshape(-1, 2)
+
+    def point_positions(self) -> Array:
+        """(n_points, 2) reference positions of all points, µm."""
+        return self.at_points(self.nodes)
+
+    def point_near(self, node: int) -> int:
+        """First quadrature point of an element at the node."""
+        return self.points_per_element * int(np.argwhere(self.elements == node)[0, 0])
+
+    def locate(self, point: Array, name: str = "point") -> tuple[Index, Array]:
+        """Nodes and shape functions at a reference position, so that values there are N_a u_a.
+
+        Raises:
+            InputError: it is outside the mesh.
+        """
+        at = np.flatnonzero((self.nodes == point).all(axis=1))
+        if at.size:
+            return at[:1], np.ones(1)
+        e, local = find_element(self.nodes, self.elements, point, name)
+        shape, _ = reference_shapes(self.elements.shape[1], local[:, None])
+        return self.elements[e], shape[0]
+
+
+def make_discretisation(mesh: skfem.Mesh) -> Discretisation:
+    """The finite elements of a mesh, integrated as the head of this file says.
+
+    Raises:
+        InputError: an element folds over within.
+    """
+    elements = element_nodes(mesh)
+    k = elements.shape[1]
+    basis = skfem.Basis(mesh, mesh.elem(), intorder=ORDER[k])
+    area = basis.mapping.detDF(basis.X)
+    area = area * np.sign(area.sum(axis=1, keepdims=True))
+    worst = int(area.min(axis=1).argmin())
+    if not area[worst].min() > 0.0:
+        x, y = mesh.p[:, elements[worst]].mean(axis=1)
+        raise InputError(f"mesh: element {worst} at ({x:.6g}, {y:.6g}) µm is inverted within")
+    gradients = np.stack([each[0].grad for each in basis.basis]).transpose(2, 3, 0, 1)
+    weights, points = basis.dx, basis.X
+    if k == 4:
+        whole = weights.sum(axis=1, keepdims=True)
+        mean = np.einsum("eq,eqaj->eaj", weights / whole, gradients)[:, None]
+        points = np.concatenate([points, np.array(CENTRE[k])[:, None]], axis=1)
+        gradients = np.concatenate([gradients, mean], axis=1)
+        weights = np.concatenate([weights, whole], axis=1)
+    return Discretisation(
+        nodes=np.ascontiguousarray(mesh.p.T),
+        elements=elements,
+        gradients=np.ascontiguousarray(gradients),
+        weights=np.ascontiguousarray(weights),
+        shape=reference_shapes(k, points)[0],
+    )
+
+
+def displacement_basis(mesh: skfem.Mesh) -> skfem.Basis:
+    """scikit-fem's basis of a displacement: unknown 2 a + i is component i of node a."""
+    return skfem.Basis(mesh, skfem.ElementVector(mesh.elem()))
+
+
+def n_points_of(mesh: skfem.Mesh) -> int:
+    """Points at which the stress law is asked on a mesh."""
+    return int(mesh.nelements) * (5 if isinstance(mesh, skfem.MeshQuad1) else 3)
+
+
+def points_by_region(
+    mesh: skfem.Mesh, names: Sequence[str], where: str = "regions"
+) -> dict[str, Index]:
+    """Numbers of the points in each of the regions, which together must be the whole mesh.
+
+    Args:
+        where: who asks, for the sentence.
+
+    Raises:
+        InputError: an element is in none of them or in two, or there is no region of a name.
+    """
+    claims = np.zeros(mesh.nelements, dtype=np.int64)
+    for name in names:
+        claims[region(mesh, name, where)] += 1
+    wrong = np.flatnonzero(claims != 1)
+    if wrong.size:
+        x, y = mesh.p[:, element_nodes(mesh)[wrong[0]]].mean(axis=1)
+        raise InputError(
+            f"{where}: element {wrong[0]} at ({x:.6g}, {y:.6g}) µm is in {claims[wrong[0]]} of "
+            f"{', '.join(names)}; every element must be in one"
+        )
+    n_q = n_points_of(mesh) // mesh.nelements
+    return {name: (n_q * region(mesh, name)[:, None] + np.arange(n_q)).ravel() for name in names}
+
+
+def find_element(
+    nodes: Array, elements: Index, point: Array, name: str = "point"
+) -> tuple[int, Array]:
+    """Number of an element that holds a reference position, and (2,) where in its reference.
+
+    scikit-fem's own search knows no triangles with curved sides.
+
+    Raises:
+        InputError: the position is outside the mesh.
+    """
+    corners, k = nodes[elements], elements.shape[1]
+    size = np.ptp(corners, axis=1)
+    low, high = corners.min(axis=1) - 0.1 * size, corners.max(axis=1) + 0.1 * size
+    for e in np.flatnonzero(((low <= point) & (point <= high)).all(axis=1)):
+        local = _local_position(corners[e], point)
+        outside = max(-local.min(), (local.max() if k == 4 else local.sum()) - 1.0)
+        if outside <= 1e-9:
+            return int(e), local
+    raise InputError(f"{name}: ({point[0]:.6g}, {point[1]:.6g}) µm; it must lie within the mesh")
+
+
+def reference_shapes(k: int, points: Array) -> tuple[Array, Array]:
+    """(q, k) shape functions and (q, k, 2) their slopes at points (2, q) of the reference."""
+    found = [ELEMENTS[k].lbasis(points, a) for a in range(k)]
+    values = [np.broadcast_to(value, points.shape[1]) for value, _ in found]
+    slopes = [np.broadcast_to(slope, points.shape) for _, slope in found]
+    return np.stack(values, axis=1), np.stack(slopes).transpose(2, 0, 1)
+
+
+def _local_position(corners: Array, point: Array) -> Array:
+    """(2,) reference coordinates of a point of an element, by Newton's method."""
+    k = len(corners)
+    local = np.array(CENTRE[k])
+    for _ in range(20):
+        shape, slopes = reference_shapes(k, local[:, None])
+        step = np.linalg.solve(corners.T @ slopes[0], shape[0] @ corners - point)
+        local = local - step
+        if abs(step).max() < 1e-14:
+            break
+    return local
+
+
+def deformation_gradient(space: Discretisation, u: Array, v: Array) -> tuple[Array, Array, Array]:
+    """F, Ḟ (n_points, 2, 2) and det F (n_points,) from u, v (n, 2), n at least the nodes."""
+    count = space.n_points
+    found = np.empty((count, 2, 2)), np.empty((count, 2, 2)), np.empty(count)
+    if count < MANY:
+        set_deformation(0, len(space.elements), space, u, v, found)
+    else:
+        _set_deformation_parallel(space, u, v, found)
+    return found
+
+
+def internal_force(space: Discretisation, F: Array, stress: Array, n: int | None = None) -> Array:
+    """Internal force on n rows, by default the nodes, (n, 2) in µN: the stress integral of (58).
+
+        f_a = ∫ dev σ ∇ₓN_a dv + ∫ tr(σ)/2 ∇ₓN_a dv,   ∇ₓN = F⁻ᵀ ∇N,   dv = det F dV,
+
+    the first integral over the Gauss points, the second at the last point of a quadrilateral, each
+    with gradient and volume at its own points (section 6.2); of a triangle both over the Gauss
+    points. Positions follow from the total displacement, so this is the updated Lagrangian form
+    without increments. Its power f·v is Σ dev σ : L dv + Σ tr(σ)/2 tr L dv at the same points. The
+    stress may be unsymmetric.
+
+    It enters (58) as M a = load − f; (58) is printed with both signs reversed.
+    """
+    of_elements = np.empty((*space.elements.shape, 2))
+    if space.n_points < MANY:
+        set_forces(0, len(space.elements), space, F, stress, of_elements)
+    else:
+        _set_forces_parallel(space, F, stress, of_elements)
+    total = np.zeros((len(space.nodes) if n is None else n, 2))
+    add_at_nodes(space.elements, of_elements, total)
+    return total
+
+
+def counted(space: Discretisation, stress: Array) -> Array:
+    """(n_el, n_q, 2, 2) the part of a stress (n_points, 2, 2) that counts at each point: all of it
+    in triangles; in quadrilaterals the pressure part at the last point, else the deviator.
+    """
+    stress = stress.reshape(*space.weights.shape, 2, 2)
+    if not space.pressure_apart:
+        return stress
+    part = 0.5 * np.einsum("eqii->eq", stress)[:, :, None, None] * np.eye(2)
+    part[:, :-1] = stress[:, :-1] - part[:, :-1]
+    return part
+
+
+def element_mean_stress(space: Discretisation, F: Array, stress: Array) -> Array:
+    """(n_el, 2, 2) Cauchy stress: mean over the Gauss points by current area, of quadrilaterals
+    that of the deviator, and the pressure part of the last point.
+    """
+    gauss = slice(0, -1) if space.pressure_apart else slice(None)
+    area = (det(F).reshape(space.weights.shape) * space.weights)[:, gauss]
+    part = counted(space, stress)
+    mean: Array = np.einsum("eq,eqij->eij", area, part[:, gauss])
+    mean /= area.sum(axis=1)[:, None, None]
+    return mean + part[:, -1] if space.pressure_apart else mean
+
+
+def element_mean_F(space: Discretisation, F: Array) -> Array:
+    """(n_el, 2, 2) mean of F (n_points, 2, 2) over each element."""
+    F = F.reshape(*space.weights.shape, 2, 2)
+    if space.pressure_apart:
+        return F[:, -1]
+    mean: Array = np.einsum("eq,eqij->eij", space.weights, F)
+    return mean / space.areas[:, None, None]
+
+
+def stress_power(space: Discretisation, F: Array, F_dot: Array, stress: Array) -> Array:
+    """(n_el,) power of a stress in each element, pJ/µs; together internal force times velocity."""
+    first_piola = counted(space, stress).reshape(F.shape) @ cofactor(F)
+    power = np.einsum("nij,nij->n", first_piola, F_dot).reshape(space.weights.shape)
+    whole: Array = (power * space.weights).sum(axis=1)
+    return whole
+
+
+def element_tangents(space: Discretisation, F: Array, P: Array, slope: Array) -> Array:
+    """(n_el, k, 2, k, 2) Σ w ∇N_a · ∂T/∂F · ∇N_b of each element.
+
+    T is the first Piola stress of a point or, in quadrilaterals, the part of it that counts there.
+
+    Args:
+        P, slope: (n_points, 2, 2) stress, (n_points, 2, 2, 2, 2) ∂P/∂F; or 0 and ∂P/∂Ḟ.
+    """
+    if space.pressure_apart:
+        slope = _effective_slope(F, P, slope, space.points_per_element)
+    # Σ_q w_q ∇N_a,j ∂T_ij/∂F_kl ∇N_b,l, rows (a, i), columns (b, k) of each element.
+    slope = slope.reshape(*space.weights.shape, 2, 2, 2, 2)
+    right = np.einsum("eqijkl,eqbl->eqijbk", slope, space.gradients)
+    weighted = space.weights[:, :, None, None] * space.gradients
+    return np.einsum("eqaj,eqijbk->eaibk", weighted, right)
+
+
+def _effective_slope(F: Array, P: Array, slope: Array, points_per_element: int) -> Array:
+    """∂T/∂F (n_points, 2, 2, 2, 2), T the part of P that a point of a quadrilateral contributes.
+
+    The force is Σ w T ∇N with T = J dev(σ) F⁻ᵀ at Gauss points and J tr(σ)/2 F⁻ᵀ at the last.
+    As J tr σ = P : F, the pressure part is T_c = ½ (P : F) F⁻ᵀ, the deviator's P − T_c, and
+
+        ∂T_c,ij/∂F_kl = ½ (P_kl + F_mn ∂P_mn/∂F_kl) F⁻ᵀ_ij − ½ (P : F) F⁻ᵀ_il F⁻ᵀ_kj
+        ∂T_c,ij/∂Ḟ_kl = ½ F_mn ∂P_mn/∂Ḟ_kl F⁻ᵀ_ij
+    """
+    inverse_T = np.asarray(np.linalg.inv(F), dtype=np.float64).transpose(0, 2, 1)
+    of_work = P + np.einsum("nij,nijkl->nkl", F, slope)
+    parts = 0.5 * np.einsum("nij,nkl->nijkl", inverse_T, of_work)
+    work = np.einsum("nij,nij->n", P, F)
+    parts -= 0.5 * np.einsum("n,nil,nkj->nijkl", work, inverse_T, inverse_T)
+    gauss = np.arange(len(F)) % points_per_element < points_per_element - 1
+    parts[gauss] = slope[gauss] - parts[gauss]
+    return parts
+
+
+class Assembly(NamedTuple):
+    """Adds up element matrices for the m free unknowns of a system, by a pattern made once.
+
+    Attributes:
+        kept: (k,) entries of the flattened element matrices between free unknowns.
+        slot: (k,) place of each of them among the stored values, many to one.
+        indices, indptr: of the compressed columns.
+    """
+
+    kept: Index
+    slot: Index
+    indices: Index
+    indptr: Index
+
+    @classmethod
+    def of(cls, elements: Index, free: Index, n_rows: int) -> Assembly:
+        """The pattern of elements (n_el, k) between the free ones of 2 n_rows unknowns."""
+        number = np.full(2 * n_rows, -1)
+        number[free] = np.arange(free.size)
+        unknowns = number[(2 * elements[:, :, None] + np.arange(2)).reshape(len(elements), -1)]
+        row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+        kept = np.flatnonzero((row >= 0) & (column >= 0))
+        code, slot = np.unique((column * free.size + row).ravel()[kept], return_inverse=True)
+        indptr = np.searchsorted(code, free.size * np.arange(free.size + 1))
+        return cls(kept, slot, code % free.size, indptr)
+
+    def sum(self, element_matrices: Array) -> scipy.sparse.csc_matrix:
+        """Sum of the elements' matrices between their 2 k unknowns, sparse (m, m)."""
+        entries, size = element_matrices.ravel()[self.kept], self.indptr.size - 1
+        values = np.bincount(self.slot, weights=entries, minlength=self.indices.size)
+        return scipy.sparse.csc_matrix((values, self.indices, self.indptr), shape=(size, size))
+
+
+def assembled(blocks: Array, nodes: Index, size: int) -> scipy.sparse.csc_matrix:
+    """Sum of matrices (m, k, 2, k, 2) between the unknowns of nodes (m, k), (size, size)."""
+    unknowns = (2 * nodes[:, :, None] + np.arange(2)).reshape(len(nodes), -1)
+    row, column = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+    entries = blocks.ravel(), (row.ravel(), column.ravel())
+    return scipy.sparse.csc_matrix(entries, shape=(size, size))
+
+
+@kernel
+def set_deformation(begin: Any, end: Any, space: Any, u: Any, v: Any, set_at: Any) -> None:
+    """Set F = I + Σ_a u_a ⊗ ∇N_a, Ḟ = Σ_a v_a ⊗ ∇N_a and J = det F of elements `begin` to `end`.
+
+    Args:
+        space: `Discretisation`.
+        u, v: (n, 2).
+        set_at: F, Ḟ (n_q n_el, 2, 2) and J (n_q n_el,).
+    """
+    elements, gradients, (F, F_dot, J) = space.elements, space.gradients, set_at
+    n_q, k = gradients.shape[1], gradients.shape[2]
+    nodal = np.zeros((k, 4))
+    for e in range(begin, end):
+        for a in range(k):
+            row = elements[e, a]
+            for i in range(2):
+                nodal[a, i] = u[row, i]
+                nodal[a, 2 + i] = v[row, i]
+        for q in range(n_q):
+            p = n_q * e + q
+            xx, xy, yx, yy, vxx, vxy, vyx, vyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for a in range(k):
+                gx, gy = gradients[e, q, a, 0], gradients[e, q, a, 1]
+                xx += nodal[a, 0] * gx
+                xy += nodal[a, 0] * gy
+                yx += nodal[a, 1] * gx
+                yy += nodal[a, 1] * gy
+                vxx += nodal[a, 2] * gx
+                vxy += nodal[a, 2] * gy
+                vyx += nodal[a, 3] * gx
+                vyy += nodal[a, 3] * gy
+            xx, yy = xx + 1.0, yy + 1.0
+            F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = xx, xy, yx, yy
+            F_dot[p, 0, 0], F_dot[p, 0, 1], F_dot[p, 1, 0], F_dot[p, 1, 1] = vxx, vxy, vyx, vyy
+            J[p] = xx * yy - xy * yx
+
+
+@parallel_kernel
+def _set_deformation_parallel(space: Any, u: Any, v: Any, set_at: Any) -> None:
+    for part in prange((space.elements.shape[0] + _PART - 1) // _PART):
+        end = min((part + 1) * _PART, space.elements.shape[0])
+        set_deformation(part * _PART, end, space, u, v, set_at)
+
+
+@kernel
+def set_forces(begin: Any, end: Any, space: Any, F: Any, stress: Any, forces: Any) -> None:
+    """Set f_a = Σ_Gauss J w dev(σ) F⁻ᵀ∇N_a + Σ_last J w tr(σ)/2 F⁻ᵀ∇N_a of elements.
+
+    Of triangles Σ_Gauss J w σ F⁻ᵀ∇N_a. J F⁻ᵀ is the cofactor of F, so nothing is divided.
+
+    Args:
+        begin, end: of the elements.
+        space: `Discretisation`.
+        F, stress: (n_q n_el, 2, 2).
+        forces: (n_el, k, 2), µN.
+    """
+    n_q, k = space.gradients.shape[1], space.gradients.shape[2]
+    for e in range(begin, end):
+        forces[e] = 0.0
+        for q in range(n_q):
+            p = n_q * e + q
+            s00, s01, s10, s11 = stress[p, 0, 0], stress[p, 0, 1], stress[p, 1, 0], stress[p, 1, 1]
+            if k == 4:
+                pressure = 0.5 * (s00 + s11)
+                if q < n_q - 1:
+                    s00, s11 = s00 - pressure, s11 - pressure
+                else:
+                    s00, s11, s01, s10 = pressure, pressure, 0.0, 0.0
+            w = space.weights[e, q]
+            c00, c01, c10, c11 = F[p, 1, 1], -F[p, 1, 0], -F[p, 0, 1], F[p, 0, 0]
+            p00, p01 = w * (s00 * c00 + s01 * c10), w * (s00 * c01 + s01 * c11)
+            p10, p11 = w * (s10 * c00 + s11 * c10), w * (s10 * c01 + s11 * c11)
+            for a in range(k):
+                gx, gy = space.gradients[e, q, a, 0], space.gradients[e, q, a, 1]
+                forces[e, a, 0] += p00 * gx + p01 * gy
+                forces[e, a, 1] += p10 * gx + p11 * gy
+
+
+@parallel_kernel
+def _set_forces_parallel(space: Any, F: Any, stress: Any, forces: Any) -> None:
+    for part in prange((space.elements.shape[0] + _PART - 1) // _PART):
+        end = min((part + 1) * _PART, space.elements.shape[0])
+        set_forces(part * _PART, end, space, F, stress, forces)
+
+
+@kernel
+def add_at_nodes(elements: Any, forces: Any, total: Any) -> None:
+    """Add forces (n_el, k, 2) on the nodes of elements to `total` (n, 2), in their order."""
+    for e in range(elements.shape[0]):
+        for a in range(elements.shape[1]):
+            row = elements[e, a]
+            total[row, 0] += forces[e, a, 0]
+            total[row, 1] += forces[e, a, 1]
