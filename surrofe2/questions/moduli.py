@@ -170,7 +170,7 @@ def moduli_tables(cell: CellParameters, found: Mapping[str, CellModuli]) -> dict
                 {"initialisation": method, **_moduli_of(getattr(each, kind) / over)}
                 for method, each in found.items()
             ]
-            columns = Quantity[Any]("initialisation", "", ""), *_columns(MODULI)
+            columns = Quantity("initialisation", "", ""), *_columns(MODULI)
             tables[f"{kind.capitalize()} moduli, {of}{unit}"] = Table(columns, rows)
     return tables
 
