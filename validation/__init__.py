@@ -6,7 +6,7 @@
                    what a study is given
     damped_fit     period and decrement of a curve
     rve            fig5, fig6, rates: initialisations of an RVE against its integration in time
-    bars           fig8, scales, damping: bending bars by FE² against the full tissue
+    bars           fig8, scales: bending bars by FE² against the full tissue
     tissues        problems, thin: other problems; thin tissue with the law of its free sides
     ablation       what each part of the surrogate is worth, beside other regressions
     arrangements   irregular plant cells: equilibria of their fluid, and Cauchy–Born

@@ -17,7 +17,6 @@ STUDIES: Mapping[str, tuple[str, str, str]] = {
     "fig8": ("bars", "figure_8", "the bending bar by each initialisation against the full tissue"),
     "rates": ("rve", "rates", "error of each initialisation as the rate goes down"),
     "scales": ("bars", "scales", "slow manifold against full tissues of more and more plant cells"),
-    "damping": ("bars", "damping", "decrements over mesh, tolerances, micro step and ways to fit"),
     "problems": ("tissues", "problems", "strip, block between plates and skin against tissues"),
     "thin": ("tissues", "thin", "thin tissue with and without the surface law of its free sides"),
     "arrangements": ("arrangements", "arrangements", "irregular cells: equilibria, Cauchy–Born"),

@@ -1,15 +1,10 @@
-"""Bending bars by FE² against the full tissue: figure 8, growing bars, and their damping.
+"""Bending bars by FE² against the full tissue: figure 8, and growing bars.
 
 Growing bars (past the paper): a bar of n × n plant cells is 25 n µm wide, its body force
 0.2 · 16/n µm/µs² and its times n/16 of those of 16 × 16, so that strains stay alike and only the
 rates fall, with 1/n. What FE² gets wrong is of three kinds: the mesh (falls with the size of
 elements), the finite size of plant cells (falls with 1/n), and the initialisation. From three
 meshes, each with half the elements of the next, the first is taken out by Aitken's extrapolation.
-
-Damping: the decrement is read off a curve by a least-squares fit, which has an error of its own:
-more modes than two are in the curve, and the longest ones beat. So each curve is fitted in several
-ways, and what they differ by is the uncertainty; the ratio to the tissue's decrement is taken fit
-by fit, since what a fit leaves out it leaves out of both.
 """
 
 from __future__ import annotations
@@ -17,10 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-import numpy as np
-
 from surrofe2.report.study import NamedCell, Study
-from surrofe2.report.tables import Quantity, Table
+from surrofe2.report.tables import Table
 from surrofe2.rve import INITIALISATIONS
 from validation.case import (
     FE2,
@@ -28,7 +21,6 @@ from validation.case import (
     TISSUE,
     Case,
     Row,
-    Run,
     Setting,
     compare,
     curves_panel,
@@ -43,31 +35,12 @@ MICRO_STEP = 2e-3
 """Of the full tissue, µs."""
 BAR = "bar"
 MESHES, SIZES = (4, 8, 16), (8, 16, 32)
-DAMPING_METHODS = ("elastic", "constrained-runs", FE2)
-TIGHTER = 0.1
 LIMIT = "mesh limit"
 
 
-def bar(
-    of: NamedCell,
-    method: str,
-    mesh: int = 0,
-    n: int = 16,
-    *,
-    tolerance_factor: float = 1.0,
-    micro_step: float = MICRO_STEP,
-    linear: bool = False,
-) -> Case:
-    """The paper's bar of n × n plant cells of 25 µm on mesh × mesh elements, or as a tissue.
-
-    Args:
-        tolerance_factor: of the macro run's tolerances.
-        micro_step: of the tissue, µs.
-    """
+def bar(of: NamedCell, method: str, mesh: int = 0, n: int = 16, *, linear: bool = False) -> Case:
+    """The paper's bar of n × n plant cells of 25 µm on mesh × mesh elements, or as a tissue."""
     side, scale = 25.0 * n, n / 16.0
-    small = ", small load" if linear and method != TISSUE else ""
-    tighter = f", tolerances x {tolerance_factor:g}" if tolerance_factor != 1.0 else ""
-    step = f", step {micro_step:g} µs" if micro_step != MICRO_STEP else ""
     table = {
         "load": {
             "width": side,
@@ -79,12 +52,12 @@ def bar(
         },
         "macro": {
             "elements": [mesh, mesh] if mesh else [4, 4],
-            "relative_tolerance": tolerance_factor * RELATIVE_TOLERANCE,
-            "absolute_tolerance": tolerance_factor * ABSOLUTE_TOLERANCE,
+            "relative_tolerance": RELATIVE_TOLERANCE,
+            "absolute_tolerance": ABSOLUTE_TOLERANCE,
             "record_dissipation": False,
             "frames": 2,
         },
-        "tissue": {"micro_step": micro_step, "frames": 2},
+        "tissue": {"micro_step": MICRO_STEP, "frames": 2},
     }
     return Case(
         problem=BAR,
@@ -94,7 +67,7 @@ def bar(
         table=table,
         measures=("period", "decrement") if linear else ("first minimum", "period", "decrement"),
         linear=linear,
-        note=tighter + step + small,
+        note=", small load" if linear and method != TISSUE else "",
     )
 
 
@@ -131,7 +104,7 @@ def scales(setting: Setting) -> Study:
         panels=tuple(
             off_panel(
                 f"{FE2}: {name}",
-                "plant cells a side",
+                "plant cells along a side",
                 [
                     (row.run_name, row.case.across, row.off)
                     for row in rows
@@ -166,47 +139,3 @@ def aitken(a: float, b: float, c: float) -> float:
     if first == 0.0 or not 0.0 < second / first < 0.9:
         return float("nan")
     return float(c + second**2 / (first - second))
-
-
-def damping(setting: Setting) -> Study:
-    """Excess of the decrement over the tissue's for each run, with the spread over the fits."""
-    of, meshes = setting.of, setting.meshes or MESHES
-    cases = [bar(of, TISSUE), bar(of, TISSUE, micro_step=0.5 * MICRO_STEP)]
-    for mesh in meshes:
-        for method in DAMPING_METHODS:
-            cases.append(bar(of, method, mesh))
-            if mesh < max(meshes) or len(meshes) == 1:
-                cases.append(bar(of, method, mesh, tolerance_factor=TIGHTER))
-    runs = setting.runs(cases)
-    return describe_damping(runs)
-
-
-def describe_damping(runs: Sequence[Run]) -> Study:
-    """The first of the runs is the tissue."""
-    tissue = np.array(runs[0].decrements)
-
-    def excess(run: Run) -> np.ndarray:
-        return 100.0 * (np.array(run.decrements) / tissue - 1.0)
-
-    quantities: tuple[Quantity[Run], ...] = (
-        Quantity("run", "", "", lambda run: run.case.run_name),
-        Quantity("period", "µs", ".2f", lambda run: run.fit.first.period),
-        Quantity("decrement", "", ".4f", lambda run: run.fit.first.decrement),
-        Quantity("standard error", "", ".4f", lambda run: run.fit.decrement_error),
-        Quantity("lowest of all fits", "", ".4f", lambda run: min(run.decrements)),
-        Quantity("highest of all fits", "", ".4f", lambda run: max(run.decrements)),
-        Quantity("excess over the tissue's", "%", "+.1f", lambda run: float(excess(run)[0])),
-        Quantity("lowest excess", "%", "+.1f", lambda run: float(excess(run).min())),
-        Quantity("highest excess", "%", "+.1f", lambda run: float(excess(run).max())),
-        Quantity("fit residual", "µm", ".3f", lambda run: run.fit.residual),
-    )
-    drawn = [
-        (run.case.method, run.case.elements[0], float(excess(run)[0]))
-        for run in runs
-        if run.case.elements and not run.case.note
-    ]
-    return Study(
-        title="Damping of the bar against the full tissue",
-        panels=(off_panel("decrement", "elements a side", drawn),),
-        table=Table(quantities, runs),
-    )

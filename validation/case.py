@@ -146,33 +146,6 @@ class Case:
         return run
 
 
-@dataclass(frozen=True, slots=True)
-class Fitting:
-    """Fit of `modes` damped modes to the samples between two fractions of the curve."""
-
-    name: str
-    modes: int
-    begin: float = 0.0
-    end: float = 1.0
-
-    def fit(self, t: Array, u: Array) -> DampedFit:
-        """Of u(t), µm over µs."""
-        span = t[-1] - t[0]
-        within = (t >= self.begin * span) & (t <= self.end * span)
-        return fit_damped_modes(t[within], u[within], self.modes)
-
-
-FITTINGS = (
-    Fitting("two modes", 2),
-    Fitting("three modes", 3),
-    Fitting("four modes", 4),
-    Fitting("two modes, last four fifths", 2, 0.2),
-    Fitting("two modes, last three fifths", 2, 0.4),
-    Fitting("two modes, first four fifths", 2, 0.0, 0.8),
-)
-"""The first is the one of the figures (docs/theory.md, period and decrement)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Run:
     """A run: t (m,) µs, what is watched u (m,) in µm or µN, and the wall time in s."""
@@ -184,14 +157,8 @@ class Run:
 
     @cached_property
     def fit(self) -> DampedFit:
-        """By the first of `FITTINGS`."""
-        return FITTINGS[0].fit(self.t, self.u)
-
-    @cached_property
-    def decrements(self) -> tuple[float, ...]:
-        """By all of `FITTINGS`."""
-        rest = (each.fit(self.t, self.u).first.decrement for each in FITTINGS[1:])
-        return self.fit.first.decrement, *rest
+        """Two damped modes."""
+        return fit_damped_modes(self.t, self.u)
 
 
 MEASURES: Mapping[str, tuple[str, Callable[[Run], float]]] = {

@@ -1,7 +1,7 @@
 """Damped modes in a displacement curve: period and logarithmic decrement.
 
 See docs/theory.md, period and decrement.
-Least squares of a constant and exponentially damped cosines, two unless told otherwise::
+Least squares of a constant and two exponentially damped cosines::
 
     u(t) ≈ c + Σₖ e^(−δₖ t) (aₖ cos ωₖ t + bₖ sin ωₖ t),    k = 1, 2
 
@@ -38,32 +38,28 @@ class Mode:
 @dataclass(frozen=True, slots=True)
 class DampedFit:
     """constant: the state of rest, µm. first: the mode of largest amplitude. residual: largest
-    difference between fit and curve, rms: its root mean square, µm. decrement_error: standard
-    error of the first mode's decrement from the residuals' covariance."""
+    difference between fit and curve, rms: its root mean square, µm."""
 
     constant: float
     first: Mode
     second: Mode
     residual: float
     rms: float
-    decrement_error: float
 
 
-def fit_damped_modes(t: Array, u: Array, count: int = 2) -> DampedFit:
-    """Fit a constant and `count` damped modes to u(t); t in µs, evenly spaced, u in µm.
+def fit_damped_modes(t: Array, u: Array) -> DampedFit:
+    """Fit a constant and two damped modes to u(t); t in µs, evenly spaced, u in µm.
 
     Raises:
-        InputError: fewer than 20 samples, a curve that does not move, or a count below 2.
+        InputError: fewer than 20 samples or a curve that does not move.
     """
-    if count < 2:
-        raise InputError(f"damped fit: {count} modes; it must be at least 2")
     t, u = np.asarray(t, np.float64) - t[0], np.asarray(u, np.float64)
     if t.ndim != 1 or t.shape != u.shape or len(t) < 20:
         raise InputError(f"damped fit: t {t.shape} and u {u.shape}; both must be (m,), m ≥ 20")
     if not np.isfinite(u).all() or np.ptp(u) == 0.0:
         raise InputError("damped fit: the curve must be finite and move")
     modes = np.empty((0, 2))
-    for _ in range(count):
+    for _ in range(2):
         trials = [_refined(t, u, np.vstack([modes, (w, 0.0)])) for w in _omegas(t, u, modes)]
         modes = min(trials, key=lambda trial: _cost(t, u, trial))
     return _summary(t, u, modes)
@@ -149,26 +145,4 @@ def _summary(t: Array, u: Array, modes: Array) -> DampedFit:
         second=mode(second),
         residual=float(np.abs(left).max()),
         rms=float(np.sqrt(np.mean(left**2))),
-        decrement_error=_decrement_error(t, u, modes, first),
     )
-
-
-def _decrement_error(t: Array, u: Array, modes: Array, k: int) -> float:
-    """Standard error of the k-th decrement 2π δ/ω.
-
-    The covariance s² (JᵀJ)⁻¹ of (ω, δ), J by central differences of the projected residual, times
-    (1 + r)/(1 − r), r the correlation of neighbouring residuals: samples that err alike count less.
-    """
-    step, left = 1e-6 / t[-1], _projected(t, u, modes)[1]
-    moves = (step * np.eye(modes.size)).reshape(-1, *modes.shape)
-    J = np.stack(
-        [_projected(t, u, modes + e)[1] - _projected(t, u, modes - e)[1] for e in moves], axis=1
-    ) / (2.0 * step)
-    power = float(left @ left)
-    alike = float(np.clip(left[1:] @ left[:-1] / power, 0.0, 0.999)) if power > 0.0 else 0.0
-    freedom = max(len(t) - 2 * modes.size - 1, 1)
-    variance = power / freedom * (1.0 + alike) / (1.0 - alike)
-    part = variance * np.linalg.pinv(J.T @ J)[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
-    omega, delta = modes[k]
-    slope = np.array([-2.0 * np.pi * delta / omega**2, 2.0 * np.pi / omega])
-    return float(np.sqrt(max(slope @ part @ slope, 0.0)))

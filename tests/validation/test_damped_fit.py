@@ -48,26 +48,3 @@ def test_refusals():
         fit_damped_modes(T, 0.0 * T)
     with pytest.raises(InputError, match="has none"):
         first_minimum(T, T)
-
-
-def noisy(noise, seed):
-    u = curve(50.0, 0.04, 16.0, 0.0) + curve(17.0, 0.04, 0.7, 0.0)
-    return u + noise * np.random.default_rng(seed).normal(size=T.size)
-
-
-def test_standard_error_is_the_scatter_of_noisy_curves():
-    fits = [fit_damped_modes(T, noisy(0.05, seed)) for seed in range(12)]
-    scatter = np.std([fit.first.decrement for fit in fits], ddof=1)
-    told = np.mean([fit.decrement_error for fit in fits])
-    assert told == pytest.approx(scatter, rel=0.6)
-    assert abs(np.mean([fit.first.decrement for fit in fits]) - 0.04) < scatter
-
-
-def test_a_third_mode_needs_a_third_mode():
-    third = 0.05 * np.exp(-0.02 * T) * np.cos(2.0 * np.pi * T / 9.0)
-    u = noisy(0.0, 0) + third
-    two, three = fit_damped_modes(T, u), fit_damped_modes(T, u, 3)
-    assert three.residual < 1e-5 < 0.02 < two.residual
-    assert three.first.decrement == pytest.approx(0.04, rel=1e-5)
-    with pytest.raises(InputError, match="1 modes; it must be at least 2"):
-        fit_damped_modes(T, u, 1)
