@@ -68,7 +68,7 @@ def report(
 
     Example: [bold]surrofe2 report out/rve out/cached[/bold]
     """
-    from surrofe2.workflow.comparison import write_report
+    from surrofe2.workflow.report import write_report
 
     path = write_report(runs, runs[0].parent / "report.html" if out is None else out)
     console.done(path, f"{path.stat().st_size / 1e6:.2g} MB")

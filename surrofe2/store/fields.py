@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import FileError
-from surrofe2.rve.particles import Particles
 from surrofe2.store.hdf5 import Kind, reading, store_array, writing
 from surrofe2.store.store import read_text, write_text
 
 if TYPE_CHECKING:
     from surrofe2.macro.history import Frames
+    from surrofe2.rve.particles import Particles
     from surrofe2.tissue.history import ParticleFrames
 
 Array = NDArray[np.float64]

@@ -1,30 +1,17 @@
-"""Runs against each other, and runs on one page."""
+"""Runs against each other; it only reads files, and needs no numerics."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from surrofe2.base.errors import InputError, MismatchError
-from surrofe2.report.comparison import Comparison, compare, order_runs, write_comparison_plot
-from surrofe2.report.page import page_of
-from surrofe2.report.player import OF_ELEMENTS, OF_POINTS, ReportData, RunData
-from surrofe2.store.fields import DISPLACEMENT_NAME, FIELDS, POINTS, read_fields
-from surrofe2.store.run_folder import EVENTS, StoredRun, read_run
-from surrofe2.store.store import (
-    check_replaceable,
-    digest,
-    keep,
-    read_bytes,
-    read_columns,
-    write_text,
-)
+from surrofe2.report.comparison import Comparison, compare, write_comparison_plot
+from surrofe2.store.run_folder import read_run
+from surrofe2.store.store import digest, keep
 
-_MOST_PICTURES = 4
 _THIN = 20
 """Plant cells across, beyond which free sides matter less than 2.5 %."""
 COMPARISON_FILES = ("comparison.json", "comparison.png")
@@ -70,65 +57,3 @@ def missing_notes(folders: Sequence[str | Path]) -> list[str]:
                 'on = "free" gives its sides a law'
             )
     return notes
-
-
-def write_report(folders: Sequence[str | Path], out: str | Path) -> Path:
-    """Write one HTML file on these runs, which needs nothing else; its path.
-
-    Args:
-        out: the file; a page that is there is replaced, and no other file.
-
-    Raises:
-        FileError: a folder has no run, or the file cannot be written.
-        InputError: a run has not begun to have results, or no folder is given.
-    """
-    if not folders:
-        raise InputError("report: no run folder; give at least one")
-    path, page = Path(out), page_of(load_runs(folders))
-    check_replaceable(path, "page", "<!doctype html>", "surrofe2")
-    write_text(path, page)
-    return path
-
-
-def load_runs(folders: Sequence[str | Path]) -> ReportData:
-    """What these run folders hold, the reference first."""
-    runs = [read_run(folder, finished=False) for folder in folders]
-    if len(runs) == 1:
-        return ReportData(
-            (_load(runs[0]),), None, "One run, so there is nothing to compare it with."
-        )
-    seen = tuple(_load(run) for run in order_runs(runs))
-    try:
-        return ReportData(seen, compare(runs))
-    except MismatchError as error:
-        return ReportData(seen, None, f"Not compared: {error}.")
-
-
-def _load(run: StoredRun) -> RunData:
-    folder = run.folder
-    energies = folder / "energies.csv"
-    columns = read_columns(energies) if energies.exists() else {}
-    has_fields, has_points = ((folder / f"{name}.h5").exists() for name in (FIELDS, POINTS))
-    zooms = sorted(folder.glob("zoom-*/zoom.png"))[:_MOST_PICTURES]
-    return RunData(
-        run=run,
-        energies=columns,
-        fields=read_fields(folder, [DISPLACEMENT_NAME], OF_ELEMENTS) if has_fields else None,
-        points=read_fields(folder, (), OF_POINTS, POINTS).values if has_points else {},
-        events=_events(folder / EVENTS),
-        particles={path.parent.name: read_bytes(path) for path in zooms},
-    )
-
-
-def _events(path: Path) -> list[Mapping[str, Any]]:
-    """Whole lines of a log; what was cut off at its end is left out."""
-    if not path.exists():
-        return []
-    found: list[Mapping[str, Any]] = []
-    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
-        try:
-            event = json.loads(line)
-        except ValueError:
-            continue
-        found += [event] if isinstance(event, dict) else []
-    return found

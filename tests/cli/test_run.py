@@ -15,7 +15,8 @@ from surrofe2.recipe.recipe import load_recipe
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.workflow import laws
-from surrofe2.workflow.comparison import compare_runs, write_report
+from surrofe2.workflow.comparison import compare_runs
+from surrofe2.workflow.report import write_report
 from surrofe2.workflow.run import run_study, step_notes
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from surrofe2.workflow.comparison import write_report
+from surrofe2.workflow.report import write_report
 from tests.report.browser import PROGRAM, Browser
 from tests.report.made_runs import made_runs
 

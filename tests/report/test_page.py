@@ -21,7 +21,7 @@ from surrofe2.report.html import chart
 from surrofe2.report.player import bodies_of, motion_section
 from surrofe2.run.charts import Curve, Panel
 from surrofe2.store.run_folder import read_record, write_record
-from surrofe2.workflow.comparison import load_runs, write_report
+from surrofe2.workflow.report import load_runs, write_report
 from tests.laws import KelvinVoigt
 from tests.report.made_runs import EVIL, RISK, made_runs
 
