@@ -31,13 +31,13 @@ def main():
     fields = StoredFields(
         run.nodes, run.elements, frames.t, {DISPLACEMENT_NAME: frames.displacement}
     )
-    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
+    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     draw_tissue(left, fields, k, by_rve[k] * 1.0, Colours("", 0.0, 1.0, "viridis"))
     for each in left.collections:
         each.set(cmap=ListedColormap([*SOURCES.values()]))
     handles = [Patch(color=colour, label=name) for name, colour in SOURCES.items()]
-    left.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), frameon=False,
+    left.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False,
                 ncols=2, title="Where the stress comes from")  # fmt: skip
 
     strain = np.abs(frames.F[k] - np.eye(2)).max(axis=(1, 2))
@@ -47,7 +47,6 @@ def main():
     drawn = draw_cells(right, seen, 0, walls, fluid, half=26.0)
     walls.bar(right, drawn[0], "bottom")
     fluid.bar(right, drawn[1])
-    right.set_title("plant cells there", fontsize=10)
     corners = (fields.points + fields.displacement[k])[run.elements[element]]
     pointer = ConnectionPatch(
         corners.mean(axis=0), (0.0, 0.6), coordsA="data", coordsB="axes fraction",
