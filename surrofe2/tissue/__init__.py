@@ -1,9 +1,9 @@
 """The full microscopic tissue: every particle of every plant cell, nothing homogenised.
 
-Reading order: settings, layout (which particles there are), pair_kinds and
-pair_lists (who interacts), mixture (several types of plant cells), acting (prescribed motion, the
-outline), contact (rigid bodies), kernels, dynamics (particles in motion), conditions (a problem
-made particles), relaxation (at rest without load), stable_step, history, simulation (a run).
+Reading order: settings, layout (which particles there are); pair_kinds, pair_constants and
+pair_lists (who interacts, and how strongly); external_forces (prescribed motion, the outline, rigid
+bodies), kernels, dynamics (particles in motion); conditions (a problem made particles), relaxation
+(at rest without load, and the step that is stable there), history, simulation (a run).
 """
 
 from __future__ import annotations

@@ -25,8 +25,16 @@ from surrofe2.problem.conditions import (
 from surrofe2.problem.mesh import boundary
 from surrofe2.problem.problem import Problem, Support, label, supports_of, without_overlap
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody, Shape, check_outside
-from surrofe2.tissue.acting import NO_DRIVE, Drive, Edges
-from surrofe2.tissue.contact import CIRCLE, CORNER, NO_PLATES, PLANE, Plates
+from surrofe2.tissue.external_forces import (
+    CIRCLE,
+    CORNER,
+    NO_BODIES,
+    NO_DRIVEN,
+    PLANE,
+    BodyContacts,
+    DrivenParticles,
+    OutlineForces,
+)
 from surrofe2.tissue.layout import Tissue, shares
 from surrofe2.tissue.pair_lists import bonded_particles
 
@@ -136,14 +144,14 @@ class Conditions:
                 found[n, self.boundary(load.on)] = lengths * np.array(load.traction)
         return found
 
-    def drive(self) -> Drive:
+    def driven(self) -> DrivenParticles:
         """Motion of the supports that move, numbered as in `motions`."""
         if not self.moving:
-            return NO_DRIVE._replace(work=np.zeros(1))
+            return NO_DRIVEN._replace(work=np.zeros(1))
         i, axis = np.divmod(np.concatenate([each.unknowns for each in self.moving]), 2)
         sizes = [len(each.unknowns) for each in self.moving]
         tile, own, lane = self._address(i).T
-        return Drive(
+        return DrivenParticles(
             at=np.stack([tile, axis, own, lane], axis=1),
             motion=np.repeat(np.arange(len(sizes)), sizes),
             largest=np.concatenate([each.largest for each in self.moving]),
@@ -152,7 +160,7 @@ class Conditions:
             work=np.zeros(1),
         )
 
-    def plates(self, offset: Array) -> Plates:
+    def bodies(self, offset: Array) -> BodyContacts:
         """The bodies at t = 0, before they move.
 
         Args:
@@ -160,13 +168,13 @@ class Conditions:
         """
         bodies = self.problem.bodies
         if not bodies:
-            return NO_PLATES._replace(work=np.zeros(3))
+            return NO_BODIES._replace(work=np.zeros(3))
         touching = [self.boundary(body.on) for body in bodies]
         everyone = np.concatenate(touching)
         moves = np.array([body.moves for body in bodies])
         first = len(self.moving)
         kinds, outlines = zip(*(_outline(body.name, body.shape) for body in bodies), strict=True)
-        return Plates(
+        return BodyContacts(
             starts=np.cumsum([0, *map(len, touching)]),
             at=self._address(everyone),
             length=np.concatenate([self.lengths(body.on) for body in bodies]),
@@ -237,7 +245,7 @@ class Conditions:
         stiffness, damping = (total / mass).max(axis=1)
         return float(stiffness), float(damping)
 
-    def edges(self, relaxed: Array, offset: Array) -> Edges:
+    def outline(self, relaxed: Array, offset: Array) -> OutlineForces:
         """Follower pressures and foundations; `relaxed` (particles, 2) positions, µm."""
         loads = self.loads
         pairs, sizes, numbers = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], [_NONE]
@@ -258,7 +266,7 @@ class Conditions:
         bonded, based = np.concatenate(pairs).ravel(), np.concatenate(points)
         everyone = np.concatenate([bonded, based])
         spring = np.concatenate(springs)
-        return Edges(
+        return OutlineForces(
             at=self._address(everyone),
             load=np.concatenate([*numbers, *owners]),
             pressure=np.concatenate(sizes),
@@ -348,7 +356,7 @@ class Conditions:
 
 
 def _outline(name: str, shape: Shape) -> tuple[int, tuple[float, ...]]:
-    """Kind and numbers as of `Plates`."""
+    """Kind and numbers as of `BodyContacts`."""
     match shape:
         case Plane():
             x, y = np.array(shape.normal) / np.hypot(*shape.normal)

@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE
-from surrofe2.plant_cell.tiles import Constants
-from surrofe2.tissue.acting import NO_DRIVE, NO_EDGES, Drive, Edges, Steps
-from surrofe2.tissue.contact import NO_PLATES, Plates
+from surrofe2.tissue.external_forces import (
+    NO_BODIES,
+    NO_DRIVEN,
+    NO_OUTLINE,
+    BodyContacts,
+    DrivenParticles,
+    OutlineForces,
+    Steps,
+)
 from surrofe2.tissue.kernels import Acting, Body, Fluid, Particles, Watch, elastic_energy, leap
 from surrofe2.tissue.layout import NOWHERE, Tissue
-from surrofe2.tissue.mixture import Mixture, MixtureMaker
+from surrofe2.tissue.pair_constants import DAMPING, WHOLE, Factors, PairConstants
 from surrofe2.tissue.pair_lists import PairLister
 
 Array = NDArray[np.float64]
@@ -33,16 +39,14 @@ class TissueDynamics:
         held: (particles,) or (particles, 2) which particles do not move by their forces; None:
             none.
         load: (particles, 2) or (loads, particles, 2) force on each at amplitude 1, µN; None: none.
-        drive: motion of some that are held.
-
-    What acts on the outline, none at first, is `plates`, rigid bodies, and `edges`.
+        driven: motion of some that are held.
 
     Attributes:
         counts: `force_evaluations` and `list_builds` so far.
         free: (particles, 2) which components move freely.
         mass: (particles,) ng; free_mass: 0 where both components are held.
-        loads: (loads, particles, 2). drive: as above.
-        plates, edges: as above.
+        loads: (loads, particles, 2). driven: as above.
+        bodies, outline: rigid bodies, and what acts on the outline; at first there are none.
     """
 
     def __init__(
@@ -52,14 +56,14 @@ class TissueDynamics:
         skin: float = 2.0,
         held: NDArray[np.bool_] | None = None,
         load: Array | None = None,
-        drive: Drive = NO_DRIVE,
+        driven: DrivenParticles = NO_DRIVEN,
     ) -> None:
         self.tissue = tissue
         self.counts: Counter[str] = Counter()
         self._lister = PairLister(tissue, skin)
-        self.drive = drive
-        self.plates: Plates = NO_PLATES
-        self.edges: Edges = NO_EDGES
+        self.driven = driven
+        self.bodies: BodyContacts = NO_BODIES
+        self.outline: OutlineForces = NO_OUTLINE
         self.mass = tissue.mass.reshape(-1)[tissue.where]
         self.free = np.ones((tissue.particles, 2), dtype=np.bool_)
         if held is not None:
@@ -76,8 +80,6 @@ class TissueDynamics:
             work=np.zeros((len(self.loads), tissue.tiles, TILE)),
             retained=1.0,
         )
-        self._mixing = MixtureMaker(tissue) if len(tissue.types) > 1 else None
-        self._mixture: Mixture | None = None
         fluid_pairs = tissue.walls + np.stack(np.triu_indices(tissue.own - tissue.walls, 1), axis=1)
         self._fluid = Fluid(fluid_pairs.astype(np.int32), tissue.own, tissue.walls)
         self.place(tissue.to_particles(tissue.start))
@@ -122,13 +124,13 @@ class TissueDynamics:
             velocity: (particles, 2) of those that move freely, µm/µs.
             rates: (motions,) of prescribed motion, 1/µs. An impulse acts at the mean velocity.
         """
-        own, drive, plates = self.tissue.own, self.drive, self.plates
-        self._particles.v[:-1, :, :own] = self.tissue.to_tiles(velocity)
-        driven = rates[drive.motion] * drive.largest
-        self._particles.v[tuple(drive.at.T)] = driven
-        moved = plates.motion >= 0
-        plates.v[moved] = rates[plates.motion[moved], None] * plates.largest[moved]
-        return 0.5 * float(drive.mass @ driven**2)
+        driven, bodies = self.driven, self.bodies
+        self._particles.v[:-1, :, : self.tissue.own] = self.tissue.to_tiles(velocity)
+        led = rates[driven.motion] * driven.largest
+        self._particles.v[tuple(driven.at.T)] = led
+        moved = bodies.motion >= 0
+        bodies.v[moved] = rates[bodies.motion[moved], None] * bodies.largest[moved]
+        return 0.5 * float(driven.mass @ led**2)
 
     def leap(
         self,
@@ -137,23 +139,24 @@ class TissueDynamics:
         amplitudes: Array,
         speeds: Array | None = None,
         *,
-        constants: Constants | None = None,
+        factors: Factors = WHOLE,
         retained: float = 1.0,
-        pressed: bool = True,
+        with_outline: bool = True,
     ) -> None:
         """Steps v += kicks[k] a(x, v), x += drifts[k] v; each leaves the part `retained` of v.
 
         Args:
             amplitudes: (steps,) or (steps, loads). speeds: (steps, motions); None: all zero.
-            pressed: whether anything acts on the outline.
+            factors: on elastic and damping forces between particles.
+            with_outline: whether bodies and what acts on the outline are there.
 
         Raises:
             SimulationError: positions are no longer finite, or the tissue has collapsed.
         """
-        c = self.tissue.constants if constants is None else constants
-        body = self._body._replace(retained=retained)
-        acts = (self.plates, self.edges) if pressed else (NO_PLATES, NO_EDGES)
-        count = len(kicks)
+        body, count = self._body._replace(retained=retained), len(kicks)
+        acting = Acting(self.driven, NO_BODIES, NO_OUTLINE)
+        if with_outline:
+            acting = Acting(self.driven, self.bodies, self.outline)
         if speeds is None:
             speeds = np.zeros((count, self._motions))
         steps = Steps(
@@ -169,8 +172,8 @@ class TissueDynamics:
                 if renewed:
                     self._renew()
                 taken = leap(
-                    self._particles, self._lists, self._lister.grid, self._fluid, c,
-                    self._mixture, body, Acting(self.drive, *acts), self._watch, steps,
+                    self._particles, self._lists, self._constants(factors), self._lister.grid,
+                    self._fluid, body, acting, self._watch, steps,
                 )  # fmt: skip
                 self.counts["force_evaluations"] += taken
                 if renewed and taken == 0:
@@ -182,7 +185,7 @@ class TissueDynamics:
     @property
     def _motions(self) -> int:
         """How many amplitudes move particles or bodies, one more than the last number."""
-        return 1 + max([*self.drive.motion, *self.plates.motion], default=-1)
+        return 1 + max([*self.driven.motion, *self.bodies.motion], default=-1)
 
     @property
     def f(self) -> Array:
@@ -191,37 +194,41 @@ class TissueDynamics:
 
     def forces(
         self,
-        constants: Constants | None = None,
+        factors: Factors = WHOLE,
         *,
-        pressed: bool = True,
-        factors: Array | None = None,
+        with_outline: bool = True,
+        amplitudes: Array | None = None,
     ) -> Array:
-        """(particles, 2) forces without dead loads, µN; factors: (loads,) of follower pressures."""
+        """(particles, 2) forces without dead loads, µN.
+
+        Args:
+            factors, with_outline: as of `leap`. amplitudes: (loads,) of follower pressures.
+        """
         nothing = np.zeros(1)
-        amplitudes = nothing if factors is None or not len(factors) else factors[None]
-        self.leap(nothing, nothing, amplitudes, constants=constants, pressed=pressed)
+        loads = nothing if amplitudes is None or not len(amplitudes) else amplitudes[None]
+        self.leap(nothing, nothing, loads, factors=factors, with_outline=with_outline)
         return self.f
 
-    def free_forces(self, constants: Constants | None = None) -> Array:
+    def free_forces(self, factors: Factors = WHOLE) -> Array:
         """`forces`, with none on particles that are held."""
-        f = self.forces(constants)
+        f = self.forces(factors)
         f[~self.free] = 0.0
         return f
 
     def dissipation_rate(self) -> float:
         """Power that dashpots and viscosity take, pJ/µs: −Σ v·f of those forces alone."""
-        only_damping = self.tissue.constants._replace(
-            wall_stiffness=0.0, repulsion=0.0, sound_speed_squared=0.0
-        )
-        return -float(np.sum(self.v * self.forces(only_damping, pressed=False)))
+        return -float(np.sum(self.v * self.forces(DAMPING, with_outline=False)))
 
-    def elastic_energy(self, factors: Array | None = None) -> float:
-        """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm². factors: as of `forces`."""
-        self.forces(factors=factors)  # sets the images
+    def elastic_energy(self, amplitudes: Array | None = None) -> float:
+        """Stored energy, pJ; fluid's part is counted from ρ = 1 ng/µm². Arguments as of `forces`.
+
+        Also sets the forces, those on bodies and on the outline.
+        """
+        self.forces(amplitudes=amplitudes)
         energy = np.empty((self.tissue.tiles, TILE))
         elastic_energy(
-            self._particles.x, self._lists, self._lister.grid, self._fluid, self.tissue.constants,
-            self._mixture, energy,
+            self._particles.x, self._lists, self._constants(WHOLE), self._lister.grid, self._fluid,
+            energy,
         )  # fmt: skip
         return float(energy.sum())
 
@@ -238,11 +245,10 @@ class TissueDynamics:
 
     def _put(self, x: Array, v: Array, listed: Array) -> None:
         """Own particles (tiles, 2, own, TILE) at x with v, lists made at `listed`."""
-        self._lists = self._lister.make(listed)
+        self._lists, constants = self._lister.make(listed)
+        self._scaled = {WHOLE: constants}
         self._listed = listed
         self.counts["list_builds"] += 1
-        if self._mixing is not None:
-            self._mixture = self._mixing.make(self._lists)
         tiles, own = self.tissue.tiles, self.tissue.own
         shape = (tiles + 1, 2, self._lists.local, TILE)
         particles = Particles(np.full(shape, NOWHERE), np.zeros(shape), np.zeros(shape))
@@ -250,3 +256,9 @@ class TissueDynamics:
         self._particles = particles
         mean, nothing = np.zeros((tiles, 2, TILE)), np.zeros((tiles, TILE))
         self._watch = Watch(listed, mean, nothing, nothing.copy())
+
+    def _constants(self, factors: Factors) -> PairConstants:
+        """Of the listed pairs, with factors on their elastic and their damping part."""
+        if factors not in self._scaled:
+            self._scaled[factors] = self._scaled[WHOLE].times(factors)
+        return self._scaled[factors]

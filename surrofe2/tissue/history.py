@@ -185,7 +185,7 @@ class Recorder:
             listed=dynamics.listed,
             elastic=elastic,
             resting=resting,
-            bodies=np.stack([dynamics.plates.x, dynamics.plates.v]),
+            bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
             journal=Journal.of({}),
             identity=self._identity,
             relaxation_time=relaxation_time,
@@ -197,7 +197,7 @@ class Recorder:
     def restore(self, state: TissueState) -> None:
         """Go on from where `state` was taken."""
         dynamics = self._dynamics
-        dynamics.plates.x[:], dynamics.plates.v[:] = state.bodies
+        dynamics.bodies.x[:], dynamics.bodies.v[:] = state.bodies
         dynamics.place(state.x, state.v, state.listed)
         dynamics.counts.clear()
         dynamics.counts.update(
@@ -226,7 +226,7 @@ class Recorder:
             x=x,
             v=v,
             listed=dynamics.listed,
-            bodies=np.stack([dynamics.plates.x, dynamics.plates.v]),
+            bodies=np.stack([dynamics.bodies.x, dynamics.bodies.v]),
             journal=journal,
             steps=before.steps + steps,
             **self._counted(),
@@ -256,22 +256,22 @@ class Recorder:
 
     def _row(self, t: float, before: TissueState, works: Array) -> Array:
         """What `columns_of` lists; works: since t = 0, else as of `record`."""
-        dynamics, plates = self._dynamics, self._dynamics.plates
+        dynamics, bodies = self._dynamics, self._dynamics.bodies
         u = dynamics.x - before.relaxed
         factors = self._factors(t)
         kinetic = dynamics.kinetic_energy()
         elastic = dynamics.elastic_energy(factors) - before.elastic
-        free = plates.per_mass > 0.0
-        kinetic += 0.5 * float(((plates.v[free] ** 2).sum(axis=1) / plates.per_mass[free]).sum())
+        free = bodies.per_mass > 0.0
+        kinetic += 0.5 * float(((bodies.v[free] ** 2).sum(axis=1) / bodies.per_mass[free]).sum())
         start = np.array([body.position for body in self._conditions.problem.bodies])
         vectors = [
             u[self._watched],
             np.array([length @ u[i] / length.sum() for i, length in self._means]),
             self._forces(t, factors) - before.resting,
-            plates.x - start.reshape(-1, 2),
+            bodies.x - start.reshape(-1, 2),
         ]
-        energies = [kinetic, elastic, plates.stored.sum(), *works]
-        return np.concatenate([*(part.ravel() for part in vectors), plates.depth, energies])
+        energies = [kinetic, elastic, bodies.stored.sum(), *works]
+        return np.concatenate([*(part.ravel() for part in vectors), bodies.depth, energies])
 
     def _factors(self, t: float) -> Array:
         """(loads,) amplitudes."""
@@ -283,7 +283,7 @@ class Recorder:
         Supports give what their particles need: M a − forces − loads.
         """
         dynamics = self._dynamics
-        needed, pulled = -dynamics.f, dynamics.edges.total.copy()
+        needed, pulled = -dynamics.f, dynamics.outline.total.copy()
         for n, factor in enumerate(factors):
             pull = factor * dynamics.loads[n]
             needed -= pull
@@ -294,7 +294,7 @@ class Recorder:
             second = support.amplitude.at(t, t)[2] * support.largest
             force = needed[i, axis] + dynamics.mass[i] * second
             found.append(np.bincount(axis, force, 2))
-        return np.array([*found, *pulled, *dynamics.plates.force])
+        return np.array([*found, *pulled, *dynamics.bodies.force])
 
     def run(self, finished: bool) -> TissueRun:
         """The results so far."""

@@ -20,35 +20,31 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.compilation import kernel, parallel_kernel
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
 from surrofe2.base.simd import TILE, load, spread, store, where_less
 from surrofe2.plant_cell.forces import (
-    add_central_energy,
-    add_central_forces,
-    add_fluid_energy,
     add_fluid_forces,
+    add_pair,
+    difference,
+    fluid_specific_volume,
+    norm,
+    pair_at,
 )
-from surrofe2.tissue.acting import (
-    Drive,
-    Edges,
-    add_edge_work,
-    add_work,
-    drive_particles,
-    push_edges,
-)
-from surrofe2.tissue.contact import (
-    Plates,
+from surrofe2.plant_cell.pair_laws import contact_energy, contact_force, wall_energy, wall_force
+from surrofe2.tissue.external_forces import (
+    BodyContacts,
+    DrivenParticles,
+    OutlineForces,
     add_contact_loss,
+    add_driving_work,
+    add_friction,
+    add_normal_contact,
+    add_outline_forces,
+    add_outline_work,
+    drive_particles,
     move_bodies,
-    press,
-    rub,
 )
-from surrofe2.tissue.mixture import (
-    add_mixed_energy,
-    add_mixed_fluid,
-    add_mixed_fluid_energy,
-    add_mixed_pairs,
-)
+from surrofe2.tissue.pair_constants import FluidConstants, bond_at, contact_at, fluid_at
 
 Array = NDArray[np.float64]
 
@@ -107,50 +103,49 @@ class Watch(NamedTuple):
 class Acting(NamedTuple):
     """What moves some particles, and what acts on the outline."""
 
-    drive: Drive
-    plates: Plates
-    edges: Edges
+    driven: DrivenParticles
+    bodies: BodyContacts
+    outline: OutlineForces
 
 
 @parallel_kernel
-def leap(particles, lists, grid, fluid, c, mixture, body, acting, watch, steps):
+def leap(particles, lists, constants, grid, fluid, body, acting, watch, steps):
     """Leapfrog steps in place; how many were taken before lists could miss a pair.
 
     A step takes forces at x with the velocities at hand, then v += kick a, x += drift v. One
     without a kick leaves all velocities as they are.
-    c: `Constants`; steps: `Steps`; mixture: None of one type of plant cell.
     """
     tiles = particles.x.shape[0] - 1
-    drive, plates, edges = acting
+    driven, bodies, outline = acting
     for n in range(len(steps.length)):
         for k in numba.prange(tiles):
-            _sum_forces(lists.order[k], particles, lists, fluid, c, mixture)
+            _sum_forces(lists.order[k], particles, lists, constants, fluid)
             _measure_apart(lists.order[k], grid, watch)
         if not _largest_motion(watch) <= lists.skin:
             return n
         kick, amplitude, speed = steps.length[n, 0], steps.amplitude[n], steps.speed[n]
-        press(particles, plates)
-        push_edges(particles, edges, amplitude)
+        add_normal_contact(particles, bodies)
+        add_outline_forces(particles, outline, amplitude)
         if kick != 0.0:
-            drive_particles(particles.v, drive, speed)
-        if plates.rubs:
+            drive_particles(particles.v, driven, speed)
+        if bodies.rubs:
             for k in numba.prange(tiles):
                 _fold(lists.order[k], particles.f, lists)
-            rub(particles, body, plates, kick, amplitude, speed)
+            add_friction(particles, body, bodies, kick, amplitude, speed)
         if kick != 0.0:
-            move_bodies(plates, steps.length[n], speed)
-        step = kick, steps.length[n, 1], plates.rubs
+            move_bodies(bodies, steps.length[n], speed)
+        step = kick, steps.length[n, 1], bodies.rubs
         for k in numba.prange(tiles):
             _kick_and_drift(lists.order[k], particles, lists, grid, body, watch, amplitude, step)
         if kick != 0.0:
-            add_work(particles, body.loads, drive, kick, amplitude)
-            add_contact_loss(particles, plates, kick)
-            add_edge_work(particles, edges, kick)
+            add_driving_work(particles, body.loads, driven, kick, amplitude)
+            add_contact_loss(particles, bodies, kick)
+            add_outline_work(particles, outline, kick)
     return len(steps.length)
 
 
 @kernel
-def _sum_forces(t, particles, lists, fluid, c, mixture):
+def _sum_forces(t, particles, lists, constants, fluid):
     """Images of tile t and the forces on its local particles, not folded."""
     own = fluid.particles
     here, end = lists.starts[t], lists.starts[t + 1]
@@ -160,20 +155,42 @@ def _sum_forces(t, particles, lists, fluid, c, mixture):
     for i in range(own + end[0] - here[0]):
         store(0.0, f, 0, i)
         store(0.0, f, 1, i)
-    if mixture is None:
-        rows = slice(here[1], end[1])
-        add_central_forces(x, v, f, lists.bonds[rows], lists.bond_share[rows], True, c)
-        rows = slice(here[2], end[2])
-        add_central_forces(x, v, f, lists.lines[rows], lists.line_share[rows], False, c)
-        add_central_forces(x, v, f, lists.contacts[here[3] : end[3]], None, False, c)
-        if t < lists.fluid_tiles:
-            slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
-            volume = np.empty((own - fluid.walls, TILE))
-            add_fluid_forces(x, v, f, fluid, c, slope, volume)
+    for k in range(here[1], end[1]):
+        i, j = lists.bonds[k, 0], lists.bonds[k, 1]
+        pair = pair_at(x, v, i, j)
+        a = wall_force(pair.length, pair.rate, bond_at(constants.bonds, k)) * pair.inverse
+        add_pair(f, i, j, a * pair.rx, a * pair.ry)
+    cutoff = constants.cutoff
+    _add_contacts(x, v, f, lists.lines, here[2], end[2], constants.lines, cutoff)
+    _add_contacts(x, v, f, lists.contacts, here[3], end[3], constants.contacts, cutoff)
+    if t < lists.fluid_tiles:
+        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
+        volume = np.empty((own - fluid.walls, TILE))
+        if constants.fluid.shape[0] == 1:  # for all: numbers instead of lanes
+            one = constants.fluid[0, :, 0]
+            same = FluidConstants(one[0], one[1], one[2], one[3])
+            add_fluid_forces(x, v, f, fluid, same, slope, volume)
+        else:
+            add_fluid_forces(x, v, f, fluid, fluid_at(constants.fluid, t), slope, volume)
+
+
+@kernel
+def _add_contacts(x, v, f, pairs, start, end, rows, cutoff):
+    """Add repulsion and dashpots (eq. 2) to f (2, local, TILE)."""
+    if rows.shape[0] == 1:  # for all: not loaded again for each
+        c = contact_at(rows, 0, cutoff)
+        for k in range(start, end):
+            _add_contact(x, v, f, pairs[k, 0], pairs[k, 1], c)
     else:
-        add_mixed_pairs(t, x, v, f, lists, mixture, c)
-        if t < lists.fluid_tiles:
-            add_mixed_fluid(t, x, v, f, fluid, mixture, c)
+        for k in range(start, end):
+            _add_contact(x, v, f, pairs[k, 0], pairs[k, 1], contact_at(rows, k, cutoff))
+
+
+@pair_law
+def _add_contact(x, v, f, i, j, c):
+    pair = pair_at(x, v, i, j)
+    a = contact_force(pair.length, pair.inverse, pair.rate, c) * pair.inverse
+    add_pair(f, i, j, a * pair.rx, a * pair.ry)
 
 
 @kernel
@@ -282,30 +299,46 @@ def _largest_motion(watch):
 
 
 @parallel_kernel
-def elastic_energy(x, lists, grid, fluid, c, mixture, energy):
+def elastic_energy(x, lists, constants, grid, fluid, energy):
     """energy (tiles, TILE) of which the forces at rest are the negative gradient, in pJ.
 
     Springs ½ k (|r| − l₀)², contacts, fluid Σ m c_s² ln ρ.
     x: (tiles + 1, 2, local, TILE) with images set.
     """
     for t in numba.prange(energy.shape[0]):
-        _stored_in_tile(t, x, lists, grid, fluid, c, mixture, energy)
+        _stored_in_tile(t, x[t], lists, constants, grid, fluid, energy)
 
 
 @kernel
-def _stored_in_tile(t, x, lists, grid, fluid, c, mixture, energy):
+def _stored_in_tile(t, x, lists, constants, grid, fluid, energy):
     here, end = lists.starts[t], lists.starts[t + 1]
-    mine = energy[t : t + 1]
-    store(0.0, mine, 0)
-    if mixture is None:
-        rows = slice(here[1], end[1])
-        add_central_energy(x[t], lists.bonds[rows], lists.bond_share[rows], True, c, mine)
-        rows = slice(here[2], end[2])
-        add_central_energy(x[t], lists.lines[rows], lists.line_share[rows], False, c, mine)
-        add_central_energy(x[t], lists.contacts[here[3] : end[3]], None, False, c, mine)
-        if t < lists.fluid_tiles:
-            add_fluid_energy(x[t], fluid, grid.exists[t], c, mine)
-    else:
-        add_mixed_energy(t, x[t], lists, mixture, c, mine)
-        if t < lists.fluid_tiles:
-            add_mixed_fluid_energy(t, x[t], fluid, grid.exists[t], mixture, c, mine)
+    total = spread(0.0)
+    for k in range(here[1], end[1]):
+        rx, ry = difference(x, lists.bonds[k, 0], lists.bonds[k, 1])
+        length, _ = norm(rx, ry)
+        total += wall_energy(length, bond_at(constants.bonds, k))
+    cutoff = constants.cutoff
+    total += _contact_energies(x, lists.lines, here[2], end[2], constants.lines, cutoff)
+    total += _contact_energies(x, lists.contacts, here[3], end[3], constants.contacts, cutoff)
+    store(total, energy, t)
+    if t < lists.fluid_tiles:
+        slope = np.empty((fluid.fluid_pairs.shape[0], TILE))
+        volume = np.empty((fluid.particles - fluid.walls, TILE))
+        row = min(np.int64(t), constants.fluid.shape[0] - 1)
+        fluid_specific_volume(x, fluid, fluid_at(constants.fluid, row), slope, volume)
+        for p in range(volume.shape[0]):
+            for lane in range(TILE):
+                weight = constants.fluid[row, 1, lane] * constants.fluid[row, 2, lane]
+                weight *= grid.exists[t, fluid.walls + p, lane]
+                energy[t, lane] -= weight * np.log(volume[p, lane])
+
+
+@kernel
+def _contact_energies(x, pairs, start, end, rows, cutoff):
+    """Stored energy of contacts, pJ; lanes."""
+    total, each = spread(0.0), min(rows.shape[0] - 1, 1)
+    for k in range(start, end):
+        rx, ry = difference(x, pairs[k, 0], pairs[k, 1])
+        length, inverse = norm(rx, ry)
+        total += contact_energy(length, inverse, contact_at(rows, k * each, cutoff))
+    return total

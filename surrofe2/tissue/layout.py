@@ -52,7 +52,6 @@ class Tissue:
     Attributes:
         cell: the first type of plant cell; types: the constants of each; wall_masses: of a wall
             particle of each, ng.
-        constants: of the only type; of several, factors on those of each, all 1 but the cut-off.
         kind: (n, m) type of each plant cell.
         cells: (n, m) plant cells in x and y.
         column, row: (places,) of the plant cell in each lane, −1 for an empty place.
@@ -67,7 +66,6 @@ class Tissue:
     cell: CellParameters
     types: tuple[Constants, ...]
     wall_masses: tuple[float, ...]
-    constants: Constants
     kind: Ints
     cells: tuple[int, int]
     column: Ints
@@ -191,17 +189,15 @@ def make_mixed_tissue(
     start = at_rest[of_place] + cell.cell_side * np.stack([column, row], axis=1)[:, None]
     missing = np.arange(int((~exists).sum()))  # far from one another, too
     start[~exists] = np.stack([-NOWHERE - 100.0 * missing, np.full(len(missing), -NOWHERE)], axis=1)
-    start = np.moveaxis(start.reshape(-1, TILE, own, 2), (1, 3), (3, 1))
+    start = np.moveaxis(tiled(start), 2, 1)
     constants = tuple(
         make_constants(each, reference.rest_length)
         for each, reference in zip(types, references, strict=True)
     )
-    factors = Constants(*np.ones(len(constants[0])))._replace(cutoff=cell.repulsion_cutoff)
     return Tissue(
         cell=cell,
         types=constants,
         wall_masses=tuple(each.wall_particle_mass for each in types),
-        constants=constants[0] if len(types) == 1 else factors,
         kind=kind,
         cells=(n, m),
         column=column,
@@ -209,7 +205,7 @@ def make_mixed_tissue(
         fluid_tiles=tiles_for(n * m),
         place=place,
         start=np.ascontiguousarray(start),
-        mass=np.ascontiguousarray(np.moveaxis(mass.reshape(-1, TILE, own), 1, 2)),
+        mass=tiled(mass),
         walls=walls,
         where=_order(exists, walls),
     )
@@ -252,6 +248,11 @@ def shares(cell: CellParameters, filled: NDArray[np.bool_], column: Ints, row: I
     share[:, walls:] = here[:, None]
     share[column < 0] = 0.0
     return share
+
+
+def tiled(values: NDArray) -> NDArray:
+    """(places, …) → (tiles, …, TILE)."""
+    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, TILE, *values.shape[1:]), 1, -1))
 
 
 def _order(exists: NDArray[np.bool_], walls: int) -> Ints:

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from surrofe2.base.compilation import kernel, parallel_kernel
 from surrofe2.base.errors import SimulationError
 from surrofe2.base.simd import TILE
-from surrofe2.tissue.layout import Tissue
+from surrofe2.tissue.layout import Tissue, tiled
+from surrofe2.tissue.pair_constants import ConstantsMaker, PairConstants
 from surrofe2.tissue.pair_kinds import RINGS, PairKinds, make_pair_kinds
 
 Array = NDArray[np.float64]
@@ -53,7 +54,6 @@ class PairLists(NamedTuple):
         starts: (tiles + 1, 5) of images, bonds, lines, contacts, folds.
         source: (images, TILE) flat index of the owner in (tiles + 1, 2, local, TILE).
         bonds, lines, contacts: (·, 2) local particles.
-        bond_share, line_share: (·, TILE) 1, ½ at the boundary, 0 where there is no pair.
         fold: (folds,) own particle; fold_source: (folds, TILE) flat index of the image force.
         order: (tiles,) in which to go through them: those with and without fluid evenly mixed,
             so that equal parts of it cost threads the same.
@@ -67,8 +67,6 @@ class PairLists(NamedTuple):
     bonds: NDArray[np.int32]
     lines: NDArray[np.int32]
     contacts: NDArray[np.int32]
-    bond_share: Array
-    line_share: Array
     fold: Ints
     fold_source: Ints
     order: Ints
@@ -87,10 +85,13 @@ class PairLister:
         rings = abs(self._kinds.shifts).max(axis=1)[self._kinds.shift]
         self._reach = tissue.cell.repulsion_cutoff + skin * np.maximum(rings, 1)
         self.grid = make_grid(tissue, self._kinds)
-        self._share = pair_shares(tissue, self._kinds, self.grid)
+        self._constants = ConstantsMaker(
+            tissue, self._kinds, _by_place(self.grid.place),
+            pair_weights(tissue, self._kinds, self.grid),
+        )  # fmt: skip
 
-    def make(self, x: Array) -> PairLists:
-        """Lists at positions x (tiles, 2, own, TILE), µm.
+    def make(self, x: Array) -> tuple[PairLists, PairConstants]:
+        """Lists at positions x (tiles, 2, own, TILE), µm, and the constants of their pairs.
 
         Raises:
             SimulationError: positions are not finite, or plant cells with two others between
@@ -103,9 +104,9 @@ class PairLister:
         close[:, : kinds.bonds] = True
         return self._assemble(close)
 
-    def _assemble(self, close: NDArray[np.bool_]) -> PairLists:
+    def _assemble(self, close: NDArray[np.bool_]) -> tuple[PairLists, PairConstants]:
         """Lists of the kinds that `close` (tiles, kinds) marks, in their order."""
-        tissue, kinds, grid, share = self._tissue, self._kinds, self.grid, self._share
+        tissue, kinds, grid = self._tissue, self._kinds, self.grid
         tile, kind = np.nonzero(close)
         j, shift = kinds.j[kind].copy(), kinds.shift[kind]
         elsewhere = shift > 0
@@ -125,21 +126,21 @@ class PairLister:
         source = (there * 2 * local + owner[:, None]) * TILE + lane
         groups = (is_bond, is_line, is_contact)
         starts = [image_starts, *(_starts(tissue, tile[one]) for one in groups), fold_starts]
-        return PairLists(
+        lists = PairLists(
             starts=np.ascontiguousarray(np.stack(starts, axis=1)),
             source=np.where(place < 0, _nowhere(tissue, local), source),
             bonds=pairs[is_bond],
             lines=pairs[is_line],
             contacts=pairs[is_contact],
-            bond_share=share[tile[is_bond], kind[is_bond]],
-            line_share=share[tile[is_line], kind[is_line]],
             fold=fold,
             fold_source=fold_source,
+            # tiles with and without fluid mixed, so that equal parts of the order cost the same
             order=_evenly_mixed(tissue.fluid_tiles, tissue.tiles),
             local=local,
             fluid_tiles=tissue.fluid_tiles,
             skin=self._skin,
         )
+        return lists, self._constants.make(tile[~is_bond], kind[~is_bond])
 
     def _check_apart(self, x: Array) -> None:
         """Plant cells further apart than RINGS must be out of each other's reach."""
@@ -175,25 +176,24 @@ def make_grid(tissue: Tissue, kinds: PairKinds) -> Grid:
     exists = tissue.exists.astype(np.float64)
     count = exists.sum(axis=1)
     return Grid(
-        place=_tiled(np.where(inside, there, -1)),
+        place=tiled(np.where(inside, there, -1)),
         exists=exists,
         per_count=np.where(count > 0, 1.0 / np.maximum(count, 1.0), 0.0),
         next_shifts=np.flatnonzero(abs(kinds.shifts).max(axis=1) == 1),
     )
 
 
-def pair_shares(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
+def pair_weights(tissue: Tissue, kinds: PairKinds, grid: Grid) -> Array:
     """(tiles, bonds + lines, TILE): 1, ½ `outer_wall` on the boundary, 0 where a particle lacks."""
     (n, m), count = tissue.cells, kinds.bonds + kinds.lines
-    exists = np.moveaxis(tissue.exists, 1, 2).reshape(-1, tissue.own)
-    share = np.zeros((len(tissue.column), count))
-    place = np.moveaxis(grid.place, 1, 2).reshape(-1, len(kinds.shifts))
+    exists, place = _by_place(tissue.exists), _by_place(grid.place)
+    weight = np.zeros((len(tissue.column), count))
     for k in range(count):
         there = place[:, kinds.shift[k]]
-        share[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
+        weight[:, k] = exists[:, kinds.i[k]] & (there >= 0) & exists[there, kinds.j[k]]
         across, most = (tissue.row, m) if kinds.axis[k] == 0 else (tissue.column, n)
-        share[(across == 0) | (across == most), k] *= 0.5 * tissue.cell.outer_wall
-    return _tiled(share)
+        weight[(across == 0) | (across == most), k] *= 0.5 * tissue.cell.outer_wall
+    return tiled(weight)
 
 
 def bonded_particles(tissue: Tissue) -> Ints:
@@ -214,9 +214,9 @@ def bonded_particles(tissue: Tissue) -> Ints:
     return np.concatenate(pairs)
 
 
-def _tiled(values: NDArray) -> NDArray:
-    """(places, …) → (tiles, …, TILE)."""
-    return np.ascontiguousarray(np.moveaxis(values.reshape(-1, TILE, *values.shape[1:]), 1, -1))
+def _by_place(tiles: NDArray) -> NDArray:
+    """(tiles, n, TILE) → (places, n)."""
+    return np.moveaxis(tiles, 1, 2).reshape(-1, tiles.shape[1])
 
 
 def _starts(tissue: Tissue, tile: Ints) -> Ints:

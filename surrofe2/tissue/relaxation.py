@@ -1,20 +1,31 @@
-"""The tissue at rest without load: damped dynamics to a stated residual force.
+"""The tissue at rest without load, `relax`, and the longest step that it bears, `stable_step`.
 
-Dashpots and viscosity, which do not change the equilibrium, are taken out, and a drag −c m v on
-every particle is put in. Critical drag of the slowest mode, c = 2 ω, is the fastest; ω² is
-estimated on the way from how forces change with positions, −Δx·Δf/(Δx·m Δx) (adaptive dynamic
-relaxation). Leapfrog with implicit drag: v ← [(1 − c Δt/2) v + Δt f/m]/(1 + c Δt/2), x ← x + Δt v.
+`relax` is damped dynamics to a stated residual force. Dashpots and viscosity, which do not change
+the equilibrium, are taken out, and a drag −c m v on every particle is put in. Critical drag of the
+slowest mode, c = 2 ω, is the fastest; ω² is estimated on the way from how forces change with
+positions, −Δx·Δf/(Δx·m Δx) (adaptive dynamic relaxation). Leapfrog with implicit drag:
+v ← [(1 − c Δt/2) v + Δt f/m]/(1 + c Δt/2), x ← x + Δt v.
+
+With lagged velocities a mode of stiffness κ and damping c by its mass is stable while
+4 − 2 c Δt − κ Δt² > 0. The largest κ (walls, contacts and fluid) and the largest c of all modes,
+taken together, give a limit on the safe side.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import SimulationError
+from surrofe2.plant_cell.parameters import CellParameters
+from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.tissue.dynamics import TissueDynamics
+from surrofe2.tissue.layout import make_tissue
+from surrofe2.tissue.pair_constants import ELASTIC
 
 Array = NDArray[np.float64]
 
@@ -28,6 +39,13 @@ _STEP = 0.36
 """Step times √(k/m) of the wall; undamped springs are stable up to 1."""
 _FIRST_DRAG = 0.02
 """First drag, times √(k/m)."""
+
+LONGEST = 2e-3
+"""µs; accuracy asks for no less on the paper's cells."""
+_OF_LIMIT = 0.87
+"""Of the limit at rest, as deformed cells are stiffer; `LONGEST` takes as much of `printed`'s."""
+_POWERS = 100
+_SHIFT = 1e-6  # µm, of differences
 
 _log = logging.getLogger(__name__)
 
@@ -60,20 +78,17 @@ def relax(dynamics: TissueDynamics, residual: float) -> Array:
 
 
 def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: float) -> Array:
-    constants = dynamics.tissue.constants._replace(
-        wall_damping=0.0, contact_damping=0.0, viscosity=0.0
-    )
     mass = dynamics.free_mass[:, None]
     drag = _FIRST_DRAG * frequency
-    x, f = dynamics.x, dynamics.free_forces(constants)
+    x, f = dynamics.x, dynamics.free_forces(ELASTIC)
     for _ in range(0, LIMIT, STRETCH):
         implicit = 1.0 + 0.5 * drag * step
         drifts = np.full(STRETCH, step)
         dynamics.leap(
-            drifts / implicit, drifts, np.zeros(STRETCH), constants=constants,
+            drifts / implicit, drifts, np.zeros(STRETCH), factors=ELASTIC,
             retained=(1.0 - 0.5 * drag * step) / implicit,
         )  # fmt: skip
-        x_before, f_before, x, f = x, f, dynamics.x, dynamics.free_forces(constants)
+        x_before, f_before, x, f = x, f, dynamics.x, dynamics.free_forces(ELASTIC)
         if np.hypot(*f.T).max() <= residual:
             dynamics.place(x)
             return x
@@ -82,3 +97,61 @@ def _settle(dynamics: TissueDynamics, residual: float, step: float, frequency: f
         square = max(stiffness, 0.0) / float(np.sum(mass * moved * moved))
         drag = float(np.clip(2.0 * np.sqrt(square), 1e-4 * frequency, 0.1 * frequency))
     raise SimulationError("no equilibrium within the limit of steps")
+
+
+def safe_step(limit: float) -> float:
+    """The longest step that a tissue bears in motion too, where it is stable to `limit` at rest."""
+    return _OF_LIMIT * limit
+
+
+def rounded_step(limit: float) -> float:
+    """`LONGEST`, or what is borne for sure if that is less, rounded down to two digits, µs."""
+    wanted = safe_step(limit)
+    if wanted >= LONGEST:
+        return LONGEST
+    unit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
+    return float(f"{np.floor(wanted / unit) * unit:.2g}")
+
+
+def stable_step(
+    cell: CellParameters, reference: ReferenceState, outside: tuple[float, float] = (0.0, 0.0)
+) -> float:
+    """The longest stable step of two by two plant cells at rest, µs.
+
+    Args:
+        outside: the largest stiffness and damping by mass that what acts on the outline adds, 1/µs²
+            and 1/µs.
+    """
+    dynamics = TissueDynamics(make_tissue(cell, reference, (2, 2)))
+    at_rest = dynamics.x
+
+    def stiffness(u: Array) -> Array:
+        dynamics.place(at_rest + _SHIFT * u)
+        ahead = dynamics.forces()
+        dynamics.place(at_rest - _SHIFT * u)
+        return (dynamics.forces() - ahead) / (2.0 * _SHIFT)
+
+    def damping(v: Array) -> Array:
+        dynamics.place(at_rest, v)
+        moving = dynamics.forces()
+        dynamics.place(at_rest)
+        return dynamics.forces() - moving
+
+    mass = dynamics.free_mass[:, None]
+    kappa, c = (_largest(product, mass) for product in (stiffness, damping))
+    kappa, c = kappa + outside[0], c + outside[1]
+    return (sqrt(c * c + 4.0 * kappa) - c) / kappa
+
+
+def _largest(product: Callable[[Array], Array], mass: Array) -> float:
+    """Largest eigenvalue of a matrix by the masses (n, 1), by power iteration."""
+    u = np.random.default_rng(1).standard_normal((len(mass), 2))
+    found = 0.0
+    for _ in range(_POWERS):
+        u /= np.sqrt((mass * u * u).sum())
+        force = product(u)
+        if not force.any():
+            return 0.0
+        found = max(found, float((u * force).sum()))
+        u = force / mass
+    return found

@@ -36,9 +36,8 @@ from surrofe2.tissue.conditions import Conditions
 from surrofe2.tissue.dynamics import TissueDynamics
 from surrofe2.tissue.history import Recorder, TissueRun, TissueState, columns_of
 from surrofe2.tissue.layout import make_mixed_tissue
-from surrofe2.tissue.relaxation import relax
+from surrofe2.tissue.relaxation import LONGEST, relax, rounded_step, safe_step, stable_step
 from surrofe2.tissue.settings import TissueSettings
-from surrofe2.tissue.stable_step import LONGEST, rounded_step, safe_step, stable_step
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -222,15 +221,15 @@ def held_and_loaded(conditions: Conditions, settings: TissueSettings) -> TissueD
         skin=settings.skin,
         held=conditions.held,
         load=conditions.dead_loads(),
-        drive=conditions.drive(),
+        driven=conditions.driven(),
     )
 
 
 def meet_bodies(dynamics: TissueDynamics, conditions: Conditions, relaxed: Array) -> None:
     """Let all act on the outline; `relaxed` (particles, 2): where it is unloaded, µm."""
     offset = conditions.tissue.outline - relaxed
-    dynamics.plates = conditions.plates(offset)
-    dynamics.edges = conditions.edges(relaxed, offset)
+    dynamics.bodies = conditions.bodies(offset)
+    dynamics.outline = conditions.outline(relaxed, offset)
 
 
 def advance(
@@ -255,9 +254,9 @@ def advance(
     kicks[[0, -1]] *= 0.5
     drifts[-1] = 0.0
     loads, motions = conditions.load_amplitudes, conditions.motions
-    drive, plates, edges = dynamics.drive, dynamics.plates, dynamics.edges
+    driven, bodies, outline = dynamics.driven, dynamics.bodies, dynamics.outline
     works = np.zeros(len(loads) + 4)
-    for each in (drive, plates, edges):
+    for each in (driven, bodies, outline):
         each.work[:] = 0.0
     dynamics.take_load_work()
     rate = dynamics.dissipation_rate()
@@ -273,9 +272,9 @@ def advance(
         dynamics.leap(kicks, drifts, amplitudes, speeds)
         rate_before, rate = rate, dynamics.dissipation_rate()
         works[-1] += 0.5 * length * (rate_before + rate)
-    works[: len(loads)] = dynamics.take_load_work()[: len(loads)] + edges.work
-    works[-4:-1] = plates.work
-    works[-3] += drive.work[0]
+    works[: len(loads)] = dynamics.take_load_work()[: len(loads)] + outline.work
+    works[-4:-1] = bodies.work
+    works[-3] += driven.work[0]
     if not np.isfinite(works).all():
         raise SimulationError("tissue: the motion is not finite")
     return samples * count, works

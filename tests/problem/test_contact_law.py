@@ -7,7 +7,7 @@ import pytest
 
 from surrofe2.base.compilation import kernel
 from surrofe2.problem import contact_law
-from surrofe2.tissue.contact import _drag
+from surrofe2.tissue.external_forces import _drag
 
 LAW = (3000.0, 0.01, 4.0)
 WEDGE = (0.6, -0.8, float(np.cos(0.7)), float(np.sin(0.7)), 3.0)

@@ -74,15 +74,15 @@ def test_contact_force_is_the_gradient_of_its_energy(reference, body):
     dynamics = held_and_loaded(conditions, TissueSettings())
     free, x = dynamics.forces(), dynamics.x
     meet_bodies(dynamics, conditions, x)
-    dynamics.plates.x[0] += (10.0 if body.position[0] == 0.0 else 0.0, -1.5)
+    dynamics.bodies.x[0] += (10.0 if body.position[0] == 0.0 else 0.0, -1.5)
     pressed = dynamics.forces() - free
     assert (abs(pressed).sum(axis=1) > 1.0).sum() > 3
-    total = dynamics.plates.force[0].copy()
+    total = dynamics.bodies.force[0].copy()
     np.testing.assert_allclose(pressed.sum(axis=0), total, rtol=0, atol=1e-10 * abs(total).max())
 
     def stored():
         dynamics.forces()
-        return dynamics.plates.stored[0]
+        return dynamics.bodies.stored[0]
 
     numbers = np.random.default_rng(3)
     step, direction = 1e-5, numbers.normal(size=x.shape)
@@ -96,9 +96,9 @@ def test_contact_force_is_the_gradient_of_its_energy(reference, body):
     for axis in (0, 1):
         slopes = []
         for sign in (1.0, -1.0):
-            dynamics.plates.x[0, axis] += sign * step
+            dynamics.bodies.x[0, axis] += sign * step
             slopes.append(stored())
-            dynamics.plates.x[0, axis] -= sign * step
+            dynamics.bodies.x[0, axis] -= sign * step
         slope = (slopes[0] - slopes[1]) / (2.0 * step)
         assert slope == pytest.approx(total[axis], abs=1e-6 * abs(total).max())
 
@@ -121,8 +121,8 @@ def test_free_body_and_tissue_keep_their_momentum_and_energy(reference, rough):
     forces = []
     for k in range(8):
         advance(dynamics, conditions, TissueSettings(), 0.25 * k, 0.25 * (k + 1))
-        forces.append(dynamics.plates.force[0].copy())
-        momentum = dynamics.mass @ dynamics.v + 30.0 * dynamics.plates.v[0]
+        forces.append(dynamics.bodies.force[0].copy())
+        momentum = dynamics.mass @ dynamics.v + 30.0 * dynamics.bodies.v[0]
         np.testing.assert_allclose(momentum, begin, rtol=0, atol=30e-11)
     assert min(force[1] for force in forces) < -5.0
     assert abs(dynamics.mass @ dynamics.v[:, 1]) > 0.1 * 30.0
@@ -211,9 +211,9 @@ def test_pressure_follows_and_is_the_gradient_of_the_area(reference):
     )
     conditions, dynamics = ready(reference, replace(PRESSED, bodies=(), conditions=around))
     factors, x = np.full(4, 2.0), dynamics.x
-    free = dynamics.forces(pressed=False)
-    pushed = dynamics.forces(factors=factors) - free
-    np.testing.assert_allclose(dynamics.edges.total[3], [0.0, -14.0 * 50.0], rtol=0, atol=1e-9)
+    free = dynamics.forces(with_outline=False)
+    pushed = dynamics.forces(amplitudes=factors) - free
+    np.testing.assert_allclose(dynamics.outline.total[3], [0.0, -14.0 * 50.0], rtol=0, atol=1e-9)
     outline = conditions.tissue.outline
     outer = np.flatnonzero(np.isfinite(outline[:, 0]) & (abs(outline - 25.0).max(axis=1) > 24.9))
     order = outer[np.argsort(np.arctan2(*(outline[outer] - 25.0).T[::-1]))]
@@ -226,7 +226,7 @@ def test_pressure_follows_and_is_the_gradient_of_the_area(reference):
     slope = (area(1e-4 * direction) - area(-1e-4 * direction)) / 2e-4
     assert np.sum(pushed * direction) == pytest.approx(-14.0 * slope, rel=1e-9)
     dynamics.place(x + 0.5 * direction)
-    moved = dynamics.forces(factors=factors) - dynamics.forces(pressed=False)
+    moved = dynamics.forces(amplitudes=factors) - dynamics.forces(with_outline=False)
     assert abs(moved - pushed).max() > 1.0
     assert abs(moved.sum(axis=0)).max() < 1e-9
 
@@ -240,7 +240,7 @@ def test_foundation_holds_by_its_length_and_a_region_by_all_its_particles(refere
     x, lift = dynamics.x, np.array([0.2, 0.5])
     dynamics.place(x + lift, np.broadcast_to([1.0, 2.0], x.shape).copy())
     dynamics.forces()
-    total = dynamics.edges.total[0]
+    total = dynamics.outline.total[0]
     np.testing.assert_allclose(total, [0.0, -50.0 * (3.0 * 0.5 + 0.7 * 2.0)], rtol=1e-12)
     held = ~dynamics.free[:, 0]
     assert dynamics.free[:, 1].all()
@@ -259,7 +259,7 @@ def test_stiff_plate_is_prescribed_motion(reference):
         dynamics.start(conditions.velocity(), np.zeros(1))
         rest = dynamics.x
         _, works = advance(dynamics, conditions, settings, 0.0, 2.0)
-        found.append((works[-3], dynamics.plates.force[0, 1]))
+        found.append((works[-3], dynamics.bodies.force[0, 1]))
     side = PrescribedMotion(name="side", on="top", displacement=(None, -1.5), amplitude=SMOOTH)
     driven = replace(problem, bodies=(), conditions=(held, side))
     conditions = make_conditions(driven, *reference("water"))

@@ -10,7 +10,7 @@ from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.rve import RveLaw
 from surrofe2.tissue import TissueSettings, simulate_tissue
-from surrofe2.tissue.stable_step import rounded_step, stable_step
+from surrofe2.tissue.relaxation import rounded_step, stable_step
 
 
 def run(cell, **settings):

@@ -1,0 +1,355 @@
+"""What moves particles besides their own forces: prescribed motion, the outline, rigid bodies.
+
+Driven particles have in each step the mean velocity of their motion, so that they arrive where it
+leads. The work of what drives them is that of the force it takes, at the mean of the velocities
+before and after; at rest it is exact, else second order.
+
+The contact law is that of FE² (`problem.contact_law`), point by point: a particle i that may touch
+a body has the pressure of its gap g times L_i, the unloaded length of its part of the boundary. The
+spring and the dashpot act at the velocities at hand, as all forces do. Friction is that at the end
+of the kick, v₁ = v* − (kick/m) µ p L w₁/√(w₁² + s²), where v* is what all other forces make of v: a
+particle may so stick at any pressure without a shorter step. A body with a mass moves by leapfrog
+as particles do; one that follows a motion has in each step its mean velocity. What dashpots and
+friction dissipate is their force times the mean of the relative velocities before and after a kick,
+which closes the energy balance of the kick.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.compilation import kernel
+from surrofe2.problem.contact_law import circle, corner, friction, pressure, stored
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+PLANE, CIRCLE, CORNER = 0, 1, 2
+_ITERATIONS = 50
+
+
+class Steps(NamedTuple):
+    """n leapfrog steps.
+
+    Attributes:
+        length: (n, 2) by which v is kicked and x drifts, µs.
+        amplitude: (n, loads). speed: (n, motions) mean rate of each amplitude in the step, 1/µs.
+    """
+
+    length: Array
+    amplitude: Array
+    speed: Array
+
+
+class DrivenParticles(NamedTuple):
+    """Components of particles that follow a motion.
+
+    Attributes:
+        at: (d, 4) tile, axis, own particle, lane. motion: (d,) which.
+        largest: (d,) µm at amplitude 1. mass: (d,) ng.
+        before: (d,) velocity before a step, scratch. work: (1,) done so far, pJ.
+    """
+
+    at: Ints
+    motion: Ints
+    largest: Array
+    mass: Array
+    before: Array
+    work: Array
+
+
+class OutlineForces(NamedTuple):
+    """Follower pressures and foundations: forces on particles e of the outline.
+
+    Attributes:
+        at: (e, 3) tile, own particle, lane. load: (e,) which of the loads.
+        pressure: (k,) µN/µm at amplitude 1, of the bond from particle 2k of them to 2k + 1, which
+            has the tissue on its left. offset: (2k, 2) added to their positions, µm.
+        home: (e − 2k, 2) where the springs of others are at rest, µm.
+        stiffness, damping: (e − 2k, 2) of both components, µN/µm and µN µs/µm.
+        force: (e, 2) at the last step, µN. before: (e, 2) velocity at that time, scratch.
+        total: (loads, 2) forces at the last step, µN. work: (loads,) so far, pJ.
+    """
+
+    at: Ints
+    load: Ints
+    pressure: Array
+    offset: Array
+    home: Array
+    stiffness: Array
+    damping: Array
+    force: Array
+    before: Array
+    total: Array
+    work: Array
+
+
+class BodyContacts(NamedTuple):
+    """Rigid bodies b, and particles c that may touch them.
+
+    Attributes:
+        starts: (b + 1,) where the particles of each body begin.
+        at: (c, 3) tile, own particle, lane. length: (c,) of the boundary, µm.
+        offset: (c, 2) added to a particle's position, µm.
+        kind: (b,) `PLANE`, `CIRCLE` or `CORNER`. outline: (b, 5) of a plane its unit normal, of a
+            circle its radius, of a corner as `contact_law.corner` takes it.
+        law: (b, 5) stiffness k, smoothing δ, damping c, friction µ, slip speed s.
+        rubs: whether any has friction.
+        x, v: (b, 2) position and velocity, µm and µm/µs.
+        force: (b, 2) on the tissue at the last step, µN; stored: (b,) energy, pJ; depth: (b,) µm.
+        per_mass: (b,) 1/ng, 0 where the motion is prescribed; pull: (b, 2) acceleration of others.
+        motion: (b,) which, −1 of one that rests or flies; largest: (b, 2) µm at amplitude 1.
+        work: (3,) so far: of `pull`, of what moves bodies, and lost in contact, pJ.
+        pressed: (c, 3) at the last step force along the normal, µN, and normal; lost: (c, 4) force
+            of dashpot and friction, µN, and velocity relative to the body; of rough bodies only.
+    """
+
+    starts: Ints
+    at: Ints
+    length: Array
+    offset: Array
+    kind: Ints
+    outline: Array
+    law: Array
+    rubs: bool
+    x: Array
+    v: Array
+    force: Array
+    stored: Array
+    depth: Array
+    per_mass: Array
+    pull: Array
+    motion: Ints
+    largest: Array
+    work: Array
+    pressed: Array
+    lost: Array
+
+
+_NO, _NONE, _PAIRS, _FIVE = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 5))
+NO_DRIVEN = DrivenParticles(np.zeros((0, 4), np.int64), _NO, _NONE, _NONE, _NONE, np.zeros(1))
+NO_OUTLINE = OutlineForces(
+    np.zeros((0, 3), np.int64), _NO, _NONE, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS, _PAIRS,
+    _PAIRS, _NONE,
+)  # fmt: skip
+NO_BODIES = BodyContacts(
+    np.zeros(1, np.int64), np.zeros((0, 3), np.int64), _NONE, _PAIRS, _NO, _FIVE, _FIVE, False,
+    _PAIRS, _PAIRS, _PAIRS, _NONE, _NONE, _NONE, _PAIRS, _NO, _PAIRS, np.zeros(3),
+    np.zeros((0, 3)), np.zeros((0, 4)),
+)  # fmt: skip
+
+
+@kernel
+def drive_particles(v, drive, speed):
+    """Give driven particles the velocity of a step, in v (tiles + 1, 2, local, TILE)."""
+    for k in range(drive.motion.shape[0]):
+        t, axis, i, lane = drive.at[k, 0], drive.at[k, 1], drive.at[k, 2], drive.at[k, 3]
+        drive.before[k] = v[t, axis, i, lane]
+        v[t, axis, i, lane] = speed[drive.motion[k]] * drive.largest[k]
+
+
+@kernel
+def add_driving_work(particles, loads, drive, kick, amplitude):
+    """Add the work of a step's drive, with the forces that it was taken by.
+
+    loads: (loads, tiles, 2, own, TILE); amplitude: (loads,).
+    """
+    work = 0.0
+    for k in range(drive.motion.shape[0]):
+        t, axis, i, lane = drive.at[k, 0], drive.at[k, 1], drive.at[k, 2], drive.at[k, 3]
+        before, now = drive.before[k], particles.v[t, axis, i, lane]
+        force = particles.f[t, axis, i, lane]
+        for n in range(loads.shape[0]):
+            force += amplitude[n] * loads[n, t, axis, i, lane]
+        work += 0.5 * (before + now) * (drive.mass[k] * (now - before) - kick * force)
+    drive.work[0] += work
+
+
+@kernel
+def add_outline_forces(particles, outline, amplitude):
+    """Add forces on the outline to f of own particles; set force, before and total.
+
+    amplitude: (loads,).
+    """
+    x, v, f, at = particles.x, particles.v, particles.f, outline.at
+    outline.total[:] = 0.0
+    bonds = outline.pressure.shape[0]
+    for k in range(bonds):
+        size = 0.5 * amplitude[outline.load[2 * k]] * outline.pressure[k]
+        for axis in range(2):
+            along = outline.offset[2 * k + 1, axis] - outline.offset[2 * k, axis]
+            along += x[at[2 * k + 1, 0], axis, at[2 * k + 1, 1], at[2 * k + 1, 2]]
+            along -= x[at[2 * k, 0], axis, at[2 * k, 1], at[2 * k, 2]]
+            # The outward normal times length is (dy, −dx).
+            along *= size if axis == 0 else -size
+            outline.force[2 * k, 1 - axis] = outline.force[2 * k + 1, 1 - axis] = along
+    for e in range(at.shape[0]):
+        t, i, lane = at[e, 0], at[e, 1], at[e, 2]
+        for axis in range(2):
+            outline.before[e, axis] = v[t, axis, i, lane]
+            if e >= 2 * bonds:
+                away = x[t, axis, i, lane] - outline.home[e - 2 * bonds, axis]
+                held = outline.stiffness[e - 2 * bonds, axis] * away
+                held += outline.damping[e - 2 * bonds, axis] * v[t, axis, i, lane]
+                outline.force[e, axis] = -held
+            f[t, axis, i, lane] += outline.force[e, axis]
+            outline.total[outline.load[e], axis] += outline.force[e, axis]
+
+
+@kernel
+def add_outline_work(particles, outline, kick):
+    """Add the work that forces on the outline have done in a step."""
+    for e in range(outline.at.shape[0]):
+        t, i, lane = outline.at[e, 0], outline.at[e, 1], outline.at[e, 2]
+        for axis in range(2):
+            mean = 0.5 * (outline.before[e, axis] + particles.v[t, axis, i, lane])
+            outline.work[outline.load[e]] += kick * mean * outline.force[e, axis]
+
+
+@kernel
+def add_normal_contact(particles, bodies):
+    """Add forces of springs and dashpots to f of own particles; set what the last step has."""
+    x, v, f = particles.x, particles.v, particles.f
+    for b in range(bodies.starts.shape[0] - 1):
+        law = bodies.law[b]
+        rough = law[2] > 0.0 or law[3] > 0.0
+        sum_x, sum_y, energy, depth, closing = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(bodies.starts[b], bodies.starts[b + 1]):
+            t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
+            px = x[t, 0, i, lane] + bodies.offset[k, 0] - bodies.x[b, 0]
+            py = x[t, 1, i, lane] + bodies.offset[k, 1] - bodies.x[b, 1]
+            gap, nx, ny = _gap(px, py, bodies.kind[b], bodies.outline[b])
+            bodies.pressed[k, 0] = 0.0
+            if not gap < 0.0:
+                continue
+            if rough:
+                vx = v[t, 0, i, lane] - bodies.v[b, 0]
+                vy = v[t, 1, i, lane] - bodies.v[b, 1]
+                closing = -(vx * nx + vy * ny)
+                bodies.lost[k, 2], bodies.lost[k, 3] = vx, vy
+            whole = pressure(-gap, closing, (law[0], law[1], law[2]))[0]
+            size = bodies.length[k] * whole
+            if rough:
+                spring = pressure(-gap, 0.0, (law[0], law[1], 0.0))[0]
+                dashpot = size - bodies.length[k] * spring
+                bodies.lost[k, 0], bodies.lost[k, 1] = dashpot * nx, dashpot * ny
+            bodies.pressed[k, 0], bodies.pressed[k, 1], bodies.pressed[k, 2] = size, nx, ny
+            f[t, 0, i, lane] += size * nx
+            f[t, 1, i, lane] += size * ny
+            sum_x += size * nx
+            sum_y += size * ny
+            energy += bodies.length[k] * stored(-gap, law[0], law[1])
+            depth = max(depth, -gap)
+        bodies.force[b, 0], bodies.force[b, 1] = sum_x, sum_y
+        bodies.stored[b], bodies.depth[b] = energy, depth
+
+
+@kernel
+def _gap(x, y, kind, outline):
+    """Gap and normal at a point relative to a body."""
+    if kind == CIRCLE:
+        gap, nx, ny, _ = circle(x, y, outline[0])
+    elif kind == CORNER:
+        wedge = outline[0], outline[1], outline[2], outline[3], outline[4]
+        gap, nx, ny, _ = corner(x, y, wedge)
+    else:
+        nx, ny = outline[0], outline[1]
+        gap = x * nx + y * ny
+    return gap, nx, ny
+
+
+@kernel
+def add_friction(particles, body, bodies, kick, amplitude, speed):
+    """Add friction to f of own particles, which has all other forces, and to that of the bodies.
+
+    body: `kernels.Body`; amplitude: (loads,); speed: (motions,) of the step.
+    """
+    v, f, loads = particles.v, particles.f, body.loads
+    for b in range(bodies.starts.shape[0] - 1):
+        law = bodies.law[b, 3], bodies.law[b, 4]
+        if not law[0] > 0.0:
+            continue
+        moved = bodies.motion[b]
+        begin, end = bodies.starts[b], bodies.starts[b + 1]
+        of_body = (end - begin) * bodies.per_mass[b]
+        for k in range(begin, end):
+            size, nx, ny = bodies.pressed[k, 0], bodies.pressed[k, 1], bodies.pressed[k, 2]
+            if not size > 0.0:
+                continue
+            t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
+            sliding, mobility = 0.0, of_body
+            for axis in range(2):
+                along = -ny if axis == 0 else nx
+                share = body.per_mass[t, i, lane] * body.free[t, axis, i, lane]
+                force = f[t, axis, i, lane]
+                for n in range(loads.shape[0]):
+                    force += amplitude[n] * loads[n, t, axis, i, lane]
+                # a flying body has the velocity from before its kick: an error of first order
+                base = bodies.v[b, axis]
+                if moved >= 0 and kick > 0.0:
+                    base = speed[moved] * bodies.largest[b, axis]
+                sliding += along * (v[t, axis, i, lane] + kick * share * force - base)
+                mobility += along * along * share
+            drag = _drag(size, sliding, kick * mobility, law)
+            f[t, 0, i, lane] += drag * ny
+            f[t, 1, i, lane] -= drag * nx
+            bodies.force[b, 0] += drag * ny
+            bodies.force[b, 1] -= drag * nx
+            bodies.lost[k, 0] += drag * ny
+            bodies.lost[k, 1] -= drag * nx
+
+
+@kernel
+def _drag(size, sliding, yielding, law):
+    """Friction at the sliding velocity w that it leaves, w + yielding · friction(w) = sliding.
+
+    Friction is concave by w > 0, so Newton from 0 rises to the root.
+    """
+    w = 0.0 if yielding > 0.0 else sliding
+    for _ in range(_ITERATIONS):
+        drag, _, slope = friction(size, w, law)
+        change = (sliding - w - yielding * drag) / (1.0 + yielding * slope)
+        w += change
+        if not abs(change) > 1e-14 * abs(w):
+            break
+    return friction(size, w, law)[0]
+
+
+@kernel
+def move_bodies(bodies, length, speed):
+    """A step of the bodies under `force`; length: (2,) kick and drift, speed: (motions,)."""
+    kick, drift = length[0], length[1]
+    for b in range(bodies.x.shape[0]):
+        for axis in range(2):
+            before, force = bodies.v[b, axis], bodies.force[b, axis]
+            if bodies.per_mass[b] > 0.0:
+                pull = bodies.pull[b, axis]
+                now = before + kick * (pull - force * bodies.per_mass[b])
+                mean = 0.5 * (before + now)
+                bodies.work[0] += kick * mean * pull / bodies.per_mass[b]
+            elif bodies.motion[b] >= 0:
+                now = speed[bodies.motion[b]] * bodies.largest[b, axis]
+                bodies.work[1] += kick * 0.5 * (before + now) * force
+            else:
+                now = 0.0
+            bodies.v[b, axis] = now
+            bodies.x[b, axis] += drift * now
+
+
+@kernel
+def add_contact_loss(particles, bodies, kick):
+    """Add what dashpots and friction took in a step."""
+    v, lost = particles.v, bodies.lost
+    for b in range(bodies.starts.shape[0] - 1):
+        if not (bodies.law[b, 2] > 0.0 or bodies.law[b, 3] > 0.0):
+            continue
+        for k in range(bodies.starts[b], bodies.starts[b + 1]):
+            if bodies.pressed[k, 0] > 0.0:
+                t, i, lane = bodies.at[k, 0], bodies.at[k, 1], bodies.at[k, 2]
+                for axis in range(2):
+                    now = v[t, axis, i, lane] - bodies.v[b, axis]
+                    mean = 0.5 * (lost[k, 2 + axis] + now)
+                    bodies.work[2] -= kick * mean * lost[k, axis]

@@ -1,0 +1,182 @@
+"""The constants of each bond, contact and fluid of a tissue.
+
+A wall between two plant cells is made of half a wall of each, so its bonds have the sum of both
+halves: mean stiffness k and damping, and the rest length Σ k l₀/Σ k at which both halves balance. A
+wall particle has the mean repulsion and contact damping of the plant cells around it, and a contact
+the mean of its two particles. Fluid has the constants of its plant cell. Every mean is over plant
+cells that are there; at the tissue's boundary, where one is missing, the weight of a pair halves
+it. FE² knows no walls of two types: there each type begins where the other ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surrofe2.base.compilation import pair_law
+from surrofe2.base.simd import TILE, load
+from surrofe2.plant_cell.tiles import Constants
+from surrofe2.tissue.layout import Tissue, shares, tiled
+from surrofe2.tissue.pair_kinds import PairKinds
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+Factors = tuple[float, float]
+"""On the elastic and on the damping part of all forces between particles."""
+WHOLE: Factors = (1.0, 1.0)
+ELASTIC: Factors = (1.0, 0.0)
+DAMPING: Factors = (0.0, 1.0)
+
+
+class PairConstants(NamedTuple):
+    """Lanes last, weights included.
+
+    Attributes:
+        bonds: (bonds, 3, TILE) stiffness, rest length, damping.
+        lines, contacts: (·, 2, TILE) repulsion and contact damping.
+        fluid: (tiles, 4, TILE) smoothing length, fluid mass, sound speed squared, viscosity; of
+            one type of plant cell fluid and contacts have one row, which serves all.
+        cutoff: of contacts, µm.
+    """
+
+    bonds: Array
+    lines: Array
+    contacts: Array
+    fluid: Array
+    cutoff: float
+
+    def times(self, factors: Factors) -> PairConstants:
+        """With factors on elastic constants and on those of dashpots and viscosity."""
+        elastic, damping = factors
+        both = np.array(factors)[:, None]
+        return PairConstants(
+            self.bonds * np.array([elastic, 1.0, damping])[:, None],
+            self.lines * both,
+            self.contacts * both,
+            self.fluid * np.array([1.0, 1.0, elastic, damping])[:, None],
+            self.cutoff,
+        )
+
+
+class Bond(NamedTuple):
+    """Constants of a bond, as `pair_laws` takes them; lanes."""
+
+    wall_stiffness: float
+    rest_length: float
+    wall_damping: float
+
+
+class Contact(NamedTuple):
+    """Those of a contact; lanes."""
+
+    repulsion: float
+    contact_damping: float
+    cutoff: float
+
+
+class FluidConstants(NamedTuple):
+    """Those of the fluid in a tile; lanes."""
+
+    smoothing_length: float
+    fluid_mass: float
+    sound_speed_squared: float
+    viscosity: float
+
+
+@pair_law
+def bond_at(rows, k):
+    """The `Bond` of a row of `PairConstants.bonds`."""
+    return Bond(load(rows, k, 0), load(rows, k, 1), load(rows, k, 2))
+
+
+@pair_law
+def contact_at(rows, k, cutoff):
+    """The `Contact` of a row of `PairConstants.lines` or `contacts`."""
+    return Contact(load(rows, k, 0), load(rows, k, 1), cutoff)
+
+
+@pair_law
+def fluid_at(rows, t):
+    """The `FluidConstants` of a row of `PairConstants.fluid`."""
+    return FluidConstants(load(rows, t, 0), load(rows, t, 1), load(rows, t, 2), load(rows, t, 3))
+
+
+class ConstantsMaker:
+    """Makes the `PairConstants` of a tissue for any of its pair lists.
+
+    Args:
+        place: (places, shifts) of the plant cell at each of `PairKinds.shifts`, or −1.
+        weight: (tiles, bonds + lines, TILE) of the pairs along a wall line.
+    """
+
+    def __init__(self, tissue: Tissue, kinds: PairKinds, place: Ints, weight: Array) -> None:
+        self._tissue, self._kinds, self._place, self._weight = tissue, kinds, place, weight
+        # one more type, the last, for plant cells that are not there
+        table = np.array([*tissue.types, np.zeros(len(tissue.types[0]))])
+        of = dict(zip(Constants._fields, table.T, strict=True))
+        here = np.pad(tissue.kind, 1, constant_values=-1)
+        bonds = _bond_constants(tissue, kinds, here, of)
+        bonds[:, :, ::2] *= weight[:, : kinds.bonds, None]
+        self._bonds = bonds.reshape(-1, 3, TILE)
+        # places without fluid have some, so that kernels may divide
+        own = np.maximum(here[tissue.column + 1, tissue.row + 1], 0)
+        fluid = tiled(np.stack([of[name][own] for name in FluidConstants._fields], axis=1))
+        self._fluid = fluid if len(tissue.types) > 1 else fluid[:1]
+        part = np.stack(
+            [
+                shares(tissue.cell, tissue.kind == k, tissue.column, tissue.row)
+                for k in range(len(tissue.types))
+            ],
+            axis=2,
+        )
+        part /= np.maximum(part.sum(axis=2, keepdims=True), 1e-3)
+        both = np.stack([of["repulsion"][:-1], of["contact_damping"][:-1]], axis=1)
+        self._particles = part @ both  # (places, own, 2)
+
+    def make(self, tile: Ints, kind: Ints) -> PairConstants:
+        """For listed contacts, which follow the bonds: the kind of each in its tile, in order."""
+        is_line = kind < self._kinds.bonds + self._kinds.lines
+        lines = self._contacts(tile[is_line], kind[is_line])
+        return PairConstants(
+            bonds=self._bonds,
+            lines=lines * self._weight[tile[is_line], kind[is_line], None],
+            contacts=self._contacts(tile[~is_line], kind[~is_line]),
+            fluid=self._fluid,
+            cutoff=self._tissue.cell.repulsion_cutoff,
+        )
+
+    def _contacts(self, tile: Ints, kind: Ints) -> Array:
+        """(n, 2, TILE) means of the two particles of each contact; (1, 2, TILE) of one type."""
+        if len(self._tissue.types) == 1:
+            (only,) = self._tissue.types
+            row = np.array([only.repulsion, only.contact_damping])
+            return np.tile(row[None, :, None], (1, 1, TILE))
+        kinds, here = self._kinds, tile[:, None] * TILE + np.arange(TILE)
+        there = self._place[here, kinds.shift[kind, None]]
+        sums = self._particles[here, kinds.i[kind, None]]
+        sums = sums + self._particles[there, kinds.j[kind, None]]
+        return np.ascontiguousarray(np.moveaxis(0.5 * sums, 1, 2))
+
+
+def _bond_constants(tissue: Tissue, kinds: PairKinds, here: Ints, of: dict[str, Array]) -> Array:
+    """(tiles, bonds, 3, TILE) of the walls that the plant cells present make.
+
+    Args:
+        here: (n + 2, m + 2) type of each plant cell, −1 all around.
+    """
+    first = here[tissue.column + 1, tissue.row + 1]
+    below, left = here[tissue.column + 1, tissue.row], here[tissue.column, tissue.row + 1]
+    walls = []
+    for second in (below, left):  # walls along x, then along y
+        both = np.stack([first, second])
+        count = np.maximum((both >= 0).sum(axis=0), 1)
+        stiffness = of["wall_stiffness"][both]
+        rest = (stiffness * of["rest_length"][both]).sum(axis=0)
+        total = stiffness.sum(axis=0)
+        rest /= np.where(total > 0.0, total, 1.0)
+        damping = of["wall_damping"][both].sum(axis=0) / count
+        walls.append(np.stack([total / count, rest, damping], axis=1))
+    return tiled(np.stack([walls[axis] for axis in kinds.axis[: kinds.bonds]], axis=1))
