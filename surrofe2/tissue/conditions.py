@@ -35,7 +35,7 @@ from surrofe2.tissue.external_forces import (
     DrivenParticles,
     OutlineForces,
 )
-from surrofe2.tissue.layout import Tissue, shares
+from surrofe2.tissue.layout import Tissue, shares, tiled
 from surrofe2.tissue.pair_lists import bonded_particles
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Conditions:
 
     def boundary(self, name: str) -> Index:
         """Numbers of the wall particles of a boundary, increasing."""
-        found = np.flatnonzero(self._outer)
+        found = np.flatnonzero(self._is_outer(self.tissue.outline))
         points = self.tissue.outline[found]
         part = self.problem.boundaries.get(name)
         found = found[self._on_sides(name, points) if part is None else part.holds(points)]
@@ -73,12 +73,9 @@ class Conditions:
 
     def lengths(self, name: str) -> Array:
         """(k,) unloaded length of the outline that each particle of a boundary stands for, µm."""
-        inside = np.zeros(self.tissue.particles, dtype=np.bool_)
-        inside[self.boundary(name)] = True
-        pairs = self._bonds[inside[self._bonds].all(axis=1)]
+        ends = np.bincount(self._pairs_on(name).ravel(), minlength=self.tissue.particles)
         half = 0.5 * self.tissue.cell.spring_length
-        ends: Array = np.bincount(pairs.ravel(), minlength=len(inside)).astype(np.float64)
-        return half * ends[self.boundary(name)]
+        return half * ends[self.boundary(name)].astype(np.float64)
 
     def places(self, condition: Condition) -> Index:
         """Numbers of the particles of a boundary or a region, increasing."""
@@ -134,7 +131,7 @@ class Conditions:
 
     def dead_loads(self) -> Array:
         """(loads, particles, 2) µN at amplitude 1; one of nothing where there is none."""
-        mass = self.tissue.mass.reshape(-1)[self.tissue.where]
+        mass = self.tissue.each(self.tissue.mass)
         found = np.zeros((max(1, len(self.loads)), self.tissue.particles, 2))
         for n, load in enumerate(self.loads):
             if isinstance(load, BodyForce):
@@ -155,7 +152,7 @@ class Conditions:
             at=np.stack([tile, axis, own, lane], axis=1),
             motion=np.repeat(np.arange(len(sizes)), sizes),
             largest=np.concatenate([each.largest for each in self.moving]),
-            mass=self.tissue.mass.reshape(-1)[self.tissue.where][i],
+            mass=self.tissue.each(self.tissue.mass)[i],
             before=np.zeros(len(i)),
             work=np.zeros(1),
         )
@@ -230,7 +227,7 @@ class Conditions:
 
         In 1/µs² and 1/µs, of contact and foundations; friction is implicit.
         """
-        mass = self.tissue.mass.reshape(-1)[self.tissue.where]
+        mass = self.tissue.each(self.tissue.mass)
         total = np.zeros((2, self.tissue.particles))
         for body in self.problem.bodies:
             lengths, (k, _, c, *_) = self.lengths(body.on), self.contact_law(body)
@@ -302,8 +299,7 @@ class Conditions:
             for filled in (inside, np.ones(tissue.cells, dtype=np.bool_))
         )
         part = np.divide(mine, whole, out=np.zeros_like(whole), where=whole > 0.0)
-        tiled = np.moveaxis(part.reshape(tissue.tiles, TILE, tissue.own), 1, 2)
-        return np.ascontiguousarray(tiled).reshape(-1)[tissue.where]
+        return tissue.each(tiled(part))
 
     def _address(self, i: Index) -> Index:
         """(k, 3) tile, own particle and lane of particles."""
@@ -322,32 +318,30 @@ class Conditions:
 
     def _sides(self, name: str) -> Index:
         """(k, 2) particles of the bonds along a boundary, the tissue on their left."""
+        pairs = self._pairs_on(name)
+        pairs = pairs[self._is_outer(self.tissue.outline[pairs].mean(axis=1))]
+        ends = self.tissue.outline[pairs]
+        along, inward = ends[:, 1] - ends[:, 0], 0.5 * self._extent - ends[:, 0]
+        is_left = along[:, 0] * inward[:, 1] > along[:, 1] * inward[:, 0]
+        turned: Index = np.where(is_left[:, None], pairs, pairs[:, ::-1])
+        return turned
+
+    def _pairs_on(self, name: str) -> Index:
+        """(k, 2) bonds whose two particles are on a boundary."""
         inside = np.zeros(self.tissue.particles, dtype=np.bool_)
         inside[self.boundary(name)] = True
-        pairs = self._bonds[inside[self._bonds].all(axis=1)]
-        ends = self.tissue.outline[pairs]
-        found = []
-        for axis, sign in ((0, -1.0), (1, 1.0)):
-            for side, value in ((sign, 0.0), (-sign, self._extent[axis])):
-                on = (abs(ends[:, :, axis] - value) < 1e-6).all(axis=1)
-                along = ends[on, 1, 1 - axis] - ends[on, 0, 1 - axis]
-                found.append(np.where((side * along > 0.0)[:, None], pairs[on], pairs[on, ::-1]))
-        return np.concatenate(found)
+        return self._bonds[inside[self._bonds].all(axis=1)]
 
     @property
-    def _extent(self) -> tuple[float, float]:
-        side, (n, m) = self.tissue.cell.cell_side, self.tissue.cells
-        return n * side, m * side
+    def _extent(self) -> Array:
+        """(2,) width and height, µm."""
+        return self.tissue.cell.cell_side * np.array(self.tissue.cells, dtype=np.float64)
 
-    @cached_property
-    def _outer(self) -> NDArray[np.bool_]:
-        """(particles,) which lie on the outline."""
-        side, (n, m) = self.tissue.cell.cell_side, self.tissue.cells
-        x, y = (self.tissue.outline / side).T
-        walls = np.isfinite(x)
-        slack = 1e-9
-        ends = (x < slack) | (x > n - slack) | (y < slack) | (y > m - slack)
-        return walls & ends
+    def _is_outer(self, points: Array) -> NDArray[np.bool_]:
+        """(n,) which points (n, 2) lie on the outline; infinite ones do not."""
+        ends = np.stack([points, self._extent - points], axis=2).min(axis=2)
+        on: NDArray[np.bool_] = abs(ends).min(axis=1) < 1e-9 * self.tissue.cell.cell_side
+        return on
 
     @cached_property
     def _bonds(self) -> Index:

@@ -64,7 +64,7 @@ class TissueDynamics:
         self.driven = driven
         self.bodies: BodyContacts = NO_BODIES
         self.outline: OutlineForces = NO_OUTLINE
-        self.mass = tissue.mass.reshape(-1)[tissue.where]
+        self.mass = tissue.each(tissue.mass)
         self.free = np.ones((tissue.particles, 2), dtype=np.bool_)
         if held is not None:
             self.free[held] = False

@@ -116,6 +116,11 @@ class Tissue:
         grid[own >= self.walls] = np.inf
         return grid
 
+    def each(self, tiles: Array) -> Array:
+        """(tiles, own, TILE) → (particles,)."""
+        values: Array = tiles.reshape(-1)[self.where]
+        return values
+
     def to_particles(self, tiled: Array) -> Array:
         """(tiles, 2, own, TILE) → (particles, 2)."""
         by_axis = np.moveaxis(tiled, 1, 0).reshape(2, -1)
