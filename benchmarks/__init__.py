@@ -10,6 +10,7 @@ below is a module with `run(bench)`, which records its figures:
     start     help, first and second start, memory
     trust     every accepted answer of the cache audited
     ranks     MPI ranks against threads (on request)
+    suites    the quick, slow and nightly tests (on request)
 
 `measured` says what a figure is, `timing` how times are taken, `commands` runs surrofe2. What is
 compared is timed in turns, after compilation.

@@ -10,27 +10,27 @@ from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 
-from benchmarks.measured import MEASURED, Bench, merge, readme_table
+from benchmarks.measured import MEASURED, Bench, merge, write_tables
 
 TOPICS = ("runs", "large", "solve", "tissue", "start", "trust")
-ON_REQUEST = ("ranks",)
+ON_REQUEST = ("ranks", "suites")
 BUSY = 0.5
 """Load average above which times are not to be trusted."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """0; 1 where a topic failed or a limit was missed. Pages are not touched."""
+    """0; 1 where a topic failed or a limit was missed. Only `tables` touches pages."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument(
-        "topics", nargs="*", metavar="TOPIC", choices=(*TOPICS, *ON_REQUEST, "readme"),
-        help=f"of {', '.join((*TOPICS, *ON_REQUEST))}; default: all but the last; "
-        "readme: print README's table from the stored figures",
+        "topics", nargs="*", metavar="TOPIC", choices=(*TOPICS, *ON_REQUEST, "tables"),
+        help=f"of {', '.join((*TOPICS, *ON_REQUEST))}; default: all but the last "
+        "two; tables: write those of README and CONTRIBUTING from the stored figures",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="less of everything, nothing stored")
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/bench").absolute())
     given = parser.parse_args(arguments)
-    if given.topics == ["readme"]:
-        print("\n".join(readme_table()))
+    if given.topics == ["tables"]:
+        write_tables()
         return 0
     load = os.getloadavg()[0]
     if load > BUSY:

@@ -174,7 +174,43 @@ def readme_table(path: Path = MEASURED) -> Iterator[str]:
         yield f"| {words} | {' | '.join(values)} | `{command}` |"
 
 
-def in_readme() -> str:
-    """The table that README has, between its two comments."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return text.partition("benchmarks readme -->\n")[2].partition("\n<!-- end")[0]
+TESTS = (
+    ("quick", "none", "every behaviour, with few cases"),
+    ("slow", "`slow`", "whole studies, installation, the documentation site, more cases"),
+    ("nightly", "`nightly` (counts as slow, too)",
+     "random kills and faults, fuzzing, 10,000 solves, every benchmark"),
+)  # fmt: skip
+"""Kinds of tests, their marker and what they are."""
+
+
+def contributing_table(path: Path = MEASURED) -> Iterator[str]:
+    """The lines of CONTRIBUTING's table of tests."""
+    figures = read(path)
+    yield "| tests | marker | time on two cores | what they are |"
+    yield "|---|---|---|---|"
+    for name, marker, words in TESTS:
+        yield f"| {name} | {marker} | {figures.get(f'tests.{name}', 'not measured')} | {words} |"
+
+
+TABLES = {"README.md": readme_table, "CONTRIBUTING.md": contributing_table}
+"""Tables of figures on pages that Sphinx's substitutions do not reach, between two comments."""
+
+
+def _parts(page: str) -> tuple[str, str, str]:
+    """Text of a page before its table, the table, and the text behind it."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    before, mark, rest = text.partition("<!-- measured: python -m benchmarks tables -->\n")
+    table, end, after = rest.partition("\n<!-- end -->")
+    return before + mark, table, end + after
+
+
+def table_of(page: str) -> str:
+    """The table that a page has."""
+    return _parts(page)[1]
+
+
+def write_tables() -> None:
+    """Write the tables of `TABLES` into their pages."""
+    for page, table in TABLES.items():
+        before, _, after = _parts(page)
+        (ROOT / page).write_text(before + "\n".join(table()) + after, encoding="utf-8")

@@ -10,19 +10,20 @@ import pytest
 
 from benchmarks.measured import (
     ROOT,
+    TABLES,
     Bench,
-    in_readme,
     merge,
     number,
     read,
-    readme_table,
     substitutions,
+    table_of,
 )
 from benchmarks.trust import digest, picture_digest, shown
 
 
-def test_readme_has_the_measured_figures():
-    assert in_readme() == "\n".join(readme_table()), "run python -m benchmarks readme"
+@pytest.mark.parametrize("page", TABLES)
+def test_tables_have_the_measured_figures(page):
+    assert table_of(page) == "\n".join(TABLES[page]()), "run python -m benchmarks tables"
 
 
 def test_pages_name_figures_that_were_measured_and_type_none():
