@@ -245,6 +245,8 @@ def rates(setting: Setting) -> Study:
         ),
         log_x=True,
         log_y=True,
+        x_ticks=tuple(errors.rate),
+        x_names=tuple(f"{rate:.2g}" for rate in errors.rate),
     )
     return Study(
         title="Error of each initialisation against the RVE integrated in time,\n"
@@ -381,14 +383,16 @@ FIGURE_6: tuple[Quantity[tuple[str, Relaxation]], ...] = (
 def figure_6(setting: Setting) -> Study:
     """Error of the state at the left, mean force at the right."""
     solvers = relaxations(setting.of.cell)
-    error, force = "error of the state (µm and µm/µs)", "mean particle force (µN)"
+    error, force = "error of the state [x; v] (µm, µm/µs)", "mean particle force (µN)"
 
     def panel(label: str, values: Callable[[Relaxation], Array]) -> Panel:
         curves = []
         for name, text in _LABELS.items():
             x, y = solvers[name].iterations.astype(float), values(solvers[name])
             curves.append(Curve(name, x, y, text, markers=name == DIRECT))
-        return Panel("iterations", label, tuple(curves), log_x=True, log_y=True)
+        ticks = (0, *(10**k for k in range(5)))
+        names = tuple(f"{k:,}" for k in ticks)
+        return Panel("iterations", label, tuple(curves), "", True, True, ticks, names)
 
     def column(values: Callable[[Relaxation], NDArray[Any]]) -> NDArray[Any]:
         return np.concatenate([values(each) for each in solvers.values()])
