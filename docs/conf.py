@@ -16,7 +16,7 @@ import scripts
 from benchmarks.measured import substitutions
 
 project = "surrofe2"
-author = "the surrofe2 authors"
+author = "the surrofe2 developers"
 version = release = metadata.version("surrofe2")
 root_doc = "docs/index"
 include_patterns = ["docs/**", "examples/*.md", "data/README.md", "*.md"]
@@ -81,7 +81,7 @@ html_theme_options = {
     "pygments_dark_style": "github-dark",
 }
 html_sidebars = {"docs/index": []}
-copyright = "the surrofe2 authors, BSD-3-Clause"
+copyright = "the surrofe2 developers, BSD-3-Clause"
 
 # MathJax from its package, so that the site needs no network.
 mathjax_path = "mathjax/tex-chtml.js"
