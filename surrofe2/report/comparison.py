@@ -213,9 +213,8 @@ def audit_sentence(cache: Mapping[str, Any]) -> str:
     if allowed == float("inf"):
         return f"{text}; no bound, so no tolerance is held"
     text += f"; {audit['violations']} above the tolerance of {number(allowed, 2)} µN/µm"
-    wrong = audit.get("wrong_at_most")  # runs of earlier versions do not have it
-    if wrong is not None:
-        text += f", so with 95 % confidence at most {100.0 * wrong:.2g} % of all"
+    if audit["wrong_at_most"] is not None:
+        text += f", so with 95 % confidence at most {percent(2)(audit['wrong_at_most'])} of all"
     return text
 
 

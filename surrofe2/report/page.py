@@ -261,16 +261,14 @@ def _risks(run: RunData) -> str:
 def _worst(of: str, audit: Mapping[str, Any], risks: str) -> str:
     worst = audit["worst"]
     text = f"{of}: {audit['audited']:,} answers audited, {audit['violations']} above the tolerance"
-    if audit.get("wrong_at_most") is not None:  # runs of earlier versions do not have it
+    if audit["wrong_at_most"] is not None:
         most = percent(2)(audit["wrong_at_most"])
         text += f", so with 95 % confidence at most {most} of all answers are"
     if not isinstance(worst, Mapping):
         return paragraph(f"{text}.{risks}")
-    risk = worst.get("risk")  # runs of earlier versions have a bound instead
-    where = "" if risk is None else f", where the risk was {risk:.3g}"
     return paragraph(
-        f"{text}; the worst error is {number(worst['error'])} µN/µm{where} "
-        f"(step {worst['step']}, point {worst['point']}).{risks}"
+        f"{text}; the worst error is {number(worst['error'])} µN/µm, where the risk was "
+        f"{number(worst['risk'])} (step {worst['step']}, point {worst['point']}).{risks}"
     )
 
 

@@ -188,15 +188,6 @@ def test_a_bare_run_is_shown_with_sentences_for_what_it_lacks(runs, tmp_path):
         assert sentence in words
 
 
-def test_a_run_of_before_whose_worst_answer_has_no_risk_is_shown(runs, tmp_path):
-    record = read_record(runs[1])
-    worst = {"error": 0.003, "bound": 0.2, "step": 7, "point": 3}
-    cache = {**record.cache, "audit": {**record.cache["audit"], "worst": worst}}
-    write_record(runs[1], replace(record, cache=cache))
-    text = write_report(runs[1:], tmp_path / "one.html").read_text(encoding="utf-8")
-    assert "the worst error is 0.003 µN/µm (step 7, point 3)" in " ".join(Whole(text).words)
-
-
 def test_runs_of_other_loads_are_shown_but_not_compared(runs, tmp_path):
     record = read_record(runs[1])
     load = deepcopy(record.recipe["conditions"])

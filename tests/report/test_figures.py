@@ -1,0 +1,70 @@
+"""Colours with round limits, supports and symmetry read off how a tissue moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from surrofe2.report.figures import Colours, draw_cells, draw_tissue
+from surrofe2.run.charts import Curve, told_once
+from surrofe2.rve import RveLaw
+from surrofe2.store.fields import DISPLACEMENT_NAME, StoredFields
+from tests.laws import CELL
+
+
+@pytest.mark.parametrize(
+    ("values", "low", "high", "name"),
+    [
+        ([129.3, 166.0], 120.0, 170.0, "viridis"),
+        ([-42.16, -42.12], -42.6, -41.6, "viridis"),  # noise is one colour
+        ([-0.7, 0.92], -1.0, 1.0, "RdBu_r"),
+        ([-1e-12, 3.1], 0.0, 4.0, "viridis"),
+        ([np.nan, 0.0], -0.01, 0.01, "viridis"),
+    ],
+)
+def test_limits_are_round_and_signs_diverge(values, low, high, name):
+    colours = Colours.of("", np.array(values))
+    assert (colours.low, colours.high) == (pytest.approx(low), pytest.approx(high))
+    assert colours.name == name
+
+
+def strip():
+    """Two elements, clamped at the left, pulled at the right, on a line of symmetry below."""
+    x, y = np.meshgrid([0.0, 10.0, 20.0], [0.0, 5.0], indexing="ij")
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    cells = np.array([[0, 2, 3, 1], [2, 4, 5, 3]])
+    u = np.zeros((3, 6, 2))
+    u[1:, 2:, 0] = 0.1 * points[2:, 0] * np.array([1.0, 2.0])[:, None]
+    u[1:, 3, 1] = -0.2
+    return StoredFields(points, cells, np.arange(3.0), {DISPLACEMENT_NAME: u})
+
+
+def test_half_a_specimen_is_drawn_whole_with_its_supports():
+    axes = Figure().subplots()
+    draw_tissue(axes, strip(), 2, np.array([1.0, 2.0]), Colours.of("", np.array([1.0, 2.0])))
+    assert len(axes.collections) == 2
+    below = np.concatenate([path.vertices for path in axes.collections[1].get_paths()])
+    assert below[:, 1].min() == -5.0
+    hatched = [patch for patch in axes.patches if patch.get_hatch()]
+    assert len(hatched) == 2
+    assert all(patch.get_xy()[:, 0].max() == 0.0 for patch in hatched)
+    styles = [line.get_linewidth() for line in axes.lines[:-1]]
+    assert sorted(styles) == [0.8] * 4 + [2.5] * 4  # symmetry twice two; clamp and grip twice
+
+
+def test_plant_cells_fill_the_window():
+    seen = RveLaw(CELL, initialisation="cauchy-born").particles(
+        np.eye(2)[None], np.zeros((1, 2, 2))
+    )
+    walls, fluid = (Colours("", 0.0, 1.0, "viridis"),) * 2
+    drawn, _ = draw_cells(Figure().subplots(), seen, 0, walls, fluid, half=60.0)
+    ends = np.concatenate(drawn.get_segments())
+    assert (ends.min(axis=0) < -45.0).all()
+    assert (ends.max(axis=0) > 70.0).all()
+
+
+def test_curves_that_coincide_are_told_once():
+    x = np.linspace(0.0, 1.0, 5)
+    curves = [Curve("a", x, x), Curve("b", x, x + 1e-3), Curve("c", x, 2.0 * x)]
+    assert [each.label or each.name for each in told_once(curves)] == ["a, b", "c"]
