@@ -1,11 +1,13 @@
 """The command line: parse, call a workflow, print what came of it.
 
-output (what is printed), progress and console (shared options) serve all commands: new, check,
-generate, train, run, rest, tissue, compare, study, grid, zoom, moduli and export.
+console (what is printed, progress, shared options) serves all commands: study (new, check, study,
+grid), learn (generate, train, refine, export), run, tissue, rest (and modes), compare, cells
+(moduli, zoom).
 
-`GROUPS` names the commands. The module of a command has its name, or stands in `MODULES`; it is
-imported when the command is called. `surrofe2 --help` takes the first line and the example of each
-command from the source of its module, so it imports nothing heavy.
+`COMMANDS` names the commands, their modules and their group in help. A module is imported when its
+command is called. `surrofe2 --help` takes the first line and the example of each command from the
+source of its module, so it imports nothing heavy. Docstrings of commands are their help, as plain
+text: here brackets are escaped, and commands made bold.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import atexit
 import errno
 import gc
 import logging
+import re
 import shlex
 from importlib import import_module
 from importlib.metadata import version
@@ -26,27 +29,38 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from surrofe2.base.errors import Surrofe2Error, shortened
 from surrofe2.base.interruption import begin_work, end_work, exit_code
-from surrofe2.cli import output
-from surrofe2.cli.console import InterruptedWork
-from surrofe2.cli.output import leave, note_errors
+from surrofe2.cli import console
 
-GROUPS = {
-    "Study": (
-        "new", "check", "study", "generate", "train", "run", "refine", "tissue", "grid",
-    ),
-    "Look": ("compare", "report", "zoom", "export"),
-    "Physics": ("rest", "modes", "moduli"),
-}  # fmt: skip
-"""Commands by their group in help, in its order."""
-COMMANDS = {name: group for group, names in GROUPS.items() for name in names}
+COMMANDS = {
+    "new": ("study", "Study"),
+    "check": ("study", "Study"),
+    "study": ("study", "Study"),
+    "generate": ("learn", "Study"),
+    "train": ("learn", "Study"),
+    "run": ("run", "Study"),
+    "refine": ("learn", "Study"),
+    "tissue": ("tissue", "Study"),
+    "grid": ("study", "Study"),
+    "compare": ("compare", "Look"),
+    "zoom": ("cells", "Look"),
+    "export": ("learn", "Look"),
+    "rest": ("rest", "Physics"),
+    "modes": ("rest", "Physics"),
+    "moduli": ("cells", "Physics"),
+}
+"""Module and group of each command, in the order of help."""
 
-MODULES = {"refine": "train", "modes": "rest", "report": "compare"}
+SHARED = {
+    "--quiet": "Print nothing but warnings and errors.",
+    "--traceback": "Show where an error came from, not only its message.",
+}
+"""Options of all commands, which the group takes before a command sees them."""
 
 _HELP = """
-FE² for plant tissue, true or through a learnt stress cache.
+FE² for plant tissue, in full or through a learnt stress cache.
 
 A study is one TOML recipe, which all commands take. Called again, a command keeps what is finished
-and resumes what was interrupted; [bold]--fresh[/bold] starts over.
+and resumes what was interrupted; --fresh starts over.
 
 Units: micrometre, microsecond, nanogram; so force is µN, 2D stress µN/µm, Ḟ 1/µs.
 """
@@ -63,27 +77,39 @@ class Commands(TyperGroup):
         """A command as help shows it, without its module."""
         if cmd_name not in COMMANDS:
             return None
-        docstring = _docstring(cmd_name)
-        example = docstring.partition("Example: [bold]")[2].partition("[/bold]")[0]
-        summary = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
-        return TyperCommand(
-            cmd_name, help=summary, short_help=summary, rich_help_panel=COMMANDS[cmd_name]
+        module, group = COMMANDS[cmd_name]
+        functions = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
+        (docstring,) = (
+            ast.get_docstring(each) or ""
+            for each in functions.body
+            if isinstance(each, ast.FunctionDef) and each.name == cmd_name
         )
+        example = docstring.partition("Example: ")[2].partition("\n\n")[0]
+        summary = f"{docstring.splitlines()[0]}\n[dim]{' '.join(example.split())}[/dim]"
+        return TyperCommand(cmd_name, help=summary, short_help=summary, rich_help_panel=group)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that is called, from its module."""
         name, shown, rest = super().resolve_command(ctx, args)
         if name is None or shown is None:
             return name, shown, rest
-        function = getattr(import_module(f"surrofe2.cli.{MODULES.get(name, name)}"), name)
-        if isinstance(function, typer.Typer):
-            command: Any = typer.main.get_command(function)
-        else:
-            single = typer.Typer(rich_markup_mode="rich", add_completion=False)
-            single.command(name, help=_flowing(function.__doc__))(function)
-            command = typer.main.get_command(single)
+        function = getattr(import_module(f"surrofe2.cli.{COMMANDS[name][0]}"), name)
+        single = typer.Typer(rich_markup_mode="rich", add_completion=False)
+        single.command(name, help=_as_help(function.__doc__))(function)
+        command: Any = typer.main.get_command(single)
         command.name = name
-        command.params += _shared_options(command, ctx)
+        for parameter in command.params:
+            parameter.help = _escaped(parameter.help or "")
+        command.params += [
+            TyperOption(
+                param_decls=[option],
+                is_flag=True,
+                expose_value=False,
+                help=line,
+                rich_help_panel="Options of all commands",
+            )
+            for option, line in SHARED.items()
+        ]
         begin_work()
         return name, command, rest
 
@@ -107,43 +133,38 @@ class Commands(TyperGroup):
                 raise
             message = shortened(f"{error.filename}: {error.strerror}")
             raise _ended(f"error: {message}", 1) from None
-        except InterruptedWork as work:
-            message = f"interrupted: {work}; go on with: {_again(ctx, work.has_begun)}"
+        except console.InterruptedWork as work:
+            arguments = ctx.meta["arguments"]
+            kept = [each for each in arguments if each != "--fresh" or not work.has_begun]
+            message = f"interrupted: {work}; go on with: {shlex.join(['surrofe2', *kept])}"
             raise _ended(message, exit_code()) from None
         except KeyboardInterrupt:
             message = "interrupted: nothing was changed"
             raise _ended(message, exit_code()) from None
 
 
-def _docstring(command: str) -> str:
-    """The docstring of a command, without importing its module."""
-    source = Path(__file__).with_name(f"{MODULES.get(command, command)}.py")
-    functions = ast.parse(source.read_text(encoding="utf-8")).body
-    (function,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == command)
-    return ast.get_docstring(function) or ""
-
-
 def _ended(message: str, code: int) -> typer.Exit:
-    """Say how a command ended that did not finish."""
-    output.print_warning(message)
+    """Print how a command ended that did not finish."""
+    console.print_warning(message)
     return typer.Exit(code)
 
 
-def _again(ctx: Any, has_begun: bool) -> str:
-    """The command that resumes this one."""
-    arguments = ctx.meta["arguments"]
-    return shlex.join(["surrofe2", *(a for a in arguments if a != "--fresh" or not has_begun)])
+def _as_help(docstring: str | None) -> str:
+    """A docstring whose paragraphs flow to the width of the terminal, commands in bold."""
+    paragraphs = (" ".join(each.split()) for each in _escaped(docstring or "").split("\n\n"))
+    return "\n\n".join(
+        re.sub(r"^(.*: )(surrofe2 .*)$", r"\1[bold]\2[/bold]", each) for each in paragraphs
+    )
 
 
-def _flowing(docstring: str | None) -> str:
-    """A docstring whose paragraphs flow to the width of the terminal."""
-    paragraphs = (docstring or "").split("\n\n")
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+def _escaped(text: str) -> str:
+    """Plain text whose brackets rich prints as they are."""
+    return text.replace("[", "\\[")
 
 
 app = typer.Typer(
     cls=Commands,
-    help=_flowing(_HELP),
+    help=_as_help(_HELP),
     rich_markup_mode="rich",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -157,46 +178,23 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-SHARED = {
-    "--quiet": "Say nothing but warnings and errors.",
-    "--traceback": "Show where an error came from, not only its sentence.",
-}
-"""Options of all commands, which the group takes before a command sees them."""
-Quiet = Annotated[bool, typer.Option("--quiet", help=SHARED["--quiet"])]
-Traceback = Annotated[
-    bool, typer.Option("--traceback", envvar="SURROFE2_TRACEBACK", help=SHARED["--traceback"])
-]
-
-
-def _shared_options(command: Any, ctx: Any) -> list[TyperOption]:
-    """Those options for the help and the completion of a command, and of what it consists of."""
-    for name in command.list_commands(ctx) if isinstance(command, TyperGroup) else ():
-        inner = command.get_command(ctx, name)
-        inner.params += _shared_options(inner, ctx)
-    return [
-        TyperOption(
-            param_decls=[name], is_flag=True, expose_value=False, help=line,
-            rich_help_panel="Options of all commands",
-        )
-        for name, line in SHARED.items()
-    ]  # fmt: skip
-
-
 @app.callback()
 def options(
     ctx: typer.Context,
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Say the version."),
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
     ] = False,
-    quiet: Quiet = False,
-    traceback: Traceback = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help=SHARED["--quiet"])] = False,
+    traceback: Annotated[
+        bool, typer.Option("--traceback", envvar="SURROFE2_TRACEBACK", help=SHARED["--traceback"])
+    ] = False,
 ) -> None:
     """Options before the command."""
-    output.begin(ctx.invoked_subcommand or "", quiet=quiet)
+    console.begin(ctx.invoked_subcommand or "", quiet=quiet)
     package = logging.getLogger("surrofe2")
     if not package.handlers:
-        package.addHandler(output.PrintHandler())
+        package.addHandler(console.PrintHandler())
         logging.getLogger("surrofe2.store").setLevel(logging.INFO)
 
 
@@ -208,8 +206,9 @@ def main() -> None:
     """
     gc.set_threshold(500_000)
     code: list[Any] = [1]
-    atexit.register(lambda: leave(code[0] or 0))  # the first to register is the last to be called
-    note_errors()
+    # the first to register is the last to be called
+    atexit.register(lambda: console.leave(code[0] or 0))
+    console.note_errors()
     try:
         app()
     except SystemExit as end:

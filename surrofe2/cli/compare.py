@@ -1,4 +1,4 @@
-"""`surrofe2 compare` and `surrofe2 report`: runs against each other, and on one page."""
+"""`surrofe2 compare`: runs against each other, as a table and on one page."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import typer
 from surrofe2.cli import console
 from surrofe2.report.comparison import Comparison, audit_sentence
 from surrofe2.store.run_folder import caches_of
-from surrofe2.workflow.comparison import (
-    COMPARISON_FILES,
-    compare_runs,
-    missing_notes,
-)
+from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs, missing_notes
+
+REPORT = "report.html"
 
 
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Run folders, two or more.")],
-    out: console.OutFolder,
+    runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Run folders, one or more.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="The folder to write; default: comparison beside them."),
+    ] = None,
     fresh: console.Fresh = False,
 ) -> None:
     """Compare displacement curves, forces and costs of runs of one load case.
@@ -29,13 +30,23 @@ def compare(
     any time and of the largest ones; the same of every force on the tissue; speed-up of wall time
     and of RVE solves.
 
-    Example: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
+    Also writes report.html, one page that works offline and can be passed on, of one run too: the
+    tissue in motion, all curves, where and when the cache fell back, audited errors, the range that
+    was met, energies, provenance. The page says what a folder lacks; `run --cell-fields` adds the
+    stretch of walls, `zoom` the plant cells at a point.
+
+    Example: surrofe2 compare out/rve out/cached --out out/comparison
     """
-    result = compare_runs(runs, out, fresh=fresh)
-    show_comparison(result)
-    for sentence in missing_notes(runs):
-        console.print_line(sentence)
-    console.done(out, " and ".join(COMPARISON_FILES))
+    from surrofe2.workflow.comparison import write_report  # as heavy as a run
+
+    folder = runs[0].parent / "comparison" if out is None else out
+    if len(runs) > 1:
+        show_comparison(compare_runs(runs, folder, fresh=fresh))
+        for message in missing_notes(runs):
+            console.print_line(message)
+    page = write_report(runs, folder / REPORT)
+    files = [*COMPARISON_FILES, page.name] if len(runs) > 1 else [page.name]
+    console.done(folder, ", ".join(files))
 
 
 def show_comparison(result: Comparison) -> None:
@@ -50,25 +61,3 @@ def show_comparison(result: Comparison) -> None:
             if cache["audit"]["audited"]:
                 of = f"{run.name}, {name}" if name else run.name
                 console.print_line(f"{of}: audit: {audit_sentence(cache)}")
-
-
-def report(
-    runs: Annotated[list[Path], typer.Argument(metavar="DIR…", help="Run folders, one or more.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The file; default: report.html beside the first DIR."),
-    ] = None,
-) -> None:
-    """Show runs on one page: one HTML file that works offline and can be passed on.
-
-    The tissue in motion, displacements of all runs and their difference, speed-up with all costs
-    counted, where and when the cache fell back, audited errors, the range that was met,
-    energies, provenance, and how to run it all again. The page says what a folder
-    lacks; `run --cell-fields` adds the stretch of walls, `zoom` the plant cells at a point.
-
-    Example: [bold]surrofe2 report out/rve out/cached[/bold]
-    """
-    from surrofe2.workflow.report import write_report
-
-    path = write_report(runs, runs[0].parent / "report.html" if out is None else out)
-    console.done(path, f"{path.stat().st_size / 1e6:.2g} MB")

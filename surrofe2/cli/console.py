@@ -1,32 +1,341 @@
-"""What commands share: what they say, what an interruption keeps, and their options."""
+"""What commands share: what they print, how far they are, what is kept of them, their options."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import errno
+import io
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table as ShownTable
+from rich.text import Text
 
-# What commands say, for `console.…` in each of them.
-from surrofe2.cli.output import (  # noqa: F401
-    done,
-    now,
-    print_line,
-    print_warning,
-    show_notes,
-    show_table,
-    took,
-)
-from surrofe2.cli.progress import Report, progress, stages  # noqa: F401
+from surrofe2.base.units import time_text
+
+if TYPE_CHECKING:
+    from surrofe2.report.tables import Table
+
+Report = Callable[[float, str], None]
+
+# Options
+
+INITIALISATIONS = "cauchy-born, elastic, constrained-runs or slow-manifold"
+
+RecipeFile = Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")]
+RunFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to write.")]
+OutFolder = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="The folder to write; default: out/COMMAND-RECIPE."),
+]
+JsonFile = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="All numbers as JSON.")
+]
+CellName = Annotated[
+    str,
+    typer.Option(
+        "--cell",
+        "--preset",
+        metavar="NAME|RECIPE",
+        help="printed or water, the paper's with 2.7 or 0.27 ng; apple, potato; or a TOML file.",
+    ),
+]
+OneCell = Annotated[
+    str | None,
+    typer.Option("--cell", metavar="NAME", help="Only this one of [cells.NAME]; default: all."),
+]
+Initialisation = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}; default: the recipe's."
+    ),
+]
+AnyInitialisation = Annotated[
+    Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"],
+    typer.Option("--initialisation", metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}."),
+]
+Threads = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
+]
+Workers = Annotated[
+    int, typer.Option(min=0, metavar="N", help="Processes that work; default: this one alone.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers work, tcp://HOST:PORT."),
+]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Start over; default: keep what is there and resume.")
+]
+
+
+def folder_of(out: Path | None, recipe: Path) -> Path:
+    """Where a command writes: `out`, or the folder of the command and the recipe."""
+    return out or Path("out") / f"{_now[0].command}-{recipe.stem}"
+
+
+# Output
+
+
+@dataclass(slots=True)
+class _Output:
+    """The command that is at work; `began`: when, by `time.perf_counter`."""
+
+    command: str = ""
+    quiet: bool = False
+    began: float = field(default_factory=time.perf_counter)
+
+
+_now = [_Output()]
+
+
+def begin(command: str, *, quiet: bool) -> None:
+    """A command begins."""
+    _now[0] = _Output(command, quiet)
+
+
+def is_quiet() -> bool:
+    """Whether only warnings and errors are printed."""
+    return _now[0].quiet
+
+
+class PrintHandler(logging.Handler):
+    """Prints what the package logs: remarks on stdout, warnings on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record."""
+        message = record.getMessage()
+        (print_warning if record.levelno >= logging.WARNING else print_line)(message)
+
+
+def print_warning(message: str) -> None:
+    """A warning or an error: one red line on stderr, never wrapped, its brackets as they are."""
+    line = " ".join(message.split())
+    Console(stderr=True).print(Text(line, style="red"), soft_wrap=True)
+
+
+def print_line(message: str) -> None:
+    """One line on stdout."""
+    if not is_quiet():
+        typer.echo(message)
+
+
+def show_notes(notes: Iterable[tuple[str, bool]]) -> None:
+    """Messages, each with whether it is a warning."""
+    for message, is_warning in notes:
+        (print_warning if is_warning else print_line)(message)
+
+
+def done(where: str | Path | None, what: str, *, timed: bool = True) -> None:
+    """The line that sums up: where the outcome is, what it is and how long the command took.
+
+    Args:
+        where: None of a command that wrote no file; its name stands there.
+        timed: whether to say how long; not where `what` does.
+    """
+    seconds = f", {time_text(time.perf_counter() - _now[0].began)}" if timed else ""
+    print_line(f"{where or _now[0].command}: {what}{seconds}")
+
+
+def show_table(title: str, table: Table[Any], names: int = 1) -> None:
+    """A table on stdout; the first columns, so many, name, the others are figures.
+
+    Where it is wider than the terminal, further tables have the other figures.
+    """
+    if is_quiet():
+        return
+    columns, rows = table.for_people()
+    console = Console()
+    heads = [max(map(len, column.split())) for column in columns]
+    widths = [1 + max([head, *(len(row[k]) for row in rows)]) for k, head in enumerate(heads)]
+    parts: list[list[int]] = [[]]
+    for k in range(names, len(columns)):
+        if parts[-1] and sum(widths[j] for j in (*range(names), *parts[-1], k)) >= console.width:
+            parts.append([])
+        parts[-1].append(k)
+    for k, part in enumerate(parts):
+        shown = [*range(names), *part]
+        fits = sum(widths[k] for k in shown) < console.width
+        console.print(Text(f"{title}, continued" if k else title, style="italic"))
+        drawn = ShownTable(box=SIMPLE_HEAD, padding=0)
+        for j in shown:
+            how = {"width": widths[j] - 1} if fits else {"min_width": heads[j]}
+            drawn.add_column(columns[j], justify="right" if j else "left", **how)
+        for row in rows:
+            drawn.add_row(*(row[j] for j in shown))
+        console.print(drawn)
+
+
+class _Noting(io.FileIO):
+    """A descriptor whose first error of writing is kept, and what follows it is lost."""
+
+    error: OSError | None = None
+
+    def write(self, content: bytes) -> int:  # type: ignore[override]
+        try:
+            return super().write(content)
+        except OSError as error:
+            self.error = self.error or error
+            return len(content)
+
+
+_raw: dict[str, _Noting] = {}
+
+
+def note_errors() -> None:
+    """From now on stdout and stderr never fail; what a terminal has no sign for becomes "?"."""
+    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.flush()
+            _raw[name] = _Noting(stream.fileno(), "w", closefd=False)
+            noted = io.TextIOWrapper(
+                io.BufferedWriter(_raw[name]),  # type: ignore[type-var]
+                encoding=stream.encoding,
+                errors="replace",
+                line_buffering=stream.line_buffering,
+            )
+            setattr(sys, name, noted)
+
+
+def leave(code: int) -> None:
+    """End the process without taking its objects apart; 1 instead of 0 if words were lost."""
+    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+        if stream is not None:
+            stream.flush()
+        error = _raw[name].error if name in _raw else None
+        if error is not None:
+            code = code or 1
+            if error.errno != errno.EPIPE:  # whoever listened has heard enough
+                sys.stderr.write(f"error: {name}: {error.strerror}\n")
+    os._exit(code)
+
+
+# Progress
+
+SELDOM = 10.0
+"""Seconds between lines where there is no terminal; work that is done sooner prints nothing."""
+_SETTLED = 0.5
+"""Seconds before a rate is reported."""
+
+
+class _Clock:
+    """The rate of work and the time that is left; what was done before counts for neither.
+
+    Work whose total is 1 is reported in percent alone.
+    """
+
+    def __init__(self, total: float, unit: str) -> None:
+        self._total, self._unit = total, unit
+        self._first: tuple[float, float] | None = None
+
+    def far(self, done: float) -> list[str]:
+        """How far the work is in its unit."""
+        return [f"{_short(done)} of {_short(self._total)} {self._unit}"][self._total == 1.0 :]
+
+    def rate_and_time_left(self, done: float) -> list[str]:
+        """Time left and rate as people say them, where they are known yet."""
+        moment = time.perf_counter()
+        if self._first is None and done > 0.0:
+            self._first = moment, done
+        if self._first is None:
+            return []
+        elapsed, more = moment - self._first[0], done - self._first[1]
+        if elapsed < _SETTLED or more <= 0.0:
+            return []
+        left = time_text(max((self._total - done) * elapsed / more, 0.0))
+        return [f"{left} left", f"{_short(more / elapsed)} {self._unit}/s"][: 1 + (self._total != 1)]
+
+
+@contextmanager
+def progress(what: str, total: float, unit: str) -> Iterator[Report]:
+    """A function (done, note) that shows how far work is, at which rate, and the time left."""
+    with stages() as stage, stage(what, total, unit) as report:
+        yield report
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, float, str], AbstractContextManager[Report]]]:
+    """One display for all stages of a command, each a `progress`.
+
+    In a terminal bars on stderr that stay, with their times; elsewhere a plain line now and then,
+    see `SELDOM`.
+    """
+    console = Console(stderr=True)
+    if is_quiet() or not console.is_terminal or console.is_dumb_terminal:
+        yield _lines
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=_bar_width(console)),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[status]}"),
+    )
+    # what is piped elsewhere goes there
+    redirected = sys.stdout.isatty()
+    with Progress(*columns, console=console, transient=True, redirect_stdout=redirected) as shown:
+        yield partial(_row, shown)
+
+
+@contextmanager
+def _row(shown: Progress, what: str, total: float, unit: str) -> Iterator[Report]:
+    clock, began = _Clock(total, unit), time.perf_counter()
+    task = shown.add_task(what, total=total, status="")
+    space = shown.console.width - len(what) - _bar_width(shown.console) - len("   100 %  ")
+
+    def report(done: float, note: str = "") -> None:
+        parts = [*clock.far(done), *clock.rate_and_time_left(done), *[note][: len(note)]]
+        while len(", ".join(parts)) > space and parts:
+            parts.pop()
+        shown.update(task, completed=done, status=", ".join(parts))
+
+    yield report
+    shown.update(task, completed=total, status=time_text(time.perf_counter() - began))
+
+
+@contextmanager
+def _lines(what: str, total: float, unit: str) -> Iterator[Report]:
+    clock, last = _Clock(total, unit), time.perf_counter()
+
+    def report(done: float, note: str = "") -> None:
+        nonlocal last
+        left_and_rate = clock.rate_and_time_left(done)
+        if is_quiet() or time.perf_counter() - last < SELDOM:
+            return
+        last = time.perf_counter()
+        far = [f"{100.0 * done / total:.0f} %"] if total else []
+        typer.echo(f"{what}: {', '.join([*far, *left_and_rate, *[note][: len(note)]])}", err=True)
+
+    yield report
+
+
+def _bar_width(console: Console) -> int:
+    return 20 if console.width >= 100 else 10
+
+
+def _short(number: float) -> str:
+    """A number in few characters, counts of thousands with their commas."""
+    return f"{number:,.0f}" if abs(number) >= 1000.0 else f"{number:.3g}"
+
+
+# Interruption
 
 
 class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
     """Ctrl-C; the message says what was kept.
 
     Attributes:
-        has_begun: whether work is there to go on from; else --fresh is as needed as before.
+        has_begun: whether work is there to resume from; else --fresh is as needed as before.
     """
 
     def __init__(self, what: str, has_begun: bool) -> None:
@@ -36,7 +345,7 @@ class InterruptedWork(Exception):  # noqa: N818 - Ctrl-C is no error
 
 @contextmanager
 def on_interrupt(what: str, begun: Sequence[Path] = ()) -> Iterator[None]:
-    """Say what was kept where Ctrl-C ends the block; how to go on is said after it.
+    """Print what was kept where Ctrl-C ends the block; how to resume is printed after it.
 
     Args:
         begun: files of which the block writes one again as soon as something is kept.
@@ -65,61 +374,13 @@ def _stamp(path: Path) -> tuple[int, int] | None:
 def working(
     what: str, total: float, unit: str, kept: str, begun: Sequence[Path] = ()
 ) -> Iterator[Report]:
-    """Show the progress of work, and say what was kept where Ctrl-C ends it; see `on_interrupt`."""
+    """Show the progress of work, and print what was kept where Ctrl-C ends it; `on_interrupt`."""
     with on_interrupt(kept, begun), progress(what, total, unit) as report:
         yield report
 
 
-AnyInitialisation = Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"]
-HOW = "cauchy-born, elastic, constrained-runs or slow-manifold: how RVEs are put into their state."
-
-RecipeFile = Annotated[Path, typer.Argument(metavar="RECIPE", help="The study's TOML file.")]
-OutFolder = Annotated[Path, typer.Option(metavar="DIR", help="The folder to write.")]
-JsonFile = Annotated[Path | None, typer.Option(metavar="FILE", help="All numbers as JSON.")]
-SurrogateFiles = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--surrogate",
-        metavar="FILE",
-        help="Surrogate file; default: the recipe's. One for each of several cells.",
-    ),
-]
-CellName = Annotated[
-    str,
-    typer.Option(
-        "--cell",
-        "--preset",
-        metavar="NAME|RECIPE",
-        help="printed or water, the paper's with 2.7 or 0.27 ng; apple, potato; or a TOML file.",
-    ),
-]
-OneCell = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Only this of the recipe's \\[cells.NAME]; default: all."),
-]
-Initialisation = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help=f"{HOW[:-1]}; default: the recipe's."),
-]
-Audit = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SHARE",
-        help="Share of the cache's answers that RVEs check, 1: all; default: the recipe's.",
-    ),
-]
-Threads = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Threads; default: all cores.")
-]
-Workers = Annotated[
-    int,
-    typer.Option(min=0, metavar="N", help="Processes that sample; default: this one alone."),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers sample, tcp://HOST:PORT."),
-]
-Fresh = Annotated[
-    bool, typer.Option("--fresh", help="Start over; default: keep what is there and go on.")
-]
-KEPT_RUN = "{} keeps the run up to its last checkpoint"
+def running(
+    what: str, total: float, unit: str, folder: Path, kept: str = "run up to its last checkpoint"
+) -> AbstractContextManager[Report]:
+    """`working` on a run that is written into a folder."""
+    return working(what, total, unit, f"{folder} keeps the {kept}", (folder / "run.json",))

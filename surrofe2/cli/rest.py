@@ -18,7 +18,7 @@ from surrofe2.workflow.surfaces import surface_notes
 
 def rest(
     recipe: console.RecipeFile,
-    out: console.OutFolder,
+    out: console.RunFolder,
     factor: Annotated[
         float, typer.Option(help="Of all loads and prescribed motions, at the end.")
     ] = 1.0,
@@ -36,14 +36,13 @@ def rest(
     history.csv and energies.csv (forces and works over the factor) and fields.xdmf for ParaView,
     where the factor stands for the time.
 
-    Example: [bold]surrofe2 rest data/bending-bar.toml --out out/rest[/bold]
+    Example: surrofe2 rest data/bending-bar.toml --out out/rest
 
-    Next: [bold]surrofe2 modes data/bending-bar.toml[/bold]
+    Next: surrofe2 modes data/bending-bar.toml
     """
     study = open_study(recipe, threads)
     study = replace(study, rve=changed(study.rve, initialisation=initialisation))
-    kept, begun = f"{out} keeps the load steps up to here", (out / "run.json",)
-    with console.working("rest", 1.0, "loads", kept, begun) as report:
+    with console.running("rest", 1.0, "loads", out, "load steps up to here") as report:
         record = rest_study(
             study, out, factor=factor, load_steps=load_steps, fresh=fresh, report=report
         )
@@ -53,9 +52,7 @@ def rest(
 
 def modes(
     recipe: console.RecipeFile,
-    initialisation: Annotated[
-        console.AnyInitialisation, typer.Option(metavar="NAME", help=console.HOW)
-    ] = "all",
+    initialisation: console.AnyInitialisation = "all",
     count: Annotated[int, typer.Option(min=1, metavar="N", help="Modes, slowest first.")] = 4,
     threads: console.Threads = None,
     out: console.JsonFile = None,
@@ -66,9 +63,9 @@ def modes(
     About the tissue without load, and about its rest under the recipe's loads. The decrement is
     logarithmic, a period; the damping ratio is 1 where nothing oscillates any more.
 
-    Example: [bold]surrofe2 modes data/bending-bar-water.toml --out out/modes.json[/bold]
+    Example: surrofe2 modes data/bending-bar-water.toml --out out/modes.json
 
-    Next: [bold]surrofe2 run data/bending-bar-water.toml --law rve --out out/rve[/bold] oscillates
+    Next: surrofe2 run data/bending-bar-water.toml --law rve --out out/rve oscillates
     with the loaded periods.
     """
     study = load_recipe(recipe)

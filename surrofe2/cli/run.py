@@ -46,17 +46,17 @@ def run(
         typer.Option(
             metavar="LAW",
             help="rve: RVEs; surrogate: network only; cached: network with RVE fallback; "
-            "table: one that learns from RVEs as it goes, without any training.",
+            "table: adaptive tabulation of RVEs, no training.",
         ),
     ],
-    out: console.OutFolder,
+    out: console.RunFolder,
     surrogate: console.SurrogateFiles = None,
     table: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; more than one of a "
-            "cell are merged. Default: an empty one.",
+            help="Table (.h5) to start from, e.g. table.h5 of an earlier run; several tables of "
+            "the same cell are merged. Default: an empty one.",
         ),
     ] = None,
     no_harvest: Annotated[
@@ -67,8 +67,8 @@ def run(
         bool,
         typer.Option(
             "--cell-fields",
-            help="Fields of wall stretch and tension, turgor, area and contact pressure too, by "
-            "an RVE for each element and frame.",
+            help="Write wall stretch and tension, turgor, area and contact pressure too, by an "
+            "RVE for each element and frame.",
         ),
     ] = False,
     initialisation: console.Initialisation = None,
@@ -94,7 +94,13 @@ def run(
             "the recipe's.",
         ),
     ] = None,
-    audit: console.Audit = None,
+    audit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the cache's answers that RVEs check, 1: all; default: the recipe's.",
+        ),
+    ] = None,
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
@@ -104,14 +110,13 @@ def run(
     points in µm), history.csv (forces, motion of boundaries), energies.csv (pJ) and fields.xdmf for
     ParaView; with --law table the table, with --law cached or table the harvest of RVE stresses.
 
-    mpiexec -n N before the command deals the RVEs to N ranks (needs surrofe2\\[mpi]).
+    With mpiexec -n N before the command, N ranks share the RVEs (needs surrofe2[mpi]).
 
-    Example: [bold]surrofe2 run data/bending-bar.toml --law cached --out out/cached[/bold]
+    Example: surrofe2 run data/bending-bar.toml --law cached --out out/cached
 
-    Next: [bold]surrofe2 compare out/rve out/cached --out out/comparison[/bold]
+    Next: surrofe2 compare out/rve out/cached --out out/comparison
     """
-    kept = console.KEPT_RUN.format(out)
-    with all_ranks(threads, kept) as threads:
+    with all_ranks(threads, f"{out} keeps the run up to its last checkpoint") as threads:
         study = open_study(recipe, threads)
         study = replace(
             study,
@@ -119,8 +124,7 @@ def run(
             cache=changed(study.cache, tolerance=tolerance, audit=audit),
             macro=changed(study.macro, integrator=integrator),
         )
-        begun = (out / "run.json",)
-        with console.working(f"run by {law}", study.duration, "µs", kept, begun) as report:
+        with console.running(f"run by {law}", study.duration, "µs", out) as report:
             record = run_study(
                 study,
                 law,
@@ -149,10 +153,10 @@ def run(
 
 @contextmanager
 def all_ranks(threads: int | None, what: str) -> Iterator[int | None]:
-    """The threads of each rank, in a block that rank 0 alone enters; without ranks what was given.
+    """The threads of each rank, in a block that rank 0 alone enters; without ranks `threads`.
 
     Args:
-        what: is kept, for the sentence that is said where a rank dies.
+        what: is kept, for the message where a rank dies.
 
     Raises:
         Exit: here and on every other rank, when rank 0 is done.

@@ -1,28 +1,154 @@
-"""`surrofe2 study`."""
+"""`surrofe2 new`, `check`, `study` and `grid`: a recipe, what it needs, all of it, many of it."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, SimulationError, quoted
+from surrofe2.base.units import rough_time
 from surrofe2.cli import console
 from surrofe2.cli.compare import show_comparison
-from surrofe2.workflow.laws import open_study
+from surrofe2.recipe.entries import listed_values
+from surrofe2.workflow import check as checking
+from surrofe2.workflow.grid import GRID_FILES, run_grid
+from surrofe2.workflow.laws import open_study, use_threads
+from surrofe2.workflow.new_recipe import KINDS, write_recipe
 from surrofe2.workflow.run import cache_notes
 from surrofe2.workflow.study import run_recipe
+from surrofe2.workflow.workers import executor_of
 
-KEPT = "finished steps, the samples and iterations so far and the run's last checkpoint are kept"
+
+def new(
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="Of the recipe, .toml is added.")],
+    example: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help=f"{', '.join(KINDS)}; default: you are asked."),
+    ] = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Write a recipe to start from, with unit and meaning of each key.
+
+    bar is the paper's bending bar, strip one that is pulled and held, contact a block between
+    two plates, mesh a mesh file of your own, voronoi irregular plant cells, cells several kinds of
+    plant cell by region.
+
+    Example: surrofe2 new press --example contact
+
+    Next: surrofe2 check press.toml
+    """
+    kind = _chosen_kind() if example is None else example
+    path = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
+    first, *others = write_recipe(path, kind, fresh=fresh)
+    beside = "".join(f", with {other}" for other in others)
+    console.done(first, f"recipe of {KINDS[kind]}{beside}", timed=False)
+    console.print_line(f"next: surrofe2 check {path}, after changes; then generate, train, run")
+
+
+def _can_ask() -> bool:
+    return sys.stdin.isatty() and not console.is_quiet()
+
+
+def _chosen_kind() -> str:
+    """The kind that the user chooses by its number or name."""
+    if not _can_ask():
+        raise InputError(f"--example: missing; it must be one of {', '.join(KINDS)}")
+    for k, (kind, about) in enumerate(KINDS.items(), 1):
+        console.print_line(f"{k}  {kind:8} {about}")
+    answer = str(typer.prompt("Which kind of problem", default="1"))
+    return list(KINDS)[int(answer) - 1] if answer in map(str, range(1, len(KINDS) + 1)) else answer
+
+
+def check(
+    recipe: console.RecipeFile,
+    only: Annotated[
+        bool, typer.Option("--only", help="Read the recipe and its files; no dry run.")
+    ] = False,
+    compile: Annotated[
+        bool,
+        typer.Option("--compile", help="Compile the kernels of its runs, before a job array."),
+    ] = False,
+    margin: Annotated[
+        float, typer.Option(metavar="X", help="Strain and rate beyond what was met, as a share.")
+    ] = checking.MARGIN,
+    seconds: Annotated[
+        float, typer.Option(min=0.0, metavar="S", help="Processor time of the dry runs, s.")
+    ] = checking.SECONDS,
+    threads: console.Threads = None,
+) -> None:
+    """Check a recipe: its faults, the range it needs, how long it takes, which law to take.
+
+    Reports everything that is wrong with the recipe, its mesh, names and files. Then a dry run by
+    the tangents of the RVE at rest, on a coarser mesh where the recipe's takes too long, proposes
+    the [range], to be copied into the recipe. It knows neither stiffening nor loss of stability;
+    the margin is for that. The number of RVEs to solve and the time of one give the order of
+    magnitude of a run by RVEs. Nothing is written.
+
+    Example: surrofe2 check data/large-bar.toml
+
+    Next: surrofe2 study data/large-bar.toml
+    """
+    faults = checking.recipe_faults(recipe)
+    if not faults:
+        study = open_study(recipe, threads)
+        mesh, merged = checking.checked_mesh(study)
+        # a recipe may be for RVEs alone: what a surrogate lacks is reported, and is no fault
+        faults = checking.study_faults(mesh, ("rve",))
+    for message in faults:
+        console.print_warning(message)
+    if faults:
+        raise InputError(f"{recipe}: {len(faults)} problem{'s' * (len(faults) > 1)} found")
+    if merged:
+        along, across = mesh.stated.mesh.elements or (0, 0)
+        console.print_line(f"the mesh is large: checked with {along} × {across} elements")
+    without = [part.section("range") for part in study.parts().values() if part.range is None]
+    if without:
+        console.print_line(f"No [{without[0]}]: only `--law rve` can run this recipe.")
+    else:
+        for message in checking.study_faults(mesh, ("rve", "cached")):
+            console.print_line(f"not by --law cached or surrogate: {message}")
+    if compile:
+        with console.working("compile", 1.0, "laws", "compiled kernels are kept"):
+            kinds = checking.compile_kernels(study)
+        console.print_line(f"kernels of {', '.join(kinds)}: compiled")
+    if only:
+        console.done(recipe, "no problem found")
+        return
+    with console.working("dry run", study.duration, "µs", "nothing was changed") as report:
+        run = checking.dry_run(study, seconds, report)
+        by_rves = checking.seconds_by_rves(study, run)
+    _show_ranges(run, margin)
+    console.print_line(
+        f"{run.points:,} points, some {run.calls:.2g} calls: {run.solves:.1g} RVEs to solve. "
+        f"The run would take about {rough_time(by_rves / 2.0)} to {rough_time(2.0 * by_rves)} by "
+        "--law rve"
+    )
+    # without the seconds of the check, which would read as those of the law
+    console.done(recipe, f"take --law {checking.advised_law(study, by_rves)}", timed=False)
+
+
+def _show_ranges(run: checking.DryRun, margin: float) -> None:
+    for cell, met in run.met.items():
+        low, high = met.stretch
+        try:
+            proposed = checking.proposed_range(met, margin)
+            console.print_line(checking.range_section(proposed, cell))
+        except InputError as error:
+            console.print_warning(str(error))
+        console.print_line(
+            f"# by the quadratic law of the RVE at rest: met stretch {low:.4g} to {high:.4g}, "
+            f"shear {met.shear:.3g}, rate {met.rate:.3g} 1/µs; margin {100.0 * margin:g} %"
+        )
+    if run.omitted:
+        console.print_line(f"# left out, for lack of time: {run.omitted}")
 
 
 def study(
     recipe: console.RecipeFile,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the runs; default: out/study-RECIPE."),
-    ] = None,
+    out: console.OutFolder = None,
     law: Annotated[
         Literal["cached", "table"],
         typer.Option(
@@ -43,29 +169,87 @@ def study(
     """All of a recipe: data set, training, full run, cached run, comparison.
 
     Runs every missing step, and resumes one that was interrupted. DIR receives a run folder
-    for each law, [bold]rve[/bold] and [bold]cached[/bold], [bold]comparison[/bold], and all of it
-    on one page, report.html; data set and surrogate are the recipe's.
+    for each law, rve and cached, the comparison, and all of it on one page, report.html; data set
+    and surrogate are the recipe's.
 
-    Example: [bold]surrofe2 study data/bending-bar.toml[/bold]
+    Example: surrofe2 study data/bending-bar.toml
 
-    Before a long one: [bold]surrofe2 check data/bending-bar.toml[/bold]
+    Before a long one: surrofe2 check data/bending-bar.toml
     """
     if true is not None and without_true:
         raise InputError("--true: not with --without-true; leave one of them out")
     stated = open_study(recipe, threads)
-    folder = out or Path("out") / f"study-{recipe.stem}"
-    with console.on_interrupt(KEPT), console.stages() as stage:
+    folder = console.folder_of(out, recipe)
+    laws = (law,) if true is not None or without_true else ("rve", law)
+    kept = "finished steps, samples and iterations, and the run's last checkpoint are kept"
+    with console.on_interrupt(kept), console.stages() as stage:
         records, comparison = run_recipe(
-            stated,
-            folder,
-            (law,) if true is not None or without_true else ("rve", law),
-            true,
-            fresh=fresh,
-            stage=stage,
-            tell=console.print_line,
+            stated, folder, laws, true, fresh=fresh, stage=stage, tell=console.print_line
         )
     if comparison is not None:
         show_comparison(comparison)
     notes = (note for record in records for note in cache_notes(record))
     console.show_notes(note for note in notes if note[1] or comparison is None)
     console.done(folder, "all steps done")
+
+
+def grid(
+    recipe: console.RecipeFile,
+    entries: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUES",
+            help="An entry of the recipe and its values: A,B,… or FIRST:LAST:COUNT, at equal "
+            "ratios FIRST:LAST:COUNT:log; may be repeated.",
+        ),
+    ],
+    law: Annotated[
+        str, typer.Option(metavar="LAW,…", help="Of rve, cached, table and surrogate.")
+    ] = "rve",
+    out: console.OutFolder = None,
+    workers: console.Workers = 0,
+    scheduler: console.Scheduler = None,
+    threads: console.Threads = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Run the recipe with all combinations of values: a parameter study.
+
+    Each combination runs by each law; a new data set and surrogate are made only where a change
+    affects the cell or its range. With --law rve,cached the table has the errors and the speed-up
+    of the cache. DIR receives a run folder for each, grid.csv, grid.json and grid.png.
+
+    Example: surrofe2 grid data/bending-bar.toml --set cell.wall_stiffness=3000:5000:8
+
+    Errors over the tolerance: surrofe2 grid RECIPE --law rve,cached
+    --set cache.tolerance=1e-4:1e-1:7:log
+    """
+    values: dict[str, list[Any]] = {}
+    for entry in entries:
+        name, sign, text = entry.partition("=")
+        if not sign or name in values:
+            why = "it is there twice" if sign else "it must be KEY=VALUES"
+            raise InputError(f"--set: {quoted(entry)}; {why}")
+        values[name] = listed_values(name, text)
+    use_threads(threads)
+    folder = console.folder_of(out, recipe)
+    kept = console.on_interrupt(f"{folder} keeps what is finished")
+    with kept, executor_of(workers, scheduler) as executor:
+        result = run_grid(
+            recipe,
+            values,
+            folder,
+            laws=law.split(","),
+            threads=threads,
+            executor=executor,
+            fresh=fresh,
+            stage=console.progress,
+        )
+    title = f"{recipe.name}, {len(result.rows)} runs"
+    console.show_table(title, result.table, names=result.names)
+    console.done(folder, f"{len(result.rows)} runs, {', '.join(GRID_FILES)}")
+    if result.failed:
+        name, message = next(iter(result.failed.items()))
+        raise SimulationError(
+            f"{len(result.failed)} of {len(result.rows)} runs failed, {name} first: {message}"
+        )

@@ -20,7 +20,7 @@ from surrofe2.workflow.tissue import resized, run_tissue, tissue_summary
 
 def tissue(
     recipe: console.RecipeFile,
-    out: console.OutFolder,
+    out: console.RunFolder,
     cells: Annotated[
         tuple[int, int] | None,
         typer.Option(
@@ -35,23 +35,21 @@ def tissue(
     threads: console.Threads = None,
     fresh: console.Fresh = False,
 ) -> None:
-    """Run the recipe's problem on all particles of the tissue: what FE² approximates.
+    """Simulate the whole tissue particle by particle, without homogenisation.
 
-    The bar of \\[load], or a rectangle of one or several cells with the conditions and rigid bodies
+    The bar of [load], or a rectangle of one or several cells with the conditions and rigid bodies
     of FE². Walls at the free boundary are single. The tissue is relaxed without load, then loaded.
     DIR receives run.json (configuration, costs), curve.csv (t in µs, displacement of watched
     particles in µm), history.csv (forces in µN), energies.csv (pJ) and fields.xdmf for ParaView.
 
-    Example: [bold]surrofe2 tissue data/bending-bar.toml --out out/tissue[/bold]
+    Example: surrofe2 tissue data/bending-bar.toml --out out/tissue
 
-    Next: [bold]surrofe2 compare out/tissue out/rve --out out/comparison[/bold]
+    Next: surrofe2 compare out/tissue out/rve --out out/comparison
     """
     study = open_study(recipe, threads)
     study = replace(study, tissue=changed(study.tissue, micro_step=micro_step))
     if cells is not None:
         study = resized(study, cells)
-    kept = console.KEPT_RUN.format(out)
-    begun = (out / "run.json",)
-    with console.working("full tissue", study.duration, "µs", kept, begun) as report:
+    with console.running("full tissue", study.duration, "µs", out) as report:
         record = run_tissue(study, out, fresh=fresh, report=report)
     console.done(out, tissue_summary(record), timed=False)

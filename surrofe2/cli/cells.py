@@ -1,0 +1,196 @@
+"""`surrofe2 moduli` and `surrofe2 zoom`: what plant cells are like, and what they do in a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from surrofe2.base.errors import InputError
+from surrofe2.cli import console
+from surrofe2.questions import memory as memory_of
+from surrofe2.questions import moduli as moduli_of
+from surrofe2.questions import stability as stability_of
+from surrofe2.questions.memory import MemorySettings
+from surrofe2.report.study import NamedCell, Study, keep_study
+from surrofe2.rve import INITIALISATIONS
+from surrofe2.store.store import keep
+from surrofe2.workflow.laws import use_threads
+from surrofe2.workflow.zoom import write_zoom, zoom_into
+
+
+def moduli(
+    cell: console.CellName = "printed",
+    initialisation: console.AnyInitialisation = "all",
+    turgor: Annotated[
+        float | None,
+        typer.Option(metavar="MPa", help="Wanted turgor instead of the fluid's mass."),
+    ] = None,
+    tables: Annotated[
+        bool, typer.Option("--tables", help="Also how they change with turgor, walls, particles.")
+    ] = False,
+    memory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Also whether a cache on (F, Ḟ) is sound, by two histories that end in the same "
+            "(F, Ḟ); figure, CSV and numbers in DIR.",
+        ),
+    ] = None,
+    period: Annotated[
+        float,
+        typer.Option(metavar="µs", help="--memory: period of the fastest motion expected."),
+    ] = MemorySettings().period,
+    stability: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Also where the cell has a stable equilibrium; map, CSV and numbers in DIR.",
+        ),
+    ] = None,
+    out: console.JsonFile = None,
+    fresh: console.Fresh = False,
+) -> None:
+    """Elastic and viscous moduli of a plant cell at rest, in N/m and MPa.
+
+    From the exact tangents of the stress at F = I. The turgor is the mean of c_s² ρ over the fluid
+    particles, over the tissue's thickness; it is set by the fluid's mass.
+
+    Example: surrofe2 moduli --cell water --tables
+    """
+    of = NamedCell.of(cell)
+    if turgor is not None:
+        of = NamedCell(moduli_of.with_turgor(of.cell, turgor), of.name, of.source)
+
+    def make() -> dict[str, Any]:
+        return _moduli(of, initialisation, tables)
+
+    if out is None:
+        make()
+        was_there = False
+    else:
+        identity = of.identity({"initialisation": initialisation, "tables": tables})
+        _, was_there = keep(out, identity, make, fresh=fresh)
+    if was_there:
+        console.print_line(f"{out}: there already")
+    else:
+        console.done(out, f"elastic and viscous, of {of}")
+    if memory is not None:
+        settings = MemorySettings(period=period)
+
+        def remember(progress: Callable[[float], None]) -> Study:
+            return memory_of.describe(memory_of.memory(of.cell, settings, progress=progress))
+
+        _study("memory", of, memory, asdict(settings), fresh, remember)
+    if stability is not None:
+
+        def chart(progress: Callable[[float], None]) -> Study:
+            return stability_of.stability(of.cell, progress=progress)
+
+        _study("stability", of, stability, {}, fresh, chart)
+
+
+def _study(
+    name: str,
+    of: NamedCell,
+    folder: Path,
+    settings: Mapping[str, Any],
+    fresh: bool,
+    make: Callable[[Callable[[float], None]], Study],
+) -> None:
+    """Make a study of the cell unless it is in the folder, and show it."""
+
+    def compute() -> Study:
+        with console.progress(name, 1.0, "parts") as report:
+            return make(lambda done: report(done, ""))
+
+    with console.on_interrupt("nothing was changed"):
+        study, paths = keep_study(folder, name, of, settings, compute, fresh=fresh)
+    files = ", ".join(path.name for path in paths)
+    if study is None:
+        console.print_line(f"{folder}: {files}, there already")
+        return
+    console.show_table(f"{' '.join(study.title.split())}, {of}", study.table)
+    for row in study.table.to_records():
+        if "verdict" in row:
+            console.print_line(row["verdict"])
+    console.print_line(f"{folder}: {files}")
+
+
+def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
+    """Compute and show them; what a file says of them."""
+    names = INITIALISATIONS if initialisation == "all" else (initialisation,)
+    method = "slow-manifold" if initialisation == "all" else initialisation
+    found, over = {}, {}
+    with console.on_interrupt("nothing was changed"), console.stages() as stage:
+        with stage("moduli", len(names), "initialisations") as report:
+            pressure = moduli_of.turgor(of.cell)
+            for name in names:
+                found[name] = moduli_of.cell_moduli(of.cell, name)
+                report(len(found), "")
+        for name, change in moduli_of.CHANGES.items() if tables else ():
+            values = change[1](of.cell)
+            with stage(f"over {name}", len(values), "plant cells") as report:
+                over[name] = moduli_of.changed_cells(
+                    of.cell, method, change, values, lambda done, report=report: report(done, "")
+                )
+    console.print_line(
+        f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
+        f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "
+        f"fluid), {pressure.walls:.4g} MPa (carried by the walls)"
+    )
+    shown = moduli_of.moduli_tables(of.cell, found)
+    shown |= {f"Over {name}, {method}: MPa, MPa µs": table for name, table in over.items()}
+    for title, table in shown.items():
+        console.show_table(title, table)
+    for name, table in over.items():
+        for row in table.rows:
+            if "trouble" in row:
+                value = row[moduli_of.CHANGES[name][0]]
+                console.print_line(f"{name} {value:.4g}: {row['trouble']}")
+    return {
+        "fingerprint": of.cell.fingerprint,
+        "turgor_mean_MPa": pressure.mean,
+        "turgor_virial_MPa": pressure.virial,
+        "turgor_walls_MPa": pressure.walls,
+        "tables": {title: table.to_records() for title, table in shown.items()},
+    }
+
+
+def zoom(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run or a rest.")],
+    point: Annotated[str, typer.Option(metavar="X,Y", help="Position in the unloaded tissue, µm.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="The folder to write; default: RUN/zoom-X-Y."),
+    ] = None,
+    threads: console.Threads = None,
+) -> None:
+    """Look into the plant cells of a run: the RVE at a point over time.
+
+    RVEs, of cached runs too, are solved at the mean F and Ḟ of the element at the point, at the
+    times of the run's fields. DIR receives zoom.png, zoom.csv (stretch and tension of walls,
+    turgor, area, contact pressure over time) and fields.xdmf for ParaView.
+
+    Example: surrofe2 zoom out/cached --point 200,12.5
+    """
+    use_threads(threads)
+    try:
+        x, y = (float(part) for part in point.split(","))
+    except ValueError:
+        raise InputError(f"--point: {point!r}; it must be two numbers X,Y in µm") from None
+    folder = run / f"zoom-{x:g}-{y:g}" if out is None else out
+    with console.working("zoom", 1.0, "parts", f"{folder} may lack files") as report:
+        report(0.0, "plant cells")
+        look = zoom_into(run, (x, y))
+        write_zoom(look, folder, report)
+    last = {name: values[-1] for name, values in look.seen.extremes().items()}
+    console.done(
+        folder,
+        f"element {look.element} at {len(look.t)} times; at the last wall stretch up "
+        f"to {last['largest_wall_stretch']:.4g}, turgor {last['lowest_turgor_uN_per_um']:.3g} to "
+        f"{last['highest_turgor_uN_per_um']:.3g} µN/µm",
+    )
