@@ -5,7 +5,7 @@ The same as `surrofe2 generate`.
 
 from typer import run
 
-from surrofe2.cli.generate import generate
+from surrofe2.cli.learn import generate
 
 if __name__ == "__main__":
     run(generate)

@@ -16,7 +16,7 @@ try:
 except SystemExit:
     pass
 """
-READING = ("surrofe2.cli.run", "surrofe2.cli.compare", "surrofe2.cli.generate",
+READING = ("surrofe2.cli.run", "surrofe2.cli.compare",
            "surrofe2.store.surrogates")  # fmt: skip
 
 

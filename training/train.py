@@ -5,7 +5,7 @@ The same as `surrofe2 train`.
 
 from typer import run
 
-from surrofe2.cli.train import train
+from surrofe2.cli.learn import train
 
 if __name__ == "__main__":
     run(train)

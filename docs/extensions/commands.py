@@ -61,6 +61,7 @@ def metavar(parameter) -> str:
 def escaped(text: str) -> str:
     """A sentence in which nothing is markup."""
     plain = " ".join(text.split()).replace("[bold]", "").replace("[/bold]", "")
+    plain = plain.replace("\\[", "[")
     return "".join(f"\\{sign}" if sign in "\\*`|_" else sign for sign in plain)
 
 

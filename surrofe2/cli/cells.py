@@ -105,7 +105,7 @@ def _study(
 
     def compute() -> Study:
         with console.progress(name, 1.0, "parts") as report:
-            return make(lambda done: report(done, ""))
+            return make(report)
 
     with console.on_interrupt("nothing was changed"):
         study, paths = keep_study(folder, name, of, settings, compute, fresh=fresh)
@@ -134,9 +134,7 @@ def _moduli(of: NamedCell, initialisation: str, tables: bool) -> dict[str, Any]:
         for name, change in moduli_of.CHANGES.items() if tables else ():
             values = change[1](of.cell)
             with stage(f"over {name}", len(values), "plant cells") as report:
-                over[name] = moduli_of.changed_cells(
-                    of.cell, method, change, values, lambda done, report=report: report(done, "")
-                )
+                over[name] = moduli_of.changed_cells(of.cell, method, change, values, report)
     console.print_line(
         f"{of}, fluid particles of {of.cell.fluid_particle_mass:.5g} ng: turgor "
         f"{pressure.mean:.4g} MPa (mean of c_s² ρ), {pressure.virial:.4g} MPa (virial of the "

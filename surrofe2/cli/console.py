@@ -27,7 +27,8 @@ from surrofe2.base.units import time_text
 if TYPE_CHECKING:
     from surrofe2.report.tables import Table
 
-Report = Callable[[float, str], None]
+Report = Callable[..., None]
+"""report(done, note="") shows how far work is."""
 
 # Options
 
@@ -57,9 +58,7 @@ OneCell = Annotated[
 ]
 Initialisation = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}; default: the recipe's."
-    ),
+    typer.Option(metavar="NAME", help=f"How RVEs begin: {INITIALISATIONS}; default: the recipe's."),
 ]
 AnyInitialisation = Annotated[
     Literal["all", "cauchy-born", "elastic", "constrained-runs", "slow-manifold"],
@@ -254,7 +253,9 @@ class _Clock:
         if elapsed < _SETTLED or more <= 0.0:
             return []
         left = time_text(max((self._total - done) * elapsed / more, 0.0))
-        return [f"{left} left", f"{_short(more / elapsed)} {self._unit}/s"][: 1 + (self._total != 1)]
+        return [f"{left} left", f"{_short(more / elapsed)} {self._unit}/s"][
+            : 1 + (self._total != 1)
+        ]
 
 
 @contextmanager

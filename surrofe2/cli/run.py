@@ -50,7 +50,13 @@ def run(
         ),
     ],
     out: console.RunFolder,
-    surrogate: console.SurrogateFiles = None,
+    surrogate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Surrogate file; default: the recipe's. One for each of several cells.",
+        ),
+    ] = None,
     table: Annotated[
         list[Path] | None,
         typer.Option(

@@ -65,8 +65,8 @@ def server():
 
 
 def serve():
-    for name in cli.COMMANDS:
-        import_module(f"surrofe2.cli.{cli.MODULES.get(name, name)}")
+    for module, _ in cli.COMMANDS.values():
+        import_module(f"surrofe2.cli.{module}")
     import_module("surrofe2.surrogate.training")  # torch
     faulthandler.enable()
     tell("ready")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import InputError
-from surrofe2.cli import progress
+from surrofe2.cli import console
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
 from surrofe2.store.samples import read_data_set
@@ -104,7 +104,7 @@ def test_error_is_one_line_and_traceback_on_request(invoke, changed_recipe):
 
 def test_progress_without_a_terminal_is_plain_lines(invoke, recipe_path, monkeypatch):
     assert invoke("generate", recipe_path).stderr == ""  # so short work says nothing of it
-    monkeypatch.setattr(progress, "SELDOM", 0.0)
+    monkeypatch.setattr(console, "SELDOM", 0.0)
     done = invoke("generate", recipe_path, "--fresh", law=SoftLaw(fails_above=1.03))
     assert "\x1b" not in done.output
     assert done.stderr.splitlines()[-1].startswith("generate: 100 %")

@@ -95,7 +95,7 @@ def test_kinds_are_told(invoke, tmp_path):
     ("answer", "kind"), [("3\n", "contact"), ("mesh\n", "mesh"), ("\n", "bar")]
 )
 def test_the_kind_is_asked_for(invoke, tmp_path, monkeypatch, answer, kind):
-    monkeypatch.setattr("surrofe2.cli.new._can_ask", lambda: True)
+    monkeypatch.setattr("surrofe2.cli.study._can_ask", lambda: True)
     asked = invoke("new", tmp_path / "a", input=answer)
     assert asked.exit_code == 0, asked.output
     assert "3  contact  a block between two plates" in asked.output

@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from surrofe2.cli import app, output
-from surrofe2.cli import progress as shown
+from surrofe2.cli import app
+from surrofe2.cli import console as shown
 from surrofe2.report.tables import Quantity, Table
 
 
@@ -34,9 +34,9 @@ def test_one_command_does_not_quieten_the_next(invoke, recipe_path):
 @pytest.mark.parametrize("width", [40, 80, 120])
 def test_tables_are_no_wider_than_the_terminal(monkeypatch, capsys, width):
     monkeypatch.setenv("COLUMNS", str(width))
-    output.begin("compare", quiet=False)
+    shown.begin("compare", quiet=False)
     quantities = [Quantity(f"quantity {k}", "µN/µm", ".6g", lambda row: row) for k in range(9)]
-    output.show_table("Numbers", Table(quantities, [1234.56, 0.1]))
+    shown.show_table("Numbers", Table(quantities, [1234.56, 0.1]))
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     assert sum(line.count("1234.56") for line in lines) >= 9
@@ -49,7 +49,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
         monkeypatch.setattr(shown, "Console", lambda stderr, terminal=terminal: terminal)
         moments = itertools.count(0.0, 0.6)
         monkeypatch.setattr(shown.time, "perf_counter", lambda moments=moments: next(moments))
-        output.begin("generate", quiet=False)
+        shown.begin("generate", quiet=False)
         with shown.progress("generate", 4096, "samples") as report:
             for done in (512, 1024, 2048):
                 report(done, "3 failed")
@@ -66,7 +66,7 @@ def test_progress_in_a_terminal_says_what_how_far_rate_and_time_left(monkeypatch
 def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch, capsys):
     seconds = [0.0]
     monkeypatch.setattr(shown.time, "perf_counter", lambda: seconds[0])
-    output.begin("generate", quiet=False)
+    shown.begin("generate", quiet=False)
     with shown.progress("generate", 100, "samples") as report:
         for k in range(101):
             seconds[0] = 0.4 * k
@@ -89,7 +89,7 @@ def test_no_colours_where_none_are_wanted(monkeypatch):
         for name, value in wanted.items():
             monkeypatch.setenv(name, value)
         text.truncate(0)
-        output.print_warning("error: x")
+        shown.print_warning("error: x")
         assert ("\x1b[31m" in text.getvalue()) == coloured
 
 

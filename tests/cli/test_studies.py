@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from typer.testing import CliRunner
 
-from surrofe2.cli import app, progress
+from surrofe2.cli import app, console
 from surrofe2.questions import stability
 from surrofe2.store.store import locked_file, read_json, write_json
 
@@ -16,7 +16,7 @@ def invoke(*arguments):
 
 
 def test_moduli(tmp_path, monkeypatch):
-    monkeypatch.setattr(progress, "SELDOM", 0.0)
+    monkeypatch.setattr(console, "SELDOM", 0.0)
     path = tmp_path / "moduli.json"
     done = invoke("moduli", "--preset", "water", "--turgor", "2.5", "--out", path)
     assert done.exit_code == 0, done.output

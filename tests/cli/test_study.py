@@ -59,6 +59,9 @@ def test_without_a_true_run(invoke, recipe_path, tmp_path):
     assert done.exit_code == 0, done.output
     assert sorted(path.name for path in out.iterdir()) == ["cached", "report.html"]
     assert "audit: " in done.stdout
+    page = invoke("compare", out / "cached", "--out", tmp_path / "page")
+    assert page.exit_code == 0, page.output
+    assert [path.name for path in (tmp_path / "page").iterdir()] == ["report.html"]
     both = invoke("study", recipe_path, "--without-true", "--true", tmp_path)
     assert both.exit_code == 1
     assert both.stderr == "error: --true: not with --without-true; leave one of them out\n"

@@ -13,7 +13,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from surrofe2.base.errors import FileError, InputError
-from surrofe2.cli import app, progress
+from surrofe2.cli import app, console
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.rve import RveLaw
@@ -129,7 +129,7 @@ def test_no_stress_no_extremes():
 
 
 def test_zoom_into_a_rest(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(progress, "SELDOM", 0.0)
+    monkeypatch.setattr(console, "SELDOM", 0.0)
     done = call("rest", study[0], "--load-steps", 2, "--out", tmp_path / "rest")
     assert done.exit_code == 0, done.output
     done = call("zoom", tmp_path / "rest", "--point", "10,10", "--out", tmp_path / "look")
