@@ -10,7 +10,12 @@ import typer
 from surrofe2.cli import console
 from surrofe2.report.comparison import Comparison, audit_sentence
 from surrofe2.store.run_folder import caches_of
-from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs, missing_notes
+from surrofe2.workflow.comparison import (
+    COMPARISON_FILES,
+    compare_runs,
+    missing_notes,
+    write_report,
+)
 
 REPORT = "report.html"
 
@@ -37,8 +42,6 @@ def compare(
 
     Example: surrofe2 compare out/rve out/cached --out out/comparison
     """
-    from surrofe2.workflow.comparison import write_report  # as heavy as a run
-
     folder = runs[0].parent / "comparison" if out is None else out
     if len(runs) > 1:
         show_comparison(compare_runs(runs, folder, fresh=fresh))

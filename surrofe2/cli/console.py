@@ -252,10 +252,8 @@ class _Clock:
         elapsed, more = moment - self._first[0], done - self._first[1]
         if elapsed < _SETTLED or more <= 0.0:
             return []
-        left = time_text(max((self._total - done) * elapsed / more, 0.0))
-        return [f"{left} left", f"{_short(more / elapsed)} {self._unit}/s"][
-            : 1 + (self._total != 1)
-        ]
+        known = [f"{time_text(max((self._total - done) * elapsed / more, 0.0))} left"]
+        return known if self._total == 1.0 else [*known, f"{_short(more / elapsed)} {self._unit}/s"]
 
 
 @contextmanager
