@@ -10,12 +10,7 @@ import typer
 from surrofe2.cli import console
 from surrofe2.report.comparison import Comparison, audit_sentence
 from surrofe2.store.run_folder import caches_of
-from surrofe2.workflow.comparison import (
-    COMPARISON_FILES,
-    compare_runs,
-    missing_notes,
-    write_report,
-)
+from surrofe2.workflow.comparison import COMPARISON_FILES, compare_runs, missing_notes
 
 REPORT = "report.html"
 
@@ -42,6 +37,8 @@ def compare(
 
     Example: surrofe2 compare out/rve out/cached --out out/comparison
     """
+    from surrofe2.workflow.report import write_report  # pictures of plant cells need kernels
+
     folder = runs[0].parent / "comparison" if out is None else out
     if len(runs) > 1:
         show_comparison(compare_runs(runs, folder, fresh=fresh))
