@@ -41,8 +41,9 @@ class FelupeMaterial:
     A material belongs to one body, for it keeps the law's states of its points. The law is asked
     once for each iteration of Newton's method, always from the state at the begin of the substep.
 
-    At the end of a substep the law commits its answer. As one of the `plugins` of `felupe.Job` the
-    material does so at once, else when the next substep begins, so never for the last one.
+    At the end of a substep the law commits its answer and says which points lost stability there.
+    As one of the `plugins` of `felupe.Job` the material sees to that at once, else when the next
+    substep begins: then call `after_substep` once more after the last one.
 
     Args:
         law: gives stress and tangents; RVEs, a surrogate, or a law of one's own.
@@ -50,9 +51,9 @@ class FelupeMaterial:
     Attributes:
         dt: length of the substep, µs. Set it before a job, or before each of its substeps by a
             plugin of `felupe.Job` with a method `before_substep(context, state)`.
-        left_bifurcation: (n,) points that left their branch at a bifurcation in any substep so
-            far; None: none did. Each time more do, there is a warning, for other substeps may lead
-            to other branches.
+        left_bifurcation: (n,) points that left their branch at a bifurcation so far, in an
+            iteration or at the end of a substep; None: none did. Each time more do, there is a
+            warning, for other substeps may lead to other branches.
         x: shapes of F and of the state, as FElupe asks for them: F and F − 1.
 
     Raises:
@@ -83,7 +84,7 @@ class FelupeMaterial:
         assert tangents is not None
         return [_last(tangents.over_step(self.dt), x[0].shape[2:])]
 
-    def after_substep(self, context: Any, state: Any) -> None:
+    def after_substep(self, context: Any = None, state: Any = None) -> None:
         """Commit the substep that has ended; called by `felupe.Job` if the material is a plugin.
 
         Raises:
@@ -95,21 +96,21 @@ class FelupeMaterial:
         accepted = self.law.accept(last.F, last.F_dot, last.response)
         _check(accepted.status, {})
         self._state = accepted.state
-        for left in (last.response.left_bifurcation, accepted.left_bifurcation):
-            self._report(left)
+        self._report(accepted.left_bifurcation)
 
     def _answer(self, x: Sequence[Array]) -> _Answer:
         F, before = _first(x[0], (2, 2)), _first(x[1], (4,))
         last = self._last
         if last is not None and not np.array_equal(before, last.before):
             # FElupe took over the state of the last answer: its substep has ended.
-            self.after_substep(None, None)
+            self.after_substep()
         elif last is not None and last.dt == self.dt and np.array_equal(F, last.F):
             return last
         F_dot = (F - np.eye(2) - before.reshape(-1, 2, 2)) / self.dt
         response = self.law.respond(F, F_dot, self._state, tangents=True)
         _check(response.status, response.reasons)
         self._last = _Answer(self.dt, F, before, F_dot, response)
+        self._report(response.left_bifurcation)
         return self._last
 
     def _report(self, left: NDArray[np.bool_] | None) -> None:

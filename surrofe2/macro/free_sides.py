@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # scipy.spatial is loaded where sides are free
 import skfem
 from numpy.typing import NDArray
 
@@ -138,18 +139,23 @@ def stretched_nodes(sides: FreeSides, space: Discretisation) -> tuple[Index, Arr
     n_q = space.points_per_element - space.pressure_apart
     position = space.point_positions().reshape(len(space.elements), -1, 2)[:, :n_q]
     corners = space.nodes[sides.nodes[:, :2]]
+    centres = scipy.spatial.KDTree(position.mean(axis=1))
+    size = float(np.ptp(space.nodes[space.elements], axis=1).max())
     found = []
     for p, element in enumerate(sides.elements):
         law = sides.laws[sides.law[p]]
+        reach = np.hypot(0.5 * law.width, 2.0 * law.depth) + 2.0 * size
+        near = np.sort(centres.query_ball_point(corners[p].mean(axis=0), reach)).astype(np.int64)
         middle, along = corners[p].mean(axis=0), corners[p, 1] - corners[p, 0]
         along = along / np.linalg.norm(along)
         inward = np.array([-along[1], along[0]])
         if inward @ (position[element].mean(axis=0) - middle) < 0.0:
             inward = -inward
-        ahead, depth = (position - middle) @ along, (position - middle) @ inward
+        ahead, depth = (position[near] - middle) @ along, (position[near] - middle) @ inward
         taken = (abs(ahead) <= 0.5 * law.width) & (depth >= 0.0) & (depth <= 2.0 * law.depth)
-        taken[element] = True
+        taken[near == element] = True
         own, q = np.nonzero(taken)
+        own = near[own]
         weights = _weights(space.weights[own, q], depth[taken], law.depth)
         slopes = weights[:, None] * (space.gradients[own, q] @ along)
         nodes, place = np.unique(space.elements[own], return_inverse=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -11,8 +13,10 @@ from surrofe2.base.errors import SimulationError
 from surrofe2.law.stress_law import Acceptance, Status
 from surrofe2.macro.elements import reference_shapes
 from surrofe2.macro.rest import find_rest
+from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.problem.conditions import Fixed, Traction
 from surrofe2.problem.mesh import element_nodes
+from surrofe2.rve import RveLaw
 from tests.laws import KelvinVoigt
 from tests.macro.meshes import plate
 
@@ -120,12 +124,12 @@ class Counted(KelvinVoigt):
         return Acceptance(response.status, state, response.stress, left if left.any() else None)
 
 
-def stretched(material, substeps, plugins):
-    """A square pulled by a tenth in `substeps`: iterations of Newton's method of each."""
-    region = felupe.RegionQuad(felupe.Rectangle(n=4))
+def stretched(material, substeps, plugins, along=0.1, n=4):
+    """A square pulled `along` in `substeps`: iterations of Newton's method of each."""
+    region = felupe.RegionQuad(felupe.Rectangle(n=n))
     field = felupe.FieldContainer([felupe.Field(region, dim=2)])
     boundaries = felupe.dof.uniaxial(field, clamped=True, return_loadcase=False)
-    ramp = {boundaries["move"]: np.linspace(0.0, 0.1, substeps + 1)[1:]}
+    ramp = {boundaries["move"]: np.linspace(0.0, along, substeps + 1)[1:]}
     body, iterations = felupe.SolidBody(material, field), []
     step = felupe.Step(items=[body], ramp=ramp, boundaries=boundaries)
     plugins = [lambda context, state: iterations.append(state.result.iterations), *plugins]
@@ -155,6 +159,18 @@ def test_a_bifurcation_is_reported():
     with pytest.warns(RuntimeWarning, match=r"of 36 points left their branch .* shorter substeps"):
         stretched(material, 3, [material])
     assert 0 < material.left_bifurcation.sum() <= 36
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("compressed", "substeps"), [(0.1, 1), (0.06, 3)])
+def test_rves_that_leave_a_bifurcation_are_reported_without_the_plugin(compressed, substeps):
+    """Within an iteration of a long substep, or at the end of a short one, by 5 % of the stress."""
+    material = FelupeMaterial(RveLaw(CellParameters.preset("water")))
+    with warnings.catch_warnings(record=True, action="always") as told:
+        stretched(material, substeps, [], -compressed, n=3)
+        material.after_substep()
+    assert "16 of 16 points left their branch" in str(told[0].message)
+    assert material.left_bifurcation.all()
 
 
 def nodal_forces(mesh):
