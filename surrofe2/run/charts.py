@@ -128,7 +128,8 @@ def told_once(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...
     for group in groups:
         first, *others = (curves[k] for k in group)
         names = ", ".join(each.label or each.name for each in (first, *others))
-        one = Curve("reference", first.x, first.y, names, markers=False)
+        label = "\n".join(wrap(names, _LONG))
+        one = Curve("reference", first.x, first.y, label, markers=False)
         found.append(one if others else first)
     return tuple(found)
 
