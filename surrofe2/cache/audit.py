@@ -46,6 +46,7 @@ class ErrorRecord:
         unsolved: of these, those for which the true law has no stress.
         violations: errors above the tolerance, and the unsolved.
         bins: (b,) errors by size, in logarithmic bins; a list is taken too.
+        stress_squares: sum of the squares of what stresses come to, as often as errors count.
         worst: the largest error with what was asked and answered.
     """
 
@@ -55,6 +56,7 @@ class ErrorRecord:
     violations: int = 0
     largest: float = 0.0
     sum_of_squares: float = 0.0
+    stress_squares: float = 0.0
     bins: NDArray[np.int64] = field(
         default_factory=lambda: np.zeros(len(_EDGES) + 1, dtype=np.int64)
     )
@@ -63,16 +65,26 @@ class ErrorRecord:
     def __post_init__(self) -> None:
         self.bins = np.array(self.bins, dtype=np.int64)
 
-    def add(self, error: Array) -> NDArray[np.bool_]:
-        """Record errors (k,), NaN where there is no truth; which of them are violations."""
+    def add(self, error: Array, size: Array | float = np.inf) -> NDArray[np.bool_]:
+        """Record errors (k,), NaN where there is no truth, and sizes of the stresses; which of them
+        are violations."""
         broken: NDArray[np.bool_] = ~(error <= self.tolerance)
         known = error[~np.isnan(error)]
         self.audited += len(error)
         self.unsolved += len(error) - len(known)
         self.violations += int(broken.sum())
         self.sum_of_squares += float(known @ known)
+        self.stress_squares += float(
+            (np.broadcast_to(size, error.shape) ** 2)[~np.isnan(error)].sum()
+        )
         np.add.at(self.bins, np.searchsorted(_EDGES, known, side="left"), 1)
         return broken
+
+    @property
+    def says_little(self) -> bool:
+        """Whether errors as large as the stresses themselves would have been let pass."""
+        solved = self.audited - self.unsolved
+        return np.isfinite(self.tolerance) and self.stress_squares < solved * self.tolerance**2
 
     def quantile(self, share: float) -> float:
         """The error that a share of the solved audits does not exceed, µN/µm; NaN without any."""
@@ -243,9 +255,10 @@ class Audit:
             asked = asked.only(np.arange(len(asked.points))[:-left])
         truth = self._solve(asked)
         error = stress_error(asked.stress, truth.stress)
-        error /= self._surrogate.local_tolerance(asked.F, asked.F_dot)
+        local = self._surrogate.local_tolerance(asked.F, asked.F_dot)
+        error /= local
         error[truth.status != 0] = np.nan
-        broken = self.record.add(error)
+        broken = self.record.add(error, np.sqrt((truth.stress**2).sum(axis=(1, 2))) / local)
         self._note_worst(asked, truth.stress, error)
         return Finding(asked, truth.stress, truth.status, error, broken, truth.state)
 

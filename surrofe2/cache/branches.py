@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.errors import InputError
+from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.protocols import Fallback, Surrogate
 from surrofe2.cache.trust import RETURN, STAY
 from surrofe2.law.stress_law import Acceptance, Status, StressResponse, Tangents
@@ -76,6 +77,7 @@ class CachedState:
         count: n, the points there are.
         on_fallback: those the fallback answers until the step is accepted, with its warm start.
         limit: that risks are compared with during this step; negative: nothing is trusted.
+        reach: (7,) sizes of inputs up to which the surrogate is trusted; None: wherever it answers.
         risk: (n,) of the answer this came with, inf where the fallback gave it; or None.
         before: (F, Ḟ) at the last accepted step, or None.
     """
@@ -83,6 +85,7 @@ class CachedState:
     count: int
     on_fallback: PointSet = NO_POINTS
     limit: float = np.inf
+    reach: Array | None = None
     risk: Array | None = None
     before: tuple[Array, Array] | None = None
 
@@ -93,6 +96,7 @@ class CachedState:
         return {
             "count": np.array(self.count),
             "limit": np.array(self.limit),
+            "reach": np.empty(0) if self.reach is None else self.reach,
             "points": self.on_fallback.points,
             "why": self.on_fallback.why,
             "before": before,
@@ -109,6 +113,7 @@ class CachedState:
             count=int(arrays["count"]),
             on_fallback=on_fallback,
             limit=float(arrays["limit"]),
+            reach=arrays["reach"] if len(arrays["reach"]) else None,
             before=(before[0], before[1]) if len(before) else None,
         )
 
@@ -119,48 +124,92 @@ class CachedState:
         return free
 
 
+@dataclass(frozen=True, slots=True)
+class Narrowed:
+    """A surrogate that is trusted only where no input is larger than `reach` (7,)."""
+
+    surrogate: Surrogate
+    reach: Array
+
+    def lookup(self, F: Array, F_dot: Array, limit: float) -> tuple[Array, NDArray[np.int8], Array]:
+        """As of `Surrogate`."""
+        stress, status, risk = self.surrogate.lookup(F, F_dot, limit)
+        beyond = self._refuse(F, F_dot, status, risk)
+        stress[beyond] = np.nan
+        return stress, status, risk
+
+    def status_and_risk(
+        self, F: Array, F_dot: Array, limit: float
+    ) -> tuple[NDArray[np.int8], Array]:
+        """As of `Surrogate`."""
+        status, risk = self.surrogate.status_and_risk(F, F_dot, limit)
+        self._refuse(F, F_dot, status, risk)
+        return status, risk
+
+    def _refuse(self, F: Array, F_dot: Array, status: NDArray[np.int8], risk: Array) -> Indices:
+        known = np.flatnonzero(status == 0)
+        x, _ = to_inputs(F[known], F_dot[known])
+        beyond: Indices = known[(np.abs(x) > self.reach).any(axis=1)]
+        status[beyond], risk[beyond] = Status.NOT_TRUSTED, np.inf
+        return beyond
+
+
+def trusted(surrogate: Surrogate, reach: Array | None, share: float = 1.0) -> Surrogate | Narrowed:
+    """The surrogate, or so far as it is trusted, or a share of that."""
+    return surrogate if reach is None else Narrowed(surrogate, share * reach)
+
+
 def look_up(
     surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState
 ) -> tuple[Array, NDArray[np.int8], Array]:
     """As `Surrogate.lookup`, with stress 0, status 0 and an infinite risk at points held."""
+    known = trusted(surrogate, state.reach)
     if not len(state.on_fallback) and state.limit >= 0.0:
-        return surrogate.lookup(F, F_dot, state.limit)
+        return known.lookup(F, F_dot, state.limit)
     stress, risk = np.zeros_like(F), np.full(len(F), np.inf)
     status = np.zeros(len(F), dtype=np.int8)
     free = state.free()
     if state.limit < 0.0:
         status[free] = Status.NOT_TRUSTED
     elif free.any():
-        answer = surrogate.lookup(F[free], F_dot[free], state.limit)
+        answer = known.lookup(F[free], F_dot[free], state.limit)
         stress[free], status[free], risk[free] = answer
     return stress, status, risk
 
 
 def choose_branches(
-    surrogate: Surrogate, F: Array, F_dot: Array, state: CachedState, limit: float
+    surrogate: Surrogate,
+    F: Array,
+    F_dot: Array,
+    state: CachedState,
+    limit: float,
+    reach: Array | None,
 ) -> tuple[NDArray[np.int8], Array, NDArray[np.int8], NDArray[np.bool_]]:
     """Which points must leave the surrogate for the next step, and which may return to it.
+
+    Args:
+        limit, reach: of the next step.
 
     Returns:
         (n,) int8: why a free point must leave, 0 where it may stay.
         (k, 2, 2), (k,): the surrogate's stress and status at the k points on the fallback, now.
         (k,): whether each of them may return.
     """
-    points = state.on_fallback.points
+    points, free = state.on_fallback.points, state.free()
     there = extrapolate(F, F_dot, state.before)
-    ahead, risk_ahead = surrogate.status_and_risk(*there, limit)
+    known = trusted(surrogate, reach)
+    ahead, risk_ahead = known.status_and_risk(*there, limit)
     if state.risk is not None:
         rising = (risk_ahead > STAY * limit) & (risk_ahead > state.risk)
         ahead = np.where((ahead == 0) & rising, NOT_TRUSTED, ahead)
-    narrower = limit < state.limit
-    if not len(points) and not narrower:
-        return ahead, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
-    leaving = np.where(state.free(), ahead, np.int8(0))
-    if state.risk is not None and narrower:
-        leaving[state.free() & (leaving == 0) & ~(state.risk <= limit)] = Status.NOT_TRUSTED
+    leaving = np.where(free, ahead, np.int8(0))
+    if limit < state.limit or reach is not state.reach:
+        now = known.lookup(F, F_dot, limit)[1]
+        leaving = np.where(free & (leaving == 0), now, leaving)
     if not len(points):
         return leaving, np.empty((0, 2, 2)), ahead[:0], np.empty(0, dtype=bool)
-    stress, status, risk = surrogate.lookup(F[points], F_dot[points], limit)
+    near = trusted(surrogate, reach, RETURN)
+    stress, status, risk = near.lookup(F[points], F_dot[points], limit)
     returning = (status == 0) & (risk <= RETURN * limit)
     returning &= (ahead[points] == 0) & (risk_ahead[points] <= RETURN * limit)
     return leaving, stress, status, returning

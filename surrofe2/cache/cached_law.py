@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surrofe2.base.sampling import QUANTITIES, farthest_out
+from surrofe2.base.tensors import to_inputs
 from surrofe2.cache.audit import Audit
 from surrofe2.cache.branches import (
     NO_POINTS,
@@ -28,7 +29,13 @@ from surrofe2.cache.branches import (
     look_up,
     tangents_of_both,
 )
-from surrofe2.cache.protocols import Fallback, OnTrueAnswer, Surrogate, check_match
+from surrofe2.cache.protocols import (
+    Fallback,
+    OnTrueAnswer,
+    Surrogate,
+    check_match,
+    check_scale,
+)
 from surrofe2.cache.settings import CacheSettings
 from surrofe2.cache.trust import Trust, Window
 from surrofe2.law.stress_law import (
@@ -83,7 +90,8 @@ class CachedLaw(Viewed):
         on_true_answer: is given every true answer at accepted steps, see `OnTrueAnswer`.
 
     Raises:
-        MismatchError: they are not of the same plant cell and initialisation.
+        MismatchError: they are not of the same plant cell and initialisation, or the surrogate's
+            scale of stress is not that of the fallback.
     """
 
     def __init__(
@@ -94,6 +102,7 @@ class CachedLaw(Viewed):
         on_true_answer: OnTrueAnswer | None = None,
     ) -> None:
         check_match(surrogate, fallback)
+        check_scale(surrogate, fallback)
         own = self.settings = settings or CacheSettings()
         self.surrogate = surrogate.with_tolerance(own.tolerance, own.relative)
         self.fallback = fallback
@@ -135,6 +144,7 @@ class CachedLaw(Viewed):
         self._audit = Audit(surrogate, self.fallback, own.audit, own.seed, allowed)
         self._trust = Trust()
         self._window = Window(0.0, 0, self._trust.limit)
+        self._reach: Array | None = None
         self._decisions: list[dict[str, Any]] = []
         self._marked: CachedState | None = None
         if not surrogate.is_calibrated and np.isfinite(allowed):
@@ -168,6 +178,12 @@ class CachedLaw(Viewed):
         """`history` at the end of a run: what still waits is audited."""
         self._audit.end()
         self._run_audit()
+        if self._audit.record.says_little:
+            self._trust.warn(
+                self._counts["steps"],
+                "audits say little: stresses where they looked are no larger than the tolerance; "
+                "allow a smaller one",
+            )
         return self.history()
 
     @property
@@ -191,14 +207,14 @@ class CachedLaw(Viewed):
             self._decide(t, "stands")
         if window.is_full and not window.failed:
             self._trust.stand()
-        carried = {} if window.is_full or window.failed else window.counts()
+        carried = [] if window.is_full or window.failed else window.audits
         before = {
             "carried": carried,
             "counts": dict(self._counts),
             "left_range": {name: dict(left) for name, left in self._left_range.items()},
             "record": self._audit.record.to_values(),
         }
-        self._window = Window(t, self._counts["steps"], self._trust.limit, before, **carried)
+        self._window = Window(t, self._counts["steps"], self._trust.limit, before, list(carried))
         self._audit.begin()
         self._marked = state
 
@@ -211,7 +227,7 @@ class CachedLaw(Viewed):
         if is_over:
             self._run_audit()
         if not (window.stands or window.failed or trust.is_off):
-            trust.fail(self._counts["steps"], window)
+            self._fail(window)
         return False if window.failed else (True if is_over else None)
 
     def roll_back(self, t: float) -> CachedState:
@@ -224,10 +240,14 @@ class CachedLaw(Viewed):
         self._left_range = {name: dict(left) for name, left in before["left_range"].items()}
         self._audit.go_back(window.step, before["record"])
         if window.failed:
-            before["carried"] = {}  # under another factor it says nothing
+            before["carried"] = []  # under another factor it says nothing
         at = window.begin, window.step, self._trust.limit
-        self._window = Window(*at, before, **before["carried"])
-        return replace(self._marked, limit=self._trust.limit)
+        self._window = Window(*at, before, list(before["carried"]))
+        return replace(self._marked, limit=self._trust.limit, reach=self._reach)
+
+    def _fail(self, window: Window) -> None:
+        self._trust.fail(self._counts["steps"], window)
+        self._reach = np.array(self._trust.reach) if self._trust.reach else None
 
     def _decide(self, t: float, decision: str) -> None:
         step, limit = self._counts["steps"], self._trust.limit
@@ -262,6 +282,7 @@ class CachedLaw(Viewed):
         self._counts = dict(values["counts"])
         self._left_range = dict(values["left_range"])
         self._trust = Trust(**values["trust"])
+        self._reach = np.array(self._trust.reach) if self._trust.reach else None
         self._window = Window(**values["window"])
         self._decisions = list(values["decisions"])
         self._audit.restore(part_of(arrays, "audit"), values["audit"])
@@ -284,14 +305,14 @@ class CachedLaw(Viewed):
             require_tangents(self)
         given, count = state, len(F)
         if given is None:
-            state = CachedState(count, limit=self._trust.limit)
+            state = CachedState(count, limit=self._trust.limit, reach=self._reach)
         else:
             state = check_state(given, count)
         stress, status, risk = look_up(self.surrogate, F, F_dot, state)
         missed = status.nonzero()[0]
         if not len(missed) and not len(state.on_fallback):
             slopes = self.surrogate.tangents(F, F_dot) if tangents else None
-            after = CachedState(count, state.on_fallback, state.limit, risk, state.before)
+            after = replace(state, risk=risk)
             return StressResponse(
                 stress,
                 status,
@@ -429,7 +450,8 @@ class CachedLaw(Viewed):
         if len(wrong):
             state = None if result.state is None else result.state.take(wrong)
             self.surrogate.learn(asked.F[wrong], asked.F_dot[wrong], result.stress[wrong], state)
-        self._window.add(asked.points, result.broken, result.error, asked.risk)
+        x, _ = to_inputs(asked.F, asked.F_dot)
+        self._window.add(asked.points, result.broken, result.error, asked.risk, x)
         if self._window.before is None:
             self._judge_alone()
 
@@ -441,7 +463,7 @@ class CachedLaw(Viewed):
         if window.stands:
             trust.stand()
         else:
-            trust.fail(self._counts["steps"], window)
+            self._fail(window)
         self._window = Window(0.0, self._counts["steps"], trust.limit)
 
     def restart_step(
@@ -467,7 +489,7 @@ class CachedLaw(Viewed):
             stay = np.ones(len(known), dtype=bool)
         else:
             leaving, of_surrogate, status, returning = choose_branches(
-                self.surrogate, F, F_dot, state, limit
+                self.surrogate, F, F_dot, state, limit, self._reach
             )
             self._counts["in_domain"] += int((status != Status.OUT_OF_RANGE).sum())
             stay = ~returning
@@ -487,7 +509,7 @@ class CachedLaw(Viewed):
                 after = after.and_also(fresh.points, fresh.why, fresh.state)
         return Acceptance(
             response.status,
-            CachedState(state.count, after, limit, None, (F, F_dot)),
+            CachedState(state.count, after, limit, self._reach, None, (F, F_dot)),
             None if stress is response.stress else stress,
         )
 

@@ -15,6 +15,10 @@ from surrofe2.plant_cell.parameters import CellParameters
 
 Array = NDArray[np.float64]
 
+MOST_SPREAD = 2.0
+"""Of trained surrogates the ratio is within 1 ± 0.01."""
+_PROBE = 0.1  # of the range: within it moduli are constant enough
+
 
 class Surrogate(Protocol):
     """A stress that is quick to look up, and says where it may not be asked."""
@@ -144,4 +148,35 @@ def check_match(surrogate: Surrogate, fallback: Fallback) -> None:
         raise MismatchError(
             f"cache: the surrogate is of initialisation {surrogate.initialisation}, the fallback "
             f"of {fallback.initialisation}; train a surrogate for this initialisation"
+        )
+
+
+def check_scale(surrogate: Surrogate, fallback: Fallback) -> None:
+    """A MismatchError where the spread of stress that the surrogate states, the unit of tolerances,
+    is more than `MOST_SPREAD` times what the fallback's moduli at rest give over its range.
+
+    Audits by a tolerance that is too large would find nothing. The moduli are differences of the
+    stress over a tenth of the range; of states that are uniform in it, a linear law's stress has
+    the spread √(Σ (∂σ/∂c w)²/3) over the seven entries c of U and RᵀḞ with half widths w.
+    """
+    if surrogate.range is None:
+        return
+    low, high = surrogate.range.stretch
+    stretch = _PROBE * max(abs(low - 1.0), abs(high - 1.0))
+    shear, rate = _PROBE * surrogate.range.shear, _PROBE * surrogate.range.rate
+    F, F_dot = np.tile(np.eye(2), (8, 1, 1)), np.zeros((8, 2, 2))
+    F[1, 0, 0] += stretch
+    F[2, 1, 1] += stretch
+    F[3] += [[0.0, shear], [shear, 0.0]]
+    F_dot[4:] = rate * np.eye(4).reshape(4, 2, 2)
+    answer = fallback.respond(F, F_dot)
+    if answer.status.any():
+        return  # the range begins beyond what the cell bears; audits alone can tell
+    squares = ((answer.stress[1:] - answer.stress[0]) ** 2).sum() / _PROBE**2
+    spread = float(np.sqrt(squares / 3.0))
+    if surrogate.stress_spread > MOST_SPREAD * spread:
+        raise MismatchError(
+            f"cache: the surrogate states a spread of stress of {surrogate.stress_spread:.3g} "
+            f"µN/µm, by the moduli of the RVE it is {spread:.3g}; train it again, for tolerances "
+            "are shares of it"
         )

@@ -13,7 +13,7 @@ _RELATIVE = 30.0  # times the tolerance
 class CacheSettings:
     """Tolerance and audit of a cached law.
 
-    The local stress is that of the moduli at rest, see `surrogate.error_bound`; a table knows the
+    The local stress is that of the moduli at rest, see `surrogate.domain`; a table knows the
     first tolerance alone.
     """
 

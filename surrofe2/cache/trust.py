@@ -7,7 +7,9 @@ Clopper and Pearson (1934) on the share w of wrong answers, at the confidence C,
     P(Bin(n, W) ≤ k) ≤ 1 − C,
 
 and while it has no more than the k that `AUDITS` audits may have. A window that fails is rolled
-back where a time loop can, and the risks count more often from there on.
+back where a time loop can. From there on none of its violations would be answered: risks count more
+often, or, where the fault is a local one that the risk does not tell from what was right, one input
+of `tensors` is trusted less far. Only where neither leaves anything the cache is off.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ import numpy as np
 import scipy  # scipy.special is loaded where a window has more violations than `VIOLATIONS`
 from numpy.typing import NDArray
 
+from surrofe2.base.tensors import INPUTS
+
 Array = NDArray[np.float64]
 
 WRONG, CONFIDENCE = 0.02, 0.95
@@ -30,17 +34,24 @@ AUDITS, VIOLATIONS = 320, 2
 answers stands with a probability of at least 99.5 %, the producer's risk; 320 are ten batches of
 RVEs more than nothing: n may be larger, k then follows from the bound. No run has fewer audits."""
 MARGIN = 1.1
-"""By so much the risks of the violations exceed the limit after the factor was raised."""
+"""By so much the risks of the violations exceed the limit after the factor was raised, or one of
+their inputs its reach after that was narrowed."""
 LEAST_RAISE = 2.0
 """A factor is raised at least so many times, so that few windows fail in a row."""
 LARGEST_FACTOR = 100.0
-"""Beyond it the bound says nothing of the error, and the cache is switched off."""
+"""Beyond it the bound says nothing of the error."""
+LEAST_KEPT, MOST_NARROWED = 0.1, 8
+"""Share of the window's right answers that a narrower reach has to leave; times it is narrowed."""
 MORE_AUDITS = 4.0
 """Times as many answers are audited in the window after one that failed, which finds a fault that
 is left after a quarter of the steps."""
 STAY, RETURN = 0.9, 0.8
 """Shares of the limit up to which the risk foreseen may rise for a point to stay with the
 surrogate, and to come back to it: what is foreseen is not met exactly, and none goes to and fro."""
+INPUT_NAMES = (
+    *(f"a {name} of U − I" for name in ("sum", "difference", "shear")),
+    *(f"a {name} of RᵀḞ" for name in ("sum", "difference", "shear", "spin")),
+)
 _MOST_NAMED = 32  # points that a decision names
 
 _log = logging.getLogger("surrofe2.cache")
@@ -71,9 +82,8 @@ class Window:
         begin: µs; step: kept steps before it.
         limit: that risks are compared with; negative: nothing is trusted.
         before: what a law has to know that goes back to its begin; None where none can.
-        audits, violations: so far; points: of the violations, the first of them.
-        least_risk: smallest of the risks that the violations had.
-        error, risk: of the worst audit, the error in µN/µm; None where the RVE has no stress.
+        audits: of each the point, whether it is a violation, error in µN/µm (NaN where the RVE has
+            no stress), risk, and the sizes of the seven inputs of `tensors`.
         failed: whether it was found wrong.
     """
 
@@ -81,61 +91,55 @@ class Window:
     step: int
     limit: float
     before: dict[str, Any] | None = None
-    audits: int = 0
-    violations: int = 0
-    points: list[int] = field(default_factory=list)
-    least_risk: float = np.inf
-    error: float | None = None
-    risk: float | None = None
+    audits: list[list[float]] = field(default_factory=list)
     failed: bool = False
 
     def add(
-        self, points: NDArray[np.intp], is_wrong: NDArray[np.bool_], error: Array, risk: Array
+        self,
+        points: NDArray[np.intp],
+        is_wrong: NDArray[np.bool_],
+        error: Array,
+        risk: Array,
+        x: Array,
     ) -> None:
-        """Take note of audits (k,): where, violations, error (NaN without RVE stress), risk."""
-        wrong = is_wrong.nonzero()[0]
-        self.audits += len(error)
-        self.violations += len(wrong)
-        self.points += points[wrong[: _MOST_NAMED - len(self.points)]].tolist()
-        self.least_risk = min(self.least_risk, float(risk[wrong].min(initial=np.inf)))
-        known = np.nan_to_num(error, nan=-1.0)
-        worst = int(known.argmax())
-        if known[worst] > (-1.0 if self.error is None else self.error):
-            self.error, self.risk = float(known[worst]), float(risk[worst])
+        """Take note of audits: all (k,), and inputs x (k, 7)."""
+        self.audits += np.column_stack([points, is_wrong, error, risk, np.abs(x)]).tolist()
+
+    @property
+    def wrong(self) -> list[list[float]]:
+        """The audits that are violations."""
+        return [each for each in self.audits if each[1]]
 
     @property
     def is_full(self) -> bool:
         """Whether it has the audits of the plan."""
-        return self.audits >= AUDITS
-
-    def counts(self) -> dict[str, Any]:
-        """Its audits, for a window that continues them."""
-        return {
-            "audits": self.audits,
-            "violations": self.violations,
-            "points": list(self.points),
-            "least_risk": self.least_risk,
-            "error": self.error,
-            "risk": self.risk,
-        }
+        return len(self.audits) >= AUDITS
 
     @property
     def stands(self) -> bool:
         """Whether it does by its audits so far, of which it will have at least `AUDITS`."""
-        return stands(self.violations, self.audits)
+        return stands(len(self.wrong), len(self.audits))
+
+    def sizes(self) -> tuple[Array, Array]:
+        """Risk and sizes of inputs (k, 8) of the violations, and of the others."""
+        values = np.array(self.audits).reshape(-1, 4 + INPUTS)
+        is_wrong = values[:, 1] > 0.0
+        return values[is_wrong, 3:], values[~is_wrong, 3:]
 
     def decision(self, t: float, step: int, limit: float, decision: str) -> dict[str, Any]:
         """A line of the event log, of a window that ends at t after so many kept steps."""
+        known = [each for each in self.audits if not np.isnan(each[2])]
+        worst = max(known, key=lambda each: each[2], default=[None] * 4)
         return {
             "decision": decision,
             "t": t,
             "from_t": self.begin,
             "steps": step - self.step,
-            "audits": self.audits,
-            "violations": self.violations,
-            "points": self.points,
-            "true_error": self.error,
-            "risk": self.risk,
+            "audits": len(self.audits),
+            "violations": len(self.wrong),
+            "points": [int(each[0]) for each in self.wrong[:_MOST_NAMED]],
+            "true_error": worst[2],
+            "risk": worst[3],
             "limit_before": None if self.limit < 0.0 else self.limit,
             "limit_after": None if limit < 0.0 else limit,
         }
@@ -143,10 +147,12 @@ class Window:
 
 @dataclass
 class Trust:
-    """The largest risk that is answered, and what happened to it; plain values, for checkpoints.
+    """What is answered, and what happened to that; plain values, for checkpoints.
 
     Attributes:
         factor: by which risks are multiplied before they are compared with 1.
+        reach: of the seven inputs of `tensors`, the sizes up to which they are trusted; none given:
+            as far as the surrogate says.
         is_off: the cache answers nothing any more.
         more_audits: by which the fraction of answers that are audited is multiplied.
         failures: windows that failed; standing: that stood since the factor changed.
@@ -154,6 +160,7 @@ class Trust:
     """
 
     factor: float = 1.0
+    reach: list[float] = field(default_factory=list)
     is_off: bool = False
     more_audits: float = 1.0
     failures: int = 0
@@ -166,23 +173,36 @@ class Trust:
         return -1.0 if self.is_off else 1.0 / self.factor
 
     def fail(self, step: int, window: Window) -> None:
-        """Raise the factor so that none of the window's violations would have been answered, or
-        switch off where that takes too large a one."""
+        """Answer none of the window's violations any more: raise the factor or narrow the reach,
+        whichever leaves more of what was right, or switch off where neither leaves anything."""
         window.failed = True
         self.failures += 1
         self.standing, self.more_audits = 0, MORE_AUDITS
-        wrong, audits = window.violations, window.audits
-        finding = f"{wrong} of {audits} audited answers are off by more than the tolerance"
-        has_risk = 0.0 < window.least_risk < np.inf
-        just_enough = MARGIN / window.least_risk if has_risk else np.inf
-        factor = max(LEAST_RAISE * self.factor, just_enough)
-        if factor <= LARGEST_FACTOR:
+        wrong, right = window.sizes()
+        least = wrong.min(axis=0, initial=np.inf)
+        usable = (least > 0.0) & (least < np.inf)
+        most = np.where(usable, least / MARGIN, 0.0)
+        factor = max(LEAST_RAISE * self.factor, 1.0 / most[0] if usable[0] else np.inf)
+        most[0] = 1.0 / factor
+        left = (right <= most).mean(axis=0) if len(right) else np.zeros(len(most))
+        left *= usable
+        k = 1 + int(left[1:].argmax())
+        narrowed = sum(event["action"] == "narrowed" for event in self.events)
+        may_narrow = left[k] >= LEAST_KEPT and narrowed < MOST_NARROWED
+        finding = f"{len(wrong)} of {len(wrong) + len(right)} audited answers are off by more than "
+        finding += "the tolerance; "
+        if factor <= LARGEST_FACTOR and not (may_narrow and left[k] > 2.0 * left[0]):
             self.factor = factor
-            does = f"the risks count {factor:.3g} times from here on"
+            does, action = f"the risks count {factor:.3g} times from here on", "tightened"
+        elif may_narrow:
+            self.reach = self.reach or [np.inf] * INPUTS
+            self.reach[k - 1] = float(most[k])
+            does = f"states with {INPUT_NAMES[k - 1]} of more than {most[k]:.3g} are left to RVEs"
+            does, action = f"{does} from here on", "narrowed"
         else:
             self.is_off = True
-            does = "the cache is off from here on, RVEs answer"
-        self._note(step, f"{finding}; {does}", "off" if self.is_off else "tightened")
+            does, action = "the cache is off from here on, RVEs answer", "off"
+        self._note(step, finding + does, action)
 
     def stand(self) -> None:
         """Take note of a window that stood: audits are as many as before, and the factor is halved
@@ -193,12 +213,18 @@ class Trust:
             self.factor, self.standing = max(1.0, 0.5 * self.factor), 0
 
     def warn(self, step: int, finding: str) -> None:
-        """Report something that changes nothing."""
-        self._note(step, finding, "none")
+        """Report something that changes nothing, once."""
+        if all(event["finding"] != finding for event in self.events):
+            self._note(step, finding, "none")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        return {"factor": self.factor, "off": self.is_off, "events": list(self.events)}
+        return {
+            "factor": self.factor,
+            "reach": [None if np.isinf(each) else each for each in self.reach],
+            "off": self.is_off,
+            "events": list(self.events),
+        }
 
     def _note(self, step: int, sentence: str, action: str) -> None:
         _log.warning("cache, step %d: %s", step, sentence)

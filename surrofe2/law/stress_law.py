@@ -97,8 +97,8 @@ class Tangents:
         return by_F, by_F_dot / J[:, None, None, None, None]
 
 
-SURROGATE, TABLE = int(Status.OK), 7
-"""Codes of `Sources` besides the reasons of `Status` for which an RVE was asked."""
+SURROGATE, TABLE = -2, -3
+"""Codes of `Sources` below the reasons of `Status` for which an RVE was asked."""
 
 
 @dataclass(frozen=True, slots=True)

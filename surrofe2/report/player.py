@@ -185,8 +185,9 @@ def _arrays(run: RunData, budget: int) -> dict[str, Any]:
 
 def _colour(name: str, unit: str, values: Array) -> dict[str, Any]:
     if name == "stress source":
-        codes = np.nan_to_num(values, nan=UNKNOWN).astype(np.uint8)
-        words = {code: list(SOURCES[code]) for code in SOURCES if (codes == code).any()}
+        codes = np.nan_to_num(values, nan=UNKNOWN).astype(np.int16).astype(np.uint8)
+        shown = {int(code) % 256: list(each) for code, each in SOURCES.items()}  # one byte each
+        words = {code: shown[code] for code in shown if (codes == code).any()}
         return {"name": name, "sources": words, "data": _base64(codes)}
     colours = Colours.of(unit, values)
     low, high = colours.low, colours.high

@@ -1,136 +1,167 @@
-/* The formulas; the numbers above are of one surrogate. Dual numbers carry a value and its
- * derivatives by the scaled inputs, x[0] value, x[1 + k] derivative: 7 of them, or none. */
+/* The formulas; the numbers above are of one surrogate, and all sizes are known here. Slopes are by
+ * the scaled inputs, LANES of them, of which the last is not used. */
 
 #define INPUTS 7
 #define ONE 7
 #define COMPONENTS 4
 #define STRETCH 3
+#define LANES 8
 
-typedef double dual[1 + INPUTS];
+#define LAYER(weight, bias, columns, rows, source, target)   \
+    do {                                                     \
+        for (int i = 0; i < rows; i++)                       \
+            target[i] = bias[i];                             \
+        for (int j = 0; j < columns; j++)                    \
+            for (int i = 0; i < rows; i++)                   \
+                target[i] += weight[j][i] * source[j];       \
+    } while (0)
 
-static void multiply(const double *a, const double *b, double *product, int n)
+#define SLOPES(weight, columns, rows, source, target)        \
+    do {                                                     \
+        memset(target, 0, sizeof target);                    \
+        for (int j = 0; j < columns; j++)                    \
+            for (int i = 0; i < rows; i++)                   \
+                for (int k = 0; k < LANES; k++)              \
+                    target[i][k] += weight[j][i] * source[j][k]; \
+    } while (0)
+
+#define TANH_SLOPES(tanh, rows, slopes)                      \
+    do {                                                     \
+        for (int i = 0; i < rows; i++)                       \
+            for (int k = 0; k < LANES; k++)                  \
+                slopes[i][k] *= 1.0 - tanh[i] * tanh[i];     \
+    } while (0)
+
+/* 1 - 2/(e^2y + 1), with e^2y = 2^n e^r, n an integer and |r| <= ln 2/2: e^r is a polynomial, 2^n is
+ * written into the exponent bits, so that the loop becomes vector instructions. Do not compile this
+ * with -ffast-math, which would take the rounding to an integer away. */
+static inline void tanh_of(double *y, int n)
 {
-    const double value = a[0] * b[0];
-    for (int k = n; k >= 1; k--)
-        product[k] = a[k] * b[0] + a[0] * b[k];
-    product[0] = value;
+    for (int i = 0; i < n; i++) {
+        const double magic = 6755399441055744.0, ln2 = 0.6931471805599453;
+        double z = 2.0 * y[i], q = 2.510038549551032e-08, scale;
+        uint64_t bits;
+        z = z > 40.0 ? 40.0 : z;
+        z = z < -40.0 ? -40.0 : z;
+        const double shifted = z * 1.4426950408889634 + magic, r = z - (shifted - magic) * ln2;
+        q = q * r + 2.7620088445409746e-07;
+        q = q * r + 2.7557268459997064e-06;
+        q = q * r + 2.4801521295954376e-05;
+        q = q * r + 0.00019841269863053618;
+        q = q * r + 0.0013888888917213717;
+        q = q * r + 0.008333333333330062;
+        q = q * r + 0.04166666666662413;
+        q = q * r + 0.16666666666666669;
+        q = q * r + 0.5000000000000001;
+        memcpy(&bits, &shifted, sizeof bits);
+        bits = (bits + 1023) << 52;
+        memcpy(&scale, &bits, sizeof scale);
+        y[i] = 1.0 - 2.0 / (((q * r + 1.0) * r + 1.0) * scale + 1.0);
+    }
 }
 
-static void add_times(double factor, const double *a, double *sum, int n)
-{
-    for (int k = 0; k <= n; k++)
-        sum[k] += factor * a[k];
-}
+@FORWARD@
+/* rows of products behind the inputs, and the polynomials of them */
+#define POLYNOMIALS(name, inputs, count, rows, y)                                             \
+    do {                                                                                      \
+        for (int k = 0; k < name##_PRODUCTS; k++)                                             \
+            rows[inputs + k] = rows[name##_products[k][0]] * rows[name##_products[k][1]];     \
+        for (int j = 0; j < count; j++) {                                                     \
+            y[j] = 0.0;                                                                       \
+            for (int g = name##_begins[j]; g < name##_begins[j + 1]; g++) {                   \
+                double inner = 0.0;                                                           \
+                for (int k = name##_group_begins[g]; k < name##_group_begins[g + 1]; k++)     \
+                    inner += name##_coefficients[k] * rows[name##_rows[k]];                   \
+                y[j] += inner * rows[name##_heads[g]];                                        \
+            }                                                                                 \
+        }                                                                                     \
+    } while (0)
 
-/* the product of the three rows that `which` names */
-static void product_of_three(dual *rows, const int *which, double *product, int n)
+/* the slopes of the same, from the rows */
+static void baseline_slopes(const double *rows, double slopes[][LANES], double y[][LANES])
 {
-    multiply(rows[which[0]], rows[which[1]], product, n);
-    multiply(product, rows[which[2]], product, n);
-}
-
-/* units of all layers from those of the first; the last has no tanh. Returns where it begins. */
-static int forward(dual *units, int n)
-{
-    const double *weight = weights, *bias = biases;
-    int begin = 0;
-    for (int layer = 1; layer < LAYERS; layer++) {
-        const int rows = sizes[layer], columns = sizes[layer - 1];
-        dual *source = units + begin, *target = units + begin + columns;
-        for (int i = 0; i < rows; i++) {
-            double *unit = target[i];
-            for (int k = 0; k <= n; k++)
-                unit[k] = 0.0;
-            unit[0] = bias[i];
-            for (int j = 0; j < columns; j++)
-                add_times(weight[i * columns + j], source[j], unit, n);
-            if (layer != LAYERS - 1) {
-                unit[0] = tanh(unit[0]);
-                for (int k = 1; k <= n; k++)
-                    unit[k] *= 1.0 - unit[0] * unit[0];
+    memset(slopes, 0, (ONE + 1) * sizeof *slopes);
+    for (int k = 0; k < INPUTS; k++)
+        slopes[k][k] = 1.0;
+    for (int m = 0; m < baseline_PRODUCTS; m++) {
+        const int i = baseline_products[m][0], j = baseline_products[m][1];
+        for (int k = 0; k < LANES; k++)
+            slopes[ONE + 1 + m][k] = slopes[i][k] * rows[j];
+        slopes[ONE + 1 + m][j] += rows[i];
+    }
+    memset(y, 0, COMPONENTS * sizeof *y);
+    for (int c = 0; c < COMPONENTS; c++)
+        for (int g = baseline_begins[c]; g < baseline_begins[c + 1]; g++) {
+            const int head = baseline_heads[g];
+            double inner[LANES] = {0.0}, value = 0.0;
+            for (int n = baseline_group_begins[g]; n < baseline_group_begins[g + 1]; n++) {
+                const double *slope = slopes[baseline_rows[n]];
+                for (int k = 0; k < LANES; k++)
+                    inner[k] += baseline_coefficients[n] * slope[k];
+                value += baseline_coefficients[n] * rows[baseline_rows[n]];
             }
-        }
-        weight += rows * columns;
-        bias += rows;
-        begin += columns;
-    }
-    return begin;
-}
-
-static void add_polynomial(dual *x, dual *y, int n)
-{
-    dual rows[ONE + 1 + PRODUCTS + 1], inner;
-    memcpy(rows, x, (ONE + 1) * sizeof(dual));
-    for (int k = 0; k < PRODUCTS; k++)
-        multiply(rows[products[k][0]], rows[products[k][1]], rows[ONE + 1 + k], n);
-    for (int j = 0; j < COMPONENTS; j++)
-        for (int group = begins[j]; group < begins[j + 1]; group++) {
-            memset(inner, 0, sizeof inner);
-            for (int k = group_begins[group]; k < group_begins[group + 1]; k++)
-                add_times(coefficients[k], rows[tails[k]], inner, n);
-            multiply(inner, rows[heads[group]], inner, n);
-            add_times(1.0, inner, y[j], n);
+            for (int k = 0; k < LANES; k++)
+                y[c][k] += inner[k] * rows[head];
+            y[c][head] += value;
         }
 }
 
-/* x^p / sqrt(BEND^2 + x^2), which tells states near rest apart */
-static void near_invariant(const dual x, int power, double *invariant, int n)
+/* Components of R'P at the scaled inputs rows[0] to rows[6], and their slopes if these are wanted. */
+static void network(double *rows, double *y, double slopes[][LANES])
 {
-    const double square = BEND * BEND + x[0] * x[0], raised = power == 2 ? x[0] : 1.0;
-    invariant[0] = raised * x[0] / sqrt(square);
-    const double slope = raised * power / sqrt(square) - invariant[0] * x[0] / square;
-    for (int k = 1; k <= n; k++)
-        invariant[k] = slope * x[k];
-}
-
-static void add_terms(dual *x, dual *y, int n)
-{
-    dual units[UNITS], product;
-    memset(units, 0, sizes[0] * sizeof(dual));
+    double units[READ], factors[TERMS], row_slopes[ONE + 1 + baseline_PRODUCTS][LANES];
+    double unit_slopes[READ][LANES], factor_slopes[TERMS][LANES];
+    POLYNOMIALS(baseline, (ONE + 1), COMPONENTS, rows, y);
     for (int i = 0; i < INVARIANTS; i++)
-        product_of_three(x, invariants[i], units[i], n);
-    for (int k = 0; k < STRETCH; k++)
-        near_invariant(x[k], powers[k], units[INVARIANTS + k], n);
-    dual *factors = units + forward(units, n);
-    for (int term = 0; term < TERMS; term++) {
-        product_of_three(x, terms[term], product, n);
-        factors[term][0] -= at_rest[term];
-        multiply(factors[term], product, product, n);
-        add_times(output_factor[terms[term][3]], product, y[terms[term][3]], n);
+        units[i] = rows[kept[TERMS + i]];
+    if (slopes) {
+        baseline_slopes(rows, row_slopes, slopes);
+        for (int i = 0; i < INVARIANTS; i++)
+            memcpy(unit_slopes[i], row_slopes[kept[TERMS + i]], sizeof unit_slopes[i]);
+        memset(unit_slopes[INVARIANTS], 0, STRETCH * sizeof unit_slopes[0]);
     }
-}
-
-static double sum_of_products(const int (*table)[4], const double *coefficients, int count,
-                              const double *x)
-{
-    double total = 0.0;
-    for (int k = 0; k < count; k++)
-        total += coefficients[k] * (x[table[k][0]] * x[table[k][1]])
-                 * (x[table[k][2]] * x[table[k][3]]);
-    return total;
+    for (int k = 0; k < STRETCH; k++) { /* x^p / sqrt(BEND^2 + x^2) tells states near rest apart */
+        const double x = rows[k], square = BEND * BEND + x * x, inverse = 1.0 / sqrt(square);
+        const double raised = powers[k] == 2 ? x : 1.0, value = raised * x * inverse;
+        units[INVARIANTS + k] = value;
+        if (slopes)
+            unit_slopes[INVARIANTS + k][k] =
+                raised * powers[k] * inverse - value * x * inverse * inverse;
+    }
+    if (slopes)
+        factors_and_slopes(units, unit_slopes, factors, factor_slopes);
+    else
+        factors_of(units, factors);
+    for (int t = 0; t < TERMS; t++) {
+        const int c = components_of[t];
+        const double scale = output_factor[c], product = rows[kept[t]] * scale;
+        const double factor = (factors[t] - at_rest[t]) * scale;
+        y[c] += factor * rows[kept[t]];
+        for (int k = 0; slopes && k < LANES; k++)
+            slopes[c][k] += factor_slopes[t][k] * product + factor * row_slopes[kept[t]][k];
+    }
 }
 
 /* Whether a point is short of the failure boundary, and the bound of the error, in uN/um. */
 static int domain_and_bound(const double *inputs, double tolerance, double *bound)
 {
-    double x[11], mean = 0.0, size = 0.0;
-    for (int k = 0; k < INPUTS; k++)
-        x[k] = inputs[k] * domain_factor[k];
-    x[ONE] = 1.0;
-    *bound = HUGE_VAL;
-    if (BOUNDARY && !(sum_of_products(boundary_table, boundary, BOUNDARY, x) <= 0.0))
-        return SURROFE2_OUT_OF_RANGE;
-    const double low = x[0] < 0.0 ? x[0] : 0.0;
+    double x[ALL_INPUTS + bound_PRODUCTS], y[3], mean = 0.0, size = 0.0;
     for (int k = 0; k < INPUTS; k++) {
-        x[k] *= x[k];
-        mean += x[k] / INPUTS;
-        size += near[k] * x[k];
+        const double scaled = inputs[k] * domain_factor[k], square = scaled * scaled;
+        x[k] = scaled;
+        x[SQUARES + k] = square;
+        mean += square / INPUTS;
+        size += near[k] * square;
     }
-    x[8] = low * low;
-    x[9] = mean;
-    x[10] = size / (size + REACH);
-    if (BOUND)
-        *bound = sum_of_products(bound_table, bound_coefficients, BOUND, x);
+    const double low = x[0] < 0.0 ? x[0] : 0.0;
+    x[ONE] = 1.0;
+    x[COMPRESSION] = low * low;
+    x[NORM] = mean;
+    x[NEAR] = size / (size + REACH);
+    POLYNOMIALS(bound, ALL_INPUTS, 3, x, y);
+    if (!(y[0] <= 0.0))
+        return SURROFE2_OUT_OF_RANGE;
+    *bound = y[1];
     return *bound <= tolerance ? SURROFE2_OK : SURROFE2_NOT_TRUSTED;
 }
 
@@ -171,7 +202,7 @@ static void rotated(double c, double s, const double *T, double *RT)
 
 /* dP/dF and dP/dF' from the components of R'P and their slopes by the inputs */
 static void tangents(double c, double s, const double *U, const double *A, const double *P_hat,
-                     double slopes[4][INPUTS], double *by_F, double *by_rate)
+                     double slopes[][LANES], double *by_F, double *by_rate)
 {
     double P[4];
     from_components(P_hat, P);
@@ -211,15 +242,15 @@ static void tangents(double c, double s, const double *U, const double *A, const
     }
 }
 
-int surrofe2_stress(const double *F, const double *F_rate, double tolerance, double *stress,
-                    double *bound, double *P_by_F, double *P_by_F_rate)
+int @NAME@_stress(const double *F, const double *F_rate, double tolerance, double *stress,
+    double *bound, double *P_by_F, double *P_by_F_rate)
 {
-    const int n = P_by_F && P_by_F_rate ? INPUTS : 0;
+    const int with_slopes = P_by_F && P_by_F_rate;
     const double cosine = F[0] + F[3], sine = F[2] - F[1];
     const double length = sqrt(cosine * cosine + sine * sine);
-    const double c = cosine / length, s = sine / length;
-    double U[4], A[4], inputs[INPUTS + 1], P_hat[4], P[4], slopes[4][INPUTS];
-    dual x[INPUTS + 1], y[COMPONENTS];
+    const double c = cosine / length, s = sine / length, J = F[0] * F[3] - F[1] * F[2];
+    double U[4], A[4], inputs[INPUTS + 1], P_hat[4], P[4], slopes[COMPONENTS][LANES];
+    double rows[ONE + 1 + baseline_PRODUCTS];
 
     *bound = HUGE_VAL;
     for (int k = 0; k < 4; k++)
@@ -230,7 +261,7 @@ int surrofe2_stress(const double *F, const double *F_rate, double tolerance, dou
                  && fabs(U[1]) < range[2];
     for (int k = 0; k < 4; k++)
         within = within && fabs(A[k]) < range[3];
-    if (!within || !(F[0] * F[3] - F[1] * F[2] > 0.0))
+    if (!within || !(J > 0.0))
         return SURROFE2_OUT_OF_RANGE;
     components(U, inputs);
     inputs[0] = (U[0] - 1.0) + (U[3] - 1.0);
@@ -239,32 +270,41 @@ int surrofe2_stress(const double *F, const double *F_rate, double tolerance, dou
     if (status != SURROFE2_OK)
         return status;
 
-    memset(x, 0, sizeof x);
-    memset(y, 0, sizeof y);
-    for (int k = 0; k < INPUTS; k++) {
-        x[k][0] = inputs[k] * input_factor[k];
-        x[k][1 + k] = 1.0;
-    }
-    x[ONE][0] = 1.0;
-    add_terms(x, y, n);
-    add_polynomial(x, y, n);
-    for (int i = 0; i < 4; i++) {
-        P_hat[i] = y[i][0];
-        for (int k = 0; k < n; k++)
-            slopes[i][k] = y[i][1 + k] * input_factor[k];
-    }
+    for (int k = 0; k < INPUTS; k++)
+        rows[k] = inputs[k] * input_factor[k];
+    rows[ONE] = 1.0;
+    network(rows, P_hat, with_slopes ? slopes : NULL);
     from_components(P_hat, P);
     rotated(c, s, P, P);
-    const double J = F[0] * F[3] - F[1] * F[2];
     const double sigma[4] = {
         (P[0] * F[0] + P[1] * F[1]) / J, (P[0] * F[2] + P[1] * F[3]) / J,
         (P[2] * F[0] + P[3] * F[1]) / J, (P[2] * F[2] + P[3] * F[3]) / J,
     };
     for (int k = 0; k < 4; k++)
-        if (!isfinite(sigma[k]))
+        if (!isfinite(sigma[k])) {
+            *bound = HUGE_VAL;
             return SURROFE2_NOT_FINITE;
+        }
     memcpy(stress, sigma, sizeof sigma);
-    if (n)
+    if (with_slopes) {
+        for (int i = 0; i < COMPONENTS; i++)
+            for (int k = 0; k < INPUTS; k++)
+                slopes[i][k] *= input_factor[k];
         tangents(c, s, U, A, P_hat, slopes, P_by_F, P_by_F_rate);
+    }
     return SURROFE2_OK;
+}
+
+size_t @NAME@_stress_of(size_t count, const double *F, const double *F_rate, double tolerance,
+    double *stress, double *bound, double *P_by_F, double *P_by_F_rate, int *status)
+{
+    size_t lost = 0;
+    const int with_slopes = P_by_F && P_by_F_rate;
+    for (size_t n = 0; n < count; n++) {
+        status[n] = @NAME@_stress(F + 4 * n, F_rate + 4 * n, tolerance, stress + 4 * n, bound + n,
+                                  with_slopes ? P_by_F + 16 * n : NULL,
+                                  with_slopes ? P_by_F_rate + 16 * n : NULL);
+        lost += status[n] != SURROFE2_OK;
+    }
+    return lost;
 }

@@ -24,9 +24,8 @@ from surrofe2.store.hdf5 import (
     reading,
     write,
 )
-from surrofe2.surrogate.domain import Domain
-from surrofe2.surrogate.error_bound import Calibration
-from surrofe2.surrogate.network_arrays import NetworkParameters
+from surrofe2.surrogate.domain import Calibration, Domain
+from surrofe2.surrogate.features import NetworkParameters
 from surrofe2.surrogate.settings import TrainingSettings
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 

@@ -1,11 +1,9 @@
 """A learnt stress law: samples in, `SurrogateLaw` out.
 
-Reading order: `settings`, `features` (what is learnt), `network`, `piola`, `training_task`,
-`training`; where it may be trusted: `domain`, `domain_fit`, `error_bound` (with the local
-tolerance), `deformation_paths`, `calibration`; and for speed `network_arrays`, `polynomial`,
-`compiled_frame`, `compiled_network`, `compiled_lookup`, all put together in `surrogate_law`.
-`quadratic_law` has the moduli at rest alone. Only `network`, `training_task` and `training` import
-torch.
+Reading order: `settings`; what is learnt: `products` of inputs, `features` and weights of a
+network, `network` in torch, `piola`, `training`; where it may be trusted: `domain` (and bound),
+`deformation_paths`, `calibration`; for speed `lookup`; all put together in `surrogate_law`. Only
+`network` and `training` import torch.
 """
 
 from __future__ import annotations

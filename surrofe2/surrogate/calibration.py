@@ -40,10 +40,14 @@ from surrofe2.base.errors import InputError, SimulationError
 from surrofe2.base.tensors import INPUTS, stress_error, stress_spread
 from surrofe2.law.samples import StressSamples
 from surrofe2.surrogate.deformation_paths import DeformationPaths
-from surrofe2.surrogate.domain import products, scaled_inputs
-from surrofe2.surrogate.domain_fit import fit_domain
-from surrofe2.surrogate.error_bound import Calibration, even_rows, local_scale, scale_table
-from surrofe2.surrogate.network_arrays import sizes_at_rest
+from surrofe2.surrogate.domain import (
+    Calibration,
+    fit_domain,
+    local_scale,
+    scale_products,
+    scaled_inputs,
+    values_of,
+)
 from surrofe2.surrogate.settings import CONFIDENCE, MARGIN
 from surrofe2.surrogate.surrogate_law import SurrogateLaw
 
@@ -104,7 +108,7 @@ def calibrate(
     domain = fit_domain(samples, _failures(shaping))
     law = replace(law, domain=domain, calibration=None)
     spread = stress_spread(samples.valid.stress)
-    near = _shares(sizes_at_rest(law.network) * domain.scale)
+    near = _shares(law.network.sizes_at_rest() * domain.scale)
     scale = _fit_scale(law, near, shaping, spread)
     kinds: dict[str, dict[str, float]] = {}
     for truth in testing:
@@ -205,17 +209,17 @@ def _fit_scale(law: SurrogateLaw, near: Array, shaping: Sequence[Truth], spread:
     third program would find what the second does.
     """
     assert law.domain is not None
-    table = scale_table()
+    products = scale_products()
     bases, errors, before = [], [], []
     for truth in shaping:
         error, inside = errors_along(law, truth)
         kept = inside & np.isfinite(error)
         x = scaled_inputs(*truth.paths.states, law.domain.scale)[kept]
-        bases.append(products(even_rows(x, near), table))
+        bases.append(values_of(products, x, near))
         before.append(np.sqrt(x**2 @ near) + _LEAST_SIZE)
         errors.append(error[kept])
     largest = max((error.max(initial=0.0) for error in errors), default=0.0)
-    floor = np.zeros(len(table))
+    floor = np.zeros(len(products))
     floor[0] = max(_LEAST_AT_REST * largest, _EXACT * spread)
     if largest <= floor[0]:
         return floor

@@ -1,29 +1,58 @@
-"""Where a surrogate may be asked: in the sampling range, short of where samples failed.
+"""Where a surrogate may be asked, and the bound of its error there.
 
 Samples fill the box of the range, which the lookup tests. Where some have no stress (no
 convergence, no stable equilibrium, beyond a bifurcation), a failure boundary keeps every one of
 them outside: a surface in products of the scaled inputs to degree 4, by logistic regression of
-failure (`domain_fit`).
+failure, moved in until every failed sample is outside, and further by what it fell short of at
+failures left out in cross-validation.
+
+The bound is quantile × local scale. The local scale s(F, Ḟ) > 0 is a sum of products of inputs that
+never fall on the way out from rest, with coefficients ≥ 0; it does not change under rotations nor
+under the square cell's group D4. `calibration` finds it, and says what the bound promises.
+
+The risk at a point is the bound over the local tolerance, in µN/µm,
+
+    allowed(F, Ḟ) = min(tolerance, 2 b + relative L),    L² = Σ_k (|∂P/∂x_k| x_k)²,
+
+where b is the bound of the error at rest, and L the size of the stress that the moduli at rest
+give, each of the seven inputs of `tensors` counted by itself, so that it vanishes at rest alone.
+A surrogate with the exact tangents at rest has errors of second order there, which stay below.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations, combinations_with_replacement
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import InputError
+from surrofe2.base.sampling import half_widths
 from surrofe2.base.square_symmetry import SUM, parity
 from surrofe2.base.tensors import INPUTS, check_arrays, to_inputs
+from surrofe2.law.samples import StressSamples
+from surrofe2.surrogate.products import STRETCH, Product, columns, monomials
 
 Array = NDArray[np.float64]
-Table = NDArray[np.int64]
 
-_FACTORS = 4  # of every product in a table
-_STRETCHES = (0, 1, 2)
-_CUBIC, _QUARTIC = 3, 4
+COMPRESSION, NORM, NEAR, SQUARES = 8, 9, 10, 11
+"""Numbers of the inputs that never fall on the way out from rest, see `all_inputs`; the squares are
+the last."""
+ALL_INPUTS = SQUARES + INPUTS
+REACH = 3e-4
+"""Mean square of the inputs, by the stress each gives, at which `NEAR` is half of what it comes to:
+the error is exactly 0 at rest, grows from there with the square, and soon no more."""
+SOLVED = 1e-8
+"""Of the spread of stress: stresses of RVEs are known no more exactly."""
+_AT_REST = 2.0  # times the bound there, so that a point at rest is far from the threshold
+_FOLDS = 5
+_MARGIN = 0.5  # of the logarithm of the odds of failure, on top of what cross-validation wants
+_RIDGE = 1e-4
+_MOST_ITERATIONS = 100
+_LARGEST_OF_RATES, _LARGEST = 2, 4  # degrees of the boundary, with rates and without
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,8 +62,8 @@ class Domain:
     Attributes:
         scale: (7,) of the inputs, 1 and 1/µs.
         square: whether the boundary is invariant under D4.
-        boundary: (k,) coefficients of `boundary_table`; failure lies where their sum is positive.
-            Empty where no sample failed.
+        boundary: (k,) coefficients of `boundary_products`; failure lies where their sum is
+            positive. Empty where no sample failed.
     """
 
     scale: Array
@@ -42,9 +71,45 @@ class Domain:
     boundary: Array
 
     def __post_init__(self) -> None:
-        size = len(boundary_table(self.square)) if self.boundary.size else 0
+        size = len(boundary_products(self.square)) if self.boundary.size else 0
         values = {"scale": self.scale, "boundary": self.boundary}
         check_arrays("domain", values, {"scale": (INPUTS,), "boundary": (size,)})
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Calibration:
+    """A local scale, its quantile, and where they come from.
+
+    Attributes:
+        scale: (k,) coefficients ≥ 0 of `scale_products`, µN/µm.
+        near: (7,) share of each squared input in the size of a state, which `NEAR` goes by.
+        quantile: q; infinite where no bound can be given.
+        alpha: probability that a new path breaks the bound, at most.
+        confidence: share of sets of calibration paths for which that is so.
+        kinds: by kind of path, `paths`, `states` within the domain, their own `quantile` and
+            `confidence`.
+        stress_spread: of the data's stress, µN/µm.
+        data_fingerprint: of the samples that were trained on.
+        subject: fingerprint of the weights and the range that were calibrated.
+        settings: of the paths, for the record.
+    """
+
+    scale: Array
+    quantile: float
+    alpha: float
+    confidence: float
+    kinds: Mapping[str, Mapping[str, float]]
+    stress_spread: float
+    data_fingerprint: str
+    subject: str
+    settings: Mapping[str, Any]
+    near: Array = field(default_factory=lambda: np.full(INPUTS, 1.0 / INPUTS))
+
+    def __post_init__(self) -> None:
+        shapes = {"scale": (len(scale_products()),), "near": (INPUTS,)}
+        check_arrays("calibration", {"scale": self.scale, "near": self.near}, shapes)
+        if not (self.quantile >= 0.0 and (self.scale >= 0.0).all() and self.stress_spread > 0.0):
+            raise InputError("calibration: scale, quantile and stress_spread; none may be negative")
 
 
 def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
@@ -53,31 +118,136 @@ def scaled_inputs(F: Array, F_dot: Array, scale: Array) -> Array:
     return scaled
 
 
-def with_one(x: Array) -> Array:
-    """(n, 8) inputs and, behind them, 1: what `boundary_table` counts in."""
-    return np.concatenate([x, np.ones((len(x), 1))], axis=1)
+def all_inputs(x: Array, near: Array) -> Array:
+    """(n, 18) what products are made of: scaled inputs x (n, 7), 1, and what never falls on the way
+    out from (I, 0).
+
+    That is the square of s where it is negative (`COMPRESSION`), the mean square of all inputs
+    (`NORM`), with their mean m by the shares `near`, m/(m + `REACH`) (`NEAR`), and the squares.
+    """
+    squares = x**2
+    norm, size = squares.mean(axis=1), squares @ near
+    low = np.minimum(x[:, 0], 0.0) ** 2
+    return np.column_stack([x, np.ones(len(x)), low, norm, size / (size + REACH), squares])
 
 
-def products(rows: Array, table: Table) -> Array:
-    """(n, k) Π rows[:, table[k]]; a table (k, 4) of column numbers."""
-    values: Array = rows[:, table].prod(axis=2)
-    return values
-
-
-def boundary_table(square: bool) -> Table:
+def boundary_products(square: bool) -> list[Product]:
     """Products of inputs that tell where equilibrium is lost: 1, to degree 4 in U, 2 with A.
 
     Under D4 only those that it leaves alone.
     """
-    found: list[tuple[int, ...]] = [()]
-    for degree in np.arange(1, _QUARTIC + 1):
-        for product in combinations_with_replacement(np.arange(INPUTS).tolist(), int(degree)):
-            only_U = all(factor in _STRETCHES for factor in product)
-            if (only_U or degree < _CUBIC) and (not square or parity(product) == SUM):
-                found.append(product)
-    return padded_table(found)
+    return [()] + [
+        product
+        for product in monomials(_LARGEST)
+        if (len(product) <= _LARGEST_OF_RATES or max(product) < STRETCH)
+        and (not square or parity(product) == SUM)
+    ]
 
 
-def padded_table(found: Sequence[tuple[int, ...]]) -> Table:
-    """(k, 4) products of columns, filled up with the column of ones."""
-    return np.array([product + (INPUTS,) * (_FACTORS - len(product)) for product in found])
+def scale_products() -> list[Product]:
+    """Products that a local scale may be made of; the first is 1."""
+    squares = range(SQUARES, ALL_INPUTS)
+    return [
+        (),
+        (COMPRESSION,),
+        (COMPRESSION, COMPRESSION),
+        *((COMPRESSION, k) for k in squares),
+        *((NORM,) * power for power in (1, 2, 3, 4)),
+        *((k,) for k in squares),
+        *combinations_with_replacement(squares, 2),
+        *((i, i, j, j) for i, j in combinations(squares, 2)),  # the corners of the range
+        (NEAR,),
+    ]
+
+
+def values_of(products: list[Product], x: Array, near: Array) -> Array:
+    """(n, k) of products at scaled inputs x (n, 7)."""
+    return np.column_stack(columns(all_inputs(x, near), products))
+
+
+def local_scale(scale: Array, near: Array, x: Array) -> Array:
+    """s (n,) in µN/µm at scaled inputs (n, 7); it never falls on the way out from (I, 0)."""
+    values: Array = values_of(scale_products(), x, near) @ scale
+    return values
+
+
+def tolerance_coefficients(
+    sizes: Array, at_rest: float, spread: float, tolerance: float, relative: float
+) -> Array:
+    """(8,) squares of what each scaled input adds to allowed/tolerance, and what it is at rest.
+
+    Args:
+        sizes: (7,) of the stress by each scaled input, µN/µm. at_rest: bound there, µN/µm.
+        tolerance: share of the spread, µN/µm; relative: share of the local stress.
+    """
+    most = tolerance * spread
+    return np.append(
+        (relative * sizes / most) ** 2, max(_AT_REST * at_rest, SOLVED * spread) / most
+    )
+
+
+def local_tolerance(x: Array, coefficients: Array) -> Array:
+    """(n,) allowed/tolerance at scaled inputs (n, 7), at most 1."""
+    share: Array = coefficients[INPUTS] + np.sqrt(x**2 @ coefficients[:INPUTS])
+    return np.minimum(share, 1.0)
+
+
+def fit_domain(samples: StressSamples, failed: tuple[Array, Array] | None = None) -> Domain:
+    """The domain that keeps out samples that failed and those beyond a bifurcation.
+
+    Args:
+        failed: F and F_dot (n, 2, 2) of more points that have no stress.
+    """
+    square = samples.cell.symmetry == "D4"
+    scale = half_widths(samples.range)
+    x = scaled_inputs(samples.F, samples.F_dot, scale)
+    known = samples.status == 0
+    if samples.left_bifurcation is not None:
+        known &= ~samples.left_bifurcation
+    good, bad = x[known], x[~known]
+    if failed is not None:
+        bad = np.concatenate([bad, scaled_inputs(*failed, scale)])
+    boundary = _fit_boundary(good, bad, square) if len(bad) else np.empty(0)
+    return Domain(scale, square, boundary)
+
+
+def _fit_boundary(good: Array, bad: Array, square: bool) -> Array:
+    """Coefficients (k,) of the boundary; every point of `bad` is beyond it."""
+    products = boundary_products(square)
+    with_one = (np.concatenate([x, np.ones((len(x), 1))], axis=1) for x in (good, bad))
+    basis_good, basis_bad = (np.column_stack(columns(x, products)) for x in with_one)
+    coefficients = _logistic(basis_good, basis_bad)
+    shortfall = 0.0
+    for fold in np.arange(_FOLDS):
+        unseen = np.arange(len(bad)) % _FOLDS == fold
+        if not unseen.any() or unseen.all():
+            continue
+        others = _logistic(basis_good, basis_bad[~unseen])
+        edge = (basis_bad[~unseen] @ others).min()
+        shortfall = max(shortfall, edge - (basis_bad[unseen] @ others).min())
+    edge = (basis_bad @ coefficients).min()
+    margin = shortfall + _MARGIN
+    coefficients[0] -= edge - margin
+    return coefficients
+
+
+def _logistic(good: Array, bad: Array) -> Array:
+    """Ridge logistic regression of failure, both classes with the same weight.
+
+    good, bad: (n, k) basis functions. Returns their coefficients (k,).
+    """
+    basis = np.concatenate([good, bad])
+    failed = np.repeat([0, 1], [len(good), len(bad)])
+    if not len(good):
+        return np.zeros(basis.shape[1])
+    from sklearn.linear_model import LogisticRegression  # a second, which runs do without
+
+    model = LogisticRegression(
+        C=1.0 / _RIDGE,
+        fit_intercept=False,
+        solver="newton-cholesky",
+        max_iter=_MOST_ITERATIONS,
+    )
+    weight = np.where(failed == 1, 0.5 / len(bad), 0.5 / len(good))
+    coefficients: Array = model.fit(basis, failed, sample_weight=weight).coef_[0]
+    return coefficients

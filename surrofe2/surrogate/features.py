@@ -1,9 +1,9 @@
-"""Which products of inputs a network reads and what it multiplies, so that symmetry is exact.
+"""What a network is: the products that it reads and multiplies, and its weights.
 
-A network gives factors from invariants; a term is factor × product of inputs and belongs to one
-component. Under D4 an invariant has no sign and a term has the sign of its component, see
-`square_symmetry`, so whatever the weights, the symmetry holds. Without symmetry every input is an
-invariant and every component has every term.
+The products are such that symmetry is exact. A network gives factors from invariants; a term is
+factor × product of inputs and belongs to one component. Under D4 an invariant has no sign and a
+term has the sign of its component, see `square_symmetry`, so whatever the weights, the symmetry
+holds. Without symmetry every input is an invariant and every component has every term.
 
 Besides, a network reads u = x^p/√(δ² + x²) of the scaled sum, difference and shear x of U − I, with
 δ = `BEND` and p such that u has no sign. Near rest u changes ten times as fast as x. Squares, which
@@ -15,23 +15,29 @@ With D4, P̂(I, 0) = 0 by what is subtracted from the factors, see `network`.
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surrofe2.base.errors import InputError
+from surrofe2.base.errors import InputError, quoted
 from surrofe2.base.sampling import SamplingRange, half_widths
 from surrofe2.base.square_symmetry import DIFFERENCE, SHEAR, SPIN, SUM, parity
-from surrofe2.base.tensors import INPUTS
+from surrofe2.base.tensors import INPUTS, check_arrays
+from surrofe2.surrogate.products import Product, monomials
+
+Array = NDArray[np.float64]
+Layers = tuple[tuple[Array, Array], ...]
+"""Matrix (outputs, inputs) and bias (outputs,) of each layer of a tanh network."""
 
 SYMMETRIES = ("D4", "none")
-
-Product = tuple[int, ...]
-STRETCH = 3  # the first inputs are those of U − I
+HIGHEST_DEGREE = 5
 BEND = 0.1
 """Of the half width of a range: size of U − I up to which states near rest are told apart best."""
+COMPONENTS = 4
+"""Of P̂."""
 _COMPONENTS = (SUM, DIFFERENCE, SHEAR, SPIN)
 
 # input numbers: sum s, difference d, shear g of U − I; sum S, difference D, shear G, spin W of A
@@ -77,15 +83,6 @@ def input_scale(range: SamplingRange) -> NDArray[np.float64]:
     return 0.5 * half_widths(range)
 
 
-def monomials(degree: int) -> tuple[Product, ...]:
-    """All products of 1 to `degree` inputs, as sorted input numbers, by rising degree."""
-    return tuple(
-        product
-        for factors in range(1, degree + 1)
-        for product in combinations_with_replacement(range(INPUTS), factors)
-    )
-
-
 def make_features(symmetry: str, degree: int) -> Features:
     """The features of a symmetry, with a baseline of that degree."""
     if symmetry not in SYMMETRIES:
@@ -106,9 +103,84 @@ def make_features(symmetry: str, degree: int) -> Features:
     )
 
 
-def differentiated(product: Product) -> list[tuple[int, float, Product]]:
-    """(input, number, product left) of each derivative of a product that is not 0."""
-    return [
-        (k, float(product.count(k)), product[: product.index(k)] + product[product.index(k) + 1 :])
-        for k in sorted(set(product))
-    ]
+@dataclass(frozen=True, eq=False, slots=True)
+class NetworkParameters:
+    """All that a network is, see `network`.
+
+    Attributes:
+        symmetry, degree: of the plant cell and of the baseline.
+        tensors: by name: `input_scale` (7,), which the inputs are divided by; `output_scale` (4,)
+            of the terms, µN/µm; `coefficients` (m,) of the baseline's monomials;
+            `factors.0.weight`, `factors.0.bias`, … of the layers that give the factors of the
+            terms.
+    """
+
+    symmetry: str
+    degree: int
+    tensors: Mapping[str, Array]
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.degree, int) and 0 <= self.degree <= HIGHEST_DEGREE):
+            raise InputError(
+                f"network.degree: {quoted(self.degree)}; it must be from 0 to {HIGHEST_DEGREE}"
+            )
+        features = self.features
+        wanted: dict[str, tuple[int, ...]] = {
+            "input_scale": (INPUTS,),
+            "output_scale": (4,),
+            "coefficients": (len(features.monomials),),
+        }
+        count = sum(name.startswith("factors.") for name in self.tensors) // 2
+        if not count:
+            raise InputError("network.factors: 0 layers; there must be at least one")
+        size = features.read
+        for k in np.arange(count).tolist():
+            bias = self.tensors.get(f"factors.{k}.bias", np.empty(0))
+            rows = len(features.terms) if k == count - 1 else len(bias)
+            wanted |= {f"factors.{k}.weight": (rows, size), f"factors.{k}.bias": (rows,)}
+            size = rows
+        check_arrays("network", self.tensors, wanted)
+
+    @property
+    def features(self) -> Features:
+        """The products that the network is made of."""
+        return make_features(self.symmetry, self.degree)
+
+    @property
+    def layers(self) -> Layers:
+        """Those that give the factors."""
+        count = sum(name.endswith(".weight") for name in self.tensors)
+        return tuple(
+            (self.tensors[f"factors.{k}.weight"], self.tensors[f"factors.{k}.bias"])
+            for k in np.arange(count)
+        )
+
+    @property
+    def baseline(self) -> list[list[tuple[Product, float]]]:
+        """Product and coefficient of the monomials of each component."""
+        terms: list[list[tuple[Product, float]]] = [[] for _ in range(COMPONENTS)]
+        values = self.tensors["coefficients"].tolist()
+        for (product, component), value in zip(self.features.monomials, values, strict=True):
+            terms[component].append((product, value))
+        return terms
+
+    def sizes_at_rest(self) -> Array:
+        """(7,) Frobenius norm of what each input adds to the linear stress, by a unit of it, µN/µm.
+
+        That of the baseline, which has all slopes at rest where they were known to the training.
+        """
+        slopes = np.zeros((COMPONENTS, INPUTS))
+        for component, terms in enumerate(self.baseline):
+            for product, value in terms:
+                if len(product) == 1:
+                    slopes[component, product[0]] += value
+        sizes: Array = np.sqrt(0.5 * (slopes**2).sum(axis=0)) / self.tensors["input_scale"]
+        return sizes
+
+    def fingerprint(self, range: SamplingRange) -> str:
+        """16 hexadecimal digits of all weights and the range in which they are used."""
+        digest = hashlib.sha256(repr((range, self.symmetry, self.degree)).encode())
+        for name, values in sorted(self.tensors.items()):
+            digest.update(f"{name} {values.shape}".encode())
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()[:16]

@@ -23,8 +23,8 @@ import torch
 from numpy.typing import NDArray
 
 from surrofe2.base.tensors import INPUTS
-from surrofe2.surrogate.features import BEND, STRETCH, Product, make_features
-from surrofe2.surrogate.network_arrays import NetworkParameters
+from surrofe2.surrogate.features import BEND, NetworkParameters, make_features
+from surrofe2.surrogate.products import STRETCH, Product, columns
 from surrofe2.surrogate.settings import TrainingSettings
 
 Pair = tuple[torch.Tensor, torch.Tensor]
@@ -230,14 +230,8 @@ class StressNetwork(torch.nn.Module):
 
 def products(x: torch.Tensor, factors: Iterable[Product]) -> torch.Tensor:
     """(n, m) products of the columns of x (n, 7) that `factors` names; an empty one is 1."""
-    columns: dict[Product, torch.Tensor] = {(): torch.ones_like(x[:, 0])}
-
-    def column(product: Product) -> torch.Tensor:
-        if product not in columns:
-            columns[product] = column(product[:-1]) * x[:, product[-1]]
-        return columns[product]
-
-    return torch.stack([column(product) for product in factors], dim=1)
+    with_one = torch.cat([x, torch.ones_like(x[:, :1])], dim=1)
+    return torch.stack(columns(with_one, factors), dim=1)
 
 
 def along(function: Callable[..., Any], at: tuple[Any, ...], direction: tuple[Any, ...]) -> Any:

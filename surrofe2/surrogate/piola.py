@@ -1,5 +1,7 @@
 """What is learnt, P̂ = RᵀP in components, and its slopes: from Cauchy stress and tangents and back.
 
+`QuadraticLaw` is the law whose slopes are those of another at rest, everywhere.
+
 With F = R U, P = det F σ F⁻ᵀ gives P̂ = det U (Rᵀ σ R) U⁻¹. Along a change B = RᵀdF of F the
 rotation turns by dθ = (B₂₁ − B₁₂)/tr U, with E the turn by 90°:
 
@@ -8,9 +10,13 @@ rotation turns by dθ = (B₂₁ − B₁₂)/tr U, with E the turn by 90°:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from surrofe2.base.errors import SimulationError
 from surrofe2.base.tensors import (
     det,
     from_components,
@@ -19,7 +25,15 @@ from surrofe2.base.tensors import (
     to_inputs,
     transpose,
 )
-from surrofe2.law.stress_law import Tangents
+from surrofe2.law.stress_law import (
+    Acceptance,
+    StressLaw,
+    StressResponse,
+    Tangents,
+    check_deformation,
+    describe,
+    require_tangents,
+)
 
 Array = NDArray[np.float64]
 
@@ -88,3 +102,61 @@ def _closed(R: Array, by: Array) -> Array:
     """R by (n, 4, 2, 2), put as [n, a, b, c, d] = ∂P_ab by the change of entry (c, d)."""
     turned = np.einsum("nae,nkeb->nabk", R, by)
     return np.ascontiguousarray(turned.reshape(len(R), 2, 2, 2, 2))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class QuadraticLaw:
+    """P̂ = RᵀP linear in U − I and RᵀḞ, so its energy is quadratic in U − I.
+
+    It has another law's elastic and viscous moduli at rest, and turns with the material. It knows
+    neither that law's stiffening nor its loss of stability. Sum, difference and shear of P̂ are
+    linear; its spin, which is of second order, is the one by which σ stays symmetric.
+
+    Attributes:
+        slopes: (4, 7) components of P̂ by the inputs of `tensors`, µN/µm and µN µs/µm.
+        density: mass per reference area, ng/µm².
+    """
+
+    slopes: Array
+    density: float | Array
+    has_tangents: bool = True
+
+    @classmethod
+    def of(cls, law: StressLaw) -> QuadraticLaw:
+        """That of a law's tangents at rest.
+
+        Raises:
+            InputError: the law has no tangents.
+            SimulationError: it has no stress at rest.
+        """
+        require_tangents(law, "quadratic law")
+        F, F_dot = np.eye(2)[None], np.zeros((1, 2, 2))
+        answer = law.respond(F, F_dot, tangents=True)
+        if answer.status.any() or answer.tangents is None:
+            raise SimulationError(f"quadratic law: at rest {describe(answer.status[0])}")
+        slopes = to_slopes(F, answer.tangents.P_by_F, answer.tangents.P_by_F_dot)
+        return cls(slopes[0], law.density)
+
+    def respond(
+        self, F: Any, F_dot: Any, state: Any = None, *, tangents: bool = False
+    ) -> StressResponse:
+        F, F_dot = check_deformation(F, F_dot)
+        x, _ = to_inputs(F, F_dot)
+        P = x @ self.slopes.T
+        stretch = 2.0 + x[:, 0]
+        spin = (P[:, 1] * x[:, 2] - P[:, 2] * x[:, 1]) / stretch
+        by = np.tile(self.slopes, (len(F) if tangents else 0, 1, 1))
+        if tangents:
+            rise = by[:, 1] * x[:, 2:3] - by[:, 2] * x[:, 1:2]
+            rise[:, 2] += P[:, 1]
+            rise[:, 1] -= P[:, 2]
+            rise[:, 0] -= spin
+            by[:, 3] += rise / stretch[:, None]
+        P[:, 3] += spin
+        slopes = to_tangents(F, F_dot, P, by) if tangents else None
+        status = np.zeros(len(F), dtype=np.int8)
+        return StressResponse(to_cauchy(F, P), status, state, {}, slopes)
+
+    def accept(self, F: Array, F_dot: Array, response: StressResponse) -> Acceptance:
+        """Nothing is left to check."""
+        return Acceptance(response.status, response.state)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,22 +24,22 @@ from surrofe2.law.stress_law import (
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.run.views import Facts, Viewed
-from surrofe2.surrogate.compiled_lookup import (
+from surrofe2.surrogate.domain import (
+    Calibration,
+    Domain,
+    local_tolerance,
+    scaled_inputs,
+    tolerance_coefficients,
+)
+from surrofe2.surrogate.features import NetworkParameters
+from surrofe2.surrogate.lookup import (
     BoundArrays,
+    NetworkArrays,
     evaluate_slopes,
     lookup,
     status_and_risk,
 )
-from surrofe2.surrogate.domain import Domain, scaled_inputs
-from surrofe2.surrogate.error_bound import Calibration, local_tolerance, tolerance_coefficients
-from surrofe2.surrogate.network_arrays import (
-    NetworkArrays,
-    NetworkParameters,
-    sizes_at_rest,
-    slope_polynomial,
-)
 from surrofe2.surrogate.piola import to_cauchy, to_tangents
-from surrofe2.surrogate.polynomial import Polynomial
 from surrofe2.surrogate.settings import TrainingSettings
 
 Array = NDArray[np.float64]
@@ -206,12 +205,12 @@ class SurrogateLaw(Viewed):
         at_rest = float(self.error_bound(np.eye(2)[None], np.zeros((1, 2, 2)))[0])
         local = np.append(np.zeros(INPUTS), 1.0)
         if self.domain is not None and np.isfinite([tolerance, relative, at_rest]).all():
-            sizes = sizes_at_rest(self.network) * self.domain.scale
+            sizes = self.network.sizes_at_rest() * self.domain.scale
             local = tolerance_coefficients(sizes, at_rest, self.stress_spread, tolerance, relative)
         return replace(self, tolerance=np.append(local, tolerance * self.stress_spread))
 
     def local_tolerance(self, F: Array, F_dot: Array) -> Array:
-        """(n,) what an error may be, as a share of the tolerance, at most 1; see `error_bound`."""
+        """(n,) what an error may be, as a share of the tolerance, at most 1; see `domain`."""
         if self.tolerance is None or self.domain is None:
             return np.ones(len(F))
         return local_tolerance(scaled_inputs(F, F_dot, self.domain.scale), self.tolerance[:-1])
@@ -279,11 +278,7 @@ class SurrogateLaw(Viewed):
         return errors_of(self.extrapolate(known.F, known.F_dot), known)
 
     def _slopes(self, F: Array, F_dot: Array) -> tuple[Array, Array]:
-        return evaluate_slopes(F, F_dot, self.arrays, self._slope_polynomial)
-
-    @cached_property
-    def _slope_polynomial(self) -> Polynomial:
-        return slope_polynomial(self.network)
+        return evaluate_slopes(F, F_dot, self.arrays)
 
 
 def errors_of(answer: Array, samples: StressSamples) -> dict[str, Any]:

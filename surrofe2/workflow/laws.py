@@ -35,7 +35,7 @@ from surrofe2.store.store import digest
 from surrofe2.store.surrogates import check_surrogate, content_fingerprint, read_surrogate
 from surrofe2.store.tables import StoredTable, check_table, read_table
 from surrofe2.surrogate import SurrogateLaw
-from surrofe2.surrogate.quadratic_law import QuadraticLaw
+from surrofe2.surrogate.piola import QuadraticLaw
 
 Array = NDArray[np.float64]
 Taker = Callable[[Recipe], OnTrueAnswer | None]

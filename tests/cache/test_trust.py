@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 from surrofe2 import LoadCase
 from surrofe2.cache import CachedLaw, CacheSettings
-from surrofe2.cache.branches import CachedState
+from surrofe2.cache.branches import CachedState, Narrowed
 from surrofe2.cache.trust import (
     AUDITS,
     CONFIDENCE,
@@ -19,6 +19,7 @@ from surrofe2.cache.trust import (
     stands,
     wrong_at_most,
 )
+from surrofe2.law.stress_law import Status
 from surrofe2.macro import MacroSettings, simulate
 from tests.laws import Learnt, Truth, shear_error
 
@@ -53,7 +54,7 @@ def run(error=SMALL, bound=sound_bound, audit=0.05, **more):
 def test_a_sound_cache_is_left_alone(caplog):
     with caplog.at_level(logging.WARNING, logger="surrofe2.cache"):
         cached, report, _ = run()
-    assert report["trust"] == {"factor": 1.0, "off": False, "events": []}
+    assert report["trust"] == {"factor": 1.0, "reach": [], "off": False, "events": []}
     assert not caplog.records
     assert report["audit"]["audited"] > 50
     assert cached.counts["fallbacks"] == 0
@@ -143,7 +144,7 @@ def window(risk=0.5, violations=3, audits=100):
     """One with errors twice the tolerance of 0.1 µN/µm."""
     made = Window(0.0, 0, 1.0)
     error = np.where(np.arange(audits) < violations, 0.2, 0.01)
-    made.add(np.arange(audits), error > 0.1, error, np.full(audits, risk))
+    made.add(np.arange(audits), error > 0.1, error, np.full(audits, risk), np.zeros((audits, 7)))
     return made
 
 
@@ -175,6 +176,28 @@ def test_a_fault_that_comes_again_makes_trust_return_more_slowly():
             trust.stand()
             waited[-1] += 1
     assert waited == [2, 3, 4]
+
+
+def test_a_fault_that_no_risk_tells_narrows_one_input():
+    """Beyond a difference of U the answers are wrong, and the risk is small all over."""
+    random = np.random.default_rng(2)
+    x, risk = random.uniform(-1.0, 1.0, (400, 7)), random.uniform(1e-4, 1e-3, 400)
+    is_wrong = np.abs(x[:, 1]) > 0.6
+    made = Window(0.0, 0, 1.0)
+    made.add(np.arange(400), is_wrong, np.where(is_wrong, 0.2, 0.01), risk, x)
+    trust = Trust()
+    trust.fail(1, made)
+    assert (trust.factor, trust.is_off) == (1.0, False)
+    assert np.isfinite(trust.reach).tolist() == [False, True, *[False] * 5]
+    assert 0.5 < trust.reach[1] < 0.6
+    assert trust.events[0]["action"] == "narrowed"
+    assert "with a difference of U − I of more than 0.5" in trust.events[0]["finding"]
+    none = lambda F, F_dot: 0.0 * F[:, 0, 0]  # noqa: E731
+    law = Narrowed(Learnt(none, none).with_tolerance(1.0, 1.0), np.array(trust.reach))
+    F = np.stack([np.diag([1.0 + d, 1.0]) for d in (0.1, 0.5, 0.7)])
+    for status, risk in (law.lookup(F, 0.0 * F, 1.0)[1:], law.status_and_risk(F, 0.0 * F, 1.0)):
+        assert status.tolist() == [0, 0, Status.NOT_TRUSTED]
+        assert np.isinf(risk).tolist() == [False, False, True]
 
 
 @pytest.mark.parametrize("risk", [0.0, 0.01, np.inf])

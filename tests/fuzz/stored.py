@@ -36,8 +36,7 @@ from surrofe2.store.surrogates import (
 )
 from surrofe2.store.tables import read_table, write_table
 from surrofe2.surrogate import TrainingSettings, train
-from surrofe2.surrogate.domain_fit import fit_domain
-from surrofe2.surrogate.error_bound import Calibration, scale_table
+from surrofe2.surrogate.domain import Calibration, fit_domain, scale_products
 from surrofe2.workflow.zoom import read_motion
 from tests.cache.tables import make, states, taught
 from tests.fuzz.test_recipes import ROOT
@@ -86,7 +85,7 @@ def surrogate(folder):
     samples = lattice_samples(200)
     law = train(samples, settings)
     bound = Calibration(
-        scale=np.ones(len(scale_table())), quantile=0.7, alpha=0.01, confidence=0.95,
+        scale=np.ones(len(scale_products())), quantile=0.7, alpha=0.01, confidence=0.95,
         stress_spread=10.0, kinds={"walks": {"paths": 9, "quantile": 1.0}}, settings={"walks": 9},
         data_fingerprint=law.data_fingerprint, subject=law.network.fingerprint(law.range),
     )  # fmt: skip

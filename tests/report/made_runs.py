@@ -9,7 +9,7 @@ import numpy as np
 
 from surrofe2.cache.audit import ErrorRecord
 from surrofe2.cache.cached_law import effort_of
-from surrofe2.law.stress_law import Status
+from surrofe2.law.stress_law import SURROGATE, Status
 from surrofe2.macro import simulate
 from surrofe2.store.run_folder import write_record
 from surrofe2.workflow.run import write_results
@@ -31,15 +31,15 @@ def made_runs(recipe, folder):
     write_record(true, finished_record(recipe, "rve", wall, {**counts, "rve_solves": 100}))
 
     frames = run.frames
-    source = np.zeros(frames.F.shape[:2])
+    source = np.full(frames.F.shape[:2], float(SURROGATE))
     source[4:, 0] = Status.OUT_OF_RANGE
     at_points = np.repeat(source[np.isin(frames.t, frames.point_t)], 5, axis=1)
     frames = replace(
         frames,
         source=source,
-        risk=np.where(source == 0.0, RISK, 0.0),
+        risk=np.where(source == SURROGATE, RISK, 0.0),
         point_source=at_points,
-        point_risk=np.where(at_points == 0.0, RISK, 0.0),
+        point_risk=np.where(at_points == SURROGATE, RISK, 0.0),
     )
     curve = replace(run.curve, displacement=1.001 * run.curve.displacement)
     write_results(cached, replace(run, frames=frames, curve=curve, curves={"watched": curve}))

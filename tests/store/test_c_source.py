@@ -33,7 +33,7 @@ def compiled(law, folder):
     """The function in C, of points (n, 2, 2): stress, status, bound and tangents."""
     source, library = folder / "law.c", folder / "law.so"
     source.write_text(c_source(law), encoding="utf-8")
-    strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
+    strict = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
     subprocess.run(
         [COMPILER, *strict, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"], check=True
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surrofe2.surrogate.domain import boundary_table, products, scaled_inputs, with_one
+from surrofe2.base.tensors import INPUTS
+from surrofe2.surrogate.domain import boundary_products, scaled_inputs, values_of
 
 
 def within(domain, F, F_dot):
@@ -12,5 +13,5 @@ def within(domain, F, F_dot):
     if not len(domain.boundary):
         return np.ones(len(F), dtype=bool)
     x = scaled_inputs(F, F_dot, domain.scale)
-    height = products(with_one(x), boundary_table(domain.square)) @ domain.boundary
+    height = values_of(boundary_products(domain.square), x, np.zeros(INPUTS)) @ domain.boundary
     return height <= 0.0

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 
 from surrofe2.surrogate import SurrogateLaw, TrainingSettings
-from surrofe2.surrogate.domain_fit import fit_domain
-from surrofe2.surrogate.error_bound import Calibration, scale_table
+from surrofe2.surrogate.domain import Calibration, fit_domain, scale_products
 from surrofe2.surrogate.features import input_scale
 from surrofe2.surrogate.network import StressNetwork
 from tests.laws import CELL, RANGE
@@ -37,7 +36,7 @@ def make_law(symmetry="D4"):
 
 def with_bound(law, quantile=0.7):
     """The law with a domain that has a failure boundary and an arbitrary bound."""
-    scale = np.random.default_rng(0).uniform(0.0, 1.0, len(scale_table()))
+    scale = np.random.default_rng(0).uniform(0.0, 1.0, len(scale_products()))
     scale[3:9] = 0.0
     calibration = Calibration(
         scale=scale,

@@ -11,12 +11,17 @@ from surrofe2.base.simd import fill_tanh
 from surrofe2.base.tensors import to_inputs
 from surrofe2.law.stress_law import Status
 from surrofe2.surrogate import TrainingSettings
-from surrofe2.surrogate.compiled_frame import BLOCK
-from surrofe2.surrogate.compiled_lookup import MANY, BoundArrays, evaluate_slopes, lookup
 from surrofe2.surrogate.features import SYMMETRIES, input_scale
+from surrofe2.surrogate.lookup import (
+    MANY,
+    BoundArrays,
+    NetworkArrays,
+    evaluate_slopes,
+    lookup,
+)
 from surrofe2.surrogate.network import StressNetwork
-from surrofe2.surrogate.network_arrays import NetworkArrays, slope_polynomial
 from surrofe2.surrogate.piola import to_cauchy
+from surrofe2.surrogate.products import BLOCK
 from tests.laws import RANGE
 from tests.surrogate.torch_twin import differentiate, network_stress
 
@@ -88,8 +93,7 @@ def test_slopes_of_every_symmetry_agree_with_torch(symmetry, degree):
 
 
 def slopes_of(network, F, F_dot):
-    polynomial = slope_polynomial(network.to_parameters())
-    return evaluate_slopes(F, F_dot, make_arrays(network), polynomial)
+    return evaluate_slopes(F, F_dot, make_arrays(network))
 
 
 @every_symmetry

@@ -10,7 +10,7 @@ from surrofe2.base.tensors import to_inputs
 from surrofe2.law.stress_law import Status
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.surrogate.deformation_paths import random_walks
-from surrofe2.surrogate.domain_fit import fit_domain
+from surrofe2.surrogate.domain import fit_domain
 from tests.laws import RANGE, lattice_samples
 from tests.surrogate.domain_twin import within
 from tests.surrogate.failing_samples import G, buckles, samples_that_fail

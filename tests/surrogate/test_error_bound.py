@@ -7,9 +7,8 @@ import pytest
 
 from surrofe2.base.sampling import contains, sample
 from surrofe2.law.stress_law import Status
-from surrofe2.surrogate.compiled_lookup import MANY
-from surrofe2.surrogate.domain import scaled_inputs
-from surrofe2.surrogate.error_bound import local_scale
+from surrofe2.surrogate.domain import local_scale, scaled_inputs
+from surrofe2.surrogate.lookup import MANY
 from tests.laws import RANGE
 from tests.surrogate.domain_twin import within
 from tests.surrogate.failing_samples import G

@@ -6,7 +6,7 @@ import pytest
 from surrofe2.base.errors import InputError
 from surrofe2.base.sampling import sample
 from surrofe2.base.tensors import stress_error, transpose
-from surrofe2.surrogate.quadratic_law import QuadraticLaw
+from surrofe2.surrogate.piola import QuadraticLaw
 from tests.laws import (
     RANGE,
     SoftLaw,

@@ -1,0 +1,610 @@
+"""Stress, status and risk of a surrogate in one compiled pass; slopes in another.
+
+Points are taken in blocks of `TILES` tiles of `TILE` points; every quantity is a row of a block,
+(TILES, TILE), and each operation is one of SIMD values of `base.simd`. In this order: the arrays
+that kernels read, what is called from outside, then the kernels as a block meets them: rotation
+out, range, inputs, network, rotation in, risk. What is differentiated by the first K inputs has the
+input as first axis, (K, rows, TILES, TILE); a value alone is the same with K = 0. Rows of a layer
+are computed four at a time, so sizes are padded with zeros to multiples of four. Sums of SIMD
+values keep their order, so the bits of an answer do not depend on the place of its point.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from surrofe2.base.compilation import kernel, pair_law, parallel_kernel
+from surrofe2.base.sampling import SLACK, SamplingRange
+from surrofe2.base.simd import (
+    TILE,
+    fill_tanh,
+    inverse_root,
+    load,
+    root,
+    spread,
+    store,
+    where_less,
+)
+from surrofe2.base.tensors import INPUTS
+from surrofe2.law.stress_law import Status
+from surrofe2.surrogate.domain import (
+    ALL_INPUTS,
+    COMPRESSION,
+    NEAR,
+    NORM,
+    REACH,
+    SQUARES,
+    Calibration,
+    Domain,
+    boundary_products,
+    scale_products,
+)
+from surrofe2.surrogate.features import BEND, COMPONENTS, Layers, NetworkParameters
+from surrofe2.surrogate.products import (
+    BLOCK,
+    ONE,
+    STRETCH,
+    TILES,
+    Polynomials,
+    Product,
+    evaluate,
+)
+
+Array = NDArray[np.float64]
+
+MANY = 2000
+"""Points from which on more than one core pays."""
+_PART = 16 * BLOCK  # points that a core takes at a time
+_OK, _OUT_OF_RANGE = int(Status.OK), int(Status.OUT_OF_RANGE)
+_NOT_FINITE, _NOT_TRUSTED = int(Status.NOT_FINITE), int(Status.NOT_TRUSTED)
+
+# Rows of the frame: components of F, Ḟ (V), R, U, A; 1 or 0, whether in range; the stress.
+_F11, _F12, _F21, _F22, _V11, _V12, _V21, _V22 = range(8)
+_COS, _SIN, _U11, _U12, _U22, _A11, _A12, _A21, _A22, _INSIDE, _S11, _S12, _S21, _S22 = range(8, 22)
+_FRAME_ROWS = 22
+_HEIGHT, _BOUND, _SQUARE = range(3)  # polynomials of `BoundArrays`
+
+
+class NetworkArrays(NamedTuple):
+    """A network as the arrays its kernels read.
+
+    Attributes:
+        bounds: (4,) below and above which U₁₁ and U₂₂, and above which |U₁₂| and |A| are out of
+            range, by the rounding of the range test wider than the range.
+        input_factor: (7,) 1/input scale; output_factor: (4,).
+        at_rest: (t,) what the factors are at rest, 0 unless they are subtracted.
+        products to kept: `products.Polynomials` of the baseline of P̂; kept are the products of
+            the t terms, then the invariants.
+        components: (t,) int64 of the terms.
+        powers: (3,) int64 of s, d, g in the invariants of U alone, see `features`.
+        sizes: (layers + 1,) int64 inputs, and outputs of each layer of the network of factors,
+            padded to multiples of four; weights, biases: its layers, flat, one after the other.
+    """
+
+    bounds: Array
+    input_factor: Array
+    output_factor: Array
+    at_rest: Array
+    products: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    heads: NDArray[np.int64]
+    group_begins: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    coefficients: Array
+    kept: NDArray[np.int64]
+    components: NDArray[np.int64]
+    powers: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    weights: Array
+    biases: Array
+
+    @classmethod
+    def of(cls, network: NetworkParameters, range: SamplingRange) -> NetworkArrays:
+        """The arrays of a network that is used within a range."""
+        features, tensors = network.features, network.tensors
+        low, high = range.stretch
+        above = np.array([high + SLACK, range.shear + SLACK, range.rate + SLACK * range.rate])
+        sizes, weights, biases = _pack_layers(network.layers)
+        products = [product for product, _ in features.terms]
+        arrays = cls(
+            bounds=np.array([np.nextafter(low - SLACK, -np.inf), *np.nextafter(above, np.inf)]),
+            input_factor=1.0 / tensors["input_scale"],
+            output_factor=tensors["output_scale"],
+            at_rest=np.zeros(len(products)),
+            **Polynomials.of(
+                ONE + 1, network.baseline, [*products, *features.invariants]
+            )._asdict(),
+            components=np.array([component for _, component in features.terms]),
+            powers=np.array(features.powers),
+            sizes=sizes,
+            weights=weights,
+            biases=biases,
+        )
+        # what the network gives at rest is subtracted as the very same instructions give it
+        room = _make_room(arrays, 0)
+        room.rows[:ONE] = 0.0
+        room.rows[ONE] = 1.0
+        first = _evaluate_factors(arrays, room)
+        subtracted = np.array([not product for product in products])
+        factors = room.units[first : first + len(products), 0, 0]
+        return arrays._replace(at_rest=np.where(subtracted, factors, 0.0))
+
+
+def _pack_layers(layers: Layers) -> tuple[NDArray[np.int64], Array, Array]:
+    """(sizes, matrices, biases), flat and padded; see `NetworkArrays`."""
+    matrices = [_padded(matrix) for matrix, _ in layers]
+    return (
+        np.array([matrices[0].shape[1], *(len(matrix) for matrix in matrices)]),
+        np.concatenate([matrix.ravel() for matrix in matrices]),
+        np.concatenate([_padded(bias[:, None])[:, 0] for _, bias in layers]),
+    )
+
+
+def _padded(matrix: Array) -> Array:
+    rows, columns = (4 * -(-size // 4) for size in matrix.shape)
+    result = np.zeros((rows, columns))
+    result[: matrix.shape[0], : matrix.shape[1]] = matrix
+    return result
+
+
+class BoundArrays(NamedTuple):
+    """Domain and bound as the arrays their kernel reads.
+
+    Attributes:
+        factor: (7,) 1/scale of the inputs.
+        near: (7,) share of each squared input in the size of a state.
+        products to kept: `products.Polynomials` of `domain.all_inputs`: the failure boundary,
+            beyond which it is positive; the bound over the tolerance, infinite where none is
+            known; the square of what is added to the local tolerance at rest.
+        at_rest: (1,) this.
+    """
+
+    factor: Array
+    near: Array
+    products: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    heads: NDArray[np.int64]
+    group_begins: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    coefficients: Array
+    kept: NDArray[np.int64]
+    at_rest: Array
+
+    @classmethod
+    def of(
+        cls, domain: Domain | None, calibration: Calibration | None, tolerance: Array | None = None
+    ) -> BoundArrays:
+        """The arrays of a domain (None: everywhere) and a bound (None: infinite).
+
+        tolerance: (9,) `domain.tolerance_coefficients`, then the tolerance in µN/µm; where this is
+        infinite, the risk is 0, whatever the bound.
+        """
+        *squares, at_rest, most = [0.0] * INPUTS + [1.0, 1.0] if tolerance is None else tolerance
+        factor, near = np.ones(INPUTS), np.ones(INPUTS)
+        boundary: list[tuple[Product, float]] = []
+        bound: list[tuple[Product, float]] = [((), np.inf)]
+        if domain is not None:
+            factor = 1.0 / domain.scale
+            if len(domain.boundary):
+                boundary = list(
+                    zip(boundary_products(domain.square), domain.boundary.tolist(), strict=True)
+                )
+            if calibration is not None and np.isfinite(calibration.quantile):
+                scale = (calibration.quantile * calibration.scale / most).tolist()
+                both = zip(scale_products(), scale, calibration.scale > 0.0, strict=True)
+                bound = [(product, value) for product, value, is_used in both if is_used]
+                near = calibration.near
+        local: list[tuple[Product, float]] = [
+            ((SQUARES + k,), float(value)) for k, value in enumerate(squares) if value
+        ]
+        polynomials = boundary, [] if np.isinf(most) else bound, local
+        arrays = Polynomials.of(ALL_INPUTS, polynomials)._asdict()
+        return cls(factor=factor, near=near, at_rest=np.array([float(at_rest)]), **arrays)
+
+
+def lookup(
+    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
+) -> tuple[Array, NDArray[np.int8], Array]:
+    """Stress (n, 2, 2) in µN/µm, NaN where the status (n,) is not 0, and risk (n,).
+
+    Points with NaN or det F ≤ 0 are out of range.
+
+    F, F_dot: (n, 2, 2) contiguous float64. limit: of the risk.
+    """
+    count = len(F)
+    stress, status, risk = np.empty((count, 2, 2)), np.empty(count, dtype=np.int8), np.empty(count)
+    compute = _lookup_parallel if count >= MANY else _lookup_part
+    compute(0, count, F, F_dot, network, bounds, float(limit), stress, status, risk)
+    return stress, status, risk
+
+
+def status_and_risk(
+    F: Array, F_dot: Array, network: NetworkArrays, bounds: BoundArrays, limit: float
+) -> tuple[NDArray[np.int8], Array]:
+    """Status and risk of `lookup` without the stress, whose finiteness is not tested."""
+    count = len(F)
+    status, risk = np.empty(count, dtype=np.int8), np.empty(count)
+    test = _test_parallel if count >= MANY else _test_part
+    test(0, count, F, F_dot, network.bounds, bounds, float(limit), status, risk)
+    return status, risk
+
+
+def evaluate_slopes(F: Array, F_dot: Array, network: NetworkArrays) -> tuple[Array, Array]:
+    """(components of P̂ (n, 4), their slopes by the inputs (n, 4, 7)); no range is tested.
+
+    F, F_dot: (n, 2, 2) contiguous float64, det F > 0.
+    """
+    P, P_slopes = np.empty((len(F), COMPONENTS)), np.empty((len(F), COMPONENTS, INPUTS))
+    _slopes(F, F_dot, network, P, P_slopes)
+    return P, P_slopes
+
+
+@parallel_kernel
+def _lookup_parallel(  # type: ignore[no-untyped-def]
+    begin, end, F, F_dot, network, bounds, limit, stress, status, risk
+):
+    for part in prange((end - begin + _PART - 1) // _PART):
+        first = begin + part * _PART
+        last = min(first + _PART, end)
+        _lookup_part(first, last, F, F_dot, network, bounds, limit, stress, status, risk)
+
+
+@kernel
+def _lookup_part(  # type: ignore[no-untyped-def]
+    begin, end, F, F_dot, network, bounds, limit, stress, status, risk
+):
+    """Set the answer at points `begin` to `end`."""
+    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(0))
+    domain = _make_domain_room(bounds)
+    for start in range(begin, end, BLOCK):
+        _read_points(start, F, F_dot, frame)
+        _take_rotation_out(frame)
+        _set_inside(frame, network.bounds)
+        _scale_inputs(frame, network.input_factor, room.rows)
+        _evaluate_network(network, room)
+        _set_stress(room.y, frame)
+        _test_block(start, frame, bounds, limit, domain, status, risk)
+        for p in range(min(BLOCK, end - start)):
+            point, t, lane = start + p, p // TILE, p % TILE
+            is_finite = True
+            for i in range(4):
+                value = frame[_S11 + i, t, lane]
+                is_finite &= np.isfinite(value)
+                stress[point, i // 2, i % 2] = value
+            if frame[_INSIDE, t, lane] > 0.0 and not is_finite:
+                status[point], risk[point] = _NOT_FINITE, np.inf
+            if status[point] != _OK:
+                stress[point] = np.nan
+
+
+@parallel_kernel
+def _test_parallel(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
+    for part in prange((end - begin + _PART - 1) // _PART):
+        first = begin + part * _PART
+        last = min(first + _PART, end)
+        _test_part(first, last, F, F_dot, limits, bounds, limit, status, risk)
+
+
+@kernel
+def _test_part(begin, end, F, F_dot, limits, bounds, limit, status, risk):  # type: ignore[no-untyped-def]
+    frame, domain = np.empty((_FRAME_ROWS, TILES, TILE)), _make_domain_room(bounds)
+    for start in range(begin, end, BLOCK):
+        _read_points(start, F, F_dot, frame)
+        _take_rotation_out(frame)
+        _set_inside(frame, limits)
+        _test_block(start, frame, bounds, limit, domain, status, risk)
+
+
+@kernel
+def _make_domain_room(bounds):  # type: ignore[no-untyped-def]
+    """Rows of inputs and products, polynomials, and slopes that nobody wants."""
+    rows = np.empty((ALL_INPUTS + bounds.products.shape[0], TILES, TILE))
+    return rows, np.empty((3, TILES, TILE)), np.empty((0, 0, TILES, TILE))
+
+
+@pair_law
+def _test_block(start, frame, bounds, limit, room, status, risk):  # type: ignore[no-untyped-def]
+    """Write status and risk of a block by range, failure boundary and bound."""
+    rows, y, none = room
+    _scale_inputs(frame, bounds.factor, rows)
+    _set_even_inputs(bounds.near, rows)
+    evaluate(bounds, rows, y, none, none)
+    _divide_by_local_tolerance(bounds.at_rest, y)
+    for p in range(min(BLOCK, status.shape[0] - start)):
+        point, t, lane = start + p, p // TILE, p % TILE
+        value, code = y[_BOUND, t, lane], _OK
+        if not (frame[_INSIDE, t, lane] > 0.0 and y[_HEIGHT, t, lane] <= 0.0):
+            value, code = np.inf, _OUT_OF_RANGE
+        elif not value <= limit:
+            code = _NOT_TRUSTED
+        risk[point], status[point] = value, code
+
+
+@kernel
+def _slopes(F, F_dot, network, P, slopes):  # type: ignore[no-untyped-def]
+    frame, room = np.empty((_FRAME_ROWS, TILES, TILE)), _make_room(network, np.int64(INPUTS))
+    for start in range(0, F.shape[0], BLOCK):
+        _read_points(start, F, F_dot, frame)
+        _take_rotation_out(frame)
+        _scale_inputs(frame, network.input_factor, room.rows)
+        _evaluate_network(network, room)
+        for p in range(min(BLOCK, F.shape[0] - start)):
+            t, lane = p // TILE, p % TILE
+            for c in range(COMPONENTS):
+                P[start + p, c] = room.y[c, t, lane]
+                for k in range(INPUTS):
+                    slope = room.y_slopes[k, c, t, lane] * network.input_factor[k]
+                    slopes[start + p, c, k] = slope
+
+
+@kernel
+def _read_points(start, F, F_dot, frame):  # type: ignore[no-untyped-def]
+    """The rows of F and Ḟ; behind the last point it is repeated."""
+    for p in range(BLOCK):
+        point = min(start + p, F.shape[0] - 1)
+        t, lane = p // TILE, p % TILE
+        frame[_F11, t, lane], frame[_F12, t, lane] = F[point, 0, 0], F[point, 0, 1]
+        frame[_F21, t, lane], frame[_F22, t, lane] = F[point, 1, 0], F[point, 1, 1]
+        frame[_V11, t, lane], frame[_V12, t, lane] = F_dot[point, 0, 0], F_dot[point, 0, 1]
+        frame[_V21, t, lane], frame[_V22, t, lane] = F_dot[point, 1, 0], F_dot[point, 1, 1]
+
+
+@kernel
+def _take_rotation_out(frame):  # type: ignore[no-untyped-def]
+    """The rows of R, U and A from those of F and Ḟ."""
+    for t in range(TILES):
+        xx, xy = load(frame, _F11, t), load(frame, _F12, t)
+        yx, yy = load(frame, _F21, t), load(frame, _F22, t)
+        along, across = xx + yy, yx - xy
+        length = 1.0 / root(along * along + across * across)
+        c, s = along * length, across * length
+        store(c, frame, _COS, t)
+        store(s, frame, _SIN, t)
+        store(c * xx + s * yx, frame, _U11, t)
+        store(c * xy + s * yy, frame, _U12, t)
+        store(c * yy - s * xy, frame, _U22, t)
+        xx, xy = load(frame, _V11, t), load(frame, _V12, t)
+        yx, yy = load(frame, _V21, t), load(frame, _V22, t)
+        store(c * xx + s * yx, frame, _A11, t)
+        store(c * xy + s * yy, frame, _A12, t)
+        store(c * yx - s * xx, frame, _A21, t)
+        store(c * yy - s * xy, frame, _A22, t)
+
+
+@kernel
+def _set_inside(frame, bounds):  # type: ignore[no-untyped-def]
+    """Set `_INSIDE` to 1 where low < U₁₁, U₂₂ < high, |U₁₂| < shear and |A| < rate, else 0.
+
+    bounds: (4,) low, high, shear, rate. What is not a number is outside.
+    """
+    low, high, shear, rate = bounds[0], bounds[1], bounds[2], bounds[3]
+    for t in range(TILES):
+        inside = where_less(low, load(frame, _U11, t), 1.0, 0.0)
+        inside = where_less(load(frame, _U11, t), high, inside, 0.0)
+        inside = where_less(low, load(frame, _U22, t), inside, 0.0)
+        inside = where_less(load(frame, _U22, t), high, inside, 0.0)
+        inside = _where_within(load(frame, _U12, t), shear, inside)
+        for row in range(_A11, _A22 + 1):
+            inside = _where_within(load(frame, row, t), rate, inside)
+        store(inside, frame, _INSIDE, t)
+
+
+@kernel
+def _where_within(value, bound, inside):  # type: ignore[no-untyped-def]
+    return where_less(-bound, value, where_less(value, bound, inside, 0.0), 0.0)
+
+
+@kernel
+def _scale_inputs(frame, factor, x):  # type: ignore[no-untyped-def]
+    """The inputs of `tensors`, scaled, (7, TILES, TILE), and a row of ones."""
+    for t in range(TILES):
+        u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
+        a11, a12 = load(frame, _A11, t), load(frame, _A12, t)
+        a21, a22 = load(frame, _A21, t), load(frame, _A22, t)
+        store(((u11 - 1.0) + (u22 - 1.0)) * factor[0], x, 0, t)
+        store((u11 - u22) * factor[1], x, 1, t)
+        store(load(frame, _U12, t) * (2.0 * factor[2]), x, 2, t)
+        store((a11 + a22) * factor[3], x, 3, t)
+        store((a11 - a22) * factor[4], x, 4, t)
+        store((a12 + a21) * factor[5], x, 5, t)
+        store((a21 - a12) * factor[6], x, 6, t)
+        store(1.0, x, ONE, t)
+
+
+class _Room(NamedTuple):
+    """What a network is evaluated in, used again for the next block.
+
+    rows: scaled inputs, ones, products; y: (4, …) components; units: (all units, …) of the network;
+    the others, with K before, are their slopes.
+    """
+
+    rows: Any
+    y: Any
+    units: Any
+    row_slopes: Any
+    y_slopes: Any
+    unit_slopes: Any
+
+
+@kernel
+def _make_room(arrays, inputs):  # type: ignore[no-untyped-def]
+    """Room for values and for slopes along so many inputs, 0 or 7."""
+    rows, units = ONE + 1 + arrays.products.shape[0], arrays.sizes.sum()
+    return _Room(
+        np.empty((rows, TILES, TILE)),
+        np.empty((COMPONENTS, TILES, TILE)),
+        np.empty((units, TILES, TILE)),
+        np.empty((inputs, rows, TILES, TILE)),
+        np.empty((inputs, COMPONENTS, TILES, TILE)),
+        np.empty((inputs, units, TILES, TILE)),
+    )
+
+
+@kernel
+def _evaluate_network(arrays, room):  # type: ignore[no-untyped-def]
+    """The components of P̂, y, and their slopes by scaled inputs, from the inputs' rows.
+
+    The baseline, and of each term (factor − factor at rest) × product.
+    """
+    first, y, y_slopes = _evaluate_factors(arrays, room), room.y, room.y_slopes
+    for term in range(arrays.components.shape[0]):
+        component, row = arrays.components[term], arrays.kept[term]
+        scale, at_rest = arrays.output_factor[component], arrays.at_rest[term]
+        for t in range(TILES):
+            factor = (load(room.units, first + term, t) - at_rest) * scale
+            product = load(room.rows, row, t)
+            store(load(y, component, t) + factor * product, y, component, t)
+            for k in range(y_slopes.shape[0]):
+                slope = load(room.unit_slopes, k, first + term, t) * (product * scale)
+                slope += factor * load(room.row_slopes, k, row, t)
+                store(load(y_slopes, k, component, t) + slope, y_slopes, k, component, t)
+
+
+@kernel
+def _evaluate_factors(arrays, room):  # type: ignore[no-untyped-def]
+    """Set y to the baseline, fill the units, all with slopes; returns the first factor's row."""
+    units, slopes = room.units, room.unit_slopes
+    evaluate(arrays, room.rows, room.y, room.row_slopes, room.y_slopes)
+    terms = arrays.components.shape[0]
+    invariants = arrays.kept.shape[0] - terms
+    units[invariants + STRETCH : arrays.sizes[0]] = 0.0
+    slopes[:, invariants : arrays.sizes[0]] = 0.0
+    for k in range(invariants):
+        units[k] = room.rows[arrays.kept[terms + k]]
+        for along in range(slopes.shape[0]):
+            slopes[along, k] = room.row_slopes[along, arrays.kept[terms + k]]
+    _fill_near_invariants(arrays.powers, room.rows, units, slopes, invariants)
+    return _forward(arrays.sizes, arrays.weights, arrays.biases, units, slopes)
+
+
+@kernel
+def _fill_near_invariants(powers, x, units, slopes, first):  # type: ignore[no-untyped-def]
+    """The units from `first` on that tell states near rest apart, x^p/√(δ² + x²), and slopes."""
+    for k in range(STRETCH):
+        for t in range(TILES):
+            value = load(x, k, t)
+            raised = value if powers[k] == 2 else load(x, ONE, t)
+            inverse = inverse_root(value * value + BEND * BEND)
+            near = raised * value * inverse
+            store(near, units, first + k, t)
+            if slopes.shape[0]:
+                by_power = raised * (float(powers[k]) * inverse)
+                store(by_power - near * value * inverse * inverse, slopes, k, first + k, t)
+
+
+@kernel
+def _forward(sizes, weights, biases, units, slopes):  # type: ignore[no-untyped-def]
+    """Fill the units of all layers, and their slopes, from the inputs'; the last has no tanh.
+
+    Returns the first row of the last layer.
+    """
+    none = np.zeros(sizes.max())
+    begin, first_weight, first_bias = 0, 0, 0
+    for layer in range(1, sizes.shape[0]):
+        rows, columns = sizes[layer], sizes[layer - 1]
+        end = first_weight + rows * columns
+        matrix = weights[first_weight:end].reshape(rows, columns)
+        middle = begin + columns
+        is_last = layer == sizes.shape[0] - 1
+        _apply_layer(matrix, biases[first_bias : first_bias + rows], units[begin:], units[middle:])
+        if not is_last:
+            fill_tanh(units[middle : middle + rows].reshape(rows * BLOCK))
+        for k in range(slopes.shape[0]):
+            _apply_layer(matrix, none, slopes[k, begin:], slopes[k, middle:])
+            if not is_last:
+                _times_tanh_slope(units[middle:], slopes[k, middle:], rows)
+        begin, first_weight = middle, end
+        first_bias += rows
+    return begin
+
+
+@kernel
+def _times_tanh_slope(tanh, slopes, rows):  # type: ignore[no-untyped-def]
+    """Multiply slopes (rows, …) by 1 − tanh²."""
+    for row in range(rows):
+        for t in range(TILES):
+            h = load(tanh, row, t)
+            store((1.0 - h * h) * load(slopes, row, t), slopes, row, t)
+
+
+@kernel
+def _apply_layer(matrix, bias, source, target):  # type: ignore[no-untyped-def]
+    """target = matrix source + bias, (rows, …); four rows of two tiles stay in registers."""
+    for t in range(0, TILES, 2):
+        for j in range(0, matrix.shape[0], 4):
+            a, b = spread(bias[j]), spread(bias[j + 1])
+            c, d = spread(bias[j + 2]), spread(bias[j + 3])
+            e, f, g, h = a, b, c, d
+            for k in range(matrix.shape[1]):
+                one, two = load(source, k, t), load(source, k, t + 1)
+                first, second = spread(matrix[j, k]), spread(matrix[j + 1, k])
+                third, fourth = spread(matrix[j + 2, k]), spread(matrix[j + 3, k])
+                a += first * one
+                b += second * one
+                c += third * one
+                d += fourth * one
+                e += first * two
+                f += second * two
+                g += third * two
+                h += fourth * two
+            store(a, target, j, t)
+            store(b, target, j + 1, t)
+            store(c, target, j + 2, t)
+            store(d, target, j + 3, t)
+            store(e, target, j, t + 1)
+            store(f, target, j + 1, t + 1)
+            store(g, target, j + 2, t + 1)
+            store(h, target, j + 3, t + 1)
+
+
+@kernel
+def _set_stress(y, frame):  # type: ignore[no-untyped-def]
+    """The rows of σ from the components of P̂ in rows 0 to 3 of y.
+
+    S = P̂ U/det U; R turns its difference and shear by twice its angle.
+    """
+    for t in range(TILES):
+        u11, u22 = load(frame, _U11, t), load(frame, _U22, t)
+        n, d, g = u11 + u22, u11 - u22, 2.0 * load(frame, _U12, t)
+        total, difference, shear, spin = load(y, 0, t), load(y, 1, t), load(y, 2, t), load(y, 3, t)
+        factor = 1.0 / (n * n - d * d - g * g)
+        s = factor * (n * total + d * difference + g * shear)
+        by_d = factor * (d * total + n * difference - g * spin)
+        by_g = factor * (g * total + n * shear + d * spin)
+        w = factor * (n * spin - g * difference + d * shear)
+        cos, sin = load(frame, _COS, t), load(frame, _SIN, t)
+        c2, s2 = cos * cos - sin * sin, 2.0 * cos * sin
+        turned_d, turned_g = c2 * by_d - s2 * by_g, s2 * by_d + c2 * by_g
+        store(s + turned_d, frame, _S11, t)
+        store(turned_g - w, frame, _S12, t)
+        store(turned_g + w, frame, _S21, t)
+        store(s - turned_d, frame, _S22, t)
+
+
+@kernel
+def _set_even_inputs(near, x):  # type: ignore[no-untyped-def]
+    """The rows of `domain.all_inputs` behind the inputs and 1."""
+    for t in range(TILES):
+        low = where_less(load(x, 0, t), 0.0, load(x, 0, t), 0.0)
+        store(low * low, x, COMPRESSION, t)
+        total, size = spread(0.0), spread(0.0)
+        for k in range(INPUTS):
+            square = load(x, k, t) * load(x, k, t)
+            store(square, x, SQUARES + k, t)
+            total += square
+            size += near[k] * square
+        store(total * (1.0 / INPUTS), x, NORM, t)
+        store(size / (size + REACH), x, NEAR, t)
+
+
+@kernel
+def _divide_by_local_tolerance(at_rest, y):  # type: ignore[no-untyped-def]
+    """Make the bound the risk, by `domain.local_tolerance`."""
+    for t in range(TILES):
+        share = root(load(y, _SQUARE, t)) + at_rest[0]
+        share = where_less(share, 1.0, share, 1.0)
+        store(load(y, _BOUND, t) / share, y, _BOUND, t)
