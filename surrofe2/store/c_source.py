@@ -36,7 +36,7 @@ _ABOUT = """\
  * P_by_F, P_by_F_rate: 16 numbers each, P_ab by F_cd at 8 a + 4 b + 2 c + d, P the first
  *     Piola-Kirchhoff stress; both NULL: not wanted.
  * {name}_stress returns SURROFE2_OK, or why there is no stress.
- * {name}_stress_of does the same at `count` points, one after the other in all arrays, and returns
+ * {name}_stress_of does the same at `count` points, one after the other in arrays, and returns
  *     how many have no stress. Neither has a state; threads may call them at once.
  */
 """

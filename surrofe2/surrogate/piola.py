@@ -74,18 +74,19 @@ def to_slopes(F: Array, P_by_F: Array, P_by_F_dot: Array) -> Array:
 def to_tangents(F: Array, F_dot: Array, components: Array, slopes: Array) -> Tangents:
     """∂P/∂F and ∂P/∂Ḟ from the components of P̂ (n, 4) and their slopes (n, 4, 7)."""
     inputs, R = to_inputs(F, F_dot)
-    B = np.einsum("nec,kef->nkcf", R, np.eye(4).reshape(4, 2, 2))  # RᵀdF for the four unit dF
+    B = np.zeros((len(F), 4, 2, 2))  # RᵀdF for the four unit dF
+    B[:, 0, :, 0] = B[:, 1, :, 1] = R[:, 0]
+    B[:, 2, :, 0] = B[:, 3, :, 1] = R[:, 1]
     U, A = transpose(R) @ F, transpose(R) @ F_dot
     turned = (B[:, :, 1, 0] - B[:, :, 0, 1]) / (2.0 + inputs[:, :1])
-    dU = B - turned[..., None, None] * (TURN @ U)[:, None]
-    dA = -turned[..., None, None] * (TURN @ A)[:, None]
-    changes = np.concatenate(
-        [_components(dU)[..., :_SPINLESS], _components(np.broadcast_to(dA, dU.shape))], axis=2
-    )
-    P = from_components(components)
-    by_F = _tensors(np.einsum("nij,nkj->nki", slopes, changes))
-    by_F = by_F + turned[..., None, None] * (TURN @ P)[:, None]
-    by_rate = _tensors(np.einsum("nij,nkj->nki", slopes[:, :, _SPINLESS:], _components(B)))
+    direct, E_U, E_A = _components(B), to_components(TURN @ U), to_components(TURN @ A)
+    changes = np.empty((len(F), 4, 7))
+    changes[..., :_SPINLESS] = direct[..., :_SPINLESS] - turned[..., None] * E_U[:, None, :3]
+    changes[..., _SPINLESS:] = -turned[..., None] * E_A[:, None]
+    across = transpose(slopes)
+    by_F = _tensors(changes @ across)
+    by_F += turned[..., None, None] * (TURN @ from_components(components))[:, None]
+    by_rate = _tensors(direct @ across[:, _SPINLESS:])
     return Tangents(*(_closed(R, by) for by in (by_F, by_rate)))
 
 
@@ -100,7 +101,7 @@ def _tensors(components: Array) -> Array:
 
 def _closed(R: Array, by: Array) -> Array:
     """R by (n, 4, 2, 2), put as [n, a, b, c, d] = ∂P_ab by the change of entry (c, d)."""
-    turned = np.einsum("nae,nkeb->nabk", R, by)
+    turned = np.moveaxis(R[:, None] @ by, 1, 3)
     return np.ascontiguousarray(turned.reshape(len(R), 2, 2, 2, 2))
 
 
