@@ -414,6 +414,8 @@ def read_record(folder: Path) -> RunRecord:
         FileError: missing, damaged, or of another schema.
     """
     path = folder / "run.json"
+    if not path.exists():
+        raise FileError(f"{folder}: no run.json; it is not a run folder")
     stored = read_json(path)
     if stored.pop("schema", None) != SCHEMA:
         raise FileError(f"{path}: not the record of a surrofe2 run")
@@ -520,8 +522,6 @@ def read_run(folder: str | Path, *, finished: bool = True) -> StoredRun:
         InputError: the run is not finished; it says what to do.
     """
     folder = Path(folder)
-    if not (folder / "run.json").exists():
-        raise FileError(f"{folder}: no run.json; it is not a run folder")
     record = read_record(folder)
     is_there = not finished and (folder / "curve.csv").exists()
     if record.status != "finished" and not is_there:

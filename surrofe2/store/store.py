@@ -70,7 +70,7 @@ def leftovers(path: Path) -> list[Path]:
     """Files in which processes that were killed were writing `path`; others still hold theirs."""
     try:
         beside = sorted(each for each in path.parent.iterdir() if _PARTIAL.fullmatch(each.name))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
     left = []
     for each in beside:

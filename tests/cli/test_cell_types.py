@@ -147,24 +147,11 @@ def test_wrong_recipes_get_a_sentence(written, old, new, told):
     assert "\n" not in str(caught.value)
 
 
-def test_the_paper_s_bar_has_no_regions(written):
-    load = BAR[: BAR.index("[mesh]")] + "[load]\n" + BAR[BAR.index("[cells.skin]") :]
-    with pytest.raises(InputError, match=r"cells: \[cells.NAME\] fill regions of a mesh; the sect"):
-        load_recipe(written(load))
-
-
 def test_what_is_of_one_cell_refuses_several(invoke, written):
     path = written()
     with pytest.raises(InputError, match="this needs a recipe with one"):
         generate_data_set(load_recipe(path))
     assert "unknown cell; did you mean flesh?" in invoke("train", path, "--cell", "flsh").stderr
-
-
-def test_check_times_a_recipe_of_several_cells(invoke, written):
-    done = invoke("check", written(), "--seconds", 600, law=SquareLaw)
-    assert done.exit_code == 0, done.output
-    assert "\n20 points, asked about " in done.stdout
-    assert "take --law rve" in done.stdout  # it ends before a surrogate is trained
 
 
 def test_each_cell_has_its_table(invoke, written, tmp_path):
@@ -290,23 +277,6 @@ def test_two_regions_of_one_cell_move_as_one_cell_does(invoke, written, tmp_path
         assert done.exit_code == 0, done.output
     alone, both = map(displacement, folders)
     np.testing.assert_allclose(both, alone, rtol=0, atol=1e-6 * abs(alone).max())
-
-
-def test_the_stiffer_and_heavier_skin_is_felt(invoke, written, tmp_path):
-    paths = {"both": written(), "water": written(ONE, "water.toml")}
-    for name, path in paths.items():
-        assert invoke("run", path, "--law", "rve", "--out", tmp_path / name).exit_code == 0
-    both, water = (displacement(tmp_path / name)[-1] for name in paths)
-    assert np.linalg.norm(both - water) > 0.05 * np.linalg.norm(water)
-    record = read_record(tmp_path / "both")
-    assert record.recipe["cells"]["skin"]["wall_stiffness"] == 8000.0
-    assert len(record.cell_fingerprint.split()) == 2
-    refused = invoke(
-        "run", written(BAR.replace("8000.0", "7000.0")), "--law", "rve", "--out", tmp_path / "both"
-    )
-    assert "cells.skin.wall_stiffness: this call has 7000.0, what is there 8000" in refused.stderr
-    done = invoke("compare", tmp_path / "both", tmp_path / "water", "--out", tmp_path / "c")
-    assert done.exit_code == 0, done.output
 
 
 def test_cached_runs_learn_audit_and_go_on_by_cell(invoke, written, tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 
 from surrofe2.store.run_folder import read_curve, read_history, read_record
 from tests.cli.finished_run import RUN_FILES
-from tests.laws import SoftLaw, StoppingLaw
+from tests.laws import SoftLaw
 from tests.store.gmsh_files import TRIANGLES
 
 LEAF = TRIANGLES.replace(
@@ -177,29 +177,3 @@ def test_a_changed_problem_or_mesh_is_refused(invoke, written, tmp_path):
     mesh.write_text(LEAF.replace("50 50 5", "51 50 5"), encoding="utf-8")
     refused = run(invoke, written("pressed.toml", PRESSED), folder)
     assert f"error: {folder}: mesh.sha256: this call has " in refused.stderr
-
-
-def test_an_interrupted_press_goes_on_with_all_of_its_history(invoke, written, tmp_path):
-    written("leaf.msh", LEAF)
-    path = written("pressed.toml", PRESSED)
-    assert run(invoke, path, tmp_path / "whole").exit_code == 0
-    folder = tmp_path / "stopped"
-    assert run(invoke, path, folder, law=StoppingLaw(calls=300)).exit_code == 130
-    assert (folder / "checkpoint.h5").exists()
-    assert run(invoke, path, folder).exit_code == 0
-    for name in ("curve.csv", "history.csv", "energies.csv"):
-        assert (folder / name).read_text() == (tmp_path / "whole" / name).read_text(), name
-
-
-def test_runs_of_other_problems_are_not_compared(invoke, written, tmp_path):
-    for name, text in (("a", BAR), ("b", BAR.replace("-0.1]", "-0.2]"))):
-        assert run(invoke, written("bar.toml", text), tmp_path / name).exit_code == 0
-    refused = invoke("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c")
-    assert refused.exit_code == 1
-    assert "conditions.load.acceleration is [0.0, -0.2], in " in refused.stderr
-
-
-def test_the_tissue_of_particles_takes_a_problem(invoke, written, tmp_path):
-    done = invoke("tissue", written("bar.toml", BAR), "--out", tmp_path / "tissue")
-    assert done.exit_code == 0, done.output
-    assert read_record(tmp_path / "tissue").law == "tissue"

@@ -17,10 +17,9 @@ from surrofe2.store.run_folder import read_curve, read_record
 from surrofe2.workflow import laws
 from surrofe2.workflow.comparison import compare_runs
 from surrofe2.workflow.report import write_report
-from surrofe2.workflow.run import run_study, step_notes
+from surrofe2.workflow.run import run_study
 from tests.cli.finished_run import RUN_FILES
 from tests.laws import SoftLaw, StoppingLaw
-from tests.run_records import finished_record
 
 
 @pytest.fixture
@@ -71,23 +70,6 @@ def test_no_write_permission(invoke, recipe_path, unwritable):
     refused = invoke("run", recipe_path, "--law", "rve", "--out", unwritable)
     assert refused.exit_code == 1
     assert refused.stderr == f"error: {unwritable}: cannot be written: Not a directory\n"
-
-
-def test_interrupted_and_continued(invoke, recipe_path, folder, tmp_path):
-    command = ("run", recipe_path, "--law", "rve", "--out")
-    stopped = invoke(*command, folder, law=StoppingLaw(calls=60))
-    assert stopped.exit_code == 130
-    assert stopped.stderr.splitlines()[-1] == (
-        f"interrupted: {folder} keeps the run up to its last checkpoint; go on with: "
-        f"surrofe2 run {recipe_path} --law rve --out {folder}"
-    )
-    assert read_record(folder).status == "interrupted"
-    assert (folder / "checkpoint.h5").exists()
-    law, whole = SoftLaw(), SoftLaw()
-    assert invoke(*command, folder, law=law).exit_code == 0
-    assert not (folder / "checkpoint.h5").exists()
-    assert invoke(*command, tmp_path / "whole", law=whole).exit_code == 0
-    assert law.calls < whole.calls
 
 
 def test_a_finished_run_is_kept(invoke, recipe_path, folder):
@@ -149,16 +131,6 @@ def test_a_table_has_no_implicit_runs(invoke, recipe_path, folder):
     assert not folder.exists()
 
 
-def test_many_implicit_steps_are_told(recipe):
-    """Their errors of phase add up; explicit steps are bounded by the period anyway."""
-    implicit = replace(recipe, macro=replace(recipe.macro, integrator="implicit"))
-    few, many = (finished_record(recipe, "rve", {}, {"steps": n}) for n in (3000, 3001))
-    assert not [*step_notes(few, implicit), *step_notes(many, recipe)]
-    ((sentence, is_warning),) = step_notes(many, implicit)
-    assert is_warning
-    assert sentence.startswith("implicit: 3001 steps; ")
-
-
 def test_names_that_are_no_utf8_are_no_obstacle(recipe_path, tmp_path, monkeypatch):
     """In the lock, in run.json, in pictures and on the page they stand with escapes."""
     path = recipe_path.rename(tmp_path / os.fsdecode(b"r\xff.toml"))
@@ -193,15 +165,6 @@ def test_only_a_checkpoint_without_a_state_of_the_run_is_blamed(invoke, recipe_p
     assert refused.exit_code == 1
     assert refused.stderr.startswith(f"error: {path}: no state of this run (state of a run: ")
     assert invoke(*command, "--fresh").exit_code == 0
-
-
-def test_the_bar_says_that_kernels_are_loaded_until_the_first_step(recipe, folder, monkeypatch):
-    monkeypatch.setattr(laws, "true_law", lambda part, *_: SoftLaw().of(part.cell, part.rve))
-    told = []
-    run_study(recipe, "rve", folder, report=lambda t, note: told.append((t, note)))
-    assert told[0] == (0.0, "loading kernels")
-    assert told[1][0] > 0.0
-    assert {note for _, note in told[1:]} == {""}
 
 
 class CompilingLaw(SoftLaw):

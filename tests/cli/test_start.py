@@ -73,12 +73,6 @@ def test_comparing_runs_only_reads_files():
     assert done.stdout == "set()\n"
 
 
-def test_a_run_without_its_surrogate_names_the_command_that_makes_it(invoke, recipe_path, tmp_path):
-    done = invoke("run", recipe_path, "--law", "cached", "--out", tmp_path / "run")
-    assert done.exit_code == 1
-    assert f"make it with `surrofe2 train {recipe_path}`" in done.stdout + done.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
@@ -91,13 +85,6 @@ def test_the_exit_code_is_that_of_the_command(arguments, code, told):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == code
     assert told in done.stdout + done.stderr
-
-
-def test_what_an_error_of_the_program_says_is_kept():
-    code = "from surrofe2 import cli; cli.app = lambda: 1 / 0; cli.main()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
 
 
 FULL = Path("/dev/full")

@@ -94,22 +94,6 @@ def test_step_that_is_too_long(short, folder):
     assert not (folder / "run.json").exists()
 
 
-def test_compared_with_a_run_by_a_law(short, folder, tmp_path, monkeypatch):
-    from tests.laws import SoftLaw
-
-    assert invoke(short, "--out", folder).exit_code == 0
-    monkeypatch.setattr("surrofe2.rve.RveLaw", SoftLaw().of)
-    rve, comparison = tmp_path / "rve", tmp_path / "comparison"
-    runner = CliRunner()
-    ran = runner.invoke(app, ["run", str(short), "--law", "rve", "--out", str(rve)])
-    assert ran.exit_code == 0, ran.output
-    done = runner.invoke(app, ["compare", str(rve), str(folder), "--out", str(comparison)])
-    assert done.exit_code == 0, done.output
-    found = json.loads((comparison / "comparison.json").read_text(encoding="utf-8"))
-    assert found["reference"] == folder.name
-    assert found["runs"][0]["law"] == "rve"
-
-
 STATED = """
 [cells.skin]
 preset = "water"
@@ -246,9 +230,3 @@ def test_what_a_tissue_does_not_take_is_one_line(stated, folder, changes, said):
     assert said in refused.stderr
     assert refused.stderr.count("\n") == 1
     assert not folder.exists()
-
-
-def test_cells_of_a_stated_rectangle_stand_in_it(stated, folder):
-    refused = invoke(stated(), "--out", folder, "--cells", 2, 2)
-    assert refused.exit_code == 1
-    assert refused.stderr.startswith("error: --cells: 2 2; stated.toml has its extent in [mesh]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,12 +11,11 @@ import numpy as np
 from surrofe2.plant_cell.reference_state import ReferenceState
 from surrofe2.recipe.problem_sections import load_mesh
 from surrofe2.recipe.recipe import load_recipe
+from surrofe2.report.comparison import compare
 from surrofe2.store.fields import write_fields
 from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 from surrofe2.store.run_folder import (
-    read_curve,
-    read_history,
-    read_record,
+    read_run,
     write_curves,
     write_record,
 )
@@ -121,19 +121,20 @@ def fields(folder):
     write_fields(folder, square, np.array([[0, 1, 2, 3]]), of_time, np.zeros(1))
 
 
-def record(folder):
+def run(folder):
     recipe = load_recipe(ROOT / "data" / "bending-bar.toml")
-    made = finished_record(recipe, "rve", {"total": 3.0, "law": 2.0}, {"steps": 80})
-    write_record(folder, made)
+    write_curves(
+        folder, T, {"tip": np.stack([T, -T], axis=1)}, {"force hold x": T, "force hold y": -T}, {}
+    )
+    record = finished_record(recipe, "rve", {"total": 3.0, "law": 2.0}, {"steps": 80})
+    write_record(folder, record)
 
 
-def asked_record(path):
-    found = read_record(path.parent)
-    return found, found.duration, found.compared()
-
-
-def curves(folder):
-    write_curves(folder, T, {"tip": np.stack([T, -T], axis=1)}, {"force hold": T}, {})
+def compared_run(path):
+    found = read_run(path.parent)
+    result = compare([found, found]).to_dict()
+    json.dumps(result)
+    return found.record, found.curve.displacement, found.history, found.record.compared()
 
 
 def reference(folder):
@@ -153,16 +154,16 @@ KINDS = {
     "training.h5": (training, read_training),
     "checkpoint.h5": (checkpoint, lambda path: read_checkpoint(path, "a rve run")),
     "fields.h5": (fields, lambda path: read_motion(path.parent)),
-    "run.json": (record, asked_record),
+    "run.json": (run, compared_run),
     "some.json": (
         lambda folder: write_json(folder / "some.json", {"a": [1.0, {"b": None}]}),
         read_json,
     ),
     "reference.h5": (reference, lambda path: read_reference(path, CELL)),
-    "curve.csv": (curves, lambda path: read_curve(path.parent)),
-    "history.csv": (curves, lambda path: read_history(path.parent)),
+    "curve.csv": (run, compared_run),
+    "history.csv": (run, compared_run),
     "mesh.msh": (mesh, load_mesh),
 }
 """How a file of each kind is written into a folder, and what reads it, by its name."""
-UNSEALED = (".csv", ".msh")
+UNSEALED = (".msh",)
 """Ends of names of files without a digest of their own."""

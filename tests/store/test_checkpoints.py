@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surrofe2.base.errors import FileError
-from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint, writing_hdf5
+from surrofe2.store.hdf5 import read_checkpoint, write_checkpoint
 
 
 def test_arrays_come_back_as_they_were(tmp_path):
@@ -29,20 +29,3 @@ def test_checkpoint_of_something_else(tmp_path):
     with pytest.raises(FileError) as caught:
         read_checkpoint(path, "an rve run")
     assert str(caught.value) == f"{path}: a checkpoint of a training, not of an rve run"
-
-
-def test_foreign_hdf5(tmp_path):
-    path = tmp_path / "checkpoint.h5"
-    with writing_hdf5(path):
-        pass
-    with pytest.raises(FileError) as caught:
-        read_checkpoint(path, "an rve run")
-    assert str(caught.value) == f"{path}: an HDF5 file, but not a surrofe2 checkpoint"
-
-
-def test_truncated(tmp_path):
-    path = tmp_path / "checkpoint.h5"
-    write_checkpoint(path, {"y": np.zeros(1000)}, "an rve run")
-    path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(FileError, match="damaged"):
-        read_checkpoint(path, "an rve run")

@@ -88,13 +88,6 @@ def test_the_lock_of_a_killed_process_is_taken_over_with_a_remark(tmp_path, hold
     assert len(caplog.records) == 1
 
 
-def test_a_killed_process_that_nobody_has_waited_for_holds_nothing(tmp_path, holder):
-    holder.kill()
-    os.waitid(os.P_PID, holder.pid, os.WEXITED | os.WNOWAIT)
-    with locked_folder(tmp_path / "out"):
-        pass
-
-
 def test_a_stopped_process_keeps_its_lock(tmp_path, holder):
     holder.send_signal(signal.SIGSTOP)
     with pytest.raises(FileError, match=f"in use by process {holder.pid} "):

@@ -45,12 +45,6 @@ def settled(monkeypatch, tmp_path):
     return count
 
 
-def test_the_second_command_does_not_settle(recipe, settled):
-    first, second = laws.true_law(recipe), laws.true_law(recipe)
-    assert len(settled) == 1
-    assert same(first.reference, second.reference)
-
-
 def test_a_data_set_carries_the_reference_along(recipe, settled, tmp_path):
     generate_data_set(recipe)
     (tmp_path / "cache" / "one.h5").unlink()

@@ -45,15 +45,6 @@ def test_a_table_comes_back_and_answers_the_same(table_file):
     assert there.recipe == {"recipe": "recipe.toml"}
 
 
-def test_a_tables_file_says_what_it_is_of(table_file):
-    with h5py.File(table_file) as file:
-        assert file["stress"].attrs["unit"] == "µN/µm"
-        assert file.attrs["cell_fingerprint"] == CELL.fingerprint
-        assert file.attrs["initialisation"] == "constrained-runs"
-        assert json.loads(file.attrs["recipe"]) == {"recipe": "recipe.toml"}
-        assert file.attrs["package_version"]
-
-
 @pytest.mark.parametrize("what", ["nan", "cut", "foreign", "later"])
 def test_a_damaged_table_is_refused(table_file, what):
     there = read_table(table_file)
@@ -154,13 +145,3 @@ def test_a_harvest_of_other_parameters_is_not_added(tmp_path):
         check_harvest(path, read_harvest(path), water.cell, "constrained-runs")
     with pytest.raises(MismatchError, match="initialisation constrained-runs, not elastic"):
         check_harvest(path, read_harvest(path), CELL, "elastic")
-
-
-@pytest.mark.parametrize("schema", ["surrofe2-table", None])
-def test_what_is_no_harvest(tmp_path, schema):
-    path = tmp_path / "other.h5"
-    with writing_hdf5(path) as file:
-        if schema:
-            file.attrs["schema"] = schema
-    with pytest.raises(FileError, match="not a surrofe2 harvest"):
-        read_harvest(path)
