@@ -86,12 +86,11 @@ def figure_8(setting: Setting) -> Study:
             for mesh in meshes
         ),
         table=Table(ROWS, compare(runs)),
-        series={"t (µs)": runs[0].t, **{f"u_y {run.case.run_name} (µm)": run.u for run in runs}},
     )
 
 
 def scales(setting: Setting) -> Study:
-    """Distance of the slow manifold from the tissue over the number of plant cells a side."""
+    """Distance of the slow manifold from the tissue over the number of plant cells across."""
     of, meshes, sizes = setting.of, setting.meshes or MESHES, setting.sizes or SIZES
     cases = [
         case
@@ -101,18 +100,7 @@ def scales(setting: Setting) -> Study:
     rows = with_limits(compare(setting.runs(cases)))
     return Study(
         title="FE² against the full tissue as the bar grows\n(strains alike)",
-        panels=tuple(
-            off_panel(
-                f"{FE2}: {name}",
-                "plant cells along a side",
-                [
-                    (row.run_name, row.case.across, row.off)
-                    for row in rows
-                    if row.measure == name and row.off is not None
-                ],
-            )
-            for name in cases[0].measures
-        ),
+        panels=tuple(off_panel(f"{FE2}: {name}", rows, name) for name in cases[0].measures),
         columns=len(cases[0].measures),
         table=Table(ROWS, rows),
     )

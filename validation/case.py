@@ -233,26 +233,35 @@ def curves_panel(runs: Iterable[Run], title: str) -> Panel:
     runs = list(runs)
     case = runs[0].case
     shown = f"force {case.force} (µN)" if case.force else f"displacement $u_{'xy'[case.axis]}$ (µm)"
-    return Panel(
-        title=title,
-        x_label="time $t$ (µs)",
-        y_label=shown,
-        curves=tuple(
-            Curve(run.case.method, run.t, run.u, run.case.run_name, markers=False) for run in runs
-        ),
-    )
+    curves = (Curve(run.case.method, run.t, run.u, run.case.run_name, False) for run in runs)
+    return Panel("time (µs)", shown, tuple(curves), title)
 
 
-def off_panel(title: str, x_label: str, points: Iterable[tuple[str, float, float]]) -> Panel:
-    """Distance from the tissue in % over x, a line for each name of (name, x, %)."""
+def curves_of(runs: Sequence[Run], shown: Iterable[tuple[str, int]]) -> list[Panel]:
+    """A panel for each (problem, plant cells across)."""
+    return [
+        curves_panel(
+            [run for run in runs if (run.case.problem, run.case.across) == (problem, n)],
+            f"{problem}, {n} plant cells across",
+        )
+        for problem, n in shown
+    ]
+
+
+def off_panel(
+    title: str, rows: Iterable[Row], measure: str, name: Callable[[Row], str] | None = None
+) -> Panel:
+    """Distance of a measure from the tissue over plant cells across, a line for each name."""
     lines: dict[str, list[tuple[float, float]]] = {}
-    for name, x, y in points:
-        lines.setdefault(name, []).append((float(x), y))
+    for row in rows:
+        if row.measure == measure and row.off is not None:
+            key = row.run_name if name is None else name(row)
+            lines.setdefault(key, []).append((float(row.case.across), row.off))
     return Panel(
         title=title,
-        x_label=x_label,
-        y_label="over full tissue − 1 (%)",
-        curves=tuple(Curve(name, *np.array(line).T) for name, line in lines.items()),
+        x_label="plant cells across",
+        y_label="difference from the full tissue (%)",
+        curves=tuple(Curve(key, *np.array(line).T) for key, line in lines.items()),
         log_x=True,
         x_ticks=tuple(sorted({x for line in lines.values() for x, _ in line})),
         zero=True,

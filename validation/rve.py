@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,15 +166,6 @@ def describe_shear(runs: Sequence[ShearSteps]) -> Study:
         table=Table(
             FIGURE_5, [(r, name) for r in runs for name in r.stress if name != r.reference]
         ),
-        series={
-            "F_xy (1)": runs[0].shear,
-            **{
-                f"sigma_{label} {name} at rate {run.rate:g} (µN/µm)": stress[:, a, b]
-                for run in runs
-                for name, stress in run.stress.items()
-                for label, (a, b) in _COMPONENTS.items()
-            },
-        },
     )
 
 
@@ -253,11 +243,6 @@ def rates(setting: Setting) -> Study:
         f"oscillating drive slowed by {', '.join(f'{slow:g}' for slow in SLOWNESS)}",
         panels=(panel,),
         table=Table(quantities, tuple(errors.error)),
-        series={
-            "rate (1/µs)": errors.rate,
-            "largest stress (µN/µm)": errors.stress,
-            **{f"error {name} (µN/µm)": error for name, error in errors.error.items()},
-        },
     )
 
 
@@ -394,18 +379,9 @@ def figure_6(setting: Setting) -> Study:
         names = tuple(f"{k:,}" for k in ticks)
         return Panel("iterations", label, tuple(curves), "", True, True, ticks, names)
 
-    def column(values: Callable[[Relaxation], NDArray[Any]]) -> NDArray[Any]:
-        return np.concatenate([values(each) for each in solvers.values()])
-
     return Study(
         title="Figure 6: from the undeformed RVE to shear 0.1 at rate 0.01/µs",
         panels=(panel(error, lambda way: way.error), panel(force, lambda way: way.mean_force)),
         columns=2,
         table=Table(FIGURE_6, tuple(solvers.items())),
-        series={
-            "method": [method for method, way in solvers.items() for _ in way.iterations],
-            "iterations": column(lambda way: way.iterations),
-            "mean force (µN)": column(lambda way: way.mean_force),
-            error: column(lambda way: way.error),
-        },
     )

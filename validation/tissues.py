@@ -25,7 +25,7 @@ from validation.case import (
     Case,
     Setting,
     compare,
-    curves_panel,
+    curves_of,
     off_panel,
 )
 
@@ -127,21 +127,10 @@ def problems(setting: Setting) -> Study:
     runs = setting.runs(problem_cases(setting.of, setting.sizes or SIZES))
     rows = compare(runs)
     largest = {run.case.problem: run.case.across for run in runs}
-    forces = [
-        (row.case.problem, row.case.across, row.off)
-        for row in rows
-        if row.case.even and row.off is not None
-    ]
-    curves = (
-        curves_panel(
-            [run for run in runs if (run.case.problem, run.case.across) == each],
-            f"{each[0]}, {each[1]} plant cells across",
-        )
-        for each in largest.items()
-    )
+    forces = off_panel("force", rows, "held force", lambda row: row.case.problem)
     return Study(
         title="FE² against the full tissue: strip, plates and skin",
-        panels=(off_panel("force", "plant cells across", forces), *curves),
+        panels=(forces, *curves_of(runs, largest.items())),
         columns=2,
         table=Table(ROWS, rows),
     )
@@ -185,22 +174,12 @@ def thin(setting: Setting) -> Study:
     sizes = setting.sizes or THIN_SIZES
     runs = setting.runs(thin_cases(setting.of, sizes, setting.meshes or ()))
     rows = compare(runs)
-    periods = [
-        (row.case.method, row.case.across, row.off)
-        for row in rows
-        if (row.case.problem, row.measure) == (PULLED, "period") and row.off is not None
-    ]
+    pulled = [row for row in rows if row.case.problem == PULLED]
+    periods = off_panel("period of pulled strips", pulled, "period", lambda row: row.case.method)
     drawn = [(PULLED, sizes[0]), (CANTILEVER, BENT), *((BAR, n) for n in setting.meshes or ())]
-    curves = (
-        curves_panel(
-            [run for run in runs if (run.case.problem, run.case.across) == each],
-            f"{each[0]}, {each[1]} plant cells across",
-        )
-        for each in drawn
-    )
     return Study(
         title="Thin tissue: FE² with and without the surface law of its free sides",
-        panels=(off_panel("period of pulled strips", "plant cells across", periods), *curves),
+        panels=(periods, *curves_of(runs, drawn)),
         columns=2,
         table=Table(ROWS, rows),
     )

@@ -171,17 +171,11 @@ QUANTITIES: tuple[Quantity[Memory], ...] = (
 
 
 def describe(found: Memory) -> Study:
-    """The stress of both pasts and the fading difference."""
-    stresses = {
-        f"sigma_{label} {past} (µN/µm)": stress[:, a, b]
-        for past, stress in (("steady", found.steady), ("returning", found.returning))
-        for label, a, b in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
-    }
+    """The fading difference of the stresses."""
     labels = "time since both pasts met (µs)", "difference of the stresses (µN/µm)"
     curve = Curve("difference", found.t, found.difference, markers=False)
     return Study(
         title="Two pasts that end in the same (F, Ḟ): difference of the stresses",
         panels=(Panel(*labels, (curve,), log_y=True),),
         table=Table(QUANTITIES, (found,)),
-        series={"t (µs)": found.t, **stresses, "difference (µN/µm)": found.difference},
     )

@@ -87,13 +87,6 @@ def stability(
         panels=tuple(_panel(name, F[at], category[at]) for name, at in planes.items()),
         columns=2,
         table=Table(COLUMNS, rows),
-        series={
-            "plane": np.repeat([*PLANES], points**2).tolist(),
-            "F_xx (1)": F[:, 0, 0],
-            "F_yy (1)": F[:, 1, 1],
-            "F_xy (1)": F[:, 0, 1],
-            "equilibrium": [CATEGORIES[k] for k in category],
-        },
         results={
             "counts": {
                 name: {label: int((category[at] == k).sum()) for k, label in enumerate(CATEGORIES)}

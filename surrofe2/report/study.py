@@ -5,16 +5,12 @@ Plain data, so that a study draws nothing and a drawing computes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from surrofe2.base.errors import InputError
 from surrofe2.plant_cell.parameters import CellParameters
 from surrofe2.recipe.recipe import load_recipe
 from surrofe2.report.tables import Table, to_csv
@@ -59,8 +55,6 @@ class Study:
         panels: row by row; `columns` of them in a row.
         drawing: instead of panels, what is no chart.
         table: what people read; also in JSON as "rows".
-        series: what the figure draws, column heading with unit to values, all of one length; for
-            the CSV, which has the table where there is none.
         results: further numbers for JSON.
     """
 
@@ -69,19 +63,19 @@ class Study:
     columns: int = 1
     drawing: Figure | None = None
     table: Table[Any]
-    series: Mapping[str, Sequence[Any] | NDArray[np.float64]] = field(default_factory=dict)
     results: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        lengths = {len(column) for column in self.series.values()}
-        if len(lengths) > 1:
-            raise InputError(f"study {self.title}: columns of {sorted(lengths)} rows; must be one")
-
     def to_csv(self) -> str:
-        """The series, else the table."""
-        if not self.series:
+        """All points of the panels, else the table."""
+        if not self.panels:
             return self.table.to_csv()
-        return to_csv(self.series, zip(*self.series.values(), strict=True))
+        rows = (
+            (panel.title, panel.x_label, panel.y_label, curve.label or curve.name, x, y)
+            for panel in self.panels
+            for curve in panel.curves
+            for x, y in zip(curve.x, curve.y, strict=True)
+        )
+        return to_csv(("panel", "x is", "y is", "curve", "x", "y"), rows)
 
     def to_record(self) -> dict[str, Any]:
         """The numbers with their units."""
@@ -101,7 +95,7 @@ def keep_study(
     *,
     fresh: bool = False,
 ) -> tuple[Study | None, list[Path]]:
-    """Make a study and write figure, series, table and at last its numbers, unless they are there.
+    """Make a study and write figure, points, table and at last its numbers, unless they are there.
 
     Args:
         name: of the study; its files are NAME-CELL.png, .csv, .md and .json in `out`.

@@ -33,7 +33,7 @@ def test_categories_turn_at_the_onset_and_both_axes_are_alike():
 def test_map_names_every_deformation():
     study = stability.stability(WATER, points=3)
     assert study.to_csv().count("\n") == 19
-    assert set(study.series["equilibrium"]) <= set(CATEGORIES)
+    assert {curve.name for panel in study.panels for curve in panel.curves} <= {*CATEGORIES}
     assert sum(study.results["counts"]["stretch"].values()) == 9
     onset = {row["way"]: row for row in study.table.to_records()}
     assert onset["simple shear"] == {

@@ -57,7 +57,11 @@ def test_studies_are_listed_and_one_is_written_and_kept(tmp_path, capsys):
     assert main(call) == 0
     assert "| slow-manifold | 0.01 | micro-integration |" in capsys.readouterr().out
     assert (tmp_path / "fig5-water.png").stat().st_size > 10_000
-    assert (tmp_path / "fig5-water.csv").read_text(encoding="utf-8").startswith("F_xy (1),")
+    assert (
+        (tmp_path / "fig5-water.csv")
+        .read_text(encoding="utf-8")
+        .startswith("panel,x is,y is,curve,x,y")
+    )
     record = read_json(tmp_path / "fig5-water.json")
     assert record["preset"] == "water"
     assert record["cell"]["fluid_particle_mass"] == 0.27
