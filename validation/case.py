@@ -232,7 +232,9 @@ def curves_panel(runs: Iterable[Run], title: str) -> Panel:
     """What is watched over time, a line for each run."""
     runs = list(runs)
     case = runs[0].case
-    shown = f"force {case.force} (µN)" if case.force else f"displacement $u_{'xy'[case.axis]}$ (µm)"
+    shown = (
+        f"force of {case.force} (µN)" if case.force else f"displacement $u_{'xy'[case.axis]}$ (µm)"
+    )
     curves = (Curve(run.case.method, run.t, run.u, run.case.run_name, False) for run in runs)
     return Panel("time (µs)", shown, tuple(curves), title)
 

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from surrofe2.base.units import number
 from surrofe2.report.tables import Table
-from surrofe2.run.charts import PALETTE, Panel, draw_panels, encoded
-
-_BAR_ROW, _AXIS, _LEGEND_ROW = 0.6, 0.8, 0.25
-"""Inches."""
+from surrofe2.run.charts import Panel, draw_panels, encoded
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -42,32 +36,6 @@ def chart(panel: Panel) -> str:
     named = ", ".join(dict.fromkeys(curve.label for curve in panel.curves if curve.label))
     what = f"{panel.title or panel.y_label} over {panel.x_label}"
     return image(encoded(draw_panels([panel])), f"{what}: {named}" if named else what)
-
-
-def bars(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
-    """A bar for each row, its parts by name one after the other, with their sum."""
-    names = list(dict.fromkeys(name for _, parts in rows for name in parts))
-    legend = _LEGEND_ROW * -(-len(names) // 3)
-    size = 4.6, _BAR_ROW * len(rows) + _AXIS + legend
-    drawn = Figure(figsize=size, layout="constrained")
-    axes = drawn.subplots()
-    for k, (label, parts) in enumerate(rows):
-        left = 0.0
-        axes.text(0.0, k - 0.36, f"{label}: {number(sum(parts.values()))} {unit}", fontsize=9)
-        for name, value in parts.items():
-            colour = PALETTE[names.index(name) % len(PALETTE)]
-            axes.barh(k, value, left=left, height=0.5, color=colour, label=name)
-            left += value
-    axes.set_yticks([])
-    axes.set_ylim(len(rows) - 0.5, -0.85)
-    axes.set_xlabel(f"time ({unit})")
-    handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    drawn.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
-    alternative = "; ".join(
-        f"{label}: " + ", ".join(f"{name} {number(value)} {unit}" for name, value in parts.items())
-        for label, parts in rows
-    )
-    return image(encoded(drawn), alternative)
 
 
 def figure(content: str, caption: str) -> str:

@@ -24,7 +24,6 @@ from surrofe2.report.comparison import (
 )
 from surrofe2.report.figures import Colours
 from surrofe2.report.html import (
-    bars,
     chart,
     figure,
     folded,
@@ -150,15 +149,17 @@ def _cost(seen: ReportData) -> list[str]:
     ]
     if not parts:
         parts = [missing("No run through a cache beside one by RVEs, so there is no speed-up.")]
-    caption = (
-        "Seconds of each run: in the stress law, in the macro scale, loading kernels before it, "
-        "and what was made for its cache"
-    )
-    rows = [(each.name, _seconds(each)) for each in seen.runs]
-    return [*parts, grid([figure(bars(rows, "s"), caption)])]
+    seconds = [_seconds(each) for each in seen.runs]
+    names = list(dict.fromkeys(name for each in seconds for name in each))
+    rows = [
+        [run.name, *(number(each[name]) if name in each else "–" for name in names)]
+        for run, each in zip(seen.runs, seconds, strict=True)
+    ]
+    return [*parts, table(["run", *(f"{name} (s)" for name in names)], rows)]
 
 
 def _seconds(run: RunData) -> dict[str, float]:
+    """In the law, in the macro scale, loading kernels before it, making what its cache needs."""
     wall = run.record.wall_time
     law, macro = wall.get("law", 0.0), wall.get("macro", 0.0)
     seconds = {"law": law, "macro scale": macro}

@@ -128,7 +128,7 @@ def told_once(curves: Sequence[Curve], within: float = 0.01) -> tuple[Curve, ...
     for group in groups:
         first, *others = (curves[k] for k in group)
         names = ", ".join(each.label or each.name for each in (first, *others))
-        label = "\n".join(wrap(names, _LONG))
+        label = "\n".join(wrap(names, _LONG, break_on_hyphens=False))
         one = Curve("reference", first.x, first.y, label, markers=False)
         found.append(one if others else first)
     return tuple(found)
@@ -245,7 +245,7 @@ def _draw_legends(figure: Figure, width: float, columns: int) -> float:
     for place, each in zip(figure.axes, labels, strict=True):
         if len(each) > _MOST_INSIDE and columns == 1:
             place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
-        elif len(each) > _MOST_INSIDE:
+        elif len(each) > 1 and columns > 1:
             place.legend(
                 loc="upper center",
                 bbox_to_anchor=(0.5, -0.2),
