@@ -81,16 +81,6 @@ def test_points_fill_the_range_and_no_more():
     assert contains(RANGE, F, F_dot).all()
 
 
-def test_the_sequence_may_be_cut_anywhere():
-    whole = sample(RANGE, 1000, seed=5)
-    parts = [sample(RANGE, count, seed=5, start=start) for start, count in ((0, 1), (1, 610))]
-    parts.append(sample(RANGE, 389, seed=5, start=611))
-    for k in (0, 1):
-        assert np.array_equal(whole[k], np.concatenate([part[k] for part in parts]))
-    assert not np.array_equal(whole[0], sample(RANGE, 1000, seed=6)[0])
-    assert sample(RANGE, 0, seed=5)[0].shape == (0, 2, 2)
-
-
 def test_points_of_a_data_set_begin_at_rest_and_a_third_is_near_it():
     F, F_dot = training_points(RANGE, 3000, seed=5)
     even = sample(RANGE, 3000, seed=5)
@@ -109,14 +99,6 @@ def test_points_of_a_data_set_begin_at_rest_and_a_third_is_near_it():
     later = training_points(RANGE, 1500, seed=5, start=1500)
     assert np.array_equal(F[1500:], later[0])
     assert np.array_equal(F_dot[1500:], later[1])
-
-
-@pytest.mark.parametrize(
-    "arguments", [{"count": -1}, {"count": 1.5}, {"start": -2}, {"count": 2**31}]
-)
-def test_a_count_that_makes_no_sense_is_refused(arguments):
-    with pytest.raises(InputError):
-        sample(RANGE, **{"count": 4, "seed": 0, **arguments})
 
 
 def test_range_is_of_stretch_and_of_rates_seen_by_the_material():

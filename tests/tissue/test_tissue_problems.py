@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surrofe2 import LoadCase
 from surrofe2.base.errors import InputError
 from surrofe2.problem import (
     BodyForce,
@@ -24,7 +23,6 @@ from surrofe2.problem import (
 )
 from surrofe2.problem.amplitude import Ramp, Sine, Table
 from surrofe2.problem.rigid_bodies import Circle, Corner, Plane, RigidBody
-from surrofe2.recipe.recipe import make_recipe
 from surrofe2.tissue import TissueSettings, TissueState, relax, simulate_tissue
 from surrofe2.tissue.simulation import (
     advance,
@@ -291,27 +289,6 @@ def test_driven_side_arrives_where_it_is_led(reference):
     assert done.energies["motion"][0] > 0.0  # the impulse of a start at once
 
 
-def test_bar_stated_as_a_problem_is_the_bar_to_the_bit(reference):
-    load = LoadCase(
-        width=50.0, height=25.0, watched=(50.0, 12.5), duration=0.5, output_interval=0.1
-    )
-    stated = make_recipe(
-        {
-            "mesh": {"width": 50.0, "height": 25.0, "elements": [2, 1]},
-            "conditions": {
-                "clamp": {"kind": "fixed", "on": "left"},
-                "load": {"kind": "body_force", "acceleration": [0.0, -0.2]},
-            },
-            "watch": {"point": [50.0, 12.5]},
-            "time": {"duration": 0.5, "output_interval": 0.1},
-        }
-    )
-    one, two = (run(reference, each, "printed") for each in (load, stated.problem()))
-    np.testing.assert_array_equal(one.curve.displacement, two.curve.displacement)
-    for name, values in one.energies.items():
-        np.testing.assert_array_equal(values, two.energies[name])
-
-
 def test_run_with_bodies_resumes_bit_by_bit(reference):
     thrown = replace(UPPER, name="thrown", displacement=(0.0, 0.0), mass=30.0, velocity=(0.1, -1.0))
     problem = replace(PRESSED, bodies=(LOWER, thrown), duration=1.5)
@@ -351,12 +328,6 @@ def test_supports_that_contradict_are_named(reference):
         InputError, match=r"^other: component y of the particle at \(0, 50\) µm; cl"
     ):
         run(reference, problem)
-
-
-def test_motion_that_jumps_is_named(reference):
-    wrong = replace(UPPER, amplitude=Table(points=((0.0, 0.5), (1.0, 1.0))))
-    with pytest.raises(InputError, match=r"^upper\.amplitude: jumps from 0 to 0\.5 at t = 0 µs"):
-        run(reference, replace(PRESSED, bodies=(wrong,)))
 
 
 def test_region_without_plant_cells_is_named(reference):
