@@ -27,7 +27,8 @@ to start from.
 Written by `python docs/recipe_reference.py` from the settings of the package; do not edit.
 """
 CELL_NOTE = (
-    "`preset` is `printed` (default), `water`, `apple` or `potato`; every other key replaces a "
+    "`preset` is `printed` (default; also `ghysels2009`), `water` (also `ghysels2009-light`), "
+    "`apple` or `potato`; every other key replaces a "
     "constant of the preset, so the default of a key is the preset's. The defaults below are those "
     "of `printed`. `[cells.NAME]` states several plant cells, each with `regions`, a list of the "
     "mesh's regions that it fills, and with sections `range`, `samples` and `training` of its own."

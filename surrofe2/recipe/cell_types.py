@@ -31,6 +31,8 @@ SECTIONS = ("range", "samples", "training")
 """Sections that a cell may have; what they leave out is as in the recipe's section."""
 _OWN = (("samples", "file"), ("samples", "add"), ("training", "file"))
 """Files that cells cannot share."""
+ALIASES = {"ghysels2009": "printed", "ghysels2009-light": "water"}
+"""Presets by the paper that they are of."""
 FIRST_COUNT, MOST_COUNT = 512, 16384
 """Samples that training begins with, and takes at most, where a recipe leaves their number out."""
 
@@ -157,6 +159,7 @@ def _cell_type(name: str, entries: Any, shared: Mapping[str, Mapping[str, Any]])
                     sections[section] = merged
     with faults.noted():
         preset = check_value(f"{where}.preset", entries.pop("preset", "printed"), str, {})
+        preset = ALIASES.get(preset, preset)
         extras = ("preset", "regions", *SECTIONS) if name else ("preset",)
         make = partial(CellParameters.preset, preset)
         cell = build(make, entries, where, extras, of=CellParameters)

@@ -191,7 +191,12 @@ class StatedProblem:
         for body in self.bodies:
             boundary(mesh, body.on, f"bodies.{body.name}.on")
         for name, at in self.watched.items():
-            space.locate(np.array(at), f"watch.{name}")
+            try:
+                space.locate(np.array(at), f"watch.{name}")
+            except InputError as error:
+                x, y = mesh.p[:, np.hypot(*(mesh.p.T - np.array(at)).T).argmin()]
+                message = f"{error}, whose nearest node is at ({x:.6g}, {y:.6g}) µm"
+                raise InputError(message) from None
         return problem
 
     def to_dict(self) -> dict[str, dict[str, Any]]:

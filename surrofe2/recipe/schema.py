@@ -19,6 +19,7 @@ from surrofe2.problem.conditions import CONDITIONS
 from surrofe2.problem.mesh import PARTS, Box, Part
 from surrofe2.problem.problem import Point
 from surrofe2.problem.rigid_bodies import SHAPES, RigidBody
+from surrofe2.recipe.cell_types import ALIASES
 from surrofe2.recipe.cell_types import SECTIONS as SECTIONS_OF_CELL
 from surrofe2.recipe.problem_sections import MeshSettings, TimeSettings
 from surrofe2.recipe.recipe import SECTIONS
@@ -39,7 +40,7 @@ _PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
 def recipe_schema() -> Schema:
     """The schema, of JSON Schema's draft 7."""
     sections = {name: _settings(kind) for name, kind in SECTIONS.items()}
-    sections["cell"]["properties"]["preset"] = {"enum": [*PRESETS]}
+    sections["cell"]["properties"]["preset"] = {"enum": [*PRESETS, *ALIASES]}
     sections["training"]["properties"]["file"] = _TEXT
     sections["macro"]["properties"]["elements"] = _value(tuple[int, int], {"least": 1})
     shared = {name: {**sections[name], "required": []} for name in SECTIONS_OF_CELL}

@@ -50,6 +50,8 @@ def test_single_constants_change_a_preset():
     )
     assert recipe.cell == CellParameters.preset("water", wall_stiffness=1000.0)
     assert recipe.problem().conditions == LoadCase().conditions
+    by_paper = make_recipe({"cell": {"preset": "ghysels2009-light", "wall_stiffness": 1000}})
+    assert (by_paper.preset, by_paper.cell) == ("water", recipe.cell)
 
 
 def test_files_are_relative_to_the_recipe(recipe, recipe_path):
